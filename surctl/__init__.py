@@ -1,5 +1,21 @@
 """Design, tune, verify and export the controller of a small underwater robot."""
 
+from importlib import import_module
+from typing import Any
+
 __version__ = "0.1.0"
 
-__all__ = ["__version__"]
+__all__ = ["__version__", "from_control", "to_control"]
+
+
+def from_control(system: Any, controller: Any = None, *, dt: float | None = None) -> Any:
+    """Return a python-control system as a plant or controller, or with a controller as a closed loop.
+
+    See `surctl.system.from_control`.
+    """
+    return import_module("surctl.system").from_control(system, controller, dt=dt)
+
+
+def to_control(part: Any) -> Any:
+    """Return a plant, controller or linear loop as a python-control system; see `surctl.system.to_control`."""
+    return import_module("surctl.system").to_control(part)

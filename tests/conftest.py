@@ -1,11 +1,12 @@
 """Randomness has a seed: Hypothesis draws the same examples in every run, and no deadline on noisy machines.
 
-Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O. Linear algebra runs
-in one thread: the matrices are small, and on a busy machine OpenBLAS's threads wait for each other in loops, which took
-ten times the work.
+Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O.
 """
 
+import importlib.util
 import os
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Generator, Iterator
 from pathlib import Path
@@ -14,8 +15,6 @@ import pytest
 from hypothesis import settings
 
 from tests import processes
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy and SciPy are loaded, here and in what is started
 
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
@@ -35,6 +34,15 @@ LONG = (
     *("simulation/test_depth_escape.py", "export/test_prove.py", "cli/test_campaign.py", "control/test_baselines.py"),
     *("sensing/test_simulated_table2.py", "sensing/test_echo.py", "cli/test_sensor_options.py"),
 )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Bytecode is written once: processes that begin at the same time would each compile every module."""
+    first = Path(importlib.util.cache_from_source(str(HERE.parent / "surctl" / "cli" / "app.py")))
+    several = getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput")
+    if several and not first.is_file() and not sys.dont_write_bytecode:
+        loaded = f"import compileall, {', '.join(processes.LOADED)}; compileall.compile_dir('surctl', quiet=2)"
+        subprocess.run([sys.executable, "-c", loaded], cwd=HERE.parent, check=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -27,7 +27,7 @@ from tests.tools import PATIENCE
 ROOT = Path(__file__).parents[1]
 LOADED = (
     *("control", "matplotlib.figure", "optuna", "osqp", "qpsolvers", "scipy.optimize", "scipy.stats.qmc", "xarray"),
-    *("surctl.cli", "surctl.study", "surctl.verification"),
+    *("dask.array", "surctl.cli", "surctl.lyapunov", "surctl.report", "surctl.study", "surctl.verification"),
 )
 WRITTEN = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
 

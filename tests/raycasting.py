@@ -70,16 +70,21 @@ def inside(shape, point):
 
 
 def heard_along(shapes, apex, bearings, *, limit=None, hull=None):
-    """Range that each ray hears (n,): of its first hit, where that reflects; inf behind the own hull (a disc)."""
+    """Range that each ray hears (n,): of its first hit, where that reflects; inf behind the own hull (a disc).
+
+    `limit` is the largest incidence [rad], None without one, or one limit for each shape, 0 for a silent one.
+    """
     apex = np.asarray(apex, dtype=float)
     rays = np.column_stack((np.cos(bearings), np.sin(bearings)))
     best, cosines = np.full(len(rays), np.inf), np.zeros(len(rays))
-    for shape in shapes:
+    limits = limit if isinstance(limit, list) else [limit] * len(shapes)
+    for shape, most in zip(shapes, limits, strict=True):
         t, cosine = CAST[type(shape)](shape, apex, rays)
-        cosines = np.where(t < best, cosine, cosines)
+        facing = cosine - (-1.0 if most is None else 2.0 if most == 0 else math.cos(most))
+        cosines = np.where(t < best, facing, cosines)
         best = np.minimum(best, t)
     if limit is not None:
-        best = np.where(cosines >= math.cos(limit), best, np.inf)
+        best = np.where(cosines >= 0, best, np.inf)
     if hull is not None:  # an apex on the hull must not depend on how a range of 0 is rounded
         to = np.array(hull.center) - apex
         across = np.abs(rays[:, 0] * to[1] - rays[:, 1] * to[0])

@@ -39,6 +39,7 @@ TOOLS = {  # beside a C compiler
 }
 
 
+MCAP = ("simulation.SceneFile", "simulation.save_scene")
 MUJOCO = ("report.film_frames", "report.moment_of", "report.save_film")
 
 
@@ -47,6 +48,9 @@ def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch:
     need_compiler()
     if name.startswith("engine.") or name in MUJOCO:
         need_module("mujoco")
+    if name.startswith(("bridge.", "recorded_mcap.")) or name in MCAP:
+        need_module("pymavlink")
+        need_module("mcap")
     for tool in TOOLS.get(name, ()):
         need(tool)
     monkeypatch.chdir(tmp_path)  # what an example writes goes there

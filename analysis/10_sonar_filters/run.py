@@ -40,6 +40,8 @@ STILL = 0.02  # m/s
 JUMP = 0.15  # m per step: an object entered or left the beam
 DRAWN = 11  # seed of the faults in the pictures: they begin during the approach
 RULES: tuple[StepRule, ...] = ("printed", "corrected")
+DRAWN_FAULTS: tuple[str, ...] = ("dropout", "stuck", "second echo", "crosstalk", "delay")
+QUICK_KINDS: tuple[Kind, ...] = ("wall", "obstacle", "tank, turning")
 # without a known object in the beam, an object that enters or leaves it looks like a fault
 UNKNOWN: tuple[Kind, ...] = ("obstacle, turning", "tank, turning")
 
@@ -100,13 +102,14 @@ def study(config: Config, *, quick: bool, out: Path | None) -> int:
     runs = config.quick_error_runs if quick else config.error_runs
     errors = {name: filter_errors(name, runs, config.seed) for name in FILTERS}
     good = print_errors(errors, config.bars)
-    print_fault_errors(runs, config.seed)
+    if not quick:
+        print_fault_errors(runs, config.seed)
     traces = lms_traces(config.seed)
     good &= print_lms(traces)
-    for kind in KINDS:
+    for kind in QUICK_KINDS if quick else KINDS:
         good &= print_kind(kind, config.quick_runs if quick else config.runs, config)
     if out is not None:
-        draw(errors, traces, config, out)
+        draw(errors, traces, config, out, faults=DRAWN_FAULTS[: 1 if quick else None])
     return 0 if good else 1
 
 
@@ -358,8 +361,10 @@ def usefulness(kind: Kind, base: Approach, found: Tracked, bars: Bars) -> bool:
     return bar(text, holds)
 
 
-def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config, out: Path) -> None:
-    """Save pictures: errors of the filters, both LMS steps, and one run with each of six faults."""
+def draw(
+    errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config, out: Path, *, faults: tuple[str, ...]
+) -> None:
+    """Save pictures: errors of the filters, both LMS steps, and one run with each of some faults."""
     names = tuple(errors)
     data = FilterErrors(
         names=names,
@@ -373,7 +378,7 @@ def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config,
         save(plot_lms_trace(trace), out / f"lms_{key}.png")
     base = approach("obstacle", 1, seed=config.seed + 20, speed=0.2, stop=0.5)
     drawn = {"none": ("An unknown obstacle, fault: none", honest(base))}
-    for fault in ("dropout", "stuck", "second echo", "crosstalk", "delay"):
+    for fault in faults:
         drawn[fault] = (f"An unknown obstacle, fault: {fault}", faulty(base, fault, seed=DRAWN))
     tank = honest(approach("tank, turning", 1, seed=config.seed + 21))
     drawn["tank"] = ("A tank with a box, the beam turns", tank)

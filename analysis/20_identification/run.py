@@ -14,8 +14,10 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from multiprocessing import get_context
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -68,17 +70,29 @@ def log_of(vehicle: Vehicle, rng: np.random.Generator, *, rows: int, axes: tuple
 
 
 def _integrated(vehicle: Vehicle, thrust: NDArray[np.float64]) -> NDArray[np.float64]:
-    ode, p, x, h = build_plant().ode, plant_parameters(vehicle), np.zeros(12), PERIOD / FINE
+    period, p, x = _period(), plant_parameters(vehicle), np.zeros(12)
     rows = [x[:8]]
     for command in thrust[:-1]:
-        for _ in range(FINE):
-            k1 = np.asarray(ode(x, command, 0, p)).ravel()
-            k2 = np.asarray(ode(x + h / 2 * k1, command, 0, p)).ravel()
-            k3 = np.asarray(ode(x + h / 2 * k2, command, 0, p)).ravel()
-            k4 = np.asarray(ode(x + h * k3, command, 0, p)).ravel()
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x = np.asarray(period(x, command, p)).ravel()
         rows.append(x[:8])
     return np.array(rows)
+
+
+@cache
+def _period() -> ca.Function:
+    # the state after a row from the state before it, the command and the parameters
+    ode, h = build_plant().ode, PERIOD / FINE
+    x, command, p = (ca.SX.sym(name, ode.size1_in(k)) for k, name in ((0, "x"), (1, "command"), (3, "p")))
+    k1 = ode(x, command, 0, p)
+    k2 = ode(x + h / 2 * k1, command, 0, p)
+    k3 = ode(x + h / 2 * k2, command, 0, p)
+    k4 = ode(x + h * k3, command, 0, p)
+    step = ca.Function("step", [x, command, p], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    after = start = ca.MX.sym("x", x.numel())
+    held, numbers = ca.MX.sym("command", command.numel()), ca.MX.sym("p", p.numel())
+    for _ in range(FINE):
+        after = step(after, held, numbers)
+    return ca.Function("period", [start, held, numbers], [after])
 
 
 def trial(nominal: Vehicle, seed: int, *, rows: int, axes: tuple[int, ...] = (0, 1, 2, 3)) -> Trial:

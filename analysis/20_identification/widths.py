@@ -1,7 +1,7 @@
 """Study 20, second part: are intervals wrong because of the estimates, or because of their estimated widths?
 
     python analysis/20_identification/widths.py            # four minutes on an idle core
-    python analysis/20_identification/widths.py --quick    # two logs
+    python analysis/20_identification/widths.py --quick    # one log
 
 The logs are those of coloured.py. Each fit begins at the true parameters, which takes a third of the time of a whole
 fit and ends in the same minimum. Beside each interval stands the one that follows from the known noise.
@@ -98,12 +98,12 @@ def _known(parts: list[tuple[Array, Array]], noise: Array, times: Array, prior: 
 def main() -> int:
     """Print the table; return 1 if a statement does not hold."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="two logs")
-    count = 2 if parser.parse_args().quick else 200
+    parser.add_argument("--quick", action="store_true", help="one log")
+    count = 1 if parser.parse_args().quick else 200
     results = []
     for seed in range(count):
         results.append(trial(seed))
-        if count > 2:
+        if count > 1:
             sys.stderr.write(f"  {seed + 1} of {count}\n")
     error, half, known = (np.array(x) for x in zip(*results, strict=True))
     inside, with_known = (np.sum(np.abs(error) <= h, axis=0) for h in (half, known))
@@ -119,7 +119,7 @@ def main() -> int:
     print("\n| statement | holds |\n|---|---|")
     for text, holds in statements.items():
         print(f"| {text} | {'holds' if holds else '**does not hold**'} |")
-    return 0 if count == 2 or all(statements.values()) else 1
+    return 0 if count == 1 or all(statements.values()) else 1
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ import argparse
 import compileall
 import json
 import os
-import py_compile
 import shutil
 import signal
 import subprocess
@@ -114,20 +113,33 @@ class Result:
 
 @contextmanager
 def copy() -> Iterator[Path]:
-    """A folder with the package and its tests.
+    """A folder with the package and its tests, and with their bytecode, which holds for a source of one time and size.
 
-    Bytecode in it is valid for one source by that source's hash, so that a mutant is never hidden by it.
+    A mutant has another time (`placed`), so that bytecode never hides it.
     """
     with tempfile.TemporaryDirectory(prefix="surctl-mutants-") as name:
         folder = Path(name)
         for what in COPIED:
             if (ROOT / what).is_dir():
-                shutil.copytree(ROOT / what, folder / what, ignore=shutil.ignore_patterns("__pycache__"))
+                shutil.copytree(ROOT / what, folder / what)  # keeps the times
             else:
                 shutil.copy(ROOT / what, folder / what)
-        hashed = py_compile.PycInvalidationMode.CHECKED_HASH
-        compileall.compile_dir(folder / "surctl", quiet=2, invalidation_mode=hashed)
+        compileall.compile_dir(folder / "surctl", quiet=2)
         yield folder
+
+
+@contextmanager
+def placed(mutant: Mutant, folder: Path) -> Iterator[None]:
+    """The mutant in a copy; afterwards the file is as before, and so is its time."""
+    place = folder / mutant.file
+    whole, before = place.read_bytes(), place.stat()
+    place.write_text(mutant.source(), encoding="utf-8")
+    os.utime(place, (before.st_atime, before.st_mtime + 3600))
+    try:
+        yield
+    finally:
+        place.write_bytes(whole)
+        os.utime(place, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
 def tested(folder: Path, tests: Sequence[str], patience: float, cache: Path) -> tuple[int | None, str, float]:
@@ -175,11 +187,8 @@ def first_failure(text: str) -> str:
 
 def tried(mutant: Mutant, digest: str, folder: Path, patience: float) -> Result:
     """Apply a mutant to a copy, run its tests, and undo it."""
-    place = folder / mutant.file
-    whole = place.read_text(encoding="utf-8")
-    place.write_text(mutant.source(), encoding="utf-8")
     with ExitStack() as stack:
-        stack.callback(place.write_text, whole, encoding="utf-8")
+        stack.enter_context(placed(mutant, folder))
         cache = folder / "cache"
         if mutant.file.startswith(OWN_CACHE):
             cache = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=folder)))

@@ -62,6 +62,14 @@ def tuned(result: dict[str, Any]) -> tuple[bool, str]:
     return {"k_wall", "stand_off"} <= set(best), ", ".join(f"{name} = {value:.3g}" for name, value in best.items())
 
 
+def judged(result: dict[str, Any]) -> tuple[bool, str]:
+    """The loop has margins about a steady motion of the run, and no claim of another law is told."""
+    linear = result["linear"]
+    worst = linear["worst"]
+    text = f"disk margin {linear['disk_margin']:.2f}, worst corner {worst['disk_margin']:.2f}, about {linear['place']}"
+    return linear["stable"] and worst["stable"] and not result["claims"] and linear["free"] == ["y"], text
+
+
 def main() -> int:
     """Run every step and print one row of a table for each."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -99,6 +107,7 @@ def main() -> int:
             fmu = ["export", *mission, *LAW, "--sensing", "truth", "--target", "fmu", "--out", out("u")]
             sensed = ["export", *mission, *LAW, "--sensing", "sonar", "--out", out("n")]
             steps += [("sonars", sonar, arrived), ("C with sonars", sensed, exported), ("FMU", fmu, exported)]
+            steps += [("margins", ["verify", *mission, *LAW], judged)]
             more = ["--scenario", "orbit.toml", "--sensing", "truth"]
             around, station = ["--law", "orbit_law.py:orbit"], ["--law", "orbit_law.py:station"]
             steps += [

@@ -163,7 +163,7 @@ def _files(folder: Path, files: Mapping[str, str], source: str, identity: str) -
     if source not in files:
         wrong.append(f"the manifest does not list {source}")
     for name, digest in files.items():
-        if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", name):
+        if not all(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in name.split("/")):
             raise ValueError(name)
         try:
             body = (folder / name).read_bytes()

@@ -14,6 +14,7 @@ from surctl.cli.calibrate import calibrate
 from surctl.cli.check import check
 from surctl.cli.completion import completion
 from surctl.cli.export import export
+from surctl.cli.fly import fly
 from surctl.cli.gains import gains
 from surctl.cli.lint import lint
 from surctl.cli.listing import listing
@@ -48,7 +49,7 @@ def app() -> None:
 
 _COMMANDS = (
     study, reproduce, simulate, sweep, tune, verify, check, export, vehicle, gains, scenario, calibrate, sonar_replay,
-    new, lint, listing, completion,
+    fly, new, lint, listing, completion,
 )  # fmt: skip
 for _command in _COMMANDS:
     app.add_command(_command)

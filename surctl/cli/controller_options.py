@@ -33,6 +33,7 @@ controller_options = together(
     click.option("--link-loss", type=float, metavar="P", help="Probability that a message is lost (default 0)."),
     click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
     click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),
+    click.option("--link-compact", is_flag=True, help="Request status and thrust only, for a slow line."),
     click.option(
         "--link-timeout", type=float, metavar="S", help="Stop after this silence of the link [s] (default 5)."
     ),
@@ -48,6 +49,7 @@ class ControllerOptions:
     delay: float | None
     deadline: float | None
     timeout: float | None
+    compact: bool = False
 
     def check(self, *, campaign: bool) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""
@@ -55,6 +57,7 @@ class ControllerOptions:
 
         options = {"loss": self.loss, "delay": self.delay, "deadline": self.deadline, "timeout": self.timeout}
         alone = [f"--link-{name}" for name, value in options.items() if value is not None]
+        alone += ["--link-compact"] * self.compact
         if self.controller in (None, "c"):
             if alone:
                 raise InputError("needs --controller", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT")
@@ -93,12 +96,12 @@ class ControllerOptions:
         from surctl.export import build_bundle, closed_form, connect, emulated, emulated_target, operating_envelope
 
         assert self.controller is not None
-        if mission.path.fed:
+        if mission.path.fed and not self.controller.startswith("tcp://"):
             raise InputError(
                 "cannot be fed with a path of more than 8 points, or with speeds and depths of its legs",
                 key="--controller",
                 value=self.controller,
-                remedy="give at most 8 points, or call mission.c of the bundle in the controller's own process",
+                remedy="give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle",
             )
         if self.controller.startswith("tcp://"):
             with connect(self.controller, **({} if self.timeout is None else {"patience": self.timeout})) as line:
@@ -133,7 +136,7 @@ class ControllerOptions:
         from surctl.export import LinkedLaw, operating_envelope
 
         within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
-        return LinkedLaw(law, p, line, self._faults(seed=seed), within)
+        return LinkedLaw(law, p, line, self._faults(seed=seed), within, compact=self.compact, fed=mission.path.fed)
 
     def _faults(self, *, seed: int) -> LinkFaults:
         from surctl.export import LinkFaults

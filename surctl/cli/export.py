@@ -43,7 +43,7 @@ __all__ = ["export"]
 @click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles from sonar (default), or as inputs: truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law).")
-@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu or mjcf (scene for MuJoCo).")
+@click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option(
     "--constant-gains",
@@ -160,7 +160,11 @@ def export(
     from surctl.simulation.numbers import fed_ranges
     from surctl.vehicle import load_vehicle
 
-    checked = (("--target", target, ("c99", "fmu", "mjcf")), ("--real", real, REALS), ("--sensing", sensing, SENSING))
+    checked = (
+        ("--target", target, ("c99", "fmu", "fmu3", "mjcf")),
+        ("--real", real, REALS),
+        ("--sensing", sensing, SENSING),
+    )
     for key, value, known in checked:
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
@@ -194,12 +198,12 @@ def export(
     chosen = choose_gains(gains, robot, cruise=mission.cruise, own=law_source(law).gains)
     tuned = chosen.gains
     numbers = law_numbers(mission, tuned, robot)
-    if mission.path.fed and (constant_gains or target == "fmu"):
+    if mission.path.fed and constant_gains:
         raise InputError(
             f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which the program must feed",
             file=mission.source,
             key="path_m",
-            remedy="remove --constant-gains" if constant_gains else "remove --target fmu",
+            remedy="remove --constant-gains",
         )
     table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
     shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
@@ -237,9 +241,9 @@ def export(
             if check
             else None
         )
-        if target == "fmu":
+        if target in ("fmu", "fmu3"):
             progress("compiling the functional mock-up unit")
-            unit = write_fmu(shipped, bundle, shipped.gains.pack(fixed), scratch)
+            unit = write_fmu(shipped, bundle, shipped.gains.pack(fixed), scratch, fmi=3 if target == "fmu3" else 2)
             binaries[unit.path.name] = unit.path.read_bytes()
     replayed = {
         "scenario": mission.name,
@@ -260,7 +264,7 @@ def export(
         "vehicle_from": choice.origin,
         "derived_gains": chosen.data,
         "files": [str(f.path) for f in files],
-        "sha256": {f.path.name: f.sha256 for f in files},
+        "sha256": {f.path.relative_to(out).as_posix(): f.sha256 for f in files},
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
         "real": real,
         "sil": sil.to_dict(),
@@ -292,7 +296,7 @@ def export(
         and sil.conclusive
         and (report is None or report.passed)
         and (proof is None or proof.proved),
-        then=[*belong, *(() if mission.path.fed else started)],
+        then=[*belong, *(() if mission.path.fed and real != "float64" else started)],
     )
 
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from surctl.control import Gains
+    from surctl.simulation import Scenario
     from surctl.vehicle import Vehicle
+    from surctl.verification import OperatingPoint
 
 __all__ = ["LinearPart", "law_part", "linear_part", "over_speeds", "speed_lines"]
 
@@ -30,8 +33,19 @@ class LinearPart(NamedTuple):
     peak: float = math.inf
 
 
-def law_part(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, uncertainty: float = 0.0) -> LinearPart:
+def law_part(
+    law: str,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    cruise: float,
+    uncertainty: float = 0.0,
+    mission: Scenario | None = None,
+) -> LinearPart:
     """Return the numeric analysis of the sampled loop of a law that the cascade does not describe.
+
+    A law that steers is linearised about a straight cruise. Any other law is simulated, and linearised about the
+    steadiest motion of this run.
 
     Args:
         law: reference of the law.
@@ -40,16 +54,20 @@ def law_part(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, uncerta
         cruise: cruise speed [m/s].
         uncertainty: relative uncertainty of mass and drag; 0: the ranges of the vehicle file, or the default of
             `law_corners`.
+        mission: scenario of the simulated run, whose waves and drift are left out; None: a straight path in open water.
     """
     from surctl.control import build_law, law_source
     from surctl.errors import InputError
     from surctl.verification import law_corners
 
+    source = law_source(law)
+    own = gains.with_own(source.gains)
     try:
-        own = gains.with_own(law_source(law).gains)
-        corners = law_corners(build_law(law), vehicle, own, cruise=cruise, uncertainty=uncertainty or None)
+        at = None if source.steering is not None else _steady(law, vehicle, own, cruise=cruise, mission=mission)
+        corners = law_corners(build_law(law), vehicle, own, cruise=cruise, uncertainty=uncertainty or None, at=at)
     except InputError as error:
-        why = f"not applicable to this vehicle, because a cruise at {cruise:g} m/s {error.problem}"
+        which = f"a cruise at {cruise:g} m/s" if error.key in (None, "cruise") else error.key
+        why = f"not applicable to this vehicle, because {which} {error.problem}"
         return LinearPart([f"margins: {why}"], {"margins": [], "linear": {"not_applicable": why}}, None, cruise)
     loop = corners.nominal
     lines = [f"margins of {vehicle.name}:", *corners.lines()]
@@ -57,6 +75,19 @@ def law_part(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, uncerta
     delay = min((m.delay_margin_s for m in loop.margins), default=math.nan)
     disk = min((m.disk_margin for m in loop.margins), default=math.nan)
     return LinearPart(lines, data, corners.stable, cruise, delay, disk)
+
+
+def _steady(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> OperatingPoint:
+    from surctl.control import build_law
+    from surctl.simulation import Disturbance, mission_size, simulate, straight_mission
+    from surctl.verification import steady_motion
+
+    if mission is None:
+        scenario = straight_mission(vehicle, cruise=cruise, size=mission_size(vehicle, gains, cruise=cruise))
+    else:
+        calm = Disturbance(current_m_per_s=mission.disturbance.current_m_per_s)
+        scenario = replace(mission, cruise=cruise, cap=max(mission.cap, cruise), disturbance=calm)
+    return steady_motion(simulate(scenario, vehicle, gains=gains, law=build_law(law)))
 
 
 def linear_part(

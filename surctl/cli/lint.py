@@ -77,7 +77,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     from surctl.lyapunov import load_problem
     from surctl.simulation import LIBRARY, findings, load_scenario
     from surctl.study import load_plan
-    from surctl.tuning import gains_for, load_goals
+    from surctl.tuning import gains_for, load_goals, load_loop_goals
     from surctl.vehicle import load_vehicle
     from surctl.verification import load_claim
     from surctl.verification.cascade import has_cascade
@@ -89,7 +89,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     plain: dict[str, Callable[[str], object]] = {
         "vehicle": load_vehicle,
         "gains": load_gains,
-        "goals": load_goals,
+        "goals": lambda file: load_loop_goals(file) if "points" in read_toml(Path(file)) else load_goals(file),
         "barrier": lambda file: load_problem(Path(file)),
         "claim": lambda file: load_claim(Path(file)),
         "lyapunov": lambda file: load_problem(Path(file)),

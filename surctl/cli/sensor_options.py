@@ -50,7 +50,7 @@ sensor_options = together(
 The command receives them as `faults`, `chances`, `beam` and `own_state`."""
 
 
-simulated_echoes = click.option("--echoes", metavar="NAME", help="Surfaces that answer: ideal or webots (22.5 deg).")
+simulated_echoes = click.option("--echoes", metavar="NAME", help="Surfaces: ideal, webots, specular or diffuse.")
 """The option of the simulated echoes, which a law does not know."""
 
 
@@ -63,7 +63,7 @@ class SensorOptions:
         chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
         beam: full opening angle of the sonars [°].
         own_state: whether the law uses its own state as `measured`, or the `truth`.
-        echoes: echo model, `ideal` or `webots`.
+        echoes: name of an echo model, see `surctl.simulation.ECHOES`.
     """
 
     faults: Sequence[str] = ()
@@ -108,7 +108,7 @@ class SensorOptions:
             remedy = nearest(self.own_state, OWN_STATES)
             raise InputError("is not known", key="--own-state", value=self.own_state, remedy=remedy)
         if self.echoes is not None:
-            from surctl.simulation.sensors import ECHOES
+            from surctl.simulation import ECHOES
 
             if self.echoes not in ECHOES:
                 remedy = nearest(self.echoes, ECHOES)
@@ -125,9 +125,9 @@ class SensorOptions:
     def _sensors(self, old: Sensors) -> Sensors:
         from surctl.sensing import OwnState
 
-        array, own = old.equipment.array, old.equipment.own
         if self.echoes is not None:
-            array = old.hearing(self.echoes).equipment.array
+            old = old.hearing(self.echoes)
+        array, own = old.equipment.array, old.equipment.own
         if self.beam is not None:
             array = _widened(array, self.beam)
         faults = tuple(_checked(array, text) for text in self.faults) or old.faults
@@ -210,10 +210,15 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
 
 
 def sensor_data(scenario: Scenario) -> dict[str, Any]:
-    """Return the sensor settings that the options may change, as plain data."""
+    """Return the sensor settings that the options may change, and the scenario's own reflectors, as plain data."""
     sensors = scenario.sensors
+    own = {o.name: o.reflector for o in scenario.obstacles if o.reflector is not None}
+    reflectors = scenario.reflectors.tables() | ({"obstacles": own} if own else {})
     return {
         "beam_deg": degrees(sensors.equipment.array.beam_angle),
+        "pitch_deg": degrees(sensors.equipment.array.pitch),
+        "echoes": sensors.echo_model,
+        "reflectors": {name: table for name, table in reflectors.items() if table},
         "own_state": "truth" if sensors.equipment.own is None else "measured",
         "faults": [fault.model_dump(exclude_none=True) for fault in sensors.faults],
         "chances": sensors.chances.model_dump(exclude_defaults=True),

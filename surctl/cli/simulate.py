@@ -52,7 +52,7 @@ __all__ = ["simulate"]
 )
 @click.option("--explain", "explained", is_flag=True, help="Print which limits override which tasks.")
 @animate_option
-@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat or nc.")
+@click.option("--save", metavar="FORMAT", help="Save each run in DIR as csv, mat, nc or mcap.")
 @click.option("--frame", metavar="NAME", help="Frame of --save: enu (default) or ned.")
 @campaign_options
 @trust_option
@@ -80,6 +80,7 @@ def simulate(
     link_loss: float | None,
     link_delay: float | None,
     link_deadline: float | None,
+    link_compact: bool,
     link_timeout: float | None,
     plant: str,
     film: Path | None,
@@ -103,13 +104,13 @@ def simulate(
     """Simulate scenarios, or a system of your own (surctl new system NAME).
 
     Exit status: 1 if a run collides or does not arrive; campaigns go on in DIR.
-    Examples: surctl simulate tank-static --runs 9 --monte-carlo; surctl simulate pool-static --plant mujoco
+    Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False)
         simulate_system(scenarios, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
-    link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout)
+    link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout, link_compact)
     link.check(campaign=campaign.any or replayed is not None)
     run_count = 1 if replayed is not None else runs * len(scenarios)
     check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None, film=film)
@@ -245,16 +246,18 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if save is None and frame is None:
         return
     from surctl.errors import InputError, nearest
-    from surctl.simulation import RECORD_FORMATS
+    from surctl.simulation import RUN_FORMATS
     from surctl.vehicle import check_frame
 
     if frame is not None:
         check_frame(frame, key="--frame")
     if save is None:
-        raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat or nc")
+        raise InputError("needs --save", key="--frame", value=frame, remedy="add --save csv, mat, nc or mcap")
 
-    if save not in RECORD_FORMATS:
-        raise InputError("is not known", key="--save", value=save, remedy=nearest(save, RECORD_FORMATS))
+    if save not in RUN_FORMATS:
+        raise InputError("is not known", key="--save", value=save, remedy=nearest(save, RUN_FORMATS))
+    if save == "mcap" and frame == "ned":
+        raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")
     if campaign:
         raise InputError("cannot be combined with a campaign", key="--save", remedy="use the campaign's file runs.csv")
     if out is None:

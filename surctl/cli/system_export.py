@@ -41,7 +41,7 @@ def export_system(words: Sequence[str], *, seconds: float | None, name: str | No
         "id": bundle.id,
         "commands": {port.name: port.unit for port in own.system.commands},
         "files": [str(file.path) for file in files],
-        "sha256": {file.path.name: file.sha256 for file in files},
+        "sha256": {file.path.relative_to(out).as_posix(): file.sha256 for file in files},
         "stopped": record.stopped,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from surctl.tuning import SystemTuning
 
-__all__ = ["tune_own_system"]
+__all__ = ["ranges_of", "tune_own_system"]
 
 
 def tune_own_system(
@@ -28,22 +28,33 @@ def tune_own_system(
     seed: int,
     workers: int,
     out: Path,
+    goals: str | None,
     as_json: bool,
 ) -> None:
     """Search gains, write them, and print costs and disk margin; exit with status 1 if a bound is violated."""
+    from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
-    from surctl.tuning import tune_system
+    from surctl.tuning import load_loop_goals, tune_system
     from surctl.tuning.systems import check_tuning
 
     own = load_system(words)
-    duration, cases, space = own.seconds(seconds), _cases(own), _ranges(own, ranges)
-    check_tuning(own.system, space, cases)
+    about_loop, points = ((), {}) if goals is None else load_loop_goals(goals)
+    duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
+    cases, space = _cases(own), ranges_of(own, ranges)
+    check_tuning(own.system, space, cases, goals=about_loop)
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
-    result = tune_system(own.system, duration, space, cases=cases, trials=trials, seed=seed, threads=workers)
+    try:
+        result = tune_system(
+            own.system, duration, space,
+            cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,
+        )  # fmt: skip
+    except InputError as error:
+        raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
     table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
-    lines = [f"{own.title}: {result.trials} gain sets, runs of {duration:g} s", *_lines(own, result), f"gains {table}"]
+    runs = f", runs of {duration:g} s" if own.system.costs else ""
+    lines = [f"{own.title}: {result.trials} gain sets{runs}", *_lines(own, result), f"gains {table}"]
     data = {
         **own.names,
         "seconds": duration,
@@ -52,6 +63,7 @@ def tune_own_system(
         "before": dict(result.before),
         "disk_margin": result.disk_margin,
         "least_disk_margin": result.least_disk_margin,
+        "goals": [] if result.goals is None else [score.to_dict() for score in result.goals.scores],
         "unmet": list(result.unmet),
         "trials": result.trials,
         "gains": str(table),
@@ -59,12 +71,12 @@ def tune_own_system(
     numbers = [f"{name}={value!r}" for name, value in result.gains.items()]
     then = [
         command_line("verify", own, *numbers),
-        command_line("export", own, *numbers, "--seconds", f"{duration:g}"),
+        command_line("export", own, *numbers, "--seconds", f"{duration or 100 * own.system.dt:g}"),
     ]
     finish(data, lines, as_json=as_json, passed=not result.unmet, then=then)
 
 
-def _ranges(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
     from surctl.system import entry_labels
@@ -105,6 +117,7 @@ def _lines(own: OwnSystem, result: SystemTuning) -> list[str]:
         lines.append(f"  {mark}{name}: {change}, {what}{bound}")
     margin = "not judged, there is no equilibrium" if result.disk_margin is None else f"{result.disk_margin:.3f}"
     mark = "NOT MET  " if "disk margin" in result.unmet else ""
+    lines += [] if result.goals is None else [f"  {line}" for line in result.goals.lines()]
     return [
         *lines,
         f"  {mark}disk margin, all commands opened at once: {margin}, at least {result.least_disk_margin:g}",

@@ -110,7 +110,8 @@ __all__ = ["tune"]
     metavar="DIR",
     help="Output folder (default surctl-out); resumes there.",
 )
-@click.option("--page", is_flag=True, help="Open a page with sliders instead (needs marimo).")
+@click.option("--page", is_flag=True, help="Open a page with sliders instead.")
+@click.option("--law", metavar="NAME", help="Law of --page: NAME or FILE.py:FUNCTION.")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
 @click.option("--gains", "gains_file", metavar="FILE", help="Gain set of --page (default: the study's).")
 @click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
@@ -134,6 +135,7 @@ def tune(
     workers: int,
     out: Path,
     page: bool,
+    law: str | None,
     scenario: str | None,
     gains_file: str | None,
     port: int | None,
@@ -149,17 +151,23 @@ def tune(
     in the test.
 
     FILE.py:FUNCTION names a system of your own: its first cost is minimised, costs with a bound keep it, and the disk
-    margin stays at least 0.3; NAME=V1,V2 gives the cases, such as initial states.
+    margin stays at least 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal about its loop is minimised.
 
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
-    surctl tune --page --scenario pool-behind --gains my-gains.toml
+    surctl tune --page --scenario pool-behind; surctl tune my-system.py:build --page --goals my-goals.toml
     """
     ranges = dict(_gain(text) for text in gain)
     if len(ranges) < len(gain):
         raise click.BadParameter("a gain is named twice", param_hint="--gain")
-    if is_system(words, "gain", "seconds", "trials", "seed", "workers", "out", "as_json"):
+    shown = ("page", "port", "no_browser")
+    if is_system(words, "gain", "goals_file", "seconds", "trials", "seed", "workers", "out", "as_json", *shown):
+        if page:
+            from surctl.cli.tuning_page import serve_system_page
+
+            serve_system_page(words, ranges, goals_file, seconds=seconds, port=port, browser=not no_browser)
+            return
         search = {"trials": trials, "seed": seed, "workers": workers}
-        tune_own_system(words, ranges, seconds=seconds, out=out, as_json=as_json, **search)
+        tune_own_system(words, ranges, seconds=seconds, out=out, goals=goals_file, as_json=as_json, **search)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     file = words[0] if words else None
@@ -168,11 +176,11 @@ def tune(
 
         serve_page(
             file, goals_file, vehicles,
-            scenario=scenario, gains=gains_file, cruise=cruise, port=port, browser=not no_browser,
+            scenario=scenario, gains=gains_file, law=law, cruise=cruise, port=port, browser=not no_browser, trust=trust,
         )  # fmt: skip
         return
-    if scenario or gains_file or port or no_browser:
-        raise click.UsageError(_needs_page(scenario, gains_file))
+    if scenario or gains_file or law or port or no_browser:
+        raise click.UsageError(_needs_page(scenario, gains_file, law))
     from surctl.control import law_source, write_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
@@ -264,18 +272,20 @@ def tune(
     # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
     arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
-    law = [*law_words(plan.law), "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
+    options = [*law_words(plan.law), "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
     then = export_command(about[1], about[3], str(gains_path), law=plan.law, guidance=kind["guidance"], sensing="truth")
     if law_source(plan.law).parts:  # the claims are about parts of the built-in laws
         then = [shlex.join(["surctl", "verify", *arguments]), *then]
     if not tuning.accepted:
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
-        then = [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else _look(missed, str(gains_path), law)
+        then = (
+            [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else _look(missed, str(gains_path), options)
+        )
     finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
 
 
-def _needs_page(scenario: str | None, gains: str | None) -> str:
+def _needs_page(scenario: str | None, gains: str | None, law: str | None) -> str:
     """Return the error for options that need --page; the message says how a study file sets their values."""
     if scenario:
         own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
@@ -283,6 +293,8 @@ def _needs_page(scenario: str | None, gains: str | None) -> str:
     if gains:
         own = f'write gains = "{gains}" in a study file and give the file: surctl tune STUDY.toml'
         return f"--gains selects the gain set of --page; to start the search from a gain set, {own}"
+    if law:
+        return f'--law selects the law of --page; to tune it, write law = "{law}" in a study file and give the file'
     return "--port and --no-browser need --page"
 
 

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import click
 
 from surctl.cli.output import progress
 
-__all__ = ["serve_page"]
+if TYPE_CHECKING:
+    from surctl.report.design_bench import DesignBench
+
+__all__ = ["serve_page", "serve_system_page"]
+
+_PERIODS = 600  # of a run, without --seconds
 
 
 def serve_page(
@@ -20,29 +26,22 @@ def serve_page(
     *,
     scenario: str | None,
     gains: str | None,
+    law: str | None,
     cruise: Sequence[float] | None,
     port: int | None,
     browser: bool,
+    trust: bool,
 ) -> None:
-    """Serve the tuning page until Ctrl-C; arguments that are None take the study's values."""
-    from importlib.util import find_spec
-
-    from surctl.control import load_gains
-    from surctl.errors import ToolMissing
+    """Serve the page for a law of the robot until Ctrl-C; arguments that are None take the study's values."""
+    from surctl.control import law_ref, load_gains
     from surctl.report.bench import Bench
-    from surctl.report.serve import serve
     from surctl.simulation import findings, load_scenario
     from surctl.study import load_plan
     from surctl.tuning import goals_at, load_goals
     from surctl.vehicle import load_vehicle
     from surctl.verification import check_held
 
-    if find_spec("marimo") is None:  # checked before the compilation
-        remedy = 'pip install "surctl[notebooks]"'
-        raise ToolMissing("the tuning page needs marimo, which is not installed", remedy=remedy)
-    if len(vehicles) > 1:
-        raise click.BadParameter("the page simulates one vehicle only", param_hint="--vehicle")
-    plan = load_plan(study)
+    plan = load_plan(study, trust=trust)
     if vehicles:
         plan = plan.by([load_vehicle(vehicles[0])])
     first = plan.deciding[0]
@@ -55,13 +54,73 @@ def serve_page(
     start = plan.gains if gains is None else load_gains(gains)
     chosen = goals_at(plan.goals if goals is None else load_goals(goals), cruise or plan.cruise)
     check_held(cruise or (), vehicle, cap=mission.cap, key="--cruise")
-    bench = Bench(vehicle, mission, start, chosen, tuple(cruise or plan.cruise))
+    reference = plan.law if law is None else law_ref(law, key="--law")
+    others = tuple(load_vehicle(name) for name in vehicles[1:])
+    bench = Bench(vehicle, mission, start, chosen, tuple(cruise or plan.cruise), reference, others)
     progress("compiling the closed loop; the next start uses the compiled file")
-    bench.simulate(start)
-    bench.judge(start)
+    values = {one.name: one.value for one in bench.sliders}
+    bench.simulate(values)
+    bench.judge(values)
+    _serve(bench, port=port, browser=browser)
+
+
+def serve_system_page(
+    words: Sequence[str],
+    ranges: Mapping[str, tuple[float, float] | None],
+    goals: str | None,
+    *,
+    seconds: float | None,
+    port: int | None,
+    browser: bool,
+) -> None:
+    """Serve the page for a system of the user's own until Ctrl-C; NAME=V1,V2 gives the operating points."""
+    from surctl.cli.system_option import assigned, listed, load_system
+    from surctl.cli.system_region import region_words
+    from surctl.cli.system_tune import ranges_of
+    from surctl.errors import InputError
+    from surctl.report.design_bench import SystemBench
+    from surctl.tuning import judge_loops, load_loop_goals
+
+    own = load_system(words)
+    others, region = region_words(own.settings)
+    about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
+    values = listed(others)
+    swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
+    fixed = {name: numbers[0] for name, numbers in values.items() if len(numbers) == 1}
+    if len(swept) > 1:
+        raise InputError(
+            "are two lists", key=", ".join(swept), remedy="vary one number; use [[points]] of a goals file"
+        )
+    places = {name: {**fixed, **numbers} for name, numbers in stated.items()}
+    for name, numbers in swept.items():
+        places |= {f"{name}={number:g}": {**fixed, name: number} for number in numbers}
+    places = places or {"nominal": dict(fixed)}
+    gains = {name for name in fixed if "." not in name}
+    if gains:
+        raise InputError("is a gain", key=min(gains), remedy="move its slider")
+    duration = own.seconds(seconds) if seconds is not None else _PERIODS * own.system.dt
+
+    def problem(gains: Mapping[str, float]) -> object:
+        return None if region is None else region.problem(own.system, {**assigned(()), **fixed, **gains})
+
+    bench = SystemBench(
+        own.system, own.word, duration, ranges_of(own, ranges), places, about_loop,
+        None if region is None else problem, own.origin,
+    )  # fmt: skip
+    start = {one.name: one.value for one in bench.sliders}
+    loops = {point: bench.loop(start, point) for point in bench.points}
+    judge_loops(about_loop, loops)  # reports unknown signals here
+    if region is not None:
+        problem(start)
+    _serve(bench, port=port, browser=browser)
+
+
+def _serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
+    from surctl.report.serve import serve
 
     def ready(address: str) -> None:
         click.echo(f"{address}  (Ctrl-C stops the page)")
+        sys.stdout.flush()
         if browser:
             click.launch(address)
 

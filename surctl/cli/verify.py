@@ -6,7 +6,6 @@ import json
 import math
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +15,7 @@ from surctl.cli.barrier_options import barrier_options
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words
 from surctl.cli.motion_verify import are_problems, verify_motion
 from surctl.cli.output import FiniteRange, as_json, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.safety_part import safety_part
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system
 from surctl.cli.system_verify import verify_system
@@ -23,11 +23,9 @@ from surctl.cli.system_verify import verify_system
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from surctl.control import Gains
     from surctl.errors import NotApplicable
-    from surctl.simulation import SafetyClaim
     from surctl.vehicle import Vehicle
-    from surctl.verification import Claim, Inapplicable, Verdict
+    from surctl.verification import Claim, Verdict
     from surctl.verification.stack import StackConditions
 
 __all__ = ["claim_line", "verify"]
@@ -47,19 +45,19 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     type=float,
     default=0.0,
     metavar="X",
-    help="Relative error of mass and drag, e.g. 0.2 (default 0).",
+    help="Error of mass and drag, e.g. 0.2 (default 0).",
 )
 @click.option(
     "--cruise",
     type=SPEEDS,
     metavar="V1,V2,...",
-    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest (default: the scenario's, "
-    "else 0.15).",
+    help="Cruise speeds [m/s], or LOW..HIGH:COUNT: margins at each, claims at the largest (default: the scenario's).",
 )
 @click.option(
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."
 )
-@click.option("--scenario", metavar="FILE", help="Scenario for the speeds and the safety claim: name or file.")
+@click.option("--scenario", metavar="FILE", help="Scenario, also for the safety claim: name or file.")
+@click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."
 )
@@ -88,6 +86,7 @@ def verify(
     cruise: tuple[float, ...] | None,
     cap: float | None,
     scenario: str | None,
+    law: str | None,
     stacks: tuple[str, ...],
     barrier: str,
     movers: str,
@@ -100,17 +99,17 @@ def verify(
     """Prove or refute the paper's claims, or your own, and print stability margins.
 
     A claim is proved (with a certificate that `surctl check` accepts), refuted (with a counterexample), unknown
-    (neither was found), or not applicable (this vehicle or these gains violate an assumption). The paper's claims
+    (neither was found), or not applicable (this vehicle, law or gains violate an assumption). The paper's claims
     concern the kinematic loop at the cruise speed, with speeds limited to --cap. --scenario also prints the safety
-    claim: the law's barrier, its assumptions, and whether the margin suffices.
+    claim: the barrier, its assumptions, and whether the margin suffices.
 
-    The linear analysis about straight cruise gives margins, poles, the slowest mode, the largest stable speed and
-    sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and braking claims
-    are checked only if they are named (see surctl list). A file holds an inequality of your own (kind claim; --show
-    prints examples), a region claim with other numbers (kind region), or a region of attraction or a barrier of any
-    dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent or dependent,
-    and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the linear loop
-    is unstable, or the safety claim fails.
+    The linear analysis about straight cruise (of --law: about steady motion) gives margins, poles, the slowest mode,
+    stable speeds and sampling limits, nominal and for the worst of --uncertainty or of the vehicle's ranges. Region and
+    braking claims are checked only if named (see surctl list). A file holds an inequality of your own (kind claim;
+    --show prints examples), a region claim with other numbers (kind region), or a region of attraction or a barrier of
+    any dynamics (kind lyapunov or barrier). --stack prints which tasks of a law are orthogonal, independent or
+    dependent, and which converge. Exit status: 1 if a verdict is not as expected, a named claim is not applicable, the
+    linear loop is unstable, or the safety claim fails.
 
     For FILE.py:FUNCTION, a system of your own, it prints equilibrium, poles and margins of the sampled loop; with
     within.STATE=LOW..HIGH for every state, it also proves a region of attraction.
@@ -126,12 +125,14 @@ def verify(
     if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
         verify_motion(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     from surctl.cli.braking import is_braking, prove_all
+    from surctl.cli.law_option import choose_law
     from surctl.cli.linear_part import law_part, linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command
     from surctl.cli.regions import is_region, prove_regions, region_of
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import CASCADE, build_law, check_forces, default_law, law_source
+    from surctl.control import CASCADE, PATH_FOLLOWING, build_law, check_forces, law_source
     from surctl.files import prepare_folder
+    from surctl.own_code import label
     from surctl.simulation import load_scenario
     from surctl.vehicle import load_vehicle
     from surctl.verification import Inapplicable, check_held, decide, write_claim
@@ -141,11 +142,14 @@ def verify(
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
     vehicle, robot = choice.word, load_vehicle(choice.word)
     speeds = _speeds(None if cruise is None else max(cruise), cap, scenario)
-    tuned = choose_gains(gains, robot, cruise=speeds[0])
+    chosen_law, about_law = choose_law(law, [robot])
+    source = law_source(chosen_law)
+    tuned = choose_gains(gains, robot, cruise=speeds[0], own=source.gains)
     values = tuned.gains.values
     at_hand = {**values, "speed": speeds[0], "speed_max": speeds[1]}
+    about = None if law is None or PATH_FOLLOWING in source.parts else label(chosen_law)
     named = [name for name in claims if not is_region(name) and not is_braking(name)]
-    chosen, left_out = _chosen(named, at_hand, robot) if named or not claims else ([], {})
+    chosen, left_out = _chosen(named, at_hand, robot, law=about) if named or not claims else ([], {})
     refused = [Inapplicable.of(name, reason) for name, reason in left_out.items()]
     if show:
         texts = {claim.name: write_claim(claim) for claim in chosen}
@@ -160,23 +164,25 @@ def verify(
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
         prepare_folder(out)
-    chosen_law = default_law(robot)
+    if about is not None and any(is_region(name) or is_braking(name) for name in claims):
+        name = next(name for name in claims if is_region(name) or is_braking(name))
+        raise InputError(f"does not concern the law {about}", key="claim", value=name, remedy="drop it")
     if any(is_braking(name) or (is_region(name) and region_of(name).loop != "steered") for name in claims):
         check_forces("guarded", robot, key="claim")
-    law = build_law()
-    about = {"dt": law.dt, "uncertainty": uncertainty}
-    cascaded = CASCADE in law_source(chosen_law).parts
+    dt = build_law().dt
+    options = {"dt": dt, "uncertainty": uncertainty}
+    cascaded = CASCADE in source.parts
     linear = over_speeds(
         [
-            linear_part(robot, values, cruise=u, **about)
+            linear_part(robot, values, cruise=u, **options)
             if cascaded
-            else law_part(chosen_law, robot, tuned.gains, cruise=u, uncertainty=uncertainty)
+            else law_part(chosen_law, robot, tuned.gains, cruise=u, uncertainty=uncertainty, mission=mission)
             for u in cruise or speeds[:1]
         ]
     )
     safety = None
     if scenario is not None and cascaded:
-        safety = _safety(
+        safety = safety_part(
             scenario, robot, tuned.gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None
         )
     region_names = [name for name in claims if is_region(name)]
@@ -193,11 +199,11 @@ def verify(
         lines.append(claim_line(verdicts[-1]))
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
     lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
-    lines += [*tuned.lines, *linear.lines]
+    lines += [*about_law, *tuned.lines, *linear.lines]
     held, held_data = (
         ([], {})
         if linear.stable is None or not cascaded
-        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **about)
+        else speed_lines(robot, values, cruise=speeds[0], cap=speeds[1], **options)
     )
     lines += held
     result: dict[str, Any] = {
@@ -223,7 +229,7 @@ def verify(
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
-        result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=law.dt)
+        result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [f"the linear loop is unstable at {speeds[0]:g} m/s"] * (linear.stable is False)
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
@@ -235,9 +241,7 @@ def verify(
         if not (isinstance(safety, Inapplicable) or safety.holds):
             failures.append(f"the no-contact claim does not hold ({safety.shortfall})")
     if scenario is not None and not cascaded:
-        lines.append(
-            f"no-contact claim: not judged, because it concerns law guarded and {robot.name} has no sway force"
-        )
+        lines.append(f"no-contact claim: not judged, because it concerns law guarded and this is {label(chosen_law)}")
     if failures:
         lines.append(f"exit status 1, because {'; '.join(failures)}")
         result["failures"] = failures
@@ -276,35 +280,6 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
     return speed, cap
 
 
-def _safety(
-    scenario: str,
-    vehicle: Vehicle,
-    gains: Gains,
-    speeds: tuple[float, float],
-    *,
-    barrier: str,
-    movers: str,
-    spread: float | None,
-) -> SafetyClaim | Inapplicable:
-
-    from surctl.control import BARRIER_NAMES, MOVERS
-    from surctl.errors import InputError, NotApplicable, nearest
-    from surctl.simulation import load_scenario, safety_claim, turn_rate
-    from surctl.verification import Inapplicable
-
-    for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
-        if value not in known:
-            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
-    mission = replace(load_scenario(scenario), cruise=speeds[0], cap=speeds[1])
-    sight = mission.sensors.equipment.array.maximum
-    kind: dict[str, Any] = {"barrier": barrier, "movers": movers}
-    turning = turn_rate(mission, vehicle, gains, sonar=True)
-    try:
-        return safety_claim(mission, vehicle, gains, **kind, detection=sight, spread=spread, turning=turning)
-    except NotApplicable as reason:
-        return Inapplicable.of("no contact", reason)
-
-
 def _draw(
     verdicts: Sequence[Verdict],
     regions: Sequence[Mapping[str, Any]],
@@ -332,17 +307,21 @@ def _stack(name: str) -> StackConditions:
 
 
 def _chosen(
-    words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle
+    words: Sequence[str], gains: Mapping[str, Any], vehicle: Vehicle, *, law: str | None = None
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
-    # without names and files, the claims are all claims of the library
-    from surctl.errors import InputError
+    # without names and files, the claims are all claims of the library; they do not concern the law `law`
+    from surctl.errors import InputError, NotApplicable
     from surctl.verification import applicable_claims, load_claim
 
     if not words:
-        every, refused = applicable_claims(gains, vehicle=vehicle)
+        every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle)
         return list(every), refused
     own = {word: load_claim(Path(word)) for word in words if word.endswith(".toml")}
     rest, refused = applicable_claims(gains, [w for w in dict.fromkeys(words) if w not in own], vehicle=vehicle)
+    if law is not None:
+        why = "it follows no path by equations (8)-(12)"
+        refused = {claim.name: NotApplicable(why, to=f"law {law}", key=claim.name) for claim in rest} | dict(refused)
+        rest = ()
     known = {claim.name: claim for claim in rest}
     chosen = [own[w] if w in own else known[w] for w in words if w not in refused]
     names = [claim.name for claim in chosen]

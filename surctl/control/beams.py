@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import groupby
+from math import radians
 from typing import NamedTuple
 
 import casadi as ca
@@ -14,10 +15,16 @@ from surctl.sensing import Ranging, SonarArray, expected_range
 from surctl.sensing.sonar.cones import turned
 from surctl.vehicle import planar_rotation
 
-__all__ = ["SILENT", "Around", "beams", "corrected", "expected", "honest"]
+__all__ = ["SILENT", "Around", "Expected", "beams", "corrected", "expected", "honest"]
 
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""
+
+SURE, POSSIBLE = radians(3.0), radians(27.0)
+"""Angles of incidence up to which a smooth wall surely answers, and beyond which it surely does not.
+
+The limits in use lie between them, with room for the error of the heading: 5 degrees for a smooth wall (reflector
+`specular`), and 22.5 degrees in the simulator of the paper (`webots`)."""
 
 
 class Around(NamedTuple):
@@ -50,17 +57,55 @@ def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], 
     return axes, apexes, halves
 
 
-def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-    """Return the range [m] that each sonar should measure: (n,) for echoes of the walls, (n,) for moving obstacles."""
+class Expected(NamedTuple):
+    """The ranges [m] that each sonar should measure, each (n, 1).
+
+    Attributes:
+        walls: nearest point of the walls in the beam, which answers if every surface reflects.
+        things: nearest point of the known moving obstacles.
+        sure: nearest point of the walls that surely answers; a longer reading is a fault.
+        possible: nearest point of the walls that may answer because the beam meets the wall near its normal.
+    """
+
+    walls: ca.SX
+    things: ca.SX
+    sure: ca.SX
+    possible: ca.SX
+
+    def where(self, placed: ca.SX, nothing: float) -> Expected:
+        """Return a copy in which the walls give the range `nothing` [m] unless `placed` is 1."""
+        walls = ca.if_else(placed, self.walls, nothing)
+        if self.possible is self.walls:
+            return Expected(walls, self.things, walls, walls)
+        sure, possible = (ca.if_else(placed, one, nothing) for one in (self.sure, self.possible))
+        return Expected(walls, self.things, sure, possible)
+
+    def unexplained(self, reading: ca.SX, sensor: int, *, tolerance: float) -> ca.SX:
+        """Return whether no wall and no known obstacle explains an echo at the range `reading` [m]."""
+        nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - tolerance
+        if self.possible is self.walls:
+            return nearer
+        # the nearest point of the walls may answer too, if a wall is less smooth than assumed
+        off = ca.fabs(reading - self.walls[sensor])
+        return ca.logic_and(nearer, off > tolerance)
+
+
+def expected(
+    array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX], *, smooth: bool
+) -> Expected:
+    """Return the range [m] that each sonar should measure, for echoes of the walls and of moving obstacles."""
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])
     none = ca.SX(0, 3), ca.SX(0, 1)
     discs = (around.movers[:, :3], around.movers[:, 5])
+    angles: tuple[float, ...] = (SURE, POSSIBLE) if smooth else ()
+    scenes: list[tuple[ca.SX, tuple[ca.SX, ca.SX], float | None]] = [(p["walls"], none, None), (far, discs, None)]
+    scenes += [(p["walls"], none, angle) for angle in angles]
 
     def ranges(half: float, axis: ca.SX, apex: ca.SX) -> tuple[ca.SX]:
         beam = {"azimuth": 0.0, "hull_radius": 0.0, "half_angle": half, "maximum": array.maximum}
         distances = [
-            expected_range(apex, axis, walls=site, discs=round_ones, valid=valid, **beam)
-            for site, (round_ones, valid) in ((p["walls"], none), (far, discs))
+            expected_range(apex, axis, walls=site, discs=round_ones, valid=valid, incidence=angle, **beam)
+            for site, (round_ones, valid), angle in scenes
         ]
         return (ca.vertcat(*distances),)
 
@@ -76,8 +121,9 @@ def expected(array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapp
             tabulated([apex] for _, _, apex in beams_alike),
         )[0]
         tables.append(table)
-    both = ca.vertcat(*tables)
-    return both[:, 0], both[:, 1]
+    every = ca.vertcat(*tables)
+    walls = every[:, 0]
+    return Expected(walls, every[:, 1], *((every[:, 2], every[:, 3]) if smooth else (walls, walls)))
 
 
 def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:

@@ -147,7 +147,7 @@ def build_law(
             value=avoidance,
             remedy="use law paper to compare the forms",
         )
-    if sonar and not source.scans and equipment.array != DEFAULT_ARRAY:
+    if sonar and not source.scans and equipment.assumed.array != DEFAULT_ARRAY:
         raise InputError(f"law {called} always has the four sonars of the paper", key="array", remedy="use law guarded")
     kind = "sonar" if sonar else "truth"
     for key, value, supported in (("sensing", kind, source.sensing), ("priority-mode", mode, source.modes or MODES)):
@@ -162,7 +162,7 @@ def build_law(
     contacts = contacts if source.slots is None else source.slots
     depths = depths and "depths" in source.options
     chosen = _Configuration(
-        law, cast("AvoidanceForm", avoidance), cast("Mode", mode), dt, contacts, sonar, equipment, moving,
+        law, cast("AvoidanceForm", avoidance), cast("Mode", mode), dt, contacts, sonar, equipment.assumed, moving,
         cast("Guidance", guidance), cast("Barrier", barrier), cast("Movers", movers), depths,
         cast("Fallback", fallback),
     )  # fmt: skip

@@ -129,7 +129,12 @@ class _Builder:
     def _map(self) -> LocalMap:
         array = self.equipment.array
         slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
-        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS)
+        specular = self.equipment.surface_model == "specular"
+        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS, specular=specular)
+
+    @property
+    def _smooth(self) -> bool:
+        return self.equipment.surface_model != "diffuse"
 
     @cached_property
     def _ranges(self) -> RangeTracker:
@@ -228,14 +233,16 @@ class _Builder:
         edge = known["hull"] / CELLS_A_HULL
         axes, apexes, halves = beams(array, around, known["hull"])
         velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
-        walls, things = expected(array, around, apexes, known)
-        walls = ca.if_else(around.placed, walls, 2 * array.maximum)  # without a position, no echo counts as too long
+        ranges = expected(array, around, apexes, known, smooth=self._smooth)
+        ranges = ranges.where(around.placed, 2 * array.maximum)  # without a position, no echo counts as too long
+        shortest = array.lowest / array.scale + array.resolution  # no range is expected below the shortest reading
         ranging = self._ranges.update(
             x,
             corrected(array, inputs["samples"]),
             fresh=inputs["fresh"],
             closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
-            expected=ca.fmax(walls, array.lowest / array.scale + array.resolution),  # never below the shortest reading
+            expected=ca.fmax(ranges.walls, shortest),
+            longest=ca.fmax(ranges.sure, shortest) if self._smooth else None,
             turn=around.nu[3],
             prefix="sonar_",
         )
@@ -246,7 +253,8 @@ class _Builder:
                 inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
             )
             silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
-            echo = ca.logic_and(reading < array.maximum - SILENT, reading < ca.fmin(walls[i], things[i]) - _TOLERANCE)
+            strange = ranges.unexplained(reading, i, tolerance=_TOLERANCE)
+            echo = ca.logic_and(reading < array.maximum - SILENT, strange)
             blind = reading <= array.lowest / array.scale + array.resolution
             clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
             firing = {

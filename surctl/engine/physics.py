@@ -94,7 +94,7 @@ class MujocoPhysics:
         self._mocap_pos, self._xmat = self.data.mocap_pos, self.data.xmat[self._body].reshape(3, 3)
         self._turns = 0.0
         self._outer = environment(self.body, scenario, world.hull)
-        self._rays = Rays(array, options)
+        self._rays = Rays(array, options, self._faced(options))
         self._p = np.array(self.body.parameters)
         self._step = stepper(self.body)(
             self.model, self.data, self._count, thrust=self._acting, parameters=self._p, environment=self._outer
@@ -152,6 +152,21 @@ class MujocoPhysics:
         """Return the distance [m] from a sonar's apex to the nearest point that reflects, inf if there is none."""
         self._place(bodies)
         return self._rays.nearest(self.model, self.data, self._body, sensor)
+
+    def _faced(self, options: EngineOptions) -> Vector | None:
+        # least cosine of incidence at which each geom answers a sonar; None if all answer alike
+        scenario, surfaces = self.world.scenario, self.world.scenario.surfaces
+        if surfaces is None:
+            return None
+        faced = np.full(self.model.ngeom, 2.0)
+        for obstacle, reflector in zip(scenario.obstacles, surfaces.obstacles, strict=True):
+            faced[self._geoms[obstacle.name]] = reflector.faced(curved=obstacle.size_m is None)
+        for wall, reflector in zip(self._walls, surfaces.walls, strict=True):
+            faced[wall] = reflector.faced(curved=False)
+        ideal = -1.0  # the options add echoes from surface and floor
+        faced[self.model.geom("surface").id] = ideal if options.surface_echo else surfaces.surface.faced(curved=False)
+        faced[self.model.geom("floor").id] = ideal if options.floor else surfaces.floor.faced(curved=False)
+        return faced
 
     def _distance(self, geom: int) -> float:
         distance = self._mujoco.mj_geomDistance(self.model, self.data, self._hull, geom, _FARTHEST, None)

@@ -49,22 +49,34 @@ def beam_directions(half: float, *, count: int, fan: bool = False) -> Array:
 
 
 class Rays:
-    """The rays of all sonars of an array."""
+    """The rays of all sonars of an array.
 
-    def __init__(self, array: SonarArray, options: EngineOptions) -> None:
-        self._mujoco, self._options = mujoco_library(), options
+    Args:
+        array: the sonars on the hull.
+        options: the options of the simulation.
+        faced: (k,) least cosine of incidence at which each geom of the model answers, above 1 if it is silent; None:
+            all answer as the `incidence_limit` of the array and the options say.
+    """
+
+    def __init__(self, array: SonarArray, options: EngineOptions, faced: Array | None = None) -> None:
+        self._mujoco, self._options, self._faced = mujoco_library(), options, faced
         self._limit = None if array.incidence_limit is None else cos(array.incidence_limit)
         self._cutoff = array.maximum + 1.0
         fan = options.rays == "fan"
         self._beams: list[tuple[Array, Array]] = []  # apex (3,) and directions (n, 3) in the frame of the hull
         for sensor, azimuth in enumerate(array.azimuths):
             x, y, _ = array.apex(sensor, position=(0.0, 0.0), heading=0.0)
+            cones = array.cones[sensor]
+            if not fan and array.pitch != 0.0 and cones == ((0.0, array.half_angle),):
+                cones = ((0.0, 0.5 * array.beam_angle),)
+            rise = np.eye(3) if fan else _about_y(-array.pitch)
             parts = [
-                beam_directions(half, count=options.count, fan=fan) @ _about_z(azimuth + offset).T
-                for offset, half in array.cones[sensor]
+                beam_directions(half, count=options.count, fan=fan) @ (_about_z(azimuth + offset) @ rise).T
+                for offset, half in cones
             ]
             self._beams.append((np.array([x, y, 0.0]), np.vstack(parts)))
-        self._groups = np.array([1, 1, 1, int(options.surface_echo), 1, 1], dtype=np.uint8)
+        surface = options.surface_echo or faced is not None
+        self._groups = np.array([1, 1, 1, int(surface), 1, 1], dtype=np.uint8)
 
     def nearest(self, model: Any, data: Any, body: int, sensor: int) -> float:
         """Return the distance [m] of the nearest echo of a sonar of the hull `body`, inf if there is none."""
@@ -90,12 +102,20 @@ class Rays:
             self._cutoff,
         )  # fmt: skip
         audible = distances >= 0
+        if self._faced is not None:
+            incidence = -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions)
+            audible &= incidence >= self._faced[geoms]
+            return origin, np.where(audible, distances, inf), directions
         if not self._options.floor:
             audible &= geoms != model.geom("floor").id
         if self._limit is not None:
             incidence = -np.einsum("ij,ij->i", normals.reshape(-1, 3), directions)
             audible &= incidence >= self._limit
         return origin, np.where(audible, distances, inf), directions
+
+
+def _about_y(angle: float) -> Array:
+    return np.array([[cos(angle), 0.0, sin(angle)], [0.0, 1.0, 0.0], [-sin(angle), 0.0, cos(angle)]])
 
 
 def _about_z(angle: float) -> Array:

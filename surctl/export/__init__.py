@@ -9,6 +9,7 @@ from surctl.export.emulated import EmulatedLine, emulated, emulated_target
 from surctl.export.envelope import Envelope, Rate
 from surctl.export.evidence import evidence_of, with_evidence
 from surctl.export.fmu import write_fmu
+from surctl.export.in_process import ExportedController, ExportedStep
 from surctl.export.link import Line, LineDown, Reply, connect
 from surctl.export.linked import LinkedLaw, LinkFaults, LinkReport
 from surctl.export.operating_envelope import operating_envelope
@@ -36,7 +37,9 @@ __all__ = [
     "EmulatedLine",
     "Envelope",
     "Exportable",
+    "ExportedController",
     "ExportedFile",
+    "ExportedStep",
     "Line",
     "LineDown",
     "LinkFaults",

@@ -21,6 +21,7 @@ from surctl.errors import InputError
 from surctl.export.contract import FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.guard_text import range_text
+from surctl.export.missions import DATA
 from surctl.export.origin import Origin, check_belonging, manifest_entries
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
@@ -50,7 +51,8 @@ class Bundle:
     Attributes:
         name: prefix of files and C symbols.
         id: SHA-256 of what the controller computes (see `law_id`).
-        files: text of each file by its name, in the order of writing; the manifest is last.
+        files: text of each file by its name, such as `link.c` or `ros2/package.xml`, in the order of writing; the
+            manifest is last.
         real: precision of every number in the C text.
         envelope: ranges and rates of change that the input check (guard) of the exported C accepts.
         binaries: bytes of further files by name, such as an FMU.
@@ -76,6 +78,12 @@ class Bundle:
         return tuple(
             file for file in self.files if file.startswith(begins) and file.endswith(".c") and file not in others
         )
+
+    @property
+    def mission_rows(self) -> int:
+        """Return how many waypoints the mission in the bundle has; 0: there is no mission."""
+        text = self.files.get(DATA, "")
+        return int(text.partition("_waypoints[")[2].partition("]")[0] or 0)
 
     @property
     def headers(self) -> tuple[str, ...]:
@@ -206,6 +214,7 @@ def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Env
         "surctl": __version__,
         "dt_s": float(law.dt),
         "real": real,
+        "operations_at_most": int(law.block.operations),  # of the law in one step, if every loop runs to its end
         **({} if is_robot_law(law) else {"commands": {port.name: port.unit for port in commands(law)}}),
         "ranges": {
             struct: {port.name: range_text(box[layout.slice(port.name)]) for port in layout if port.size}
@@ -295,9 +304,9 @@ def check_folder(directory: Path | str) -> None:
 
 def _stage(bundle: Bundle, staging: Path) -> None:
     staging.mkdir(parents=True)
-    for name, text in bundle.files.items():
-        (staging / name).write_bytes(text.encode())
-    for name, data in bundle.binaries.items():
+    contents = {**{name: text.encode() for name, text in bundle.files.items()}, **bundle.binaries}
+    for name, data in contents.items():
+        (staging / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).write_bytes(data)
 
 
@@ -307,4 +316,5 @@ def _publish(bundle: Bundle, staging: Path, target: Path) -> None:
         return
     (target / MANIFEST).unlink(missing_ok=True)
     for name in (*bundle.binaries, *(name for name in bundle.files if name != MANIFEST), MANIFEST):
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).replace(target / name)

@@ -45,6 +45,8 @@ SATURATED = next(code for name, code, _ in STATUS if name == "SATURATED")
 FILES = (
     "sil_main",
     "main_example",
+    "loop",
+    "control_task",
     "board",
     "board_example",
     "setup",
@@ -54,6 +56,8 @@ FILES = (
     "target_start",
     "target_link",
     "fmu",
+    "fmi2",
+    "fmi3",
     "proof",
 )
 """Names of the bundle's C files, without ending, that are not part of the controller."""
@@ -178,13 +182,14 @@ def _check_files(name: str) -> None:
             value=name,
             remedy="choose another name",
         )
-    if small.endswith("_link"):
-        raise InputError(
-            "gives its header the include guard of another bundle's link.h",
-            key="name",
-            value=name,
-            remedy="choose a name that does not end in _link",
-        )
+    for ending in ("_link", "_loop"):
+        if small.endswith(ending):
+            raise InputError(
+                f"gives its header the include guard of another bundle's {ending[1:]}.h",
+                key="name",
+                value=name,
+                remedy=f"choose a name that does not end in {ending}",
+            )
     if name != small:
         raise InputError(
             f"has capital letters: its macros, and on some file systems its files, are those of {small}",

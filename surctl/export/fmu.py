@@ -1,59 +1,82 @@
-"""Export of a controller as a functional mock-up unit (FMI 2.0, co-simulation), built from the C files of the bundle.
+"""Export of a controller as a functional mock-up unit (FMI 2.0 or 3.0, co-simulation), built from the bundle's C files.
 
-Standard: FMI 2.0.4 (Modelica Association, 2022). Existing libraries put a language interpreter into the unit, so this
-module writes the model description and the C functions itself. The tests validate the units with fmpy.
+Standards: FMI 2.0.4 (2022) and FMI 3.0.2 (2024) of the Modelica Association. Existing libraries put a language
+interpreter into the unit, so this module writes the model description and the C functions itself. The tests validate
+the units with fmpy.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-import itertools
 import os
 import platform
+import shutil
 import tempfile
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from xml.etree import ElementTree
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl import __version__
+from surctl.control import FED
 from surctl.errors import InputError
 from surctl.export.bundle import Bundle, ExportedFile
-from surctl.export.contract import Exportable, is_robot_law, status_table
+from surctl.export.contract import Exportable
+from surctl.export.fmu_description import build_description, description_2, description_3
+from surctl.export.missions import DATA, MISSION_FILES
 from surctl.export.rendering import render_unit
-from surctl.ir import Layout, compile_program
+from surctl.ir import compile_program
 
-__all__ = ["write_fmu"]
+__all__ = ["unit_sources", "write_fmu"]
 
 Vector = NDArray[np.float64]
 
-_PLATFORMS = {("Linux", "x86_64"): ("linux64", ".so"), ("Darwin", "x86_64"): ("darwin64", ".dylib")}
-_REPRODUCIBLE = ("-shared", "-fPIC", "-fvisibility=hidden", "-s")
+_PLATFORMS: Mapping[int, Mapping[tuple[str, str], tuple[str, str]]] = MappingProxyType(
+    {
+        2: {
+            ("Linux", "x86_64"): ("linux64", ".so"),
+            ("Darwin", "x86_64"): ("darwin64", ".dylib"),
+            ("Windows", "AMD64"): ("win64", ".dll"),
+        },
+        3: {
+            ("Linux", "x86_64"): ("x86_64-linux", ".so"),
+            ("Linux", "aarch64"): ("aarch64-linux", ".so"),
+            ("Darwin", "x86_64"): ("x86_64-darwin", ".dylib"),
+            ("Darwin", "arm64"): ("aarch64-darwin", ".dylib"),
+            ("Windows", "AMD64"): ("x86_64-windows", ".dll"),
+        },
+    }
+)
+_WINDOWS = "x86_64-w64-mingw32-gcc"
+_REPRODUCIBLE = ("-shared", "-fvisibility=hidden", "-s")
 _DATE = (1980, 1, 1, 0, 0, 0)  # fixed date: the same bundle gives the same bytes on every day
 
 
-def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | str) -> ExportedFile:
+def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | str, *, fmi: int = 2) -> ExportedFile:
     """Compile the bundle for this machine, and write the result with its C sources as the FMU `<name>.fmu`.
 
     Inputs and outputs are the fields of the C structs, gains are tunable parameters, and `status` is an integer output.
-    Every communication step is one step of the controller. The controller's state is not visible from outside.
+    A step of the controller happens at every multiple of its period; a communication step may have any length. Before
+    the first step, the outputs are those of a step with the present inputs. The whole state can be saved and restored.
+    If `x86_64-w64-mingw32-gcc` is installed, the unit contains a library for Windows too. If the bundle has a mission,
+    the unit feeds the controller with it.
 
     Args:
         law: the control law.
         bundle: the bundle that was exported from this law.
         gains: tuned gains (np,), as in the bundle.
         directory: output folder; the folder is created if it does not exist.
+        fmi: version of the standard, 2 (FMI 2.0) or 3 (FMI 3.0).
 
     Returns:
         The written file; an incomplete file never appears.
 
     Raises:
         ToolMissing: there is no C compiler.
-        InputError: FMI 2.0 has no name for this machine, or the folder cannot be written.
+        InputError: this version of FMI has no name for this machine, or the folder cannot be written.
 
     Example:
         >>> from zipfile import ZipFile
@@ -68,33 +91,59 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
         ('surctl_closed_form.fmu', 'modelDescription.xml')
     """
     machine = (platform.system(), platform.machine())
-    if machine not in _PLATFORMS:
+    if machine not in _PLATFORMS[fmi]:
         raise InputError(
-            "has no name in FMI 2.0",
+            f"has no name in FMI {fmi}.0",
             key="target",
             value=" ".join(machine),
             remedy="export c99 here, or export the FMU on Linux and compile its sources for this machine",
         )
-    place, ending = _PLATFORMS[machine]
-    name = bundle.name
-    unit = render_unit(law, name=name, identity=bundle.id, real=bundle.real)
-    storage = (f"{name}_gains.c", f"{name}_gains.h")  # the simulator holds the gains
-    files = [file for file in (*bundle.sources, *bundle.headers) if file not in storage]
-    sources = {"fmu.c": unit, **{file: bundle.files[file] for file in files}}
+    fed = FED if bundle.mission_rows else ()
+    sources = unit_sources(law, bundle, fmi=fmi)
     compiled = [file for file in sources if file.endswith(".c")]
+    if fmi == 3:
+        members = {
+            "modelDescription.xml": description_3(law, bundle, gains, fed=fed),
+            "sources/buildDescription.xml": build_description(bundle.name, compiled),
+        }
+    else:
+        members = {"modelDescription.xml": description_2(law, bundle, gains, compiled, fed=fed)}
+    members |= _compiled(bundle.name, sources, machine, fmi=fmi)
+    members |= {f"sources/{file}": text.encode() for file, text in sources.items()}
+    return _write(Path(directory), f"{bundle.name}.fmu", members)
+
+
+def unit_sources(law: Exportable, bundle: Bundle, *, fmi: int = 2) -> dict[str, str]:
+    """Return the C files of a unit by name: its interface, and the controller's files."""
+    storage = (f"{bundle.name}_gains.c", f"{bundle.name}_gains.h")  # the simulator holds the gains
+    rows = bundle.mission_rows
+    unit = render_unit(law, name=bundle.name, identity=bundle.id, real=bundle.real, fmi=fmi, rows=rows)
+    files = [file for file in (*bundle.sources, *bundle.headers) if file not in storage]
+    return unit | {file: bundle.files[file] for file in (*files, *((*MISSION_FILES, DATA) if rows else ()))}
+
+
+def _compiled(name: str, sources: Mapping[str, str], machine: tuple[str, str], *, fmi: int) -> dict[str, bytes]:
+    # the shared library of this machine, and that of Windows if its compiler is installed
+    place, ending = _PLATFORMS[fmi][machine]
+    linked = ("-Wl,--build-id=none",) if ending == ".so" else ()
+    builds: list[tuple[str, str, str | None, tuple[str, ...]]] = [
+        (place, ending, None, (*_REPRODUCIBLE, "-fPIC", *linked))
+    ]
+    windows = shutil.which(_WINDOWS)
+    if windows is not None:
+        place, ending = _PLATFORMS[fmi]["Windows", "AMD64"]
+        builds.append((place, ending, windows, (*_REPRODUCIBLE, "-static-libgcc", "-Wl,--no-insert-timestamp")))
+    found = {}
     with tempfile.TemporaryDirectory(prefix="surctl-fmu-") as scratch:
         for file, text in sources.items():
             (Path(scratch) / file).write_bytes(text.encode())
-        library = Path(scratch) / f"{name}{ending}"
-        linked = ("-Wl,--build-id=none",) if ending == ".so" else ()
-        compile_program([Path(scratch) / file for file in compiled], library, flags=(*_REPRODUCIBLE, *linked))
-        binary = library.read_bytes()
-    members = {
-        "modelDescription.xml": _description(law, bundle, gains, compiled),
-        f"binaries/{place}/{name}{ending}": binary,
-        **{f"sources/{file}": text.encode() for file, text in sources.items()},
-    }
-    return _write(Path(directory), f"{name}.fmu", members)
+        code = [Path(scratch) / file for file in sources if file.endswith(".c")]
+        for place, ending, compiler, flags in builds:
+            library = Path(scratch) / f"{name}{ending}"
+            own = f"-DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX"
+            compile_program(code, library, flags=(own, *flags), compiler=compiler)
+            found[f"binaries/{place}/{name}{ending}"] = library.read_bytes()
+    return found
 
 
 def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
@@ -117,80 +166,3 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
         with contextlib.suppress(OSError):
             staged.unlink()
     return ExportedFile(target, digest)
-
-
-_ROBOT = "Controller of a small underwater robot. SI units, radians; frames ENU (world) and FLU (body)."
-
-
-def _description(law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str]) -> bytes:
-    # modelDescription.xml
-    root = ElementTree.Element(
-        "fmiModelDescription",
-        fmiVersion="2.0",
-        modelName=bundle.name,
-        guid=bundle.id,
-        description=_ROBOT if is_robot_law(law) else "Controller. SI units, radians.",
-        generationTool=f"surctl {__version__}",
-        variableNamingConvention="structured",
-        numberOfEventIndicators="0",
-    )
-    unit = ElementTree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=bundle.name,
-        canHandleVariableCommunicationStepSize="false",
-        canNotUseMemoryManagementFunctions="false",
-    )
-    listed = ElementTree.SubElement(unit, "SourceFiles")
-    for file in sources:
-        ElementTree.SubElement(listed, "File", name=file)
-    logs = ElementTree.SubElement(root, "LogCategories")
-    ElementTree.SubElement(logs, "Category", name="logStatusWarning")
-    ElementTree.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(law.dt)))
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    count = 0
-    kinds = (
-        (law.inputs, law.inputs.pack(), {"causality": "input", "variability": "discrete"}),
-        (law.gains, gains, {"causality": "parameter", "variability": "tunable", "initial": "exact"}),
-        (law.outputs, None, {"causality": "output", "variability": "discrete", "initial": "calculated"}),
-    )
-    for layout, starts, kind in kinds:
-        for k, (name, said) in enumerate(_members(layout)):
-            scalar = ElementTree.SubElement(
-                variables, "ScalarVariable", {"name": name, "valueReference": str(count), "description": said, **kind}
-            )
-            value = {} if starts is None else {"start": repr(float(np.float64(starts[k])))}
-            ElementTree.SubElement(scalar, "Real", value)
-            count += 1
-    codes = "; ".join(f"{code}: {meaning}" for _, code, meaning in status_table(law))
-    scalar = ElementTree.SubElement(
-        variables,
-        "ScalarVariable",
-        name="status",
-        valueReference="0",
-        description=codes,
-        causality="output",
-        variability="discrete",
-        initial="calculated",
-    )
-    ElementTree.SubElement(scalar, "Integer")
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    first = law.inputs.size + law.gains.size + 1
-    for kind_of in ("Outputs", "InitialUnknowns"):
-        listed = ElementTree.SubElement(structure, kind_of)
-        for index in range(first, count + 2):
-            ElementTree.SubElement(listed, "Unknown", index=str(index))
-    ElementTree.indent(root)
-    text: str = ElementTree.tostring(root, encoding="unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
-
-
-def _members(layout: Layout) -> Iterator[tuple[str, str]]:
-    # (name, description); indices start at 1, as FMI requires
-    for port in layout:
-        said = f"[{port.unit}] {port.meaning}"
-        if port.size == 1:
-            yield port.name, said
-            continue
-        for index in itertools.product(*(range(1, n + 1) for n in port.shape)):
-            yield f"{port.name}[{','.join(map(str, index))}]", said

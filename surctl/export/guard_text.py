@@ -195,12 +195,16 @@ def keep_lines(layout: Layout, envelope: Envelope) -> list[str]:
     for _, first, members in _alike(layout, envelope):
         if len(members) >= _LOOP:
             stem, at = members[0].rstrip("]").rsplit("[", 1)
-            lines.append(
-                f"for (int k = 0; k < {len(members)}; ++k) {{ state->last[k + {first}] = input->{stem}[k + {at}]; }}"
-            )
+            stored = f"state->last[{_plus(first)}] = input->{stem}[{_plus(at)}];"
+            lines.append(f"for (int k = 0; k < {len(members)}; ++k) {{ {stored} }}")
         else:
             lines += [f"state->last[{first + k}] = input->{member};" for k, member in enumerate(members)]
     return lines
+
+
+def _plus(first: int | str) -> str:
+    # C text of the index k from `first` on
+    return "k" if int(first) == 0 else f"k + {first}"
 
 
 _LOOP = 4  # from this many inputs with equal rates on, a loop is shorter
@@ -227,5 +231,5 @@ def _each(members: list[str], first: int) -> list[tuple[str, str]]:
         return [("", f"@{member} - state->last[{first + k}];") for k, member in enumerate(members)]
     stem, at = members[0].rstrip("]").rsplit("[", 1)
     return [
-        (f"for (int k = 0; k < {len(members)}; ++k) {{", f"@{stem}[k + {at}] - state->last[k + {first}];"),
+        (f"for (int k = 0; k < {len(members)}; ++k) {{", f"@{stem}[{_plus(at)}] - state->last[{_plus(first)}];"),
     ]

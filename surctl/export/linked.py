@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -139,6 +140,8 @@ class LinkedLaw:
         line: connection to the controller.
         faults: simulated faults of the connection.
         envelope: ranges that the controller's input check accepts; None accepts any finite number.
+        compact: True requests replies with status and thrust only, for a slow line; the state is then Python's own.
+        fed: True if the controller feeds itself with a mission, so that the simulation's window is its own.
     """
 
     law: Exportable
@@ -146,6 +149,8 @@ class LinkedLaw:
     line: Line
     faults: LinkFaults = field(default_factory=LinkFaults)
     envelope: Envelope | None = None
+    compact: bool = False
+    fed: bool = False
 
     def __post_init__(self) -> None:
         """Check the identity of the controller, and start the controller.
@@ -180,7 +185,8 @@ class LinkedLaw:
         self._state = rounded(self.law.initial_state(), self.real)
         self._pending: list[_Command] = []
         self._current: _Command | None = None
-        self._log: list[tuple[Vector, Vector, Reply, int]] = []
+        self._log: list[tuple[Vector, Vector, Reply, int, Vector]] = []
+        self._accepted: tuple[Vector, Vector, int, Vector] | None = None
         self._lost = [0, 0]
         self._failsafe = 0
         self._times: list[float] = []
@@ -189,6 +195,13 @@ class LinkedLaw:
 
     def _shipped(self, identity: str) -> tuple[Exportable, Vector]:
         # the variant with constant gains if `identity` is its id
+        if self.fed and (self.real != "float64" or self.faults.loss > 0.0):
+            raise InputError(
+                "feeds itself with its mission, which is compared in float64 and without lost messages",
+                key="controller",
+                value=self.line.name,
+                remedy="export it in float64, and drop --link-loss",
+            )
         if not isinstance(self.law, Law):
             return self.law, self.p
         if self.law.perception is None:
@@ -200,7 +213,7 @@ class LinkedLaw:
     def __call__(self, x: Vector, u: Vector, p: Vector) -> LawStep:
         """Return thrust, state and newest telemetry of this period; the other process uses its own state and gains."""
         if self._gone is None:
-            self._request(u)
+            self._request(x, u, p)
         while self._pending and self._pending[0].arrives <= self._period:
             self._current = self._pending.pop(0)
             self._telemetry = self._current.reply.telemetry
@@ -213,25 +226,51 @@ class LinkedLaw:
             np.zeros(command_size(self.law)), self._state, LATE if self._gone is None else GONE, self._telemetry
         )
 
-    def _request(self, u: Vector) -> None:
+    def _request(self, x: Vector, u: Vector, p: Vector) -> None:
         to, back = (number < self.faults.loss for number in self._noise.uniforms(2))
         if to:
             self._lost[0] += 1
             return
         began = time.perf_counter()
         try:
-            reply = self.line.step(self._period + 1, u)
+            reply = self.line.step(self._period + 1, u, compact=self.compact)
         except LineDown as reason:
             why = str(reason).removeprefix(self.line.name).strip()
             self._gone = self._period * self.law.dt, why
             return
         self._times.append(1e3 * (time.perf_counter() - began))
-        self._log.append((self._state, rounded(u, self.real), reply, self._period))
+        state = rounded(x, self.real) if self.fed else self._state
+        gains = rounded(p if self.fed else self.gains, self.real)
+        if self.compact:
+            reply = self._completed(reply, state, rounded(u, self.real), gains)
+        self._log.append((state, rounded(u, self.real), reply, self._period, gains))
         self._state = reply.state
         if back:
             self._lost[1] += 1
             return
         self._pending.append(_Command(self._period + self._late, self._period, reply))
+
+    def _completed(self, reply: Reply, x: Vector, u: Vector, p: Vector) -> Reply:
+        # a compact reply with the state and the telemetry of the same step in Python, after the last accepted one
+        rows = [] if self._accepted is None else [self._accepted]
+        rows.append((x, u, self._period, p))
+        X, U, P = (np.array([row[k] for row in rows]) for k in (0, 1, 3))
+        counts = np.array([row[2] for row in rows])
+        mine = replayed(self._checked, Records(X, U, P), np.arange(len(rows)) < len(rows) - 1, counts=counts)
+        if mine.status[-1] >= 0:
+            self._accepted = rows[-1]
+        return reply._replace(state=mine.state[-1], telemetry=mine.telemetry[-1])
+
+    @cached_property
+    def _checked(self) -> Exportable:
+        # the controller in Python, with its input check
+        law: Exportable = Rounded(self.shipped, self.real)
+        if self.envelope is None:
+            return law
+        within = self.envelope
+        if not self.gains.size:
+            within = replace(within, gains=np.zeros((0, 2)), orders=())
+        return Guarded(law, within.fitted(self.shipped, self.real), self.real)
 
     def report(self) -> LinkReport:
         """Return the statistics of the connection; each reply is compared with a step in Python from the same state.
@@ -251,17 +290,10 @@ class LinkedLaw:
         # replies that differ from Python in some byte; a NaN may have any bits
         if not self._log:
             return np.zeros(0, dtype=np.intp)
-        X, U = (np.array([row[k] for row in self._log]) for k in (0, 1))
-        P = np.tile(rounded(self.gains, self.real), (len(X), 1))
-        law: Exportable = Rounded(self.shipped, self.real)
-        if self.envelope is not None:
-            within = self.envelope
-            if not self.gains.size:
-                within = replace(within, gains=np.zeros((0, 2)), orders=())
-            law = Guarded(law, within.fitted(self.shipped, self.real), self.real)
+        X, U, P = (np.array([row[k] for row in self._log]) for k in (0, 1, 4))
         counts = np.array([row[3] for row in self._log])
-        rows = replayed(law, Records(X, U, P), counts < 0, counts=counts)
-        mine = np.hstack([rows.tau, rows.state, rows.telemetry]).astype(self.real)
+        rows = replayed(self._checked, Records(X, U, P), counts < 0, counts=counts)
+        mine = np.hstack([rows.tau] if self.compact else [rows.tau, rows.state, rows.telemetry]).astype(self.real)
         theirs = np.array([np.frombuffer(row[2].raw, dtype=np.dtype(self.real).newbyteorder("<")) for row in self._log])
         bits = f"u{mine.itemsize}"
         same = (mine.view(bits) == theirs.astype(self.real).view(bits)) | (np.isnan(mine) & np.isnan(theirs))

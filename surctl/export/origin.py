@@ -168,6 +168,8 @@ def manifest_entries(law: Exportable, p: Vector, origin: Origin | None, *, real:
             "sha256": vehicle.digest(),
         }
         entries["claims"] = _claims(rows, origin)
+        if origin.equipment is not None:
+            entries["sensors"] = {"surface_model": origin.equipment.surface_model}
     return entries
 
 

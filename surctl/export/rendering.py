@@ -25,7 +25,9 @@ from surctl.export.contract import (
 from surctl.export.direct import changing, direct_law, results
 from surctl.export.elapsed import RESTART, aged_runs, forgotten, forgotten_runs, longest_gap
 from surctl.export.envelope import Envelope
+from surctl.export.examples import EXAMPLES, example_values
 from surctl.export.fields import entries, field, starts, transfers
+from surctl.export.fmi3_functions import fmi3_values
 from surctl.export.gain_store import gains_values
 from surctl.export.guard_text import (
     ANY_NUMBER,
@@ -41,6 +43,7 @@ from surctl.export.guard_text import (
 from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
 from surctl.export.origin import Origin
 from surctl.export.own_names import with_own_names
+from surctl.export.texts import cell, comment
 from surctl.export.vectors import TOLERANCE, SelfTest
 from surctl.export.wiring import wiring_values
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
@@ -87,8 +90,8 @@ def render_files(
     of_law = _law_files(name, parts)
     values |= {"law_files": [(file, about) for file, about, _ in of_law], "fed": is_fed(law)}
     values |= mission_values(law, real) if is_fed(law) else {}
-    values |= {"rows": data_rows(law, mission, real)} if mission is not None else {}
-    values |= wiring_values(law, origin)
+    values |= {"rows": data_rows(law, mission, real) if mission is not None else []}
+    values |= wiring_values(law, origin) | example_values(law, within, name=name, arrays=values["ram"]["arrays"])
     code = [f"{name}.c", *([f"{name}_gains.c"] if law.gains.size else []), *(file for file, _, _ in of_law)]
     headers = [f"{name}.h", *([f"{name}_gains.h"] if law.gains.size else []), f"{name}_internal.h"]
     values |= {"headers": " ".join(headers), "sources": " ".join(code), "arrivals": _arrivals(law)}
@@ -107,9 +110,7 @@ def render_files(
         "target_start.c": "target_start.c.j2",
         "target_link.c": "target_link.c.j2",
         "target.ld": "target.ld.j2",
-        "main_example.c": "main_example.c.j2",
-        "board.h": "board.h.j2",
-        "board_example.c": "board_example.c.j2",
+        **EXAMPLES,
         "CMakeLists.txt": "CMakeLists.txt.j2",
         "pyproject.toml": "pyproject.toml.j2",
         "setup.py": "setup.py.j2",
@@ -127,6 +128,7 @@ def render_files(
     joined = (
         *(file for file in texts if file.startswith(name) and file.endswith(".c")),
         "link.c",
+        "loop.c",
         "mission.c",
     )  # files of the controller
     return {
@@ -165,13 +167,14 @@ def _arrivals(law: Exportable) -> list[tuple[str, str]]:
     return [(each, member) for each, member, _ in transfers(flags)]
 
 
-def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str:
-    """Return the C text that turns the bundle into a functional mock-up unit."""
+def render_unit(
+    law: Exportable, *, name: str, identity: str, real: Real, fmi: int = 2, rows: int = 0
+) -> dict[str, str]:
+    """Return the C files that turn the bundle into a functional mock-up unit; `rows`: waypoints of its mission."""
     values = {
         "name": name,
         "id": identity,
         "period": repr(float(law.dt)),
-        "dt": repr(float(law.dt)),
         "inputs": law.inputs,
         "gains": law.gains,
         "outputs": law.outputs,
@@ -179,9 +182,11 @@ def render_unit(law: Exportable, *, name: str, identity: str, real: Real) -> str
         "input_starts": [(k, repr(float(v))) for k, v in enumerate(law.inputs.pack()) if v],
         "transfers": transfers,
         "f": lambda text: c_literal(float(text), real),
+        "mission_rows": rows,
+        **fmi3_values(),
         **_words(real),
     }
-    return _environment().get_template("fmu.c.j2").render(values)
+    return {file: _environment().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
 
 
 def _environment() -> Environment:
@@ -380,21 +385,3 @@ def _decimal(value: float, real: Real) -> str:
 
 def _gain_table(layout: Layout, gains: Vector) -> list[tuple[Port, str]]:
     return [(port, ", ".join(repr(float(v)) for v in gains[layout.slice(port.name)])) for port in layout]
-
-
-def _one_line(text: str) -> str:
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
-
-
-def comment(text: str) -> str:
-    """Return the text in a form that cannot end, nest or (as a trigraph) escape a C comment."""
-    safe = _one_line(text)
-    for bad in ("*/", "/*", "??"):
-        while bad in safe:
-            safe = safe.replace(bad, f"{bad[0]} {bad[1]}")
-    return safe
-
-
-def cell(text: str) -> str:
-    """Return the text in a form that fits one cell of a Markdown table."""
-    return _one_line(text).replace("|", "\\|")

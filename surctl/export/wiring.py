@@ -62,7 +62,7 @@ def wiring_values(law: Exportable, origin: Origin | None) -> dict[str, Any]:
     return {
         "demands": {k: v if is_robot_law(law) else v.replace("Thrusters", "Actuators") for k, v in DEMANDS.items()},
         "wires": [(port.name, _source(port.name, array)) for port in law.inputs],
-        "sonar_lines": _sonars(array, origin) if array is not None and origin and "samples" in law.inputs else [],
+        "sonar_lines": _sonars(equipment, origin) if equipment and origin and "samples" in law.inputs else [],
         "rate_lines": _rates(law, equipment),
         "thruster_rows": _thrusters(origin) if "working" in law.inputs else [],
         "ages": [port.name for port in law.state if port.gap == "age"],
@@ -90,7 +90,8 @@ def _source(name: str, array: SonarArray | None) -> str:
     return _PLAIN.get(name, "See unit and meaning in the table of inputs.")
 
 
-def _sonars(array: SonarArray, origin: Origin) -> list[str]:
+def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
+    array = equipment.array
     radius = origin.vehicle["radius"]
     places = array.mounts or [(radius * cos(a), radius * sin(a)) for a in array.azimuths]
     apex = "; ".join(
@@ -103,16 +104,29 @@ def _sonars(array: SonarArray, origin: Origin) -> list[str]:
         if array.incidence_limit is None
         else f"a face answers within {degrees(array.incidence_limit):.3g}° of its normal, and is silent otherwise"
     )
+    walls = (
+        "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
+        "that the beam meets within 3° of its normal. "
+        + (
+            "A mark is cleared only by silence from directions from which it was heard"
+            if equipment.surface_model == "specular"
+            else "Silence clears the marks of obstacles, which must answer from every direction"
+        )
+        if equipment.surface_model != "diffuse"
+        else "a known wall always answers, so a reading beyond the wall counts as a fault"
+    )
+    tilt = f", its axis {abs(degrees(array.pitch)):.3g}° {'above' if array.pitch > 0 else 'below'} the horizontal"
+    tilt = tilt if array.pitch else ""
     step = f"{1000 * array.resolution:.4g} mm"
     samples = f"{array.samples} {'sample' if array.samples == 1 else 'samples'} a firing"
     return [
         f"Origin of the ranges: the sonar's place on the hull (x forward, y left of the hull's centre; axis "
         f"counter-clockwise from forward), by row: {apex}. A module that measures from elsewhere: convert its ranges. "
         "Ranges from the centre are too long by these distances, and the robot then passes too close or collides.",
-        f"Echoes: {echo}. Surface and floor are not in the model: mount the sonars, or drop echoes, so that they give "
-        "none; an echo of theirs counts as an obstacle.",
+        f"Echoes: {echo}. Surface model `{equipment.surface_model}`: {walls}. Water surface and floor are not in the "
+        "model: mount the sonars, or drop echoes, so that they give none; an echo of theirs counts as an obstacle.",
         f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
-        f"beam {degrees(array.beam_angle):.4g}° wide. No echo reads {array.maximum:g} m.",
+        f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
         f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
         f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
         f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm, bias {1000 * array.bias:.3g} mm, "

@@ -1,7 +1,7 @@
 """Intermediate representation of symbolic functions (instruction lists with bounded loops), and its back ends."""
 
 from surctl.ir.angles import nearby_angles
-from surctl.ir.batch import Batch, compile_batch
+from surctl.ir.batch import Batch, batch_source, compile_batch, compile_batch_source
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
 from surctl.ir.c99_lanes import Feed, emit_lanes
 from surctl.ir.c99_parts import Parts, emit_parts
@@ -51,10 +51,12 @@ __all__ = [
     "Step",
     "Wide",
     "Workspace",
+    "batch_source",
     "c_literal",
     "cache_folder",
     "cached_bytes",
     "compile_batch",
+    "compile_batch_source",
     "compile_block",
     "compile_program",
     "compiler_version",

@@ -20,7 +20,7 @@ from surctl.ir.cache import shared_library
 from surctl.ir.native import loaded
 from surctl.ir.routine import Block
 
-__all__ = ["Batch", "compile_batch"]
+__all__ = ["Batch", "batch_source", "compile_batch", "compile_batch_source"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -32,15 +32,15 @@ class Batch:
     """A compiled simulation step for any number of runs; it computes the next state from state and parameters.
 
     Attributes:
-        step: the program or routine that was compiled.
+        sizes: number of entries of a run's state and of its parameters.
         lanes: number of runs that one thread processes at a time.
     """
 
-    def __init__(self, step: Block, library: bytes) -> None:
-        self.step = step
+    def __init__(self, library: bytes) -> None:
         self._library = loaded(library)
-        self._library.surctl_lanes.restype = ctypes.c_long
-        self._library.surctl_work.restype = ctypes.c_long
+        for name in ("lanes", "work", "state", "parameters"):
+            getattr(self._library, f"surctl_{name}").restype = ctypes.c_long
+        self.sizes = int(self._library.surctl_state()), int(self._library.surctl_parameters())
         self._library.surctl_go.restype = ctypes.c_long
         self._library.surctl_go.argtypes = [ctypes.c_void_p] * 5 + [ctypes.c_long] * 2
         self.lanes = int(self._library.surctl_lanes())
@@ -61,7 +61,7 @@ class Batch:
         Raises:
             InputError: an array has another shape, `steps` is negative, or `threads` is below 1.
         """
-        (_, n), (_, m) = self.step.inputs
+        n, m = self.sizes
         arrays = [np.ascontiguousarray(x, dtype=np.float64) for x in (state, parameters)]
         runs = arrays[0].shape[0] if arrays[0].ndim else 0
         for name, array, size in (("state", arrays[0], n), ("parameters", arrays[1], m)):
@@ -169,27 +169,63 @@ def compile_batch(
         >>> batch.run([[0.0, 1.0], [0.0, 1.0]], [[0.5], [2.0]], steps=60).round(4).tolist()
         [[0.0, 0.2189], [1.0, 0.0985]]
     """
+    if lanes not in (None, 1, 2, 4, 8):
+        raise InputError("is not a lane count", key="lanes", value=lanes, remedy="use 1, 2, 4 or 8")
+    width = () if lanes is None else (f"-DLANES={lanes}",)
+    return compile_batch_source(batch_source(step), flags=(*width, *flags), folder=folder)
+
+
+def compile_batch_source(source: str, *, flags: Sequence[str] = (), folder: Path | None = None) -> Batch:
+    """Compile the C text of `batch_source`, or load the compiled step from the cache; see `compile_batch`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import batch_source, compile_batch_source, lower
+        >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")  # stopped, speed; drag
+        >>> text = batch_source(lower(ca.Function("coast", [x, p], [ca.vertcat(x[1] < 0.1, x[1] - 0.05 * p * x[1])])))
+        >>> compile_batch_source(text).run([[0.0, 1.0]], [[2.0]], steps=1).tolist()
+        [[0.0, 0.9]]
+    """
+    return Batch(shared_library(source, flags=flags, folder=folder, wide=True))
+
+
+def batch_source(step: Block) -> str:
+    """Return the C text of a simulation step for many runs, which `compile_batch_source` compiles.
+
+    Args:
+        step: as in `compile_batch`.
+
+    Raises:
+        InputError: the step has other inputs or outputs.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import batch_source, lower
+        >>> x, p = ca.SX.sym("x", 2), ca.SX.sym("p")
+        >>> text = batch_source(lower(ca.Function("coast", [x, p], [ca.vertcat(x[1] < 0.1, x[1] - p)])))
+        >>> [line for line in text.splitlines() if line.startswith(("#define STATE", "#define PARAMETERS"))]
+        ['#define STATE 2', '#define PARAMETERS 1']
+    """
     sizes = [size for _, size in step.inputs]
     output_sizes = [size for _, size in step.outputs]
     if len(sizes) != 2 or output_sizes != sizes[:1] or sizes[0] < 1:
         raise InputError(
             f"takes {sizes} numbers and gives {output_sizes}", key=step.name, remedy="(state, parameters) in, state out"
         )
-    if lanes not in (None, 1, 2, 4, 8):
-        raise InputError("is not a lane count", key="lanes", value=lanes, remedy="use 1, 2, 4 or 8")
-    width = () if lanes is None else (f"-DLANES={lanes}",)
-    return Batch(step, shared_library(_source(step), flags=(*width, *flags), folder=folder, wide=True))
-
-
-def _source(step: Block) -> str:
     wide = emit_wide(step, symbol="surctl_step")
-    (_, n), (_, m) = step.inputs
+    n, m = sizes
     return f"{PRELUDE}\n{wide.text}\n#define STATE {n}\n#define PARAMETERS {m}\n#define WORK {wide.work}\n{_DRIVER}"
 
 
 _DRIVER = r"""
 long surctl_lanes(void);
 long surctl_lanes(void) { return LANES; }
+
+long surctl_state(void);
+long surctl_state(void) { return STATE; }
+
+long surctl_parameters(void);
+long surctl_parameters(void) { return PARAMETERS; }
 
 /* size of the memory that one thread needs, in numbers */
 long surctl_work(void);

@@ -21,6 +21,7 @@ from surctl.report.film import check_film, film_frames, moment_of, save_film
 from surctl.report.goals import GoalBars, GoalView, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
+from surctl.report.loop_views import plot_loop, plot_loop_goals, plot_loops
 from surctl.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
 from surctl.report.map_view import MapView, map_view, plot_map, plot_maps
 from surctl.report.motion_plots import plot_motion
@@ -34,6 +35,8 @@ from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 from surctl.report.system_plot import plot_record, save_record_plot
+from surctl.report.system_plots import plot_dependence, plot_fan, plot_phase_plane, plot_runs
+from surctl.report.theme import darkened
 from surctl.report.thruster_plot import plot_attainable, save_attainable
 from surctl.report.verify_files import save_margins, save_regions, save_verdicts
 
@@ -48,6 +51,7 @@ __all__ = [
     "ReportData",
     "check_animation",
     "check_film",
+    "darkened",
     "film_frames",
     "goal_bars",
     "goal_view",
@@ -60,16 +64,22 @@ __all__ = [
     "plot_calibration",
     "plot_coordinates",
     "plot_counterexample",
+    "plot_dependence",
+    "plot_fan",
     "plot_front",
     "plot_goal_bars",
     "plot_goal_view",
     "plot_heat_map",
     "plot_locus",
+    "plot_loop",
+    "plot_loop_goals",
+    "plot_loops",
     "plot_map",
     "plot_maps",
     "plot_motion",
     "plot_nyquist",
     "plot_parallel",
+    "plot_phase_plane",
     "plot_poles",
     "plot_position_errors",
     "plot_prediction",
@@ -80,6 +90,7 @@ __all__ = [
     "plot_replay_sensor",
     "plot_run",
     "plot_run_signals",
+    "plot_runs",
     "plot_sensitivity",
     "plot_series",
     "plot_slice",

@@ -1,241 +1,293 @@
-"""Computations of the web page for tuning, as pure functions of a `Bench` (vehicle, scenario, goals) and gains.
-
-The web page is in the package, not among the notebooks, because an installed `surctl` must be able to serve it. The
-page is in the report package, because only this package plots results and may import tuning, verification and
-simulation.
-"""
+"""A law of the robot, built-in or of the user's own, on the design page."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from surctl.control import Gains, load_gains, write_gains
+from surctl.control import Gains, law_source, load_gains, write_gains
 from surctl.errors import InputError
 from surctl.files import write_file
-from surctl.report.locus import plot_locus
-from surctl.report.loops import loop_responses, plot_bode
-from surctl.report.margin_plots import plot_s_and_t, sensitivities
+from surctl.own_code import is_own, label
+from surctl.report.design_bench import RunView, Slider, SlowView, activity, gain_file
+from surctl.report.panel import Curve, Panel, Shade
 from surctl.report.plan_view import plot_run
-from surctl.report.theme import BAD, curve, dress, legend_above, new_figure
-from surctl.simulation import Case, Run, Scenario, simulate
-from surctl.tuning import Evaluation, GainRange, Goal, conditions, default_tuned, evaluate, gain_ranges
+from surctl.simulation import METRICS, Case, Run, Scenario, simulate
+from surctl.system import LinearLoop
+from surctl.tuning import (
+    Evaluation,
+    GainRange,
+    Goal,
+    LoopGoal,
+    case_loop,
+    conditions,
+    corners,
+    default_tuned,
+    evaluate,
+    gain_ranges,
+    judged_goals,
+)
 from surctl.vehicle import Vehicle
 from surctl.verification import (
-    LINEAR_METRICS,
-    LINEAR_PARAMETERS,
     Inapplicable,
-    OverSpeeds,
+    OperatingPoint,
     Verdict,
     applicable_claims,
-    build_cascade,
     decide,
-    linear_table,
-    over_speeds,
-    sweep_locus,
+    steady_motion,
 )
-from surctl.verification.linear import slowest_mode
-from surctl.verification.steps import STEP_NAMES, step_system
 
-__all__ = ["Bench", "Steps", "plot_steps", "save_gains", "slider_steps", "step_responses"]
+__all__ = ["Bench", "save_gains"]
 
-_STOPS = 40  # number of positions of a slider on either side of its start value
-_SAMPLES = 400
-_LOCUS = 41
-_SMOOTH = 0.05  # largest step of a pole between two values of the gain, as a share of the pole's modulus
 _PATIENCE = 10.0  # [s] time limit of each proof
-_DIGITS = 4  # significant digits of slider values; the start value is not rounded
-
-
-@dataclass(frozen=True, eq=False)
-class Steps:
-    """Responses of the closed loop to unit steps in the references.
-
-    Attributes:
-        time: (n,) times [s] by name of the stepped reference.
-        value: (n,) responses by name of the stepped reference, as a share of the step height.
-    """
-
-    time: Mapping[str, NDArray[np.float64]]
-    value: Mapping[str, NDArray[np.float64]]
+_RUN_FIGURES = (
+    "time_s",
+    "min_clearance_m",
+    "deviation_m",
+    "effort_n",
+    "axis_sign_changes_per_s",
+    "axis_saturated_share",
+)
+_THRUST = {"surge": "N", "sway": "N", "heave": "N", "yaw": "N m"}
+_MOTION = ("u [m/s]", "v [m/s]", "r [rad/s]")
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """The vehicle, scenario (with true positions) and goals of the tuning page; methods take the gains to evaluate.
+    """Vehicle, scenario (with true positions), law and goals of the design page; methods take the values of the gains.
 
     Attributes:
         vehicle: the simulated vehicle, which is also the model of the controller.
         scenario: the mission.
-        gains: initial gains of the tuning page.
-        goals: the goals that a set of gains should meet.
+        initial: initial gains of the page.
+        stated: the goals that a set of gains should meet.
         cruise: further cruise speeds [m/s] at which the page shows the loops, besides the speeds of the scenario and
             the goals.
+        law: reference of the law; empty: the default of the vehicle.
+        others: further vehicles, whose loops at the scenario's speed are shown too.
     """
 
     vehicle: Vehicle
     scenario: Scenario
-    gains: Gains
-    goals: tuple[Goal, ...]
+    initial: Gains
+    stated: tuple[Goal, ...] = ()
     cruise: tuple[float, ...] = ()
+    law: str = ""
+    others: tuple[Vehicle, ...] = ()
+    _motions: dict[Any, OperatingPoint] = field(default_factory=dict, repr=False)
 
-    @property
+    @cached_property
     def case(self) -> Case:
-        """Return the simulated case, which consists of scenario, vehicle and initial gains."""
-        return Case(self.scenario, self.vehicle, self.gains)
+        """Return the simulated case, which consists of scenario, vehicle, law and initial gains."""
+        return Case(self.scenario, self.vehicle, self.initial, law=self.law)
+
+    @cached_property
+    def base(self) -> Gains:
+        """Return the initial gains with the gains that only this law has."""
+        return self.case.gains
 
     @property
-    def dt(self) -> float:
-        """Return the control period [s]."""
-        return self.case.build().dt
+    def title(self) -> str:
+        """Return vehicle, scenario, law and gains."""
+        about = f"{self.vehicle.name} in {self.scenario.name}, law {label(self.case.law)}"
+        return f"{about}, true positions, seed 0, gains from {self.base.name}"
+
+    @property
+    def slow(self) -> str:
+        """Return the label of the button that decides the claims; empty for a law without claims."""
+        return "Check the claims for these gains" if law_source(self.case.law).parts else ""
 
     @property
     def speeds(self) -> tuple[float, ...]:
         """Return the cruise speeds [m/s] at which the loops are shown, slowest first."""
-        return tuple(sorted({self.scenario.cruise, *self.cruise, *(u for goal in self.goals for u in goal.cruise)}))
+        return tuple(sorted({self.scenario.cruise, *self.cruise, *(u for goal in self.stated for u in goal.cruise)}))
 
-    def ranges(self, gains: Gains) -> tuple[GainRange, ...]:
-        """Return gains that have a slider, with the slider's ends: the gain file's range, or gain / 4 to 4 · gain."""
-        return gain_ranges(gains, {name: gains.ranges.get(name) for name in default_tuned(gains)})
-
-    def simulate(self, gains: Gains) -> Run:
-        """Simulate the closed loop with seed 0; the law is compiled once, with the gains as its parameters."""
-        return simulate(self.scenario, self.vehicle, gains=gains, law=self.case.build())
-
-    def judge(self, gains: Gains) -> Evaluation:
-        """Evaluate the goals in the scenario for the nominal plant and for the corners of the vehicle's ranges."""
-        evaluated = conditions([self.case], seeds=[0])
-        return evaluate(self.goals, evaluated, {name: np.array([value]) for name, value in gains.values.items()})
-
-    def linear(self, gains: Gains) -> dict[str, float]:
-        """Return the metrics of the linear loop (`LINEAR_METRICS`) at the scenario's cruise speed."""
-        table = linear_table(
-            self.vehicle, {}, base=gains.values, columns=tuple(LINEAR_METRICS), cruise=self.scenario.cruise, dt=self.dt
-        )
-        return {name: float(values[0]) for name, values in table.items()}
-
-    def over_speeds(self, gains: Gains, columns: Collection[str]) -> OverSpeeds:
-        """Return the given metrics of the linear loop (`columns` of `LINEAR_METRICS`) at all cruise speeds."""
-        return over_speeds(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, columns=columns)
-
-    def bode(self, gains: Gains, loop: str | None = None) -> Figure:
-        """Plot the Bode diagram of one loop at all speeds; with `loop` None, of all loops at the scenario's speed."""
-        figure = new_figure(6.4, 5.2)
-        upper, lower = figure.subplots(2, 1, sharex=True)
-        if loop is None:
-            shown = loop_responses(self.vehicle, gains.values, cruise=self.scenario.cruise, dt=self.dt)
-        else:
-            at = {u: loop_responses(self.vehicle, gains.values, cruise=u, dt=self.dt) for u in self.speeds}
-            shown = tuple(
-                replace(one, name=f"{loop} at {u:g} m/s")
-                for u, every in at.items()
-                for one in every
-                if one.name == loop
-            )
-        return plot_bode(shown, (upper, lower))
-
-    def steps(self, gains: Gains) -> Figure:
-        """Plot the step responses at all cruise speeds."""
-        return plot_steps({u: step_responses(self.vehicle, gains.values, cruise=u, dt=self.dt) for u in self.speeds})
-
-    def sensitivity(self, gains: Gains) -> Figure:
-        """Plot sensitivities S and T of all loops opened together at the thrust, at each speed with a stable loop."""
-        curves = sensitivities(self.vehicle, gains.values, cruise=self.speeds, dt=self.dt, places=("thrust",))
-        if not curves:
-            raise _unstable(self.vehicle, gains.values, cruise=self.speeds[0], dt=self.dt)
-        return plot_s_and_t(curves)
-
-    def locus(self, gains: Gains, gain: str) -> Axes:
-        """Plot the closed-loop poles over the range of one gain, with the poles at its current value marked."""
-        ends = next(r for r in self.ranges(self.gains) if r.name == gain)
-        low, high = min(ends.low, gains[gain]), max(ends.high, gains[gain])
-        values = np.union1d(np.linspace(low, high, _LOCUS), [gains[gain]])
-        poles = sweep_locus(
-            self.vehicle, gains.values, gain, values, smooth=_SMOOTH, cruise=self.scenario.cruise, dt=self.dt
-        )
-        return plot_locus(poles, unit=gains.specs[gain].unit, picked=gains[gain])
+    @cached_property
+    def _places(self) -> dict[str, tuple[float, Mapping[str, float], Vehicle | None]]:
+        # speed, plant and vehicle of each operating point
+        places: dict[str, tuple[float, Mapping[str, float], Vehicle | None]] = {
+            f"{u:g} m/s": (u, {}, None) for u in self.speeds
+        }
+        u = self.scenario.cruise
+        if self.own:
+            places = {"its own run": (u, {}, None)}
+        _, *ends = corners(self.vehicle)
+        for name, plant in (("first corner", ends[:1]), ("last corner", ends[-1:])):
+            places |= {name if self.own else f"{name}, {u:g} m/s": (u, one, None) for one in plant}
+        return places | {f"{craft.name}, {u:g} m/s": (u, {}, craft) for craft in self.others if not self.own}
 
     @property
-    def locus_gains(self) -> tuple[str, ...]:
-        """Return the gains with a slider that influence a closed-loop pole."""
-        return tuple(r.name for r in self.ranges(self.gains) if r.name in LINEAR_PARAMETERS)
+    def own(self) -> bool:
+        """Whether the law is the user's own, and so linearised about the steady motion of its run."""
+        return is_own(self.case.law)
 
-    def plan(self, run: Run) -> Axes:
-        """Plot the run in plan view."""
-        return plot_run(run)
+    @property
+    def version(self) -> int:
+        """Return a number that changes when loops of equal gains change, because another run is known."""
+        return len(self._motions)
 
-    def verdicts(self, gains: Gains) -> tuple[Verdict | Inapplicable, ...]:
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Return the names of the operating points: speeds, two corners of the vehicle's ranges, other vehicles."""
+        return tuple(self._places)
+
+    @cached_property
+    def goals(self) -> tuple[LoopGoal, ...]:
+        """Return the goals about the loop, each at its own speeds."""
+        return tuple(
+            replace(g.loop, points=(self.points[0],) if self.own else tuple(f"{u:g} m/s" for u in self._speeds(g)))
+            for g in self.stated
+            if g.loop is not None
+        )
+
+    def _speeds(self, goal: Goal) -> tuple[float, ...]:
+        return goal.cruise or (self.scenario.cruise,)
+
+    @cached_property
+    def _judged(self) -> tuple[Goal, ...]:
+        metrics = [goal for goal in self.stated if goal.loop is None]
+        return judged_goals(metrics, [self.case])[0]
+
+    def ranges(self) -> tuple[GainRange, ...]:
+        """Return gains that have a slider, with its ends: the range of the law or file, or gain / 4 to 4 · gain."""
+        base = self.base
+        own = [name for name in law_source(self.case.law).gains if name not in default_tuned(base)]
+        names = [*default_tuned(base), *own]
+        return gain_ranges(base, {name: base.ranges.get(name) for name in names if base[name] > 0})
+
+    @cached_property
+    def sliders(self) -> tuple[Slider, ...]:
+        """Return the gains with their ranges."""
+        base = self.base
+        return tuple(
+            Slider(r.name, base.specs[r.name].unit, base.specs[r.name].meaning, min(r.low, base[r.name]),
+                   max(r.high, base[r.name]), base[r.name])
+            for r in self.ranges()
+        )  # fmt: skip
+
+    def gains(self, values: Mapping[str, float]) -> Gains:
+        """Return the initial gains with some values changed."""
+        return self.base.with_values(values, provenance=f"tuning page, from {self.base.name}: {self.base.provenance}")
+
+    def loop(self, values: Mapping[str, float], point: str) -> LinearLoop:
+        """Return the linear loop of the law at an operating point.
+
+        A law of the user's own is linearised about the steady motion of its run with these gains; until they have been
+        simulated, about that of the latest run.
+        """
+        speed, plant, craft = self._places[point]
+        case = self.case if craft is None else replace(self.case, vehicle=craft)
+        motion = self._motion(values) if self.own else None
+        return case_loop(case, self.gains(values), cruise=speed, plant=plant, motion=motion)
+
+    def _motion(self, values: Mapping[str, float]) -> OperatingPoint:
+        if not self._motions:
+            self.simulate(values)
+        if not self._motions:
+            raise InputError("has no steady motion", key=self.scenario.name, remedy="give a longer straight part")
+        return self._motions.get(tuple(values.items()), next(reversed(self._motions.values())))
+
+    def simulate(self, values: Mapping[str, float]) -> Run:
+        """Simulate the closed loop with seed 0; the law is compiled once, with the gains as its parameters."""
+        run = simulate(self.scenario, self.vehicle, gains=self.gains(values), law=self.case.build())
+        key = tuple(values.items())
+        if self.own and key not in self._motions:
+            with suppress(InputError):  # without a steady motion, the last one stays
+                self._motions[key] = steady_motion(run)
+        return run
+
+    def judge(self, values: Mapping[str, float]) -> Evaluation | None:
+        """Evaluate the goals about metrics for the nominal plant and for the corners; None without such goals."""
+        if not self._judged:
+            return None
+        evaluated = conditions([self.case], seeds=[0])
+        gains = self.gains(values)
+        return evaluate(self._judged, evaluated, {name: np.array([value]) for name, value in gains.values.items()})
+
+    def run(self, values: Mapping[str, float], points: Sequence[str]) -> RunView:
+        """Return the run in the scenario: figures, goals, signals, thrust activity and the plan view."""
+        run = self.simulate(values)
+        m = run.metrics
+        rows = [("how the run ended", m.stopped_because, "outcome", "good" if m.reached else "bad")]
+        for name in _RUN_FIGURES:
+            unit = METRICS[name].unit
+            value = float(getattr(m, name))
+            rows.append((METRICS[name].meaning, f"{value:.4g}" + ("" if unit == "1" else f" {unit}"), name, ""))
+        rows += self._goal_rows(values)
+        dt, tau = run.law.dt, run.record.tau
+        rows += [
+            (f"thrust {axis}", activity(tau[:, k], dt, unit), f"act {axis}", "")
+            for k, (axis, unit) in enumerate(_THRUST.items())
+            if np.abs(tau[:, k]).max(initial=0.0) > 0
+        ]
+        text = f"Trajectory in {run.scenario.name}: {m.stopped_because} at {m.time_s:.2f} s"
+        return RunView(rows, _panels(run), (plot_run(run).figure.figure, text))
+
+    def _goal_rows(self, values: Mapping[str, float]) -> list[tuple[str, str, str, str]]:
+        evaluation = self.judge(values)
+        if evaluation is None:
+            return []
+        rows = []
+        for k, goal in enumerate(evaluation.goals):
+            figure, share, speed = evaluation.figure[0, k], evaluation.normalised[0, k], evaluation.speed[0, k]
+            unit = "" if goal.unit == "1" else f" {goal.unit}"
+            at = f", worst at {speed:g} m/s" if goal.cruise else ""
+            text = f"{'met' if share <= 1 else 'missed'}: {figure:.4g}{unit}, {goal.sense} {goal.limit:g}{unit}{at}"
+            rows.append((f"goal {goal.name} ({goal.kind})", text, f"goal {goal.name}", "good" if share <= 1 else "bad"))
+        return rows
+
+    def verdicts(self, values: Mapping[str, float]) -> tuple[Verdict | Inapplicable, ...]:
         """Return the verdict on each claim of the library, for these gains, this vehicle and the scenario's speeds."""
-        at_hand = {**gains.values, "speed": self.scenario.cruise, "speed_max": self.scenario.cap}
+        at_hand = {**self.gains(values).values, "speed": self.scenario.cruise, "speed_max": self.scenario.cap}
         claims, refused = applicable_claims(at_hand, vehicle=self.vehicle)
         decided = [decide(c, time_limit=_PATIENCE) for c in claims]
         return (*decided, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
 
+    def decide(self, values: Mapping[str, float]) -> SlowView:
+        """Return the verdicts on the claims as lines."""
+        marks = {"proved": "good", "refuted": "bad"}
+        return SlowView(
+            [
+                (f"{v.claim}: {v.sentence}", "none")
+                if isinstance(v, Inapplicable)
+                else (f"{v.claim.name}: {v.verdict}", marks.get(v.verdict, "none"))
+                for v in self.verdicts(values)
+            ]
+        )
 
-def slider_steps(about: GainRange, value: float) -> list[float]:
-    """Return the values of a slider, ascending and evenly spaced in the logarithm, with `value` and both ends.
+    def save(self, values: Mapping[str, float], file: str) -> str:
+        """Write a gain file; return what to do with it."""
+        path = save_gains(self.gains(values), file)
+        return f"saved {path}; surctl verify --gains {path}"
 
-    If `value` is outside the range of the gain, the slider extends to `value`.
-    """
-    low, high = min(about.low, value), max(about.high, value)
-    grid = np.concatenate([np.geomspace(low, value, _STOPS + 1), np.geomspace(value, high, _STOPS + 1)])
-    inner = {float(f"{x:.{_DIGITS}g}") for x in grid}
-    return sorted({low, value, high} | {x for x in inner if low < x < high})
-
-
-def step_responses(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> Steps:
-    """Return the responses to unit steps in the references of surge speed, heading and cross-track position.
-
-    Args:
-        vehicle: the vehicle.
-        gains: gain values by name.
-        cruise: cruise speed U [m/s].
-        dt: control period [s].
-
-    Raises:
-        InputError: a gain is missing or not positive, the vehicle cannot cruise at that speed, or the loop is
-            unstable.
-    """
-    from control import ss, step_response
-
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
-    if not cascade.stable:
-        raise _unstable(vehicle, gains, cruise=cruise, dt=dt)
-    time, value = {}, {}
-    for name in STEP_NAMES:
-        A, b, c = step_system(cascade, name)
-        final = float((c @ -np.linalg.solve(A, b))[0, 0])
-        metric = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt, columns=(f"settling_time_s.{name}",))
-        end = 1.6 * float(next(iter(metric.values()))[0])
-        time[name] = np.linspace(0, end, _SAMPLES)
-        value[name] = np.asarray(step_response(ss(A, b, c, 0), time[name]).outputs, dtype=float) / final
-    return Steps(time, value)
+    def load(self, file: str) -> dict[str, float]:
+        """Read the gains of a gain file that have a slider."""
+        gains = load_gains(file, own=self.base.own)
+        return {one.name: float(gains[one.name]) for one in self.sliders}
 
 
-def _unstable(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> InputError:
-    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
-    problem = f"the closed loop is unstable at {cruise:g} m/s" + (f" ({mode.cause})" if mode.cause else "")
-    return InputError(problem, key="gains", remedy=f"it is stable {mode.remedy}")
-
-
-def plot_steps(data: Mapping[float, Steps]) -> Figure:
-    """Plot the step responses at each cruise speed [m/s], with the ±2 % band that defines the settling time."""
-    figure = new_figure(6.4, 6.2)
-    axes = figure.subplots(len(STEP_NAMES), 1)
-    for ax, name in zip(axes, STEP_NAMES, strict=True):
-        dress(ax, x="time [s]" if ax is axes[-1] else "", y=f"{name.replace('_', ' ')} [1]")
-        for k, (speed, steps) in enumerate(data.items()):
-            curve(ax, steps.time[name], steps.value[name], label=f"{speed:g} m/s", k=k)
-        ax.axhspan(0.98, 1.02, color=BAD, alpha=0.13, linewidth=0)
-        ax.set_xlim(left=0.0)
-    legend_above(axes[0], columns=5)
-    return figure
+def _panels(run: Run) -> list[Panel]:
+    time, record = run.record.time, run.record
+    clearance = [Curve(time, record.clearance, "", 0)]
+    panels = [Panel("Run: clearance", "time [s]", "clearance [m]", clearance, [Shade(time, 0 * time, "below")])]
+    for k, name in zip((0, 1, 3), _MOTION, strict=True):
+        panels.append(Panel(f"Run: {name.partition(' ')[0]}", "time [s]", name, [Curve(time, record.nu[:, k], "", 0)]))
+    limits = run.vehicle.thrust_limit
+    for k, (axis, unit) in enumerate(_THRUST.items()):
+        tau = record.tau[:, k]
+        if np.abs(tau).max(initial=0.0) > 0:
+            bound = np.full(len(time), float(limits[k]))
+            shades = [Shade(time, bound, "above"), Shade(time, -bound, "below")]
+            curve = [Curve(time, tau, "", 0, "steps")]
+            title = f"Run: thrust {axis}, with its limits"
+            panels.append(Panel(title, "time [s]", f"{axis} [{unit}]", curve, shades))
+    return panels
 
 
 def save_gains(gains: Gains, file: str) -> Path:
@@ -244,9 +296,7 @@ def save_gains(gains: Gains, file: str) -> Path:
     Raises:
         InputError: the name is empty or does not end in .toml, or the folder cannot be written.
     """
-    path = Path(file.strip()).expanduser()
-    if path.suffix != ".toml":
-        raise InputError("is not the name of a gain file", key="save", value=file, remedy="end the path in .toml")
+    path = gain_file(file)
     write_file(path, write_gains(gains))
     load_gains(str(path))
     return path

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shlex
+import sys
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -229,10 +231,21 @@ def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") 
     return save_figure(plot_sonar_replay(replayed, title=title), Path(folder), ("sonar-replay",))
 
 
+def _command() -> dict[str, str]:
+    # the command that draws the picture, as text in the file
+    program = Path(sys.argv[0])
+    if program.name not in ("surctl", "__main__.py"):
+        return {}
+    return {"Description": shlex.join(["surctl", *sys.argv[1:]])}
+
+
 def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
-    """Write a figure as a PNG in the folder, named after its contents; return its path."""
+    """Write a figure as a PNG in the folder, named after its contents; return its path.
+
+    The text `Description` in the file is the command that wrote it.
+    """
     # names can come from input files: replace characters that could lead out of the folder
     name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
     buffer = BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    figure.savefig(buffer, format="png", metadata={"Software": None, **_command()})
     return write_file(Path(folder) / f"{name}.png", buffer.getvalue())

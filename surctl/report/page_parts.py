@@ -1,167 +1,229 @@
-"""HTML parts of the tuning page: metrics, goals, verdicts and pictures, legible in light and dark themes."""
+"""HTML parts of the design page, computed for a request of the page."""
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from html import escape
 from io import BytesIO
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from surctl.errors import SurctlError
-from surctl.report.bench import Bench
-from surctl.simulation import METRICS, Run
-from surctl.tuning import Evaluation
-from surctl.verification import LINEAR_METRICS, Inapplicable, OverSpeeds, Verdict
+from surctl.errors import InputError, SurctlError
+from surctl.report.design_bench import DesignBench, Slider
+from surctl.report.loop_views import default_step, goal_panels, locus_panel, loop_panels
+from surctl.report.panel import panel_svg
+from surctl.system import LinearLoop
+from surctl.tuning import judge_loops
+from surctl.verification.sampled_margins import quick_margins
 
-__all__ = [
-    "LINEAR",
-    "attempt",
-    "figures",
-    "goals",
-    "head",
-    "message",
-    "pair",
-    "picture",
-    "run_text",
-    "sliders",
-    "speeds",
-    "verdicts",
-]
+__all__ = ["page", "respond"]
 
-_STYLE = """<style>
-.sur{overflow-x:auto;max-width:100%} .sur table{border-collapse:collapse;font-size:.9rem}
-.sur td,.sur th{padding:.2rem .7rem .2rem 0;text-align:left;vertical-align:top}
-.picture{max-width:min(100%,44rem);height:auto;background:#fff;border-radius:6px}
-.one{font-size:1.7rem;font-weight:700;margin:0} .two{font-size:1.15rem;font-weight:700;margin:.6rem 0 .3rem}
-.sliders{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(22rem,100%),1fr));gap:.6rem 2rem}
-.pair>div{flex:1 1 20rem;min-width:0} .pair{display:flex;flex-wrap:wrap;gap:1rem}
-.good{color:light-dark(#00664f,#5fd3b4)} .bad{color:light-dark(#a3201a,#ff9a92)} .none{color:light-dark(#555,#bbb)}
-.good,.bad{font-weight:600} .line{overflow-wrap:anywhere}
-:root{color-scheme:light} .dark{color-scheme:dark}
-</style>"""
-_RUN_FIGURES = ("time_s", "min_clearance_m", "deviation_m", "effort_n")
-LINEAR = ("gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin", "slowest_pole_per_s",
-           "settling_time_s.surge_speed", "overshoot.surge_speed")  # fmt: skip
+_TEMPLATES = Path(__file__).parent / "templates"
+_LOCUS = 21  # values of a gain in its locus
+_STEPS = 200  # positions of a slider
 
-BY_SPEED = (*LINEAR, "sensitivity_peak", "settling_time_s.cross_track")
+Request = Mapping[str, Any]
 
 
-def head(bench: Bench) -> str:
-    """Return HTML with the title, and one line with the tuned vehicle, the scenario and the gains."""
-    what = f"{bench.vehicle.name} in {bench.scenario.name}, true positions, seed 0, gains from {bench.gains.name}"
-    return f'{_STYLE}<h1 class="one">Tune</h1><p class="line">{escape(what)}</p>'
+def page(bench: DesignBench, *, nonce: str, token: str) -> str:
+    """Return the HTML of the page.
+
+    Args:
+        bench: the closed loop.
+        nonce: value that allows the page's own script and no other.
+        token: secret that the page sends with each request.
+    """
+    loop = first_loop(bench)
+    start, end = default_step(loop)
+    about = {
+        "sliders": [_slider(one) for one in bench.sliders],
+        "points": list(bench.points),
+        "token": token,
+        "goals": bool(bench.goals),
+    }
+    names = loop.names
+    sources = [*(f"reference.{n}" for n in names.references), *(f"disturbance.{n}" for n in names.disturbances),
+               *(f"measured.{n}" for n in names.outputs), *(f"command.{n}" for n in names.commands)]  # fmt: skip
+    ends = [*(f"measured.{n}" for n in names.outputs), *(f"command.{n}" for n in names.commands)]
+    parts = {
+        "title": escape(bench.title),
+        "style": (_TEMPLATES / "design.css").read_text(encoding="utf-8"),
+        "script": (_TEMPLATES / "design.js").read_text(encoding="utf-8"),
+        "nonce": nonce,
+        "data": json.dumps(about).replace("<", "\\u003c"),
+        "openings": _options(loop.channels()),
+        "sources": _options(sources, start),
+        "ends": _options(ends, end),
+        "gains": _options([one.name for one in bench.sliders]),
+        "points": "".join(
+            f'<label class="check"><input type="checkbox" name="point" value="{escape(p, quote=True)}"'
+            f"{' checked' if k < 3 else ''}> {escape(p)}</label>"
+            for k, p in enumerate(bench.points)
+        ),
+        "slow": f'<button id="slow" type="button">{escape(bench.slow)}</button>' if bench.slow else "",
+    }
+    text = (_TEMPLATES / "design.html").read_text(encoding="utf-8")
+    for name, value in parts.items():
+        text = text.replace(f"@{name}@", value)
+    return text
 
 
-def message(text: str) -> str:
-    """Return an HTML line about the effect of a button; errors are coloured, and screen readers read the line aloud."""
-    mark = "bad" if text.startswith("error:") else "good"
-    return f'<p role="status" id="message" class="line {mark}">{escape(" ".join(text.split()))}</p>'
+def first_loop(bench: DesignBench) -> LinearLoop:
+    """Return the loop at the first operating point with the initial gains."""
+    return bench.loop({one.name: one.value for one in bench.sliders}, bench.points[0])
 
 
-def attempt(make: Callable[[], str]) -> str:
-    """Return the result of `make`, or one line that says why `make` fails with the present gains."""
+def respond(bench: DesignBench, path: str, request: Request) -> dict[str, Any]:
+    """Return what the page asks for: `linear`, `goals`, `details`, `run`, `slow`, `save` or `load`.
+
+    Raises:
+        InputError: the request is not one of these, or is not complete.
+    """
+    handlers = {"linear": _linear, "goals": _goals, "details": _details, "run": _run, "slow": _slow}
     try:
-        return make()
+        if path == "save":
+            return {"message": bench.save(_values(bench, request["values"]), str(request["file"]))}
+        if path == "load":
+            return {"values": bench.load(str(request["file"])), "message": f"loaded {request['file']}"}
+        if path in handlers:
+            return handlers[path](bench, request)
     except SurctlError as error:
-        return f'<p class="line bad">{escape(str(error))}</p>'
+        return {"error": str(error)}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"is not complete ({error})", key="request", value=path) from None
+    raise InputError("is not known", key="request", value=path)
 
 
-def picture(figure: object, text: str) -> str:
-    """Return a figure as an HTML image with its alternative text."""
-    assert isinstance(figure, Figure)
+def _values(bench: DesignBench, values: Mapping[str, Any]) -> dict[str, float]:
+    chosen = {one.name: float(values[one.name]) for one in bench.sliders}
+    for name, value in chosen.items():
+        if not np.isfinite(value):
+            raise InputError("is not finite", key=name, value=value, remedy="give a number")
+    return chosen
+
+
+def _loops(bench: DesignBench, values: Mapping[str, float], points: Sequence[str]) -> dict[str, LinearLoop]:
+    version = getattr(bench, "version", 0)
+    return {point: _one_loop(bench, tuple(values.items()), point, version) for point in points if point in bench.points}
+
+
+@lru_cache(maxsize=64)
+def _one_loop(bench: DesignBench, values: tuple[tuple[str, float], ...], point: str, version: int) -> LinearLoop:
+    return bench.loop(dict(values), point)
+
+
+def _both(bench: DesignBench, request: Request, points: Sequence[str] = ()) -> list[dict[str, LinearLoop] | None]:
+    """Return the loops of the present gains, and of the compared ones if there are any."""
+    chosen = points or request["points"] or bench.points[:1]
+    sets = [request["values"], request.get("compared")]
+    return [None if one is None else _loops(bench, _values(bench, one), chosen) for one in sets]
+
+
+def _linear(bench: DesignBench, request: Request) -> dict[str, Any]:
+    loops, compared = _both(bench, request)
+    assert loops is not None
+    panels = loop_panels(loops, request["opening"], source=request["source"], end=request["end"], compared=compared)
+    return {"html": "".join(map(panel_svg, panels))}
+
+
+def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
+    every = tuple(dict.fromkeys([*request["points"], *(p for goal in bench.goals for p in goal.points)]))
+    loops, compared = _both(bench, request, every)
+    scores, others = (None if one is None else judge_loops(bench.goals, one) for one in (loops, compared))
+    assert scores is not None
+    worst = max((score.judgement.normalised for score in scores.scores), default=0.0)
+    return {"html": "".join(map(panel_svg, goal_panels(scores, compared=others))), "worst": _number(worst)}
+
+
+def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
+    loops, _ = _both(bench, request)
+    assert loops is not None
+    rows = []
+    for point, loop in loops.items():
+        for m in quick_margins(loop, *loop.names.commands):
+            cells = (point, m.name, _margin(m.gain_margin), _margin(m.phase_margin_deg), _margin(m.delay_margin_s),
+                     _margin(m.disk_margin), _margin(m.crossover_rad_s))  # fmt: skip
+            rows.append(cells if m.stable else (point, m.name, "unstable", "", "", "", ""))
+    head = ("operating point", "opened at", "gain margin", "phase [deg]", "delay [s]", "disk", "crossover [rad/s]")
+    name, values = request["locus"], _values(bench, request["values"])
+    slider = next(one for one in bench.sliders if one.name == name)
+    grid = _positions(slider, _LOCUS)
+    point = next(iter(loops))
+    swept = [bench.loop({**values, name: float(value)}, point) for value in grid]
+    locus = locus_panel(f"Poles over {name}, {point}", grid, swept, loops[point])
+    return {"margins": _table(head, rows), "locus": panel_svg(locus)}
+
+
+def _run(bench: DesignBench, request: Request) -> dict[str, Any]:
+    before = getattr(bench, "version", 0)
+    view = bench.run(_values(bench, request["values"]), request["points"] or bench.points[:1])
+    cells = "".join(
+        f'<tr><td>{escape(label)}</td><td><span id="{escape(name, quote=True)}" class="{mark}">{escape(text)}</span>'
+        "</td></tr>"
+        for label, text, name, mark in view.rows
+    )
+    table = (
+        '<div class="scroll" tabindex="0" role="region" aria-label="Figures of the run"><table>'
+        f'<thead><tr><th scope="col">figure</th><th scope="col">value</th></tr></thead><tbody>{cells}</tbody>'
+        "</table></div>"
+    )
+    html = "".join(map(panel_svg, view.panels)) + _picture(view.picture)
+    return {"table": table, "html": html, "moved": getattr(bench, "version", 0) != before}
+
+
+def _slow(bench: DesignBench, request: Request) -> dict[str, Any]:
+    view = bench.decide(_values(bench, request["values"]))
+    lines = "".join(f'<li class="{mark}">{escape(text)}</li>' for text, mark in view.lines)
+    return {"html": f'<ul class="lines">{lines}</ul>{_picture(view.picture)}'}
+
+
+def _slider(one: Slider) -> dict[str, Any]:
+    positions = _positions(one, _STEPS + 1).tolist()
+    nearest = int(np.argmin(np.abs(np.array(positions) - one.value)))
+    positions[nearest] = one.value
+    return {"name": one.name, "unit": one.unit, "meaning": one.meaning, "value": one.value, "positions": positions}
+
+
+def _positions(one: Slider, count: int) -> Any:
+    # on a logarithmic scale if the range is positive
+    spaced = np.geomspace if one.low > 0 else np.linspace
+    inner = [float(f"{value:.4g}") for value in spaced(one.low, one.high, count)[1:-1]]
+    return np.array([one.low, *inner, one.high])
+
+
+def _options(names: Sequence[str], chosen: str = "") -> str:
+    return "".join(f"<option{' selected' if name == chosen else ''}>{escape(name)}</option>" for name in names)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    top = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    return (
+        '<div class="scroll" tabindex="0" role="region" aria-label="Margins"><table>'
+        f"<thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def _margin(value: float) -> str:
+    return "none" if np.isinf(value) else f"{value:.3g}"
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _picture(picture: tuple[Figure, str] | None) -> str:
+    if picture is None:
+        return ""
+    figure, text = picture
     buffer = BytesIO()
     figure.savefig(buffer, format="png")
     data = base64.b64encode(buffer.getvalue()).decode()
-    return f'<img class="picture" alt="{escape(text, quote=True)}" src="data:image/png;base64,{data}">'
-
-
-def run_text(run: Run) -> str:
-    """Describe the plan view of a run in words, for screen readers."""
-    m = run.metrics
-    return f"Trajectory in {run.scenario.name}: {m.stopped_because} at {m.time_s:.2f} s"
-
-
-def sliders(shown: Iterable[object]) -> str:
-    """Arrange the sliders in as many columns as fit the width of the page."""
-    return '<h2 class="two">Gains</h2><div class="sliders">' + "".join(f"<div>{s}</div>" for s in shown) + "</div>"
-
-
-def pair(*parts: str) -> str:
-    """Arrange HTML parts side by side, or one below the other on a narrow page."""
-    return '<div class="pair">' + "".join(f"<div>{part}</div>" for part in parts) + "</div>"
-
-
-def _heading(text: str) -> str:
-    return f'<h2 class="two">{escape(text)}</h2>'
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    cells = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    top = "".join(f'<th scope="col">{escape(h)}</th>' for h in head)
-    return f'<div class="sur"><table><thead><tr>{top}</tr></thead><tbody>{cells}</tbody></table></div>'
-
-
-def _number(name: str, value: float, unit: str) -> str:
-    shown = f"{value:.4g}" if np.isfinite(value) else ("none" if np.isnan(value) else "unlimited")
-    unit = "" if unit == "1" else f" {unit}"
-    return f'<span id="{escape(name)}" data-value="{float(value)!r}">{shown}{unit}</span>'
-
-
-def figures(run: Run, linear: Mapping[str, float]) -> str:
-    """Return an HTML table with the metrics of the run and the least margins."""
-    m = run.metrics
-    mark = "good" if m.reached else "bad"
-    rows = [("how the run ended", f'<span id="outcome" class="{mark}">{escape(m.stopped_because)}</span>')]
-    shown = [(name, METRICS[name], float(getattr(m, name))) for name in _RUN_FIGURES]
-    shown += [(name, LINEAR_METRICS[name], linear[name]) for name in LINEAR]
-    rows += [(escape(spec.meaning), _number(name, value, spec.unit)) for name, spec, value in shown]
-    return _heading("This run, and the loops") + _table(("figure", "value"), rows)
-
-
-def speeds(table: OverSpeeds) -> str:
-    """Return a table of linear metrics at each cruise speed, with each metric's worst speed; "" for one speed."""
-    if len(table.cruise) < 2:
-        return ""
-    rows = []
-    for name, values in table.figures.items():
-        spec = LINEAR_METRICS[name]
-        cells = [_number(f"{name} at {u:g}", v, spec.unit) for u, v in zip(table.cruise, values.tolist(), strict=True)]
-        rows.append((escape(spec.meaning), *cells, table.worst_at(name)))
-    return _heading("The loops by cruise speed") + _table(
-        ("figure", *(f"{u:g} m/s" for u in table.cruise), "worst at"), rows
-    )
-
-
-def goals(evaluation: Evaluation) -> str:
-    """Return an HTML table of goals: whether each goal is met, and its metric for the worst plant and cruise speed."""
-    rows = []
-    shown = zip(evaluation.goals, evaluation.figure[0], evaluation.normalised[0], evaluation.speed[0], strict=True)
-    for goal, figure, share, speed in shown:
-        met = share <= 1
-        word = f'<span class="{"good" if met else "bad"}">{"met" if met else "missed"}</span>'
-        bound = f"{goal.sense} {goal.limit:g}" + ("" if goal.unit == "1" else f" {goal.unit}")
-        bound += f", worst at {speed:g} m/s" if goal.cruise else ""
-        rows.append((escape(goal.name), goal.kind, word, _number(f"goal {goal.name}", figure, goal.unit), bound))
-    text = (
-        "<p>Checked in this scenario with the nominal plant and, if a goal includes them, the corners of the vehicle's "
-        "ranges.</p>"
-    )
-    return _heading("Goals") + text + _table(("goal", "kind", "status", "figure", "bound"), rows)
-
-
-def verdicts(results: Sequence[Verdict | Inapplicable] | None) -> str:
-    """Return a table of claims and verdicts; `results` is None until the user requests verdicts for these gains."""
-    title = _heading("Claims")
-    if results is None:
-        return title + '<p id="verdicts">Not checked for these gains: press the button (about ten seconds).</p>'
-    marks = {"proved": "good", "refuted": "bad"}
-    rows = [
-        (escape(v.claim), f'<span class="none">{escape(v.sentence)}</span>')
-        if isinstance(v, Inapplicable)
-        else (escape(v.claim.name), f'<span class="{marks.get(v.verdict, "none")}">{escape(v.verdict)}</span>')
-        for v in results
-    ]
-    return title + '<div id="verdicts">' + _table(("claim", "verdict"), rows) + "</div>"
+    said = escape(text, quote=True)
+    return f'<figure class="panel wide"><img alt="{said}" src="data:image/png;base64,{data}"></figure>'

@@ -1,89 +1,103 @@
-"""Web server for the tuning page, reachable from this machine only."""
+"""Web server of the design page, reachable from this machine only."""
 
 from __future__ import annotations
 
-import asyncio
+import hmac
+import json
 import secrets
 import signal
-import socket
+import sys
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from threading import Lock, Thread, current_thread, main_thread
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
-from surctl.errors import InputError, ToolMissing
-from surctl.report.bench import Bench
+from surctl.errors import InputError
+from surctl.report.design_bench import DesignBench
+from surctl.report.page_parts import page, respond
 
-__all__ = ["current_bench", "serve"]
+__all__ = ["serve"]
 
 _HOST = "127.0.0.1"
-_BENCHES: list[Bench] = []  # the page's cells run in threads of this process and take no arguments
+_LONGEST = 1_000_000  # bytes of a request
 
 
-def current_bench() -> Bench:
-    """Return the `Bench` (vehicle, scenario, goals) of the tuning page that this process serves.
-
-    Raises:
-        InputError: this process does not serve a tuning page.
-    """
-    if not _BENCHES:
-        raise InputError("no tuning page is served", key="page", remedy="start it with surctl tune --page")
-    return _BENCHES[-1]
-
-
-def serve(bench: Bench, *, port: int | None = None, ready: Callable[[str], None]) -> None:
-    """Serve the tuning page until the process is interrupted.
+def serve(bench: DesignBench, *, port: int | None = None, ready: Callable[[str], None]) -> None:
+    """Serve the design page until the process is interrupted.
 
     Args:
-        bench: vehicle, scenario and goals that the page shows.
+        bench: the closed loop that the page shows.
         port: port of 127.0.0.1; None picks a free port.
         ready: function that is called with the address of the page as soon as the server runs.
 
     Raises:
-        ToolMissing: marimo is not installed.
         InputError: the port cannot be used.
         KeyboardInterrupt: at Ctrl-C, after the server has closed.
     """
+    token = secrets.token_urlsafe(16)  # the page writes files: scripts of other sites must have no access
     try:
-        import marimo
-        import uvicorn
-    except ImportError:
-        remedy = 'pip install "surctl[notebooks]"'
-        raise ToolMissing("the tuning page needs marimo, which is not installed", remedy=remedy) from None
-    door = socket.socket()
-    try:
-        door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        door.bind((_HOST, port or 0))
+        server = _Server((_HOST, port or 0), _handler(bench, token))
     except OSError as error:
-        door.close()
-        raise InputError(
-            f"cannot be used ({error.strerror})", key="--port", value=port, remedy="omit it to use a free port"
-        ) from None
-    _BENCHES.append(bench)
-    page = str(Path(__file__).with_name("tuning_page.py"))
-    key = secrets.token_urlsafe(16)  # the page writes files: scripts of other sites must have no access
-    app = marimo.create_asgi_app(quiet=True, token=key).with_app(path="", root=page).build()
-    server = uvicorn.Server(uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=1))
-    with door:
-        address = f"http://{_HOST}:{door.getsockname()[1]}/?access_token={key}"
-        if asyncio.run(_run(server, door, lambda: ready(address))):
-            raise KeyboardInterrupt
+        remedy = "omit it to use a free port"
+        raise InputError(f"cannot be used ({error.strerror})", key="--port", value=port, remedy=remedy) from None
+    with server:
+        if current_thread() is main_thread():
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have left it ignored
+        Thread(target=ready, args=(f"http://{_HOST}:{server.server_address[1]}/?token={token}",), daemon=True).start()
+        server.serve_forever(poll_interval=0.1)
 
 
-async def _run(server: Any, door: socket.socket, ready: Callable[[], None]) -> bool:
-    # returns whether Ctrl-C ended the server; without this handler marimo would ask the user
-    stopped = False
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
 
-    def stop(*_: object) -> None:
-        nonlocal stopped
-        stopped = server.should_exit = True
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Report an error, unless the browser has closed the connection."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
 
-    serving = asyncio.create_task(server.serve(sockets=[door]))
-    while not (server.started or serving.done()):
-        await asyncio.sleep(0.02)
-    with suppress(NotImplementedError):  # not available on Windows
-        asyncio.get_running_loop().remove_signal_handler(signal.SIGINT)
-    signal.signal(signal.SIGINT, stop)
-    ready()
-    await serving
-    return stopped
+
+def _handler(bench: DesignBench, token: str) -> type[BaseHTTPRequestHandler]:
+    lock = Lock()  # numpy and CasADi functions of one system are not shared between threads
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            parts = urlsplit(self.path)
+            secret = parse_qs(parts.query).get("token", [""])[0]
+            if parts.path != "/" or not hmac.compare_digest(secret, token):
+                self._send(403 if parts.path == "/" else 404, b"no access", "text/plain")
+                return
+            with lock:
+                text = page(bench, nonce=secrets.token_urlsafe(12), token=token)
+            self._send(200, text.encode(), "text/html; charset=utf-8")
+
+        def do_POST(self) -> None:
+            length = int(self.headers.get("Content-Length") or 0)
+            if not hmac.compare_digest(self.headers.get("X-Token", ""), token) or not 0 < length <= _LONGEST:
+                self.close_connection = True
+                self._send(403, b"no access", "text/plain")
+                return
+            try:
+                with lock:
+                    reply: Any = respond(bench, self.path.strip("/"), json.loads(self.rfile.read(length)))
+            except (InputError, ValueError) as error:
+                self._send(400, str(error).encode(), "text/plain")
+                return
+            self._send(200, json.dumps(reply, allow_nan=False).encode(), "application/json")
+
+        def _send(self, status: int, body: bytes, kind: str) -> None:
+            self.send_response(status)
+            for name, value in (
+                ("Content-Type", kind), ("Content-Length", str(len(body))), ("Cache-Control", "no-store"),
+                ("X-Content-Type-Options", "nosniff"), ("Referrer-Policy", "no-referrer"),
+            ):  # fmt: skip
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Write nothing for each request."""
+
+    return Handler

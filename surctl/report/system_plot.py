@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from surctl.ir import Layout
 from surctl.report.files import save_figure
-from surctl.report.theme import curve, dress, head, legend_above, new_figure
+from surctl.report.theme import BAD, curve, dress, head, legend_above, new_figure
 from surctl.system import Record, entry_labels, entry_units
 
 __all__ = ["plot_record", "save_record_plot"]
 
+_NONE: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
-def plot_record(record: Record) -> Figure:
+
+def plot_record(record: Record, *, limits: Mapping[str, tuple[float, float]] = _NONE) -> Figure:
     """Plot all states, commands and references of a run over one time axis; each plot has signals of one unit.
+
+    Args:
+        record: the run.
+        limits: lower and upper limit of signals by name, which are drawn as lines; what lies outside is shaded.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -44,10 +53,22 @@ def plot_record(record: Record) -> Figure:
                 ax.lines[-1].set_drawstyle("steps-post")
             if len(values) == 1:
                 ax.lines[-1].set_marker("o")
+        if name in limits:
+            _draw_limits(ax, limits[name])
         dress(ax, y=f"{name} [{unit}]", x="time [s]" if ax is axes[-1] else "")
         if len(lines) > 1:
             legend_above(ax)
     return figure
+
+
+def _draw_limits(ax: Axes, limits: tuple[float, float]) -> None:
+    low, high = ax.get_ylim()
+    space = 0.08 * (limits[1] - limits[0])
+    low, high = min(low, limits[0] - space), max(high, limits[1] + space)
+    for end, limit in ((low, limits[0]), (high, limits[1])):
+        ax.axhspan(min(end, limit), max(end, limit), color=BAD, alpha=0.1, linewidth=0)
+        ax.axhline(limit, color=BAD, linewidth=1.2)
+    ax.set_ylim(low, high)
 
 
 _Line = tuple[str, NDArray[np.float64], bool]

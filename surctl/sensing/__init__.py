@@ -11,7 +11,7 @@ from surctl.sensing.calibration.file import (
     sonar_fragment,
 )
 from surctl.sensing.calibration.table2 import RangeTest, table_ii
-from surctl.sensing.equipment import Equipment
+from surctl.sensing.equipment import SURFACE_MODELS, Equipment, SurfaceModel
 from surctl.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.sensing.localisation.delivery import Delivery, delayed, delayed_symbols
 from surctl.sensing.localisation.movers import Movers, MoverTracker, mover_step
@@ -34,6 +34,14 @@ from surctl.sensing.ranging.tracker import RangeTracker, Ranging
 from surctl.sensing.replay.file import Recording, filtered_rows, read_readings, sonar_array
 from surctl.sensing.replay.tracked import Readings, Replay, SensorSummary, Tracked, replay_readings, track
 from surctl.sensing.sonar.array import SonarArray
+from surctl.sensing.sonar.detection import (
+    ECHO_KEY,
+    echo_keys,
+    echo_uniform,
+    firing_block,
+    firing_block_symbols,
+    uniform_symbols,
+)
 from surctl.sensing.sonar.echo import Beam, beam_of, echo_range, echo_samples
 from surctl.sensing.sonar.fault_block import SLOT, Arrival, fault_ports, fault_slots, faulty_samples
 from surctl.sensing.sonar.faults import (
@@ -48,15 +56,21 @@ from surctl.sensing.sonar.faults import (
     faulty,
 )
 from surctl.sensing.sonar.firing import fire, firing_samples, true_range
+from surctl.sensing.sonar.reflector import REFLECTORS, Reflector, Surfaces, detection_odds
+from surctl.sensing.sonar.returns import certain_range, corner_points, echo_number, level_range, rim, weak_range
+from surctl.sensing.sonar.returns_block import certain_range_symbols, weak_range_symbols
 from surctl.sensing.sonar.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
 from surctl.sensing.sonar.sound import Medium, speed_of_sound
 
 __all__ = [
+    "ECHO_KEY",
     "FAULT_KINDS",
     "LONGEST_DELAY",
     "NOISE_STATE",
     "OUTLIER_RULE",
+    "REFLECTORS",
     "SLOT",
+    "SURFACE_MODELS",
     "Arrival",
     "BaseStation",
     "Beam",
@@ -88,6 +102,7 @@ __all__ = [
     "Ranging",
     "Readings",
     "Recording",
+    "Reflector",
     "Replay",
     "SensorCalibration",
     "SensorFilter",
@@ -97,19 +112,28 @@ __all__ = [
     "SolidDisc",
     "SolidWalls",
     "SonarArray",
+    "SurfaceModel",
+    "Surfaces",
     "Tracked",
     "beam_of",
     "calibrate",
     "calibrate_file",
     "calibrate_table_ii",
     "calibration_rows",
+    "certain_range",
+    "certain_range_symbols",
     "check_faults",
+    "corner_points",
     "delayed",
     "delayed_symbols",
+    "detection_odds",
     "draw_normals",
     "draw_uniforms",
+    "echo_keys",
+    "echo_number",
     "echo_range",
     "echo_samples",
+    "echo_uniform",
     "expected_range",
     "fault_ports",
     "fault_slots",
@@ -119,8 +143,11 @@ __all__ = [
     "file_stems",
     "filtered_rows",
     "fire",
+    "firing_block",
+    "firing_block_symbols",
     "firing_samples",
     "gate",
+    "level_range",
     "lms_step",
     "map_step",
     "map_view",
@@ -134,6 +161,7 @@ __all__ = [
     "plain_lms_step",
     "read_readings",
     "replay_readings",
+    "rim",
     "sonar_array",
     "sonar_contacts",
     "sonar_fragment",
@@ -141,5 +169,8 @@ __all__ = [
     "table_ii",
     "track",
     "true_range",
+    "uniform_symbols",
+    "weak_range",
+    "weak_range_symbols",
     "weighted_average",
 ]

@@ -36,7 +36,8 @@ from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
 from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
 from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
 from surctl.simulation.record import Record
-from surctl.simulation.record_file import RECORD_FORMATS, RecordFormat, record_columns, save_record
+from surctl.simulation.record_file import RECORD_FORMATS, RUN_FORMATS, RecordFormat, record_columns, save_record
+from surctl.simulation.reflectors import ECHOES, EchoModel, Reflectors
 from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
 from surctl.simulation.safety import SafetyClaim, safety_claim
 from surctl.simulation.scaling import (
@@ -47,6 +48,7 @@ from surctl.simulation.scaling import (
     two_leg_mission,
 )
 from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
+from surctl.simulation.scene_file import LAYOUT, SceneFile, save_scene, write_layout
 from surctl.simulation.sensors import Sensors
 from surctl.simulation.stepping import advance
 from surctl.simulation.stopping import stop_reason
@@ -56,13 +58,16 @@ from surctl.simulation.thruster_use import ThrusterUse, thruster_use
 from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
+    "ECHOES",
     "ENGINES",
     "GONE",
     "LATE",
+    "LAYOUT",
     "LIBRARY",
     "LINK_LOST",
     "METRICS",
     "RECORD_FORMATS",
+    "RUN_FORMATS",
     "SENSING",
     "STANDSTILL",
     "STOPPED_LIMIT",
@@ -76,6 +81,7 @@ __all__ = [
     "Contact",
     "DepthChange",
     "Disturbance",
+    "EchoModel",
     "Engine",
     "Explanation",
     "Finding",
@@ -90,9 +96,11 @@ __all__ = [
     "PriorityTimeline",
     "Record",
     "RecordFormat",
+    "Reflectors",
     "Run",
     "SafetyClaim",
     "Scenario",
+    "SceneFile",
     "Sensing",
     "Sensors",
     "SlowerEngine",
@@ -121,6 +129,7 @@ __all__ = [
     "record_columns",
     "safety_claim",
     "save_record",
+    "save_scene",
     "scaled_scenario",
     "simulate",
     "simulate_batch",
@@ -130,4 +139,5 @@ __all__ = [
     "thruster_use",
     "turn_rate",
     "two_leg_mission",
+    "write_layout",
 ]

@@ -1,15 +1,16 @@
-"""Findings about smooth surfaces: faces of obstacles that no sonar can hear, because they answer near their normal.
+"""Findings about reflectors: faces of obstacles that no sonar can hear, weak echoes, and echoes of surface and floor.
 
 A smooth face reflects sound like a mirror. It answers a sonar only if the sonar looks at it within a limited angle of
-its normal (`incidence_limit` of the array). A face is unheard if the hull fits nowhere from where it answers.
+its normal (`incidence_limit` of the array or of its reflector). A face is unheard if the hull fits nowhere from where
+it answers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import cos, degrees, sin
+from math import cos, degrees, pi, sin
 
-from surctl.sensing import SonarArray
+from surctl.sensing import Reflector, SonarArray, Surfaces, level_range
 from surctl.simulation.finding import Finding
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
@@ -23,22 +24,24 @@ _SIDES: dict[str, Point] = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0
 _POINTS = 9  # places on a face
 _AHEAD = 24  # places along a direction from the face
 _NAMED = 4  # faces that a finding names
+_OBLIQUE = pi / 3  # [rad] with a larger limit, the missions arrive as if all surfaces answered (chosen)
 
 
 def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> list[Finding]:
-    """Return the findings about surfaces that answer only near their normal; none if every surface answers."""
-    limit = array.incidence_limit
-    if limit is None:
-        return []
-    angle = f"{degrees(limit):.3g}°"
-    listed = [
-        Finding(
-            "warning",
-            "sonar.incidence_limit_deg",
+    """Return the findings about surfaces that do not answer every firing, and about echoes of surface and floor."""
+    surfaces = scenario.surfaces
+    limits = {array.incidence_limit} if surfaces is None else {r.incidence_limit for r in _upright(surfaces)}
+    oblique = [limit for limit in limits if limit is not None and limit < _OBLIQUE]
+    key = "sonar.echoes" if scenario.sensors.echoes else "reflector"
+    key = "sonar.incidence_limit_deg" if surfaces is None else key
+    listed = []
+    angle = " or ".join(f"{degrees(limit):.3g}°" for limit in sorted(limit for limit in limits if limit is not None))
+    if oblique:
+        text = (
             f"surfaces answer only within {angle} of their normal, but the law takes silence for free water: a smooth "
-            "face that a beam meets obliquely is cleared from the map; simulate many seeds before a launch",
+            "face that a beam meets obliquely is cleared from the map; simulate many seeds before a launch"
         )
-    ]
+        listed.append(Finding("warning", key, text))
     faces = silent_faces(scenario, vehicle["radius"], array)
     if faces:
         more = f" and {len(faces) - _NAMED} more" if len(faces) > _NAMED else ""
@@ -46,8 +49,10 @@ def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> li
             f"no place where the hull of {vehicle.name} fits hears {', '.join(faces[:_NAMED])}{more}: these faces "
             f"answer only within {angle} of their normal"
         )
-        listed.append(Finding("warning", "sonar.incidence_limit_deg", text))
-    return listed
+        listed.append(Finding("warning", key, text))
+    if surfaces is None:
+        return listed
+    return [*listed, *_level(scenario, array, surfaces), *_weak(scenario, vehicle, surfaces, key)]
 
 
 def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str]:
@@ -56,16 +61,65 @@ def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str
     Args:
         scenario: the mission; obstacles are taken at their places at the start, without drift.
         hull: hull radius [m].
-        array: the sonars; their `incidence_limit` is the largest angle [rad] from a face's normal at which it answers.
+        array: the sonars; their `incidence_limit` is the largest angle [rad] from a face's normal at which it answers,
+            unless the scenario gives its surfaces reflectors.
     """
+    surfaces = scenario.surfaces
+    count = len(scenario.obstacles)
+    limits = [array.incidence_limit] * count if surfaces is None else [r.incidence_limit for r in surfaces.obstacles]
     still = [obstacle for obstacle in scenario.obstacles if obstacle.shape != "moving"]
+
+    def audible(box: Obstacle, normal: Point, limit: float) -> bool:
+        points = _on_face(box, normal)
+        return limit > 0 and any(_audible(p, normal, scenario, still, hull, array.maximum, limit) for p in points)
+
     return [
         f"{box.name} {side}"
-        for box in still
-        if box.size_m is not None
+        for box, limit in zip(scenario.obstacles, limits, strict=True)
+        if box.size_m is not None and limit is not None
         for side, normal in _SIDES.items()
-        if not any(_audible(point, normal, scenario, still, hull, array) for point in _on_face(box, normal))
+        if not audible(box, normal, limit)
     ]
+
+
+def _upright(surfaces: Surfaces) -> set[Reflector]:
+    return {*surfaces.obstacles, *surfaces.walls}
+
+
+def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterator[Finding]:
+    # echoes of water surface and floor, which the law takes for obstacles
+    depth = scenario.depth
+    for name, side, gap in (("surface", 1, -depth), ("floor", -1, surfaces.depth + depth)):
+        reflector: Reflector = getattr(surfaces, name)
+        distance = level_range(array, reflector, side=side, gap=gap)
+        if distance is None or distance > array.maximum:
+            continue
+        what = "water surface" if side == 1 else "floor"
+        limit = reflector.incidence_limit
+        pitch = None if limit is None else 90 - degrees(limit + 0.5 * array.beam_angle)
+        remedy = "a narrower beam makes it silent"
+        if pitch is not None and pitch > -0.5 * degrees(array.beam_angle):
+            remedy = f"sonar.pitch_deg {'below' if side == 1 else 'above'} {side * pitch:.3g} makes it silent"
+        text = (
+            f"every sonar hears the {what} at {distance:.2f} m at the depth of {depth:g} m and takes it for an "
+            f"obstacle: what is farther away is not heard; {remedy}"
+        )
+        yield Finding("warning", f"site.{name}", text)
+
+
+def _weak(scenario: Scenario, vehicle: Vehicle, surfaces: Surfaces, key: str) -> Iterator[Finding]:
+    # cylinders that answer weakly, and faces whose edges do
+    ranges = []
+    for obstacle, reflector in zip(scenario.obstacles, surfaces.obstacles, strict=True):
+        if obstacle.size_m is None and reflector.cylinder_range is not None:
+            radius = obstacle.radius_m or vehicle["radius"]
+            ranges.append(f"{obstacle.name} {reflector.cylinder_range * (radius / 0.1) ** (1 / 3):.2g} m")
+        elif obstacle.size_m is not None and reflector.edge_range > 0:
+            ranges.append(f"edges of {obstacle.name} {reflector.edge_range:.2g} m")
+    if ranges:
+        more = f" and {len(ranges) - _NAMED} more" if len(ranges) > _NAMED else ""
+        text = "ahead of a sonar, half of the firings detect at these ranges: " + ", ".join(ranges[:_NAMED]) + more
+        yield Finding("info", key, text)
 
 
 def _on_face(box: Obstacle, normal: Point) -> Iterator[Point]:
@@ -81,15 +135,20 @@ def _on_face(box: Obstacle, normal: Point) -> Iterator[Point]:
 
 
 def _audible(
-    point: Point, normal: Point, scenario: Scenario, still: Sequence[Obstacle], hull: float, array: SonarArray
+    point: Point,
+    normal: Point,
+    scenario: Scenario,
+    still: Sequence[Obstacle],
+    hull: float,
+    maximum: float,
+    limit: float,
 ) -> bool:
     # whether the hull fits at a place from which a sonar on the hull hears this point of a face
-    limit = array.incidence_limit or 0.0
     for turn in (0.0, limit, -limit):
         c, s = cos(turn), sin(turn)
         ray = (c * normal[0] - s * normal[1], s * normal[0] + c * normal[1])
         for k in range(_AHEAD + 1):
-            distance = hull + array.maximum * k / _AHEAD
+            distance = hull + maximum * k / _AHEAD
             place = (point[0] + distance * ray[0], point[1] + distance * ray[1])
             nearest = min(obstacle.distance(place) for obstacle in still)
             if nearest <= 0 or not _inside(place, scenario, 0.0):

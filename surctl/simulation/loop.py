@@ -35,6 +35,7 @@ from surctl.simulation.run import SENSING, Run, Sensing
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import FIRING, firing_plan
 from surctl.simulation.thruster_faults import ThrusterFault, Thrusters
+from surctl.simulation.weak_echoes import WeakEchoes
 from surctl.simulation.world import Body, World, build_world
 from surctl.vehicle import Vehicle
 from surctl.world import Disc
@@ -116,7 +117,7 @@ def simulate(
     world = build_world(scenario, vehicle, seed=seed)
     gains = gains.with_own(law_source(law.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)
-    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters, physics)
+    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters, physics, seed)
     reason, record = loop.run(), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
     plant = loop.physics
@@ -155,6 +156,7 @@ class Loop:
         stepper: Stepper,
         thrusters: Thrusters | None = None,
         physics: PhysicsMaker = OwnPhysics,
+        seed: int = 0,
     ) -> None:
         self.stepper = stepper
         self.thrusters = thrusters or Thrusters.of(vehicle, law)
@@ -165,6 +167,7 @@ class Loop:
         self.array = self.sensors.array_on(world.hull)
         self.firings = firing_plan(self.array)
         self.physics = physics(world, vehicle, self.array)
+        self.weak = WeakEchoes(world, self.array, seed=seed)
         self.state = self.physics.state
         self.law_state = law.initial_state()
         self.feeder = feeder_of(world.scenario, law, p)
@@ -295,7 +298,10 @@ class Loop:
                 self.faults,
                 sensor,
                 time=time,
-                distance=self.physics.echo(sensor, bodies),
+                distance=min(
+                    self.physics.echo(sensor, bodies),
+                    self.weak.nearest(sensor, self.state, bodies, instant=self.instant),
+                ),
                 noise=noise.samples[instant, k],
                 faults=self.sensors.faults,
                 chances=self.sensors.chances,

@@ -24,7 +24,8 @@ class Obstacle(Strict):
     and phase are random (determined by the seed). A `moving` obstacle goes in a straight line from `centre_m` to `to_m`
     and is removed on arrival if `removed` is true. `bottom_m` and `top_m` are the z coordinates of its lower and upper
     end, negative below the surface like the path's `depth_m`. Without `bottom_m` and `top_m`, the obstacle extends to
-    the floor and to the surface. A moving obstacle is an upright cylinder.
+    the floor and to the surface. A moving obstacle is an upright cylinder. `reflector` names how its surface answers a
+    sonar; without it, the obstacle answers as the scenario's echo model says.
     """
 
     name: str = Field(min_length=1)
@@ -39,6 +40,7 @@ class Obstacle(Strict):
     removed: bool = True
     bottom_m: float | None = None
     top_m: float | None = None
+    reflector: str | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> Obstacle:

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.sensing import SonarArray, true_range
+from surctl.sensing import SonarArray, certain_range, true_range
 from surctl.simulation.column import beside
 from surctl.simulation.sensors import FIRING
 from surctl.simulation.stepping import advanced
@@ -62,7 +62,10 @@ class Physics(Protocol):
         """Return the distance [m] from the hull to the nearest of the obstacles, and to the nearest wall."""
 
     def echo(self, sensor: int, bodies: Sequence[Body]) -> float:
-        """Return the distance [m] from a sonar's apex to the nearest point that reflects, inf if there is none."""
+        """Return the distance [m] from a sonar's apex to the nearest point that reflects, inf if there is none.
+
+        Echoes with a probability do not count here: the closed loop adds them to every physics.
+        """
 
 
 PhysicsMaker: TypeAlias = Callable[[World, Vehicle, SonarArray], Physics]
@@ -88,7 +91,9 @@ class OwnPhysics:
     contacts: Sequence[Contact] = ()
 
     def __init__(self, world: World, vehicle: Vehicle, array: SonarArray) -> None:
-        self.world, self.array = world, array
+        self.world, self.array, self.surfaces = world, array, world.scenario.surfaces
+        names = [obstacle.name for obstacle in world.scenario.obstacles]
+        self._reflectors = {} if self.surfaces is None else dict(zip(names, self.surfaces.obstacles, strict=True))
         self.plant, self.move = plant_parameters(vehicle), advanced(vehicle.form)
         self.state = plant_state(vehicle.form).pack({"eta": world.scenario.start_pose})
         self._current = [*world.scenario.disturbance.current_m_per_s, 0.0]
@@ -106,8 +111,15 @@ class OwnPhysics:
     def echo(self, sensor: int, bodies: Sequence[Body]) -> float:
         """Return the distance [m] from a sonar's apex to the nearest point that reflects, inf if there is none."""
         audible = beside(bodies, float(self.state[2]), self.world.hull)
-        shapes = [*(b.shape for b in audible), *self.world.scenario.walls]
-        heading = float(self.state[3])
+        walls, heading = self.world.scenario.walls, float(self.state[3])
+        if self.surfaces is not None:
+            upright = [(b.shape, self._reflectors[b.name]) for b in audible]
+            upright += zip(walls, self.surfaces.walls, strict=True)
+            place = self.state[:3].tolist()
+            return certain_range(
+                self.array, sensor, place=place, heading=heading, shapes=upright, surfaces=self.surfaces
+            )
+        shapes = [*(b.shape for b in audible), *walls]
         return true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes)
 
 

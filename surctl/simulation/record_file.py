@@ -12,9 +12,13 @@ from surctl.files import write_file
 from surctl.recorded import shown
 from surctl.recorded_write import RECORD_FORMATS, Column, RecordFormat, write_mat, write_netcdf
 from surctl.simulation.run import Run
+from surctl.simulation.scene_file import save_scene
 from surctl.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, check_frame, swap_body, swap_pose
 
-__all__ = ["RECORD_FORMATS", "RecordFormat", "record_columns", "save_record"]
+RUN_FORMATS = (*RECORD_FORMATS, "mcap")
+"""File formats of a run: tables, and mcap, messages for Foxglove."""
+
+__all__ = ["RECORD_FORMATS", "RUN_FORMATS", "RecordFormat", "record_columns", "save_record"]
 
 _UNITS = {
     "t_s": "s",
@@ -67,15 +71,16 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
 def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Frame | str = "enu") -> Path:
     """Write the run to `SCENARIO-SEED.KIND` in the folder and return the path of the file.
 
-    All three formats hold the same numbers, to the last bit. CSV: all digits that are needed to restore each number,
-    below a comment line with the frame and the run. .mat: one column vector per name, the texts `frame` and `about`,
-    and the structs `units` and `meaning` with one field per name. netCDF-4: variables along the dimension `time` with
-    the attributes `units` and `long_name`, and the attribute `frame` of the file.
+    The formats csv, mat and nc hold the same numbers, to the last bit. CSV: all digits that are needed to restore each
+    number, below a comment line with the frame and the run. .mat: one column vector per name, the texts `frame` and
+    `about`, and the structs `units` and `meaning` with one field per name. netCDF-4: variables along the dimension
+    `time` with the attributes `units` and `long_name`, and the attribute `frame` of the file. The format mcap holds
+    messages for Foxglove, see `save_scene`.
 
     Args:
         run: the run.
         folder: an existing folder.
-        kind: file format: csv, mat or nc.
+        kind: file format: csv, mat, nc or mcap.
         frame: coordinate frame: enu (ENU/FLU) or ned (NED/FRD).
 
     Raises:
@@ -92,8 +97,12 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         >>> print(saved, saved.read_text().splitlines()[1][:23])
         pool-behind-0.csv t_s,x_m,y_m,z_m,psi_rad
     """
-    if kind not in RECORD_FORMATS:
-        raise InputError("is not known", key="--save", value=kind, remedy=nearest(str(kind), RECORD_FORMATS))
+    if kind not in RUN_FORMATS:
+        raise InputError("is not known", key="--save", value=kind, remedy=nearest(str(kind), RUN_FORMATS))
+    if kind == "mcap":
+        if frame != "enu":
+            raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")
+        return save_scene(run, folder)
     path = folder / f"{run.scenario.name}-{run.seed}.{kind}"
     columns = record_columns(run, frame=frame)
     frame_text = FRAME_TEXT[check_frame(frame)]

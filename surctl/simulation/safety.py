@@ -195,7 +195,12 @@ def safety_claim(
             "m/s",
             "largest speed towards the vehicle at all times, both true and as known to the law",
         ),
-        Figure("detection range", detection, "m", "distance from the hull at which an obstacle is certainly detected"),
+        Figure(
+            "detection range",
+            detection,
+            "m",
+            "distance from the hull at which an obstacle is certainly detected, at whatever angle beams meet its faces",
+        ),
         Figure(
             "least thrust",
             brakes.least,

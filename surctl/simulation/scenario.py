@@ -16,9 +16,11 @@ from pydantic import Field
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.guidance import MAX_WAYPOINTS, VISIT, Follower, Path
+from surctl.sensing import Surfaces
 from surctl.simulation.disturbance import Disturbance
 from surctl.simulation.obstacle import NotNegative, Obstacle, Positive
 from surctl.simulation.paper_figure import PaperFigure
+from surctl.simulation.reflectors import Reflectors, ReflectorTable, WallTable
 from surctl.simulation.route import PERIOD, Corner, Route
 from surctl.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
 from surctl.simulation.uncertainty import Uncertainty
@@ -35,6 +37,9 @@ class _Site(Strict):
     length_m: Positive
     width_m: Positive
     depth_m: Positive
+    walls: str | WallTable | None = None
+    surface: str | None = None
+    floor: str | None = None
 
 
 class _ScenarioFile(Route):
@@ -55,6 +60,7 @@ class _ScenarioFile(Route):
     obstacles: tuple[Obstacle, ...] = ()
     disturbance: Disturbance = Disturbance()
     sonar: SonarTable = SonarTable()
+    reflectors: dict[str, ReflectorTable] = Field(default_factory=dict)
     base_station: StationTable = StationTable()
     own_state: OwnStateTable = OwnStateTable()
     uncertainty: Uncertainty = Uncertainty()
@@ -85,6 +91,7 @@ class Scenario:
             `arrival_radius` of every corner, in order, before it can arrive. If the path has kinds of corners, these
             hold instead.
         route: the entries of the file that describe the path; None if the scenario is not from a file.
+        reflectors: how walls, water surface and floor answer a sonar, and the kinds of reflectors of the file.
     """
 
     name: str
@@ -108,11 +115,18 @@ class Scenario:
     depths: tuple[float, float] | None = None
     corners: Corner = "pass"
     route: Route | None = None
+    reflectors: Reflectors = field(default_factory=Reflectors)
 
     @cached_property
     def walls(self) -> tuple[Wall, ...]:
         """The four walls of the site, cached because a run needs the walls at every step."""
         return site_walls(self.site[1], self.site[0])
+
+    @cached_property
+    def surfaces(self) -> Surfaces | None:
+        """How each surface answers a sonar; None if all answer alike, as the `incidence_limit` of the sonars says."""
+        array, echoes = self.sensors.equipment.array, self.sensors.echoes
+        return self.reflectors.surfaces(self.obstacles, array, echoes=echoes, depth=self.site[2])
 
     @property
     def start_pose(self) -> NDArray[np.float64]:
@@ -222,6 +236,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
         model.depths_m,
         model.corners,
         route,
+        _reflectors(model),
     )
     _check(scenario)
     return scenario
@@ -236,6 +251,12 @@ def _route(model: _ScenarioFile, source: str) -> tuple[Route, Path]:
     except InputError as error:
         raise error.inside(source, "path_m" if error.key == "path" else error.key) from None
     return route, path
+
+
+def _reflectors(model: _ScenarioFile) -> Reflectors:
+    site, walls = model.site, model.site.walls
+    each = (walls,) * 4 if not isinstance(walls, WallTable) else (walls.x0, walls.x1, walls.y0, walls.y1)
+    return Reflectors(each, site.surface, site.floor, model.reflectors)
 
 
 def _time_limit(path: Path, model: _ScenarioFile) -> float:
@@ -272,6 +293,10 @@ def _check(scenario: Scenario) -> None:
             value=scenario.cruise,
             remedy="lower it or raise the cap",
         )
+    try:
+        _ = scenario.surfaces
+    except InputError as error:
+        raise error.inside(source) from None
     _check_depths(scenario)
     check_spacing(scenario, cap=scenario.cap)
     inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]

@@ -9,7 +9,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.guidance import Path
-from surctl.sensing import BaseStation, Delivery, OwnState, SonarArray
+from surctl.sensing import BaseStation, Delivery, Equipment, OwnState, SonarArray
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.sensors import Sensors
 
@@ -26,6 +26,7 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
     Raises:
         InputError: a scenario file cannot describe these sonars.
     """
+    tables = scenario.reflectors.tables()
     table: dict[str, Any] = {
         "kind": "scenario",
         "name": scenario.name,
@@ -41,7 +42,8 @@ def scenario_table(scenario: Scenario) -> dict[str, Any]:
         "launch_m": scenario.launch,
         **({} if scenario.depths is None else {"depths_m": list(scenario.depths)}),
         "corners": scenario.corners,
-        "site": dict(zip(("length_m", "width_m", "depth_m"), scenario.site, strict=True)),
+        "site": dict(zip(("length_m", "width_m", "depth_m"), scenario.site, strict=True)) | tables.pop("site"),
+        **tables,
         "obstacles": [o.model_dump(exclude_none=True) for o in scenario.obstacles],
         "disturbance": scenario.disturbance.model_dump(),
         **_sensors(scenario.sensors),
@@ -80,7 +82,10 @@ def _equal(one: Path, other: Path) -> bool:
 
 def _sensors(sensors: Sensors) -> dict[str, Any]:
     equipment = sensors.equipment
-    sonar = _array(equipment.array) | {
+    sonar = _array(equipment.array) | ({"echoes": sensors.echoes} if sensors.echoes else {})
+    if equipment.surface_model != Equipment().surface_model:
+        sonar["surface_model"] = equipment.surface_model
+    sonar |= {
         "faults": [fault.model_dump(exclude_none=True) for fault in sensors.faults],
         "chances": sensors.chances.model_dump(),
     }
@@ -110,6 +115,8 @@ def _array(array: SonarArray) -> dict[str, Any]:
         table["step_m"] = array.step
     if array.mounts is not None:
         table["mounts_m"] = [list(mount) for mount in array.mounts]
+    if array.pitch != plain.pitch:
+        table["pitch_deg"] = _degrees(array.pitch)
     if array.incidence_limit is not None:
         table["incidence_limit_deg"] = _degrees(array.incidence_limit)
     if array.blind_time is not None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import gcd, pi
-from types import MappingProxyType
+from math import degrees, gcd, pi
 from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
@@ -14,18 +13,21 @@ from pydantic import Field
 from surctl.errors import InputError, nearest
 from surctl.files import Strict
 from surctl.sensing import (
+    REFLECTORS,
     BaseStation,
     Delivery,
     Equipment,
     Fault,
     FaultChances,
     OwnState,
+    Reflector,
     SonarArray,
+    SurfaceModel,
     check_faults,
 )
+from surctl.simulation.reflectors import ECHOES
 
 __all__ = [
-    "ECHOES",
     "FIRING",
     "FiringPlan",
     "OwnStateTable",
@@ -41,12 +43,6 @@ T = TypeVar("T")
 FIRING = 0.025
 """Time [s] between two instants at which sonars may fire; the plant is integrated from one to the next."""
 
-ECHOES: Mapping[str, float | None] = MappingProxyType({"ideal": None, "webots": pi / 8})
-"""Echo models by name: largest angle of incidence [rad] at which a surface answers; None: every surface answers.
-
-`webots` is the rule of the simulator of the paper for sonar sensors: 22.5 degrees. A smooth wall answers near its
-normal only, so a sonar that looks along it hears nothing (specular reflection)."""
-
 _PERIOD = 0.05  # [s] control period; messages of the base station arrive at its multiples
 
 Positive = Annotated[float, Field(gt=0)]
@@ -61,8 +57,10 @@ class SonarTable(Strict):
     mounts_m: tuple[tuple[float, float], ...] | None = None
     order: tuple[int, ...] | None = None
     beam_deg: Degrees | None = None
+    pitch_deg: float | None = None
     incidence_limit_deg: Degrees | None = None
-    echoes: Literal["ideal", "webots"] | None = None
+    echoes: Literal["ideal", "webots", "specular", "diffuse"] | None = None
+    surface_model: SurfaceModel = "diffuse"
     minimum_m: Positive | None = None
     blind_time_s: Positive | None = None
     maximum_m: Positive | None = None
@@ -115,11 +113,14 @@ class Sensors:
         equipment: the actual sensors, which are also the law's sensor model; the method `on` adds the vehicle's hull.
         faults: sonar faults that are scheduled in the scenario.
         chances: probabilities of random sonar faults at each firing.
+        echoes: name of an echo model of `ECHOES` other than `ideal` and `webots`, which the `incidence_limit` of the
+            array describes; empty: surfaces answer as this limit says.
     """
 
     equipment: Equipment = field(default_factory=Equipment)
     faults: tuple[Fault, ...] = ()
     chances: FaultChances = field(default_factory=FaultChances)
+    echoes: str = ""
 
     def on(self, hull_radius: float) -> Equipment:
         """Return the equipment on a hull of the given radius [m].
@@ -151,8 +152,17 @@ class Sensors:
         """
         if echoes not in ECHOES:
             raise InputError("is not known", key="echoes", value=echoes, remedy=nearest(echoes, ECHOES))
-        array = replace(self.equipment.array, incidence_limit=ECHOES[echoes])
-        return replace(self, equipment=replace(self.equipment, array=array))
+        simple, limit = _simple(echoes)
+        array = replace(self.equipment.array, incidence_limit=limit)
+        return replace(self, equipment=replace(self.equipment, array=array), echoes="" if simple else echoes)
+
+    @property
+    def echo_model(self) -> str:
+        """Name of the echo model, or the largest angle of incidence at which surfaces answer."""
+        limit = self.equipment.array.incidence_limit
+        if self.echoes or limit is None:
+            return self.echoes or "ideal"
+        return next((name for name in ECHOES if _simple(name) == (True, limit)), f"within {degrees(limit):.4g} deg")
 
     @property
     def may_fail(self) -> bool:
@@ -176,7 +186,12 @@ _NAMES = {
     "temperature_c": "temperature",
     "calibrated_for_m_per_s": "calibrated_for",
 }
-_ANGLES = {"azimuths_deg": "azimuths", "beam_deg": "beam_angle", "incidence_limit_deg": "incidence_limit"}
+_ANGLES = {
+    "azimuths_deg": "azimuths",
+    "beam_deg": "beam_angle",
+    "pitch_deg": "pitch",
+    "incidence_limit_deg": "incidence_limit",
+}
 _TIMES = {"period_s": "period", "latency_s": "latency", "gaps_s": "gaps"}
 _KEYS = {name: key for key, name in (_NAMES | _ANGLES | _TIMES).items()}
 
@@ -203,8 +218,17 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
     for table, delivery in (("base_station", base_station.messages), ("own_state", measured.fixes)):
         for steps in (delivery.late, delivery.every):
             _in_table(table, partial(steps, _PERIOD))
-    equipment = Equipment(array=array, station=base_station, own=None if own.truth else measured)
-    return Sensors(equipment, sonar.faults, sonar.chances)
+    own_state = None if own.truth else measured
+    equipment = Equipment(array=array, station=base_station, own=own_state, surface_model=sonar.surface_model)
+    echoes = sonar.echoes if sonar.echoes is not None and not _simple(sonar.echoes)[0] else ""
+    return Sensors(equipment, sonar.faults, sonar.chances, echoes)
+
+
+def _simple(echoes: str) -> tuple[bool, float | None]:
+    """Return whether an incidence limit describes an echo model, and this limit [rad], None for any incidence."""
+    reflector, model = REFLECTORS[ECHOES[echoes].upright], ECHOES[echoes]
+    simple = model.level == "silent" and reflector == Reflector(reflector.incidence_limit)
+    return simple, reflector.incidence_limit if simple else None
 
 
 def _in_table(table: str, make: Callable[[], T]) -> T:
@@ -220,14 +244,14 @@ def _in_table(table: str, make: Callable[[], T]) -> T:
 
 def _array(table: SonarTable) -> SonarArray:
     values = {name: getattr(table, key) for key, name in _NAMES.items() if getattr(table, key) is not None}
-    for key, name in (("beam_deg", "beam_angle"), ("incidence_limit_deg", "incidence_limit")):
+    for key, name in (("beam_deg", "beam_angle"), ("pitch_deg", "pitch"), ("incidence_limit_deg", "incidence_limit")):
         value = getattr(table, key)
         if value is not None:
             values[name] = value * pi / 180.0
     if table.echoes is not None:
         if table.incidence_limit_deg is not None:
             raise InputError("sets the same quantity as incidence_limit_deg", key="echoes", remedy="remove one")
-        values["incidence_limit"] = ECHOES[table.echoes]
+        values["incidence_limit"] = _simple(table.echoes)[1]
     if table.azimuths_deg is not None:
         values["azimuths"] = tuple(a * pi / 180.0 for a in table.azimuths_deg)
         values.setdefault("order", tuple(range(len(table.azimuths_deg))))

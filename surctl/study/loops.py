@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Gains, build_law, law_source
+from surctl.errors import InputError
+from surctl.own_code import is_own
+from surctl.simulation import Disturbance, simulate
 from surctl.study.plan import Plan
 from surctl.verification import (
     LawCorners,
@@ -18,6 +21,7 @@ from surctl.verification import (
     law_corners,
     loop_margins,
     over_speeds,
+    steady_motion,
 )
 from surctl.verification.cascade import has_cascade
 from surctl.verification.linear import LinearSide, Mode, corners, linear_side, slowest_mode, worst_linear_side
@@ -76,6 +80,8 @@ def loops_of(plan: Plan, gains: Gains, *, dt: float) -> Loops:
         law = build_law(plan.law, guidance=plan.guidance, dt=dt)
         analysis = law_corners(law, plan.vehicle, gains, cruise=speed)
         return Loops(analysis.nominal.margins, law=analysis)
+    if is_own(plan.law):
+        return _own_loops(plan, gains, dt=dt)
     if not has_cascade(plan.law, plan.guidance):
         return Loops()
     from surctl.report import loop_responses  # loads matplotlib only now
@@ -93,3 +99,19 @@ def loops_of(plan: Plan, gains: Gains, *, dt: float) -> Loops:
         ),
         loop_responses(vehicle, values, cruise=cruise, dt=dt),
     )
+
+
+def _own_loops(plan: Plan, gains: Gains, *, dt: float) -> Loops:
+    # about the steadiest motion of the first mission that has one
+    own = gains.with_own(law_source(plan.law).gains)
+    law = build_law(plan.law, guidance=plan.guidance, dt=dt)
+    for leg in plan.deciding:
+        try:
+            calm = Disturbance(current_m_per_s=leg.scenario.disturbance.current_m_per_s)
+            scenario = replace(leg.scenario, disturbance=calm)
+            at = steady_motion(simulate(scenario, plan.vehicle, gains=own, law=law))
+            analysis = law_corners(law, plan.vehicle, own, cruise=at.speed, at=at)
+        except InputError:
+            continue
+        return Loops(analysis.nominal.margins, law=analysis)
+    return Loops()

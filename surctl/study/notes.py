@@ -113,7 +113,13 @@ def _loop_notes(plan: Plan, loops: Loops, speed: float) -> list[Note]:
     if loops.law is not None:
         return [_law_note(loops.law, speed)]
     if not margins:
-        return [Note(None, f"margins: not judged, because law {label(plan.law)} has no linear model", "margins")]
+        return [
+            Note(
+                None,
+                f"margins: not judged, because law {label(plan.law)} has no linear model or steady motion",
+                "margins",
+            )
+        ]
     least = min(margins, key=lambda m: m.delay_margin_s)
     if mode is not None and not mode.stable:
         margin_text = f"the linear loop at {speed:g} m/s is unstable (loop {mode.loop}): {unstable_text(mode)}"
@@ -144,11 +150,15 @@ def _loop_notes(plan: Plan, loops: Loops, speed: float) -> list[Note]:
 def _law_note(law: LawCorners, speed: float) -> Note:
     if not law.stable:
         where = "" if not law.nominal.stable else f" at the corner {law.corner}"
-        return Note(False, f"the sampled loop at {speed:g} m/s is unstable{where}; lower the cruise speed", "margins")
+        return Note(False, f"the sampled loop {_at(law, speed)} is unstable{where}; lower the cruise speed", "margins")
     least = min(law.nominal.margins, key=lambda m: m.delay_margin_s)
-    text = f"margins at {speed:g} m/s: least delay margin {least.delay_margin_s:.2f} s ({least.name}), disk margin of "
+    text = f"margins {_at(law, speed)}: least delay margin {least.delay_margin_s:.2f} s ({least.name}), disk margin of "
     text += f"all thrust loops {law.nominal.disk.guaranteed:.2f}, {law.disk:.2f} at the worst of {law.text}"
     return Note(True, text, "margins")
+
+
+def _at(law: LawCorners, speed: float) -> str:
+    return f"about {law.nominal.place}" if law.nominal.place else f"at {speed:g} m/s"
 
 
 def unstable_text(mode: Mode) -> str:

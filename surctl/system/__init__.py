@@ -9,7 +9,15 @@ from surctl.system.controller import (
     Step,
     command_ports,
 )
+from surctl.system.from_control import (
+    controller_from_control,
+    from_control,
+    plant_from_control,
+    system_from_control,
+    to_control,
+)
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
+from surctl.system.linear_loop import LinearLoop, LoopNames
 from surctl.system.loop import Cost, Signals, System
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
@@ -27,7 +35,9 @@ __all__ = [
     "Controller",
     "ControllerStep",
     "Cost",
+    "LinearLoop",
     "Linearisation",
+    "LoopNames",
     "Operating",
     "Parts",
     "Plant",
@@ -38,14 +48,19 @@ __all__ = [
     "Step",
     "System",
     "command_ports",
+    "controller_from_control",
     "entry_labels",
     "entry_units",
     "every_combination",
     "find_equilibrium",
+    "from_control",
     "linearise",
     "linearise_plant",
     "periods",
+    "plant_from_control",
     "run_system",
     "save_record",
     "simulate_system",
+    "system_from_control",
+    "to_control",
 ]

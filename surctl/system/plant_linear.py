@@ -14,7 +14,7 @@ from surctl.ir import Layout
 from surctl.system.parts import entry_labels
 from surctl.system.plant import Plant
 
-__all__ = ["linearise_plant", "plant_matrices", "state_space"]
+__all__ = ["linearise_plant", "plant_matrices", "plant_slopes", "state_space"]
 
 Array = NDArray[np.float64]
 
@@ -66,12 +66,16 @@ def linearise_plant(
 
 def plant_matrices(plant: Plant, x: Array, f: Array, d: Array, p: Array) -> tuple[Array, ...]:
     """Return (A, B, E, C, D) of a plant about a flat point: x' = A x + B f + E d and y = C x + D d."""
-    symbols = [ca.SX.sym(name, len(part)) for name, part in zip("xfd", (x, f, d), strict=True)]
-    at, force, disturbance = symbols
-    numbers = ca.SX(ca.DM(p))
-    rate, y = plant.derivative(at, force, disturbance, numbers), plant.measurement(at, disturbance, numbers)
-    jacobians = [ca.jacobian(rate, v) for v in symbols] + [ca.jacobian(y, v) for v in (at, disturbance)]
-    return tuple(np.array(m) for m in ca.Function("plant", symbols, jacobians).call([x, f, d]))
+    return tuple(np.array(m) for m in plant_slopes(plant).call([x, f, d, p]))
+
+
+def plant_slopes(plant: Plant) -> ca.Function:
+    """Return the function of x, f, d and p that computes the matrices of `plant_matrices`."""
+    layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
+    x, f, d, p = (ca.SX.sym(name, layout.size) for name, layout in layouts.items())
+    rate, y = plant.derivative(x, f, d, p), plant.measurement(x, d, p)
+    jacobians = [ca.jacobian(rate, v) for v in (x, f, d)] + [ca.jacobian(y, v) for v in (x, d)]
+    return ca.Function("plant", [x, f, d, p], jacobians)
 
 
 def state_space(plant: Plant, matrices: Sequence[Array]) -> Any:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, on_vectors
+from surctl.plotted import Plotted
 from surctl.recorded_write import Column
 from surctl.system.controller import NONFINITE, lost_entry
 from surctl.system.loop import How, System, once_per_system
@@ -24,8 +25,10 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Record:
+class Record(Plotted):
     """The signals of one run at its n control instants; `record["name"]` is a signal (n, size) or a metric.
+
+    `plot()` draws states, commands and references over time.
 
     Attributes:
         system: the closed loop.
@@ -40,6 +43,8 @@ class Record:
         lost: for a run that ended as "not finite", the first number that is not finite and its time, such as "state
             x[0] at 1.2 s"; otherwise empty.
     """
+
+    PLOT = "surctl.report.system_plot:plot_record"
 
     system: System
     time: Array

@@ -25,6 +25,7 @@ from surctl.ir import (
     lower_named,
     without_libm,
 )
+from surctl.plotted import Plotted
 from surctl.system.loop import Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
@@ -40,8 +41,8 @@ _FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})
 
 
 @dataclass(frozen=True)
-class Runs:
-    """Results of n runs; `runs["name"]` returns a metric (n,).
+class Runs(Plotted):
+    """Results of n runs; `runs["name"]` returns a metric (n,), and `plot()` draws how each metric is distributed.
 
     Attributes:
         figures: values (n,) of each metric (cost) by name; NaN for a run that produced a number that is not finite, and
@@ -50,6 +51,8 @@ class Runs:
         time: (n,) duration of each run [s].
         state: (n, states) plant state at the end of each run.
     """
+
+    PLOT = "surctl.report.system_plots:plot_runs"
 
     figures: Mapping[str, Array]
     stopped: NDArray[np.str_]

@@ -27,6 +27,12 @@ from surctl.tuning.evaluation import (
 from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
 from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_at, goals_from_tables, load_goals
 from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
+from surctl.tuning.law_goals import case_loop
+from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
+from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable, loop_goal
+from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
+from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
+from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
 from surctl.tuning.measure import build_cases, check_column
 from surctl.tuning.misses import Miss, advice, misses, value_text
 from surctl.tuning.montecarlo import Counterexample, MonteCarlo
@@ -39,6 +45,7 @@ from surctl.tuning.sensitivity import Sensitivity, sensitivity
 from surctl.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
 from surctl.tuning.start import lqr_start
 from surctl.tuning.sweep import TABLE, sweep
+from surctl.tuning.system_goals import load_loop_goals
 from surctl.tuning.systems import SystemTuning, tune_system
 from surctl.tuning.table import DELAY_FLOOR, DISK_FLOOR, SweepTable, SweptAxis, load_sweep
 
@@ -48,6 +55,7 @@ __all__ = [
     "DESIGNS",
     "DISK_FLOOR",
     "LIBRARY",
+    "LOOP_GOAL_KEYS",
     "SEED",
     "SURROGATES",
     "TABLE",
@@ -59,26 +67,47 @@ __all__ = [
     "Derivation",
     "Design",
     "DifferentiableRun",
+    "Effort",
     "Evaluation",
     "Executor",
     "GainRange",
     "Goal",
     "GoalTable",
+    "Judgement",
     "LocalExecutor",
+    "LoopGoal",
+    "LoopGoalTable",
+    "LoopScores",
+    "LoopShape",
+    "LoopView",
+    "Margins",
+    "MaxGain",
     "Miss",
     "MonteCarlo",
+    "Overshoot",
+    "PointTable",
+    "Poles",
     "Pool",
+    "Profile",
     "Refinement",
+    "Rejection",
     "Request",
     "Round",
+    "Score",
     "Sensitivity",
+    "SensitivityBound",
+    "Settling",
     "Span",
+    "StepRejection",
+    "StepTracking",
     "SweepTable",
     "SweptAxis",
     "SystemTuning",
+    "Tracking",
     "Tuning",
     "advice",
     "build_cases",
+    "case_loop",
     "check_column",
     "check_goals",
     "conditions",
@@ -96,12 +125,16 @@ __all__ = [
     "goals_from_tables",
     "grid",
     "has_tuned",
+    "judge_loops",
     "judged_goals",
     "load_goals",
+    "load_loop_goals",
     "load_sweep",
+    "loop_goal",
     "lqr_start",
     "make_design",
     "misses",
+    "operating_loops",
     "parse_axis",
     "prepare",
     "refine",

@@ -9,7 +9,7 @@ exactly sampled loop with one period of delay. If the check fails, a search chan
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from surctl.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
 from surctl.errors import InputError
+from surctl.tuning.stored import HashedVehicle, stored_numbers
 from surctl.tuning.vehicle_rule import DEPENDENT, held_speed, inner_start, munk_rate, rule, top_speed
 from surctl.vehicle import LIBRARY, Vehicle, load_vehicle, plant_parameters
 from surctl.vehicle.linearise import check_cruise
@@ -188,7 +189,7 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
         if not (np.isfinite(value) and value > 0):
             raise InputError("must be greater than 0", key=key, value=value, remedy="correct it")
     check_cruise(vehicle, cruise)
-    return _derive(_Hashed(vehicle), float(cruise), float(dt))
+    return _derive(HashedVehicle(vehicle), float(cruise), float(dt))
 
 
 def has_tuned(vehicle: Vehicle) -> bool:
@@ -259,21 +260,13 @@ def _tuned_digests() -> frozenset[str]:
     return frozenset(load_vehicle(str(LIBRARY / f"{name}.toml")).digest() for name in TUNED_FOR)
 
 
-class _Hashed:
-    """A vehicle that compares by name and parameters, as a key of the cache."""
-
-    def __init__(self, vehicle: Vehicle) -> None:
-        self.vehicle, self.key = vehicle, (vehicle.name, vehicle.digest())
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Hashed) and self.key == other.key
-
-
 @lru_cache(maxsize=64)
-def _derive(hashed: _Hashed, cruise: float, dt: float) -> Derivation:
+def _derive(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
+    numbers: Any = stored_numbers((*hashed.key, cruise, dt), lambda: asdict(_derivation(hashed, cruise, dt)))
+    return Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
+
+
+def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
     if (vehicle := hashed.vehicle.at_speed(cruise))["Fv_max"] == 0:
         return _steered(vehicle, cruise, dt)
     inner, _ = _searched(vehicle, cruise, dt)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.simulation import Case, case_parameters, simulate_batch
 from surctl.tuning.goals import Goal
+from surctl.tuning.law_goals import judged_loops
 from surctl.vehicle import Vehicle
 from surctl.verification import check_held, linear_table
 from surctl.verification.cascade import has_cascade
@@ -279,13 +280,15 @@ def figures(
     """
     count = len(next(iter(sets.values())))
     looped = {"effort_n", *(g.metric for g in goals if not g.linear)}
-    linear = [g for g in goals if g.linear]
+    linear = [g for g in goals if g.linear and g.loop is None]
+    loops = [g for g in goals if g.loop is not None]
     needed: dict[float | None, set[int]] = {}  # compute only these, because a linear metric costs more than a run
     for goal in linear:
         for speed in goal.columns.values():
             needed.setdefault(speed, set()).update(scope(goal, conditions))
     columns = {(g.metric, speed): name for g in linear for name, speed in g.columns.items()}
-    table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *columns.values())}
+    own_loops = [name for goal in loops for name in goal.columns]
+    table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *columns.values(), *own_loops)}
     for case, own in _by_case(conditions):
         seeds = np.tile([conditions[k].seed for k in own], count)
         batch = simulate_batch(case, _spread(case, [conditions[k] for k in own], sets), seeds=seeds, threads=threads)
@@ -298,13 +301,18 @@ def figures(
             if about:
                 for name, values in _linear(case, speed, [conditions[k] for k in about], sets, names, threads).items():
                     table[columns[name, speed]][:, about] = values
+        for goal in loops:
+            about = sorted(set(own) & set(scope(goal, conditions)))
+            for name, speed in goal.columns.items() if about else ():
+                table[name][:, about] = judged_loops(goal, case, speed, [conditions[k].plant for k in about], sets)
     return table
 
 
 def judged_goals(goals: Sequence[Goal], cases: Sequence[Case]) -> tuple[tuple[Goal, ...], tuple[Goal, ...]]:
     """Return the goals that can be judged for these cases, and the other goals.
 
-    A goal about the linear loop cannot be judged if the law has no linear model.
+    A goal about a metric of the linear loop cannot be judged if the law is not that of the model of these metrics. A
+    goal with `type` is judged on the law that runs.
 
     Example:
         >>> from surctl.control import load_gains
@@ -316,7 +324,7 @@ def judged_goals(goals: Sequence[Goal], cases: Sequence[Case]) -> tuple[tuple[Go
         [['soon'], ['robust']]
     """
     linear = all(has_cascade(case.law, case.guidance) for case in cases)
-    left = tuple(goal for goal in goals if goal.linear and not linear)
+    left = tuple(goal for goal in goals if goal.linear and goal.loop is None and not linear)
     return tuple(goal for goal in goals if goal not in left), left
 
 

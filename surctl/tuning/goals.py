@@ -17,13 +17,17 @@ from pydantic import Field
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, load_model, pick
-from surctl.simulation import METRICS
+from surctl.simulation import METRICS, MetricSpec
+from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, loop_goal
+from surctl.tuning.loop_goals import LoopGoal
 from surctl.verification import LINEAR_METRICS, cruise_speeds, worst_place
 
 __all__ = [
     "LIBRARY",
+    "LOOP_METRIC",
     "Goal",
     "GoalTable",
+    "GoalsFile",
     "Kind",
     "Over",
     "Plants",
@@ -40,6 +44,10 @@ Sense = Literal["at most", "at least"]
 Over = Literal["worst", "mean"]
 Plants = Literal["all", "nominal"]
 
+LOOP_METRIC = "loop_goal"
+"""Name of the metric of goals about the loop: the normalised value of the `LoopGoal`."""
+
+_LOOP_SPEC = MetricSpec("1", "normalised value of the goal about the loop", "low")
 _SIGNED = ("slowest_pole_per_s",)  # the bound on the real part of a pole is negative; all other bounds are positive
 
 
@@ -61,6 +69,8 @@ class Goal:
             systune).
         cruise: cruise speeds [m/s], slowest first, at each of which the linear loop must meet the goal; empty: the
             scenario's own speed.
+        loop: a goal about the loop of the law that runs (`LoopGoal`), for the metric `LOOP_METRIC`, which is its
+            normalised value.
 
     Raises:
         InputError: the metric is unknown, the unit is wrong, the sense contradicts the metric, the limit has the wrong
@@ -77,9 +87,10 @@ class Goal:
     cases: tuple[str, ...] = ()
     plants: Plants = "all"
     cruise: tuple[float, ...] = ()
+    loop: LoopGoal | None = None
 
     def __post_init__(self) -> None:
-        known = {**METRICS, **LINEAR_METRICS}
+        known = {**METRICS, **LINEAR_METRICS, **({} if self.loop is None else {LOOP_METRIC: _LOOP_SPEC})}
         key = f"goals.{self.name}"
         if self.metric not in known:
             raise InputError(
@@ -105,7 +116,7 @@ class Goal:
     @property
     def linear(self) -> bool:
         """Whether the metric describes the linear loop; a linear metric does not depend on the seed."""
-        return self.metric in LINEAR_METRICS
+        return self.metric in LINEAR_METRICS or self.loop is not None
 
     @property
     def cruise_key(self) -> str:
@@ -118,7 +129,8 @@ class Goal:
 
         None means the scenario's own cruise speed.
         """
-        return {f"{self.metric} at {u!r} m/s": u for u in self.cruise} or {self.metric: None}
+        name = self.metric if self.loop is None else f"{self.metric} {self.name}"
+        return {f"{name} at {u!r} m/s": u for u in self.cruise} or {name: None}
 
     def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the metric values with the sign for which larger is worse (shape unchanged); NaN becomes inf."""
@@ -160,27 +172,42 @@ class Goal:
         """The goal as plain data for JSON."""
         bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}
         over = {"over": self.over, "cases": list(self.cases), "plants": self.plants}
-        return {"name": self.name, **bound, "kind": self.kind, **over, "cruise_m_per_s": list(self.cruise)}
+        about = {} if self.loop is None else {"loop": self.loop.to_dict()}
+        return {"name": self.name, **bound, "kind": self.kind, **over, "cruise_m_per_s": list(self.cruise), **about}
 
 
-class GoalTable(Strict):
-    """Content of a `[[goals]]` table in a goals file or a study file."""
+class GoalTable(LoopGoalTable):
+    """Content of a `[[goals]]` table in a goals file or a study file; with `type`, a goal about the loop."""
 
-    name: str = Field(min_length=1)
-    metric: str
-    at_most: Quantity | None = None
+    type: str | None = None  # type: ignore[assignment]
+    metric: str | None = None
     at_least: Quantity | None = None
-    kind: Kind = "soft"
     over: Over = "worst"
     cases: tuple[str, ...] = ()
     plants: Plants = "all"
     cruise_m_per_s: tuple[float, ...] | None = None
 
+    def loop(self) -> LoopGoalTable:
+        """Return the table of a goal about the loop.
 
-class _GoalsFile(Strict):
+        Raises:
+            InputError: it has a key of a goal about a metric.
+        """
+        for name in ("metric", "at_least", "over", "cases"):
+            if name in self.model_fields_set:
+                problem = f"is no key of a goal of type {self.type}"
+                raise InputError(problem, key=f"goals.{self.name}.{name}", remedy="leave it out, or drop type")
+        left = self.model_dump(by_alias=True, exclude_unset=True)
+        return LoopGoalTable.model_validate({k: v for k, v in left.items() if k not in ("plants", "cruise_m_per_s")})
+
+
+class GoalsFile(Strict):
+    """Content of a goals file."""
+
     kind: Literal["goals"]
     name: str = Field(min_length=1)
     note: str = ""
+    points: tuple[PointTable, ...] = ()
     goals: tuple[GoalTable, ...] = Field(min_length=1)
 
 
@@ -196,7 +223,14 @@ def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
         [('deviation_m', 'at most', 0.5, 'm'), ('time_s', 'at most', 53.0, 's'), ('effort_n', 'at most', 4.2, 'N')]
     """
     path = pick(str(name_or_path), LIBRARY, what="goals")
-    return goals_from_tables(load_model(path, _GoalsFile).goals, file=path)
+    return _robot_goals(load_model(path, GoalsFile), path)
+
+
+def _robot_goals(content: GoalsFile, path: Path) -> tuple[Goal, ...]:
+    if content.points:
+        remedy = "use cruise_m_per_s and plants of each goal; [[points]] are for a system: surctl tune FILE.py:FUNCTION"
+        raise InputError("are not for the robot", file=path, key="points", remedy=remedy)
+    return goals_from_tables(content.goals, file=path)
 
 
 def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
@@ -220,7 +254,23 @@ def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goa
     return tuple(goals.values())
 
 
+def _loop_goal(table: GoalTable) -> Goal:
+    if table.points:
+        remedy = "use cruise_m_per_s: operating points of the robot are its cruise speeds"
+        raise InputError("are not for the robot", key=f"goals.{table.name}.points", remedy=remedy)
+    goal = Goal(table.name, LOOP_METRIC, "1", 1.0, kind=table.kind, plants=table.plants, loop=loop_goal(table.loop()))
+    if table.cruise_m_per_s is None:
+        return goal
+    return replace(goal, cruise=cruise_speeds(table.cruise_m_per_s, key=goal.cruise_key))
+
+
 def _goal(table: GoalTable) -> Goal:
+    if (table.type is None) == (table.metric is None):
+        remedy = "write metric = ... for one number of a run or loop, or type = ... for a goal about the loop"
+        raise InputError("needs either a metric or a type", key=f"goals.{table.name}", remedy=remedy)
+    if table.type is not None or table.metric is None:
+        return _loop_goal(table)
+    _check_keys(table)
     bounds: Mapping[Sense, Quantity | None] = {"at most": table.at_most, "at least": table.at_least}
     stated = [(sense, bound) for sense, bound in bounds.items() if bound is not None]
     if len(stated) != 1:
@@ -241,6 +291,13 @@ def _goal(table: GoalTable) -> Goal:
     if table.cruise_m_per_s is None:
         return goal
     return replace(goal, cruise=cruise_speeds(table.cruise_m_per_s, key=goal.cruise_key))
+
+
+def _check_keys(table: GoalTable) -> None:
+    own = {"name", "metric", "at_most", "at_least", "kind", "over", "cases", "plants", "cruise_m_per_s"}
+    for name in sorted(table.model_fields_set - own):
+        remedy = "write type instead of metric, or leave the key out"
+        raise InputError("is no key of a goal with a metric", key=f"goals.{table.name}.{name}", remedy=remedy)
 
 
 def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.system import ENDED, System, every_combination, linearise, simulate_system
 from surctl.system.values import check_scalar, run_numbers
+from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch
+from surctl.tuning.loop_goals import LoopGoal
+from surctl.tuning.loop_scores import LoopScores
 from surctl.verification import system_disk_margin
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
@@ -31,7 +34,7 @@ class SystemTuning:
     """The result of `tune_system`.
 
     Attributes:
-        objective: name of the minimised cost.
+        objective: name of the minimised cost, or `GOALS` for the largest normalised value of the soft goals.
         gains: the chosen gains by name; if no gain set satisfies all bounds, the gains that are nearest to the bounds.
         costs: costs of the chosen gains as means over the cases; infinite if a run ends early.
         before: costs of the system's own gains.
@@ -40,6 +43,8 @@ class SystemTuning:
         least_disk_margin: bound of the disk margin.
         trials: number of gain sets simulated.
         unmet: names of the bounds that the chosen gains break; empty if the tuning succeeded.
+        goals, goals_before: scores of the goals with the chosen gains and with the system's own gains; None without
+            goals.
     """
 
     objective: str
@@ -50,6 +55,8 @@ class SystemTuning:
     least_disk_margin: float
     trials: int
     unmet: tuple[str, ...]
+    goals: LoopScores | None = None
+    goals_before: LoopScores | None = None
 
 
 def tune_system(
@@ -63,8 +70,13 @@ def tune_system(
     least_disk_margin: float = LEAST_DISK_MARGIN,
     seed: int = 0,
     threads: int = 1,
+    goals: Sequence[LoopGoal] = (),
+    points: Mapping[str, Mapping[str, ArrayLike]] = NO_POINTS,
 ) -> SystemTuning:
     """Search gains that minimise a cost of a system, by scipy's differential evolution over compiled runs.
+
+    With soft `goals`, the largest normalised value of them is minimised instead, as `systune` does; costs with a bound
+    keep it. Hard goals are bounds.
 
     A gain set is feasible if no run ends early, every cost is at most its bound (`Cost.at_most`), and the disk margin
     is at least `least_disk_margin`. The disk margin is computed only for the sets with the least cost, because its
@@ -82,10 +94,12 @@ def tune_system(
         least_disk_margin: least disk margin with all commands opened at once; 0 for no bound.
         seed: seed of the search.
         threads: number of threads that share the runs.
+        goals: goals about the loop.
+        points: operating points of the goals, by name, as in `operating_loops`.
 
     Raises:
-        InputError: the system has no cost, no gain is named, a name is unknown or a range is not valid; see also
-            `run_numbers`.
+        InputError: there is neither a cost nor a soft goal, no gain is named, a name is unknown or a range is not
+            valid; see also `run_numbers`.
         ToolMissing: there is no C compiler.
 
     Example:
@@ -105,11 +119,12 @@ def tune_system(
     """
     from scipy.optimize import differential_evolution
 
-    name = check_tuning(system, ranges, cases or {}, objective=objective)
+    name = check_tuning(system, ranges, cases or {}, objective=objective, goals=goals)
+    judged = GoalSearch(system, tuple(goals), points) if goals else None
     names, (low, high) = list(ranges), np.array(list(ranges.values()), dtype=float).T
     logarithmic = low > 0
     ends = np.column_stack([np.where(logarithmic, np.log(np.where(logarithmic, e, 1)), e) for e in (low, high)])
-    search = _Search(system, seconds, names, dict(cases or {}), name, threads)
+    search = _Search(system, seconds, names, dict(cases or {}), name, threads, judged)
 
     def cost_of(points: Array) -> Array:
         """Return the penalised cost of each gain set, that is, of each column of `points`."""
@@ -137,16 +152,18 @@ def check_tuning(
     cases: Mapping[str, ArrayLike],
     *,
     objective: str | None = None,
+    goals: Sequence[LoopGoal] = (),
 ) -> str:
-    """Return the cost to minimise after a check of the arguments of `tune_system`; nothing is compiled.
+    """Return the name of what is minimised, a cost or `GOALS`, after a check of the arguments; nothing is compiled.
 
     Raises:
         InputError: as in `tune_system`.
     """
-    name = next(iter(system.costs), "") if objective is None else objective
-    if name not in system.costs:
+    soft = any(goal.kind == "soft" for goal in goals)
+    name = (GOALS if soft else next(iter(system.costs), "")) if objective is None else objective
+    if name not in system.costs and not (soft and name == GOALS):
         problem = "has no costs" if not system.costs else "no such cost"
-        remedy = "give System(..., costs={...})" if not system.costs else nearest(name, system.costs)
+        remedy = "give System(..., costs={...}) or a soft goal" if not system.costs else nearest(name, system.costs)
         raise InputError(problem, key="objective", value=objective, remedy=remedy)
     if not ranges:
         raise InputError("nothing is tuned", key="ranges", remedy="name at least one gain with (low, high)")
@@ -173,18 +190,24 @@ class _Search:
         cases: dict[str, ArrayLike],
         objective: str,
         threads: int,
+        goals: GoalSearch | None = None,
     ) -> None:
         self.system, self.seconds, self.names, self.objective, self.threads = system, seconds, names, objective, threads
         arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
         self.count = max((len(a) for a in arrays.values() if a.ndim), default=1)
         self.cases = arrays
+        self.goals = goals
         self.sets: list[Array] = []
         self.figures: list[Array] = []
+        self.scores: list[Array] = []  # largest normalised soft goal, excess of the hard ones
         self.lasted = np.zeros(0)  # share of the duration, of the sets simulated last
 
     def costs(self, sets: Array) -> Array:
         """Return the mean costs (sets, costs) of gain sets (sets, gains); infinite if a run of a case ends early."""
         n, k = len(sets), self.count
+        if not self.system.costs:
+            self.lasted = np.ones(n)
+            return np.zeros((n, 0))
         values = every_combination(dict(zip(self.names, sets.T, strict=True)), self.cases)
         runs = simulate_system(self.system, self.seconds, values, threads=self.threads)
         whole = runs.stopped == ENDED
@@ -208,18 +231,20 @@ class _Search:
         end early, the value is a still larger number, which decreases if the runs end later.
         """
         figures = self.costs(sets)
+        scores = np.zeros((len(sets), 2)) if self.goals is None else self.goals.scores(self.names, sets)
         self.sets.append(sets)
         self.figures.append(figures)
-        excess = np.minimum(self.excess(figures).sum(axis=1), _MOST)
+        self.scores.append(scores)
+        excess = np.minimum(self.excess(figures).sum(axis=1) + np.minimum(scores[:, 1], _MOST), _MOST)
         excess[self.lasted < 1] = _MOST * (2 - self.lasted[self.lasted < 1])
-        value = figures[:, list(self.system.costs).index(self.objective)]
+        value = self.value(figures, scores)
         return np.where((excess > 0) | ~np.isfinite(value), _WORSE * (1 + excess), np.minimum(value, _WORSE))
 
     def chosen(self, least: float) -> SystemTuning:
         """Return the gain set with the least cost that satisfies every bound, or else the set nearest to the bounds."""
-        sets, figures = np.vstack(self.sets), np.vstack(self.figures)
-        value = figures[:, list(self.system.costs).index(self.objective)]
-        excess = self.excess(figures).sum(axis=1)
+        sets, figures, scores = np.vstack(self.sets), np.vstack(self.figures), np.vstack(self.scores)
+        value = self.value(figures, scores)
+        excess = self.excess(figures).sum(axis=1) + scores[:, 1]
         order = np.lexsort((np.where(np.isfinite(value), value, np.inf), excess))
         feasible = [int(k) for k in order[:_EXAMINED] if excess[k] == 0]
         best, margin = int(order[0]), self.margin(sets[order[0]])
@@ -231,7 +256,13 @@ class _Search:
                 break
         broken = [name for j, name in enumerate(self.system.costs) if self.excess(figures[best][None])[0, j] > 0]
         broken += ["disk margin"] if margin is not None and margin < least else []
-        own = self.costs(np.array([[self._nominal(name) for name in self.names]]))[0]
+        nominal = np.array([self._nominal(name) for name in self.names])
+        own = self.costs(nominal[None])[0]
+        judged = [
+            None if self.goals is None else self.goals.judged(self.names, gains) for gains in (sets[best], nominal)
+        ]
+        if judged[0] is not None:
+            broken += [s.goal.name for s in judged[0].worst() if s.goal.kind == "hard" and not s.judgement.met]
         return SystemTuning(
             self.objective,
             dict(zip(self.names, sets[best].tolist(), strict=True)),
@@ -241,7 +272,12 @@ class _Search:
             least,
             len(sets),
             tuple(broken),
+            *judged,
         )
+
+    def value(self, figures: Array, scores: Array) -> Array:
+        """Return what is minimised, (sets,)."""
+        return scores[:, 0] if self.objective == GOALS else figures[:, list(self.system.costs).index(self.objective)]
 
     def margin(self, gains: Array) -> float | None:
         """Return the disk margin at the first case with all commands opened at once; None without an equilibrium."""

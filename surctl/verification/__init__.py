@@ -16,6 +16,7 @@ from surctl.verification.library import applicable_claims, claims
 from surctl.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
 from surctl.verification.locus import Locus, sweep_locus
 from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
+from surctl.verification.operating_point import OperatingPoint, steady_motion
 from surctl.verification.proving import Proof, prove
 from surctl.verification.sampled_margins import system_disk_margin, system_margins
 from surctl.verification.setting import Setting, setting_from
@@ -43,6 +44,7 @@ __all__ = [
     "Locus",
     "LoopMargins",
     "Motion",
+    "OperatingPoint",
     "OverSpeeds",
     "Proof",
     "Replay",
@@ -71,6 +73,7 @@ __all__ = [
     "setting_from",
     "settling_intrusion",
     "speeds_text",
+    "steady_motion",
     "sweep_locus",
     "system_disk_margin",
     "system_margins",

@@ -12,6 +12,7 @@ from surctl.errors import InputError
 from surctl.vehicle import Vehicle
 from surctl.verification.law_loop import LawLoop, law_loop
 from surctl.verification.linear.corners import corners
+from surctl.verification.operating_point import OperatingPoint
 
 __all__ = ["DRAG_SPREAD", "MASS_SPREAD", "LawCorners", "law_corners"]
 
@@ -61,15 +62,23 @@ class LawCorners:
 
 
 def law_corners(
-    law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, uncertainty: float | None = None
+    law: Law,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    cruise: float,
+    uncertainty: float | None = None,
+    at: OperatingPoint | None = None,
 ) -> LawCorners:
     """Return the loop of a law about a straight cruise for the nominal plant and the worst corner of its parameters.
+
+    With `at`, every loop is linearised about that steady motion.
 
     The corners are those of the ranges in the vehicle file. If the file states none, all masses are off by ±5 % and all
     drag coefficients by ±20 %; with `uncertainty`, both by this share.
 
     Args:
-        law, vehicle, gains, cruise: as for `law_loop`.
+        law, vehicle, gains, cruise, at: as for `law_loop`.
         uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None.
 
     Raises:
@@ -85,14 +94,14 @@ def law_corners(
         >>> result.stable, round(result.nominal.disk.guaranteed, 2), result.corner
         (True, 0.83, 'mass -5%, drag -20%')
     """
-    nominal = law_loop(law, vehicle, gains, cruise=cruise)
+    nominal = law_loop(law, vehicle, gains, cruise=cruise, at=at)
     stated = uncertainty is None and any(one.range is not None for one in vehicle.parameters.values())
     spread = MASS_SPREAD if uncertainty is None else uncertainty
     tried = corners(vehicle) if stated else corners(vehicle, spread, drag=DRAG_SPREAD if uncertainty is None else None)
     worst, label, unable = nominal, "the nominal vehicle", 0
     for plant in tried.vehicles[1:]:
         try:
-            loop = law_loop(law, plant, gains, cruise=cruise, model=vehicle)
+            loop = law_loop(law, plant, gains, cruise=cruise, model=vehicle, at=at)
         except InputError:  # the thrust cannot hold the speed
             unable += 1
             continue

@@ -1,22 +1,22 @@
 """The sampled loop of any law about a straight cruise, linearised numerically from the law that runs.
 
 The law is differentiated by central differences of its control step, so the linear loop needs no model of the law. All
-quantities are deviations from a cruise along x at the speed U, far from the ends of the path, obstacles and walls: the
-same place as in `cascade`. The plant is continuous, with thrust lag; thrust commands are held over a control period and
-computed one period before they act.
+quantities are deviations from a cruise along x at the speed U, far from the ends of the path, obstacles and walls (the
+same place as in `cascade`), or from a steady motion of a run. The plant is continuous, with thrust lag; thrust commands
+are held over a control period and computed one period before they act.
 
 A state of the law belongs to the loop if the measurements change it and it changes the thrust. An axis that the law
-leaves alone (heave without heave force) does not belong to the loop.
+leaves alone (heave without heave force), and a coordinate that changes nothing (the position along a wall that is
+followed), do not belong to the loop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,13 +24,13 @@ from surctl.allocation import allocate
 from surctl.control import Gains, Law, law_parameters, law_source
 from surctl.errors import InputError
 from surctl.guidance import Path
-from surctl.ir import Layout, Port
 from surctl.own_code import label
-from surctl.system import Action, Controller, Linearisation, Plant, System, linearise
+from surctl.system import LinearLoop, LoopNames
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
-from surctl.vehicle.linearise import SIGNAL_UNITS, STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
 from surctl.verification.linear.disk import DiskMargin
 from surctl.verification.margins import LoopMargins
+from surctl.verification.operating_point import OperatingPoint
 from surctl.verification.sampled_margins import system_disk_margin, system_margins
 
 Array = NDArray[np.float64]
@@ -42,6 +42,8 @@ _HEADROOM = 1.5  # speed cap over the cruise speed: the cap must not act in a cr
 _FAR = 1e6  # [m]
 _STEP = 1e-6  # of the central differences
 _COUPLED = 1e-9  # largest derivative that counts as none
+_NEUTRAL = 1e-4  # the same for x and y, as a share of the larger: the heading of a run is not exact
+_KINK = 0.01  # relative difference of one-sided derivatives that is reported
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +54,17 @@ class LawLoop:
         law: name of the law.
         cruise: cruise speed U [m/s].
         linear: the loop, with the thrust commands and the measurements as signals.
+        place: the motion about which the loop is linearised, as text.
+        free: coordinates that change nothing; they are left out.
+        kink: difference of the one-sided derivatives of the law there, relative to their size; 0 if it is smooth.
     """
 
     law: str
     cruise: float
-    linear: Linearisation
+    linear: LinearLoop
+    place: str = ""
+    free: tuple[str, ...] = ()
+    kink: float = 0.0
 
     @cached_property
     def poles(self) -> NDArray[np.complex128]:
@@ -71,7 +79,7 @@ class LawLoop:
     @cached_property
     def disk(self) -> DiskMargin:
         """Disk margin of all thrust commands together."""
-        return system_disk_margin(self.linear, *(port.name for port in self.linear.system.commands))
+        return system_disk_margin(self.linear, *self.linear.names.commands)
 
     @property
     def stable(self) -> bool:
@@ -80,16 +88,22 @@ class LawLoop:
 
     def lines(self) -> list[str]:
         """Return lines of text with the margins of each loop."""
-        head = f"sampled loop of law {self.law} at {self.cruise:g} m/s, linearised numerically: "
+        where = f"about {self.place}" if self.place else f"at {self.cruise:g} m/s"
+        head = f"sampled loop of law {self.law} {where}, linearised numerically: "
+        notes = [f"  left out, because nothing depends on it: {', '.join(self.free)}"] if self.free else []
+        notes = ["  x is the position along the heading, y the position to its right", *notes] if self.place else notes
+        if self.kink > _KINK:
+            slopes = f"the derivatives of the law to both sides differ by {self.kink:.0%}"
+            notes.append(f"  caution: {slopes} there; the margins are those of their mean")
         if not self.stable:
-            return [f"{head}UNSTABLE, largest pole |z| = {abs(self.poles[0]):.5f}"]
+            return [f"{head}UNSTABLE, largest pole |z| = {abs(self.poles[0]):.5f}", *notes]
         lines = [f"{head}stable, disk margin of all thrust loops {self.disk.guaranteed:.2f}"]
         for m in self.margins:
             gain = f"gain {m.least_gain:.2g} to {m.gain_margin:.2g}"
             phase = "phase never lost" if np.isinf(m.phase_margin_deg) else f"phase {m.phase_margin_deg:.0f} deg"
             delay = "" if np.isinf(m.delay_margin_s) else f", delay {m.delay_margin_s:.2f} s"
             lines.append(f"  loop {m.name}: {gain}, {phase}{delay}, disk {m.disk_margin:.2f}")
-        return lines
+        return lines + notes
 
     def to_dict(self) -> dict[str, Any]:
         """Return the stability of the loop as plain data for JSON."""
@@ -98,11 +112,22 @@ class LawLoop:
             "cruise_m_per_s": self.cruise,
             "stable": self.stable,
             "largest_pole": float(np.abs(self.poles[0])),
+            "place": self.place or None,
+            "free": list(self.free),
+            "kink": self.kink,
         }
 
 
-def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: Vehicle | None = None) -> LawLoop:
-    """Return the linear sampled loop of a law about a straight cruise.
+def law_loop(
+    law: Law,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    cruise: float,
+    model: Vehicle | None = None,
+    at: OperatingPoint | None = None,
+) -> LawLoop:
+    """Return the linear sampled loop of a law about a straight cruise, or about a steady motion.
 
     Args:
         law: a law for exact obstacle positions, without sonars.
@@ -110,6 +135,8 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
         gains: the gains of the law; gains of its own that are missing have their defaults.
         cruise: cruise speed U [m/s], > 0.
         model: the controller's model of the vehicle; default: the vehicle itself.
+        at: a steady motion (`steady_motion`), in place of the cruise; it fixes the law's gains and model, and its speed
+            replaces `cruise`.
 
     Raises:
         InputError: the law uses sonars, or the vehicle cannot cruise at that speed.
@@ -124,10 +151,15 @@ def law_loop(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, model: 
     """
     if "samples" in law.inputs:
         raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
-    nu, gains = np.array([cruise, 0.0, 0.0, 0.0]), gains.with_own(law_source(law.ref).gains)
+    if at is not None:
+        return _loop(law, vehicle, at, place=at.text)
     check_cruise(vehicle, cruise)
-    system = _system(law, vehicle, law_numbers(law, model or vehicle, gains, cruise=cruise), nu)
-    return LawLoop(label(law.ref), cruise, linearise(system))
+    p = law_numbers(law, model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
+    nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
+    x[law.state.slice("progress")] = _FAR  # arc length of the path's middle
+    if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
+        x[law.state.slice("surge")] = cruise
+    return _loop(law, vehicle, OperatingPoint(x, law.inputs.pack({"eta": np.zeros(4), "nu": nu}), p, nu, 0.0, ""))
 
 
 def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
@@ -137,17 +169,30 @@ def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Arr
     return law_parameters(gains, model, path=path, depth=0.0, cruise=cruise, cap=_HEADROOM * cruise, walls=site)
 
 
-def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
+def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, *, place: str = "") -> LawLoop:
+    (Az, By, C, D), kink = _differentiated(law, at)
+    linear, free = _linear(law, vehicle, at.nu, (Az, By, C, D))
+    return LawLoop(label(law.ref), at.speed, linear, place, free, kink)
+
+
+def _linear(
+    law: Law, vehicle: Vehicle, nu: Array, slopes: tuple[Array, Array, Array, Array]
+) -> tuple[LinearLoop, tuple[str, ...]]:
+    # the loop, and the coordinates that are left out
     form = vehicle.form
     (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], form=form)
     B = B @ _delivered(vehicle, nu)
-    Az, By, C, D = _differentiated(law, p, nu)
+    Az, By, C, D = slopes
     acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
     tilt = range(len(STATE_NAMES), len(A))
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
     coupled = A[[4, 5, 7, *tilt], 6].any()
     apart = [] if acting[2] else [2] if coupled else [2, 6]
+    slope = np.abs(np.vstack([By, D])).max(axis=0)
+    felt = slope > np.maximum(_COUPLED, np.where(np.arange(8) < 2, _NEUTRAL * slope[:2].max(), 0.0))
+    free = _free(A, felt, [k for k in range(4) if k not in apart])
+    apart += free
     moving = [k for k in range(8) if k not in apart]
     thrusts = [8 + k for k in range(4) if lagged and acting[k]]
     included, driven = [*moving, *thrusts, *tilt], [k for k in range(4) if acting[k]]
@@ -158,31 +203,33 @@ def _system(law: Law, vehicle: Vehicle, p: Array, nu: Array) -> System:
     names, axes = states[: len(moving)], [_AXES[k] for k in driven]
     # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
-    zero = np.zeros((len(driven), len(driven)))
-    law_A = np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]])
-    law_B = np.vstack([By, D])
-    law_C = np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))])
-
-    def ode(x: Any, f: Any, d: Any, q: Any) -> dict[str, ca.SX]:
-        return _named(states, ca.SX(A @ _stacked(x, states) + B @ _stacked(f, axes)))
-
-    def step(x: Any, u: Any, q: Any) -> Any:
-        held = _stacked(x, inner)
-        after = law_A @ held + law_B @ _stacked(u, names)
-        return Action(_named(axes, ca.SX(law_C @ held)), _named(inner, ca.SX(after)))
-
-    thrust = _layout(axes, {axis: "N m" if axis == "yaw" else "N" for axis in axes})
-    plant = Plant(
-        "craft",
-        _layout(states, SIGNAL_UNITS),
-        thrust,
-        ode,
-        outputs=_layout(names, SIGNAL_UNITS),
-        measure=lambda x, d, q: {name: x[name] for name in names},
+    zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
+    measured = np.eye(len(names), len(states))
+    plant = (A, B, np.zeros((len(states), 0)), measured, np.zeros((len(names), 0)))
+    controller = (
+        np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]]),
+        np.vstack([By, D]),
+        np.zeros((len(inner), 0)),
+        np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))]),
+        np.zeros((len(driven), len(names))),
+        none,
     )
-    return System(
-        plant, Controller("law", law.dt, _layout(names, SIGNAL_UNITS), thrust, step, state=_layout(inner, {}))
-    )
+    force = tuple(axes)
+    labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names))
+    return LinearLoop(plant, controller, labels, law.dt), tuple(STATE_NAMES[k] for k in free)
+
+
+def _free(A: Array, felt: NDArray[np.bool_], coordinates: Sequence[int]) -> list[int]:
+    # coordinates on which neither the law nor another state depends
+    free: list[int] = []
+    while True:
+        others = [k for k in range(len(A)) if k not in free]
+        more = [
+            k for k in coordinates if k not in free and not felt[k] and not A[[o for o in others if o != k], k].any()
+        ]
+        if not more:
+            return sorted(free)
+        free += more
 
 
 def _delivered(vehicle: Vehicle, nu: Array) -> Array:
@@ -203,27 +250,36 @@ def _delivered(vehicle: Vehicle, nu: Array) -> Array:
     return np.eye(4) if np.abs(J - np.eye(4)).max() < _COUPLED**0.5 else J
 
 
-def _differentiated(law: Law, p: Array, nu: Array) -> tuple[Array, Array, Array, Array]:
-    """Return A, B, C, D of z⁺ = A z + B y and thrust = C z + D y, with y = (x, y, z, ψ, u, v, w, r)."""
-    x, size = law.initial_state(), law.state.size
-    at = law.inputs.pack({"eta": np.zeros(4), "nu": nu})
+def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, Array, Array], float]:
+    """Return A, B, C, D of z⁺ = A z + B y and thrust = C z + D y, and the relative difference of one-sided derivatives.
 
-    x[law.state.slice("progress")] = _FAR  # arc length of the path's middle
-    if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
-        x[law.state.slice("surge")] = nu[0]
-    indices = np.arange(law.inputs.size)
-    measured = np.concatenate([indices[law.inputs.slice(name)] for name in ("eta", "nu")])
-    columns = []
-    for which, k in [*((0, k) for k in range(size)), *((1, int(k)) for k in measured)]:
-        results = []
-        for sign in (1.0, -1.0):
-            z, u = x.copy(), at.copy()
-            (z, u)[which][k] += sign * _STEP
-            step = law.step(z, u, p)
-            results.append(np.concatenate([step.x_next, step.tau]))
-        columns.append((results[0] - results[1]) / (2 * _STEP))
-    J = np.array(columns).T
-    return J[:size, :size], J[:size, size:], J[size:, :size], J[size:, size:]
+    y = (x, y, z, ψ, u, v, w, r), with x along the heading of the operating point and y to its right.
+    """
+    size, eta, nu = law.state.size, law.inputs.slice("eta"), law.inputs.slice("nu")
+    c, s = np.cos(at.heading), np.sin(at.heading)
+    turned = np.eye(4)
+    turned[:2, :2] = [[c, -s], [s, c]]
+    directions = []
+    for k in range(size):
+        dz = np.zeros(size)
+        dz[k] = 1.0
+        directions.append((dz, np.zeros(law.inputs.size)))
+    for place, basis in ((eta, turned), (nu, np.eye(4))):
+        for k in range(4):
+            du = np.zeros(law.inputs.size)
+            du[place] = basis[:, k]
+            directions.append((np.zeros(size), du))
+
+    def outputs(dz: Array, du: Array, step: float) -> Array:
+        done = law.step(at.x + step * dz, at.u + step * du, at.p)
+        return np.concatenate([done.x_next, done.tau])
+
+    here = outputs(*directions[0], 0.0)
+    ahead = np.array([(outputs(dz, du, _STEP) - here) / _STEP for dz, du in directions]).T
+    behind = np.array([(here - outputs(dz, du, -_STEP)) / _STEP for dz, du in directions]).T
+    J = (ahead + behind) / 2
+    kink = float(np.abs(ahead[size:] - behind[size:]).max() / max(np.abs(J[size:]).max(), _COUPLED))
+    return (J[:size, :size], J[:size, size:], J[size:, :size], J[size:, size:]), kink
 
 
 def _in_loop(A: Array, B: Array, C: Array) -> list[int]:
@@ -234,15 +290,3 @@ def _in_loop(A: Array, B: Array, C: Array) -> list[int]:
         reached = reached | (links @ reached)
         reaches = reaches | (links.T @ reaches)
     return [int(k) for k in np.flatnonzero(reached & reaches)]
-
-
-def _layout(names: Sequence[str], units: Mapping[str, str]) -> Layout:
-    return Layout(tuple(Port(name, (1,), units.get(name, "1"), "deviation from the cruise") for name in names))
-
-
-def _stacked(parts: Mapping[str, ca.SX], names: Sequence[str]) -> ca.SX:
-    return ca.vertcat(*(parts[name] for name in names)) if names else ca.SX.zeros(0, 1)
-
-
-def _named(names: Sequence[str], column: ca.SX) -> dict[str, ca.SX]:
-    return {name: column[k] for k, name in enumerate(names)}

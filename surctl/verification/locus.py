@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.plotted import Plotted
 from surctl.vehicle import Vehicle
 from surctl.verification.linear_table import LINEAR_PARAMETERS, cascades_by_order, read_points
 
@@ -20,8 +21,8 @@ _HALVED = 8  # largest number of times that the step between two values is halve
 
 
 @dataclass(frozen=True, eq=False)
-class Locus:
-    """A root locus: the closed-loop poles for every value of one parameter.
+class Locus(Plotted):
+    """A root locus: the closed-loop poles for every value of one parameter; `plot()` draws them.
 
     Attributes:
         parameter: name of the parameter.
@@ -29,6 +30,8 @@ class Locus:
         poles: (n, k) complex poles [rad/s]; a row holds the poles at one value, a column follows one pole over the
             values.
     """
+
+    PLOT = "surctl.report.locus:plot_locus"
 
     parameter: str
     values: NDArray[np.float64]

@@ -8,26 +8,26 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.system import Linearisation
+from surctl.system import LinearLoop
 from surctl.verification.linear.disk import DiskMargin, disk_margin
 from surctl.verification.linear.places import OpenLoop
 from surctl.verification.margins import LoopMargins
 
 Array = NDArray[np.float64]
 
-__all__ = ["system_disk_margin", "system_margins"]
+__all__ = ["quick_margins", "system_disk_margin", "system_margins"]
 
 _SPURIOUS = 1e-6  # a gain factor below this value, or above its inverse, comes from a zero of the loop
 _SINGULAR = 1e12  # condition number from which z counts as a pole
 _ROOT = 1e-6  # largest ratio of imaginary to absolute value of L where it counts as real
-_POINTS = 1500  # number of angles towards each end of (0, π)
+_POINTS, _FEW = 1500, 150  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
 _BISECTIONS = 50
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
 
-def system_margins(linear: Linearisation, *openings: str) -> tuple[LoopMargins, ...]:
+def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]:
     """Return the margins of every loop of a linearised system; one loop is opened at a time, all others stay closed.
 
     Args:
@@ -54,7 +54,7 @@ def system_margins(linear: Linearisation, *openings: str) -> tuple[LoopMargins, 
     return tuple(_margins(linear, name) if stable else LoopMargins.unstable(name) for name in chosen)
 
 
-def system_disk_margin(linear: Linearisation, *openings: str) -> DiskMargin:
+def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
     """Return the disk margin of a linearised system that is opened at several signals at once.
 
     The frequency in the result lies below the Nyquist frequency π/dt.
@@ -83,17 +83,27 @@ def system_disk_margin(linear: Linearisation, *openings: str) -> DiskMargin:
     if not _stable(linear):
         return DiskMargin.unstable(place)
     margin = disk_margin(_continuous(linear, *chosen), place)
-    return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.system.dt))
+    return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.dt))
 
 
-def _stable(linear: Linearisation) -> bool:
+def _stable(linear: LinearLoop) -> bool:
     return bool(np.abs(linear.poles()).max(initial=0.0) < 1 - _EDGE)
 
 
-def _margins(linear: Linearisation, opening: str) -> LoopMargins:
+def quick_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]:
+    """Return the margins of `system_margins` in a tenth of the time, for searches and pages.
+
+    Crossings are searched on fewer frequencies, and the disk margin is the least radius on these frequencies, refined.
+    """
+    return tuple(
+        _margins(linear, name, quick=True) if _stable(linear) else LoopMargins.unstable(name) for name in openings
+    )
+
+
+def _margins(linear: LinearLoop, opening: str, *, quick: bool = False) -> LoopMargins:
     """Compute the margins of one loop from the crossings of its frequency response; without a crossing, inf."""
-    matrices, dt = linear.opened(opening), linear.system.dt
-    angles = _angles(matrices[0], linear.poles())
+    matrices, dt = linear.opened(opening), linear.dt
+    angles = _angles(matrices[0], linear.poles(), points=_FEW if quick else _POINTS)
     response = _response(matrices, angles)
     real = _response(matrices, _roots(matrices, angles, response, np.imag))
     crossed = real[(real.real < 0) & (np.abs(real.imag) <= _ROOT * np.abs(real))].real  # no jump at a pole
@@ -101,22 +111,45 @@ def _margins(linear: Linearisation, opening: str) -> LoopMargins:
     gains = gains[(gains > _SPURIOUS) & (gains < 1 / _SPURIOUS)]
     at = _roots(matrices, angles, response, lambda value: np.abs(value) - 1)
     lags = np.remainder(np.angle(-_response(matrices, at)), 2 * np.pi)  # a lead counts as a lag of 360° less
-    disk = disk_margin(_continuous(linear, opening), opening)
+    disk = _refined_disk(matrices, angles, response) if quick else _proved_disk(linear, opening)
     return LoopMargins(
         opening,
         True,
         float(min(gains[gains > 1], default=np.inf)),
         float(min(np.rad2deg(lags), default=np.inf)),
         float(min(lags / at * dt, default=np.inf)),
-        disk.guaranteed,
+        disk,
         float(max(at, default=0.0)) / dt,
         float(max(gains[gains < 1], default=0.0)),
     )
 
 
-def _angles(A: Array, closed: NDArray[np.complex128]) -> Array:
+def _proved_disk(linear: LinearLoop, opening: str) -> float:
+    return disk_margin(_continuous(linear, opening), opening).guaranteed
+
+
+def _refined_disk(matrices: tuple[Array, ...], angles: Array, response: NDArray[np.complex128]) -> float:
+    """Return the least |2 (1 + L)/(1 - L)| (Seiler, Packard and Gahinet 2020) on a grid, refined about its minimum."""
+
+    def radius(L: NDArray[np.complex128]) -> Array:
+        with np.errstate(divide="ignore"):
+            return np.asarray(2 * np.abs(1 + L) / np.abs(1 - L), dtype=float)
+
+    coarse = radius(response)
+    k = int(coarse.argmin())
+    low, high = angles[max(k - 1, 0)], angles[min(k + 1, len(angles) - 1)]
+    least = float(coarse[k])
+    for _ in range(3):
+        fine = np.linspace(low, high, 41)
+        values = radius(_response(matrices, fine))
+        j = int(values.argmin())
+        least, low, high = min(least, float(values[j])), fine[max(j - 1, 0)], fine[min(j + 1, 40)]
+    return min(least, 2.0)
+
+
+def _angles(A: Array, closed: NDArray[np.complex128], *, points: int) -> Array:
     """Return angles of z [rad] in (0, π), dense towards both ends and around each pole of the open and closed loop."""
-    ends = np.geomspace(1e-8, 1.0, _POINTS)
+    ends = np.geomspace(1e-8, 1.0, points)
     poles = np.concatenate([np.linalg.eigvals(A), closed])
     width = np.maximum(np.abs(1 - np.abs(poles)), 1e-6)
     near = np.abs(np.angle(poles))[:, None] + width[:, None] * np.concatenate([-_NEAR, _NEAR])
@@ -160,7 +193,7 @@ def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
     return np.array(factors)
 
 
-def _continuous(linear: Linearisation, *openings: str) -> OpenLoop:
+def _continuous(linear: LinearLoop, *openings: str) -> OpenLoop:
     """Transform the open loop by z = (1 + s)/(1 - s), which maps the unit circle to the imaginary axis.
 
     The transformation does not change the values of the frequency response, except by 1e-6 for a loop with a pole at z

@@ -1,6 +1,6 @@
 """Geometry for sensing and simulation: planar shapes, distances to shapes, nearest points in cones, upright solids."""
 
-from surctl.world.echoes import nearest_echo
+from surctl.world.echoes import box_edges, in_view, nearest_echo, nearest_facing
 from surctl.world.prism import WHOLE, Heights, Prism
 from surctl.world.shapes import Box, Disc, Shape, Vector2, Wall, site_walls
 
@@ -13,6 +13,9 @@ __all__ = [
     "Shape",
     "Vector2",
     "Wall",
+    "box_edges",
+    "in_view",
     "nearest_echo",
+    "nearest_facing",
     "site_walls",
 ]

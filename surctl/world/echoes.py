@@ -15,14 +15,15 @@ their surfaces; if the smallest range is exactly at this intersection, the resul
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from math import cos, inf, isfinite, pi, sin
+from collections.abc import Iterable, Sequence
+from math import cos, hypot, inf, isfinite, pi, sin
 
 from surctl.errors import InputError
-from surctl.world.shapes import Shape, Vector2
+from surctl.world.shapes import Box, Shape, Vector2
 
-__all__ = ["nearest_echo"]
+__all__ = ["box_edges", "in_view", "nearest_echo", "nearest_facing"]
 
+_TOUCHES = 1e-9  # [m] a shape that is nearer than a point by less than this does not hide it
 _IN_CONE = 1e-12  # tolerance of `Shape.nearest_in_cone`
 
 
@@ -57,22 +58,77 @@ def nearest_echo(
     if incidence_limit is None:
         return min((shape.nearest_in_cone(apex, axis, half_angle=half_angle) for shape in shapes), default=inf)
     _check(half_angle, incidence_limit)
+    scene = list(shapes)
+    return nearest_facing(scene, [cos(incidence_limit)] * len(scene), apex, axis, half_angle=half_angle)
+
+
+def nearest_facing(
+    shapes: Sequence[Shape], faced: Sequence[float], apex: Vector2, axis: float, *, half_angle: float
+) -> float:
+    """Return the distance [m] as `nearest_echo` does, for shapes that answer up to different angles of incidence.
+
+    Args:
+        shapes: all shapes of the scene.
+        faced: for each shape, the least cosine of incidence at which it reflects; above 1: it only hides other shapes.
+        apex: (2,) [m] in {E}, position of the sonar.
+        axis: bearing of the cone's axis [rad].
+        half_angle: half the opening angle [rad], 0 ≤ half_angle < π/2.
+
+    Example:
+        >>> from surctl.world import Box, Disc, nearest_facing
+        >>> scene = [Box((3.0, 0.0), (1.0, 1.0)), Disc((2.0, 0.5), 0.1)]
+        >>> nearest_facing(scene, [0.9, 2.0], (0.0, 0.0), 0.0, half_angle=0.5)
+        2.5
+    """
     x, y = float(apex[0]), float(apex[1])
     if not isfinite(x + y + axis):
         raise InputError("apex and axis must be finite", key="apex, axis", value=(x, y, axis))
-    scene = list(shapes)
-    if any(shape.foot(x, y)[0] <= 0.0 for shape in scene):
+    if any(shape.foot(x, y)[0] <= 0.0 for shape in shapes):
         return 0.0
     c, s, least = cos(axis), sin(axis), cos(half_angle) - _IN_CONE
     looks = [(cos(axis + turn), sin(axis + turn)) for turn in (half_angle, -half_angle)]
-    looks += [e for shape in scene for e in shape.outlook(x, y) if e[0] * c + e[1] * s >= least]
-    faced = cos(incidence_limit)
+    looks += [e for shape in shapes for e in shape.outlook(x, y) if e[0] * c + e[1] * s >= least]
     nearest = inf
     for ex, ey in looks:
-        distance, cosine = min((shape.hit(x, y, ex=ex, ey=ey) for shape in scene), default=(inf, 0.0))
-        if cosine >= faced:
+        hits = ((*shape.hit(x, y, ex=ex, ey=ey), limit) for shape, limit in zip(shapes, faced, strict=True))
+        distance, cosine, limit = min(hits, key=lambda hit: hit[:2], default=(inf, 0.0, 0.0))
+        if cosine >= limit:
             nearest = min(nearest, distance)
     return nearest
+
+
+def in_view(shapes: Iterable[Shape], apex: Vector2, point: Vector2) -> tuple[float, float, float]:
+    """Return the distance [m] from `apex` to `point`, inf if one of the shapes hides it, and the unit vector to it.
+
+    Example:
+        >>> from surctl.world import Disc, in_view
+        >>> in_view([Disc((3.0, 0.0), 0.5)], (0.0, 0.0), (0.0, 2.0)), in_view([Disc((3.0, 0.0), 0.5)], (0, 0), (4, 0))
+        ((2.0, 0.0, 1.0), (inf, 1.0, 0.0))
+    """
+    x, y = float(apex[0]), float(apex[1])
+    dx, dy = point[0] - x, point[1] - y
+    distance = hypot(dx, dy)
+    ex, ey = (dx / distance, dy / distance) if distance > 0.0 else (1.0, 0.0)
+    hidden = any(shape.hit(x, y, ex=ex, ey=ey)[0] < distance - _TOUCHES for shape in shapes)
+    return inf if hidden else distance, ex, ey
+
+
+def box_edges(box: Box, apex: Vector2) -> list[tuple[float, float] | None]:
+    """Return the four vertical edges (x, y) [m] of a box, with None for an edge that the box hides from the apex.
+
+    Example:
+        >>> from surctl.world import Box, box_edges
+        >>> box_edges(Box((2.0, 0.0), (1.0, 1.0)), (0.0, 0.0))
+        [None, None, (1.5, 0.5), (1.5, -0.5)]
+    """
+    px, py = box.local(float(apex[0]), float(apex[1]))
+    (hx, hy), (c, s), (cx, cy) = (0.5 * box.size[0], 0.5 * box.size[1]), (cos(box.angle), sin(box.angle)), box.center
+    edges: list[tuple[float, float] | None] = []
+    for along, across in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+        shown = along * px > hx or across * py > hy
+        qx, qy = along * hx, across * hy
+        edges.append((cx + c * qx - s * qy, cy + s * qx + c * qy) if shown else None)
+    return edges
 
 
 def _check(half_angle: float, incidence_limit: float) -> None:

@@ -179,14 +179,15 @@ class Box(Shape):
         object.__setattr__(self, "_axis", (cos(angle), sin(angle)))
         object.__setattr__(self, "_half", tuple(0.5 * _positive("box.size", edge) for edge in size))
 
-    def _local(self, x: float, y: float) -> tuple[float, float]:
+    def local(self, x: float, y: float) -> tuple[float, float]:
+        """Return the coordinates (x, y) [m] of a point of {E} along the box's own axes, from its centre."""
         (c, s), (cx, cy) = self._axis, self.center
         dx, dy = x - cx, y - cy
         return c * dx + s * dy, c * dy - s * dx
 
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
         """See `Shape.foot`; for a point inside, the result is on the nearest face (an x face if equally near)."""
-        px, py = self._local(x, y)
+        px, py = self.local(x, y)
         hx, hy = self._half
         qx, qy = max(-hx, min(hx, px)), max(-hy, min(hy, py))
         distance = hypot(px - qx, py - qy)
@@ -202,7 +203,7 @@ class Box(Shape):
 
     def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
         """See `Shape.hit`; the ray enters the box where it has entered both strips between opposite faces."""
-        px, py = self._local(x, y)
+        px, py = self.local(x, y)
         c, s = self._axis
         hx, hy = self._half
         lx, ly = c * ex + s * ey, c * ey - s * ex
@@ -221,7 +222,7 @@ class Box(Shape):
         corner. A corner itself has no normal, so a corner reflects only as the end of a face that faces the apex (an
         edge alone only scatters sound).
         """
-        px, py = self._local(x, y)
+        px, py = self.local(x, y)
         hx, hy = self._half
         cx, cy = (hx if px >= 0.0 else -hx), (hy if py >= 0.0 else -hy)
         directions = []

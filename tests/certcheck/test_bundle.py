@@ -270,7 +270,9 @@ def test_an_id_that_the_source_does_not_return_is_found(folder: Path) -> None:
     assert any("returns an id that is not the manifest's" in text for text in altered(folder, renamed))
 
 
-@pytest.mark.parametrize("name", ["surctl_guarded.c", "surctl_guarded_law.c", "link.c", "README.md"])
+@pytest.mark.parametrize(
+    "name", ["surctl_guarded.c", "surctl_guarded_law.c", "link.c", "README.md", "freertos/control_task.c"]
+)
 def test_an_altered_or_missing_file_is_found(folder: Path, name: str) -> None:
     path = folder / name
     path.write_text(path.read_text() + " ")
@@ -297,10 +299,11 @@ def test_no_folder_and_a_file_name_that_leads_out(folder: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_bundle(folder / "nowhere")
     table = json.loads((folder / "manifest.json").read_text())
-    table["sha256"]["../secret"] = "0" * 64
-    (folder / "manifest.json").write_text(json.dumps(table))
-    with pytest.raises(InputError, match="is not the manifest"):
-        read_bundle(folder)
+    for name in ("../secret", "zephyr/../../secret", "/secret", "zephyr//secret"):
+        more = {**table, "sha256": {**table["sha256"], name: "0" * 64}}
+        (folder / "manifest.json").write_text(json.dumps(more))
+        with pytest.raises(InputError, match="is not the manifest"):
+            read_bundle(folder)
 
 
 @pytest.fixture(scope="module")

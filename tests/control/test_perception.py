@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import casadi as ca
@@ -193,6 +194,20 @@ def test_a_faulty_sonar_is_told_and_changes_no_map(fault, spin, start):
     assert lost * DT <= within - DT + 1e-9 and not any(healthy[lost:])
     robot.wrong.clear()
     assert robot.steps(2.0)["sonars"][0, 2] == 1.0  # and is believed again
+
+
+def test_a_wall_that_is_silent_from_the_side_is_no_fault_of_the_sonar():
+    """Smooth walls answer near their normal; a sonar that looks along one reads farther than the wall."""
+    equipment = Equipment(surface_model="specular")
+    robot = Robot(equipment, at=(4.0, 2.6, -0.15, 0.2), walls=(0.0, 10.0, 0.0, 5.0), spin=0.45)
+    robot.array = replace(robot.array, incidence_limit=math.radians(22.5))
+    robot.steps(3.0)
+    for _ in range(round(15.0 / DT)):
+        told = robot.step()
+        assert told["sonars"][:, 2].all() and not robot.state("sonar_distrust").any()
+    assert not len(marks(told))
+    free, x, y = around(robot)
+    assert (free[np.ix_(np.abs(y - 2.6) < 1.2, np.abs(x - 4.0) < 1.2)] < FREE).mean() > 0.95
 
 
 def test_what_lies_beyond_a_wall_is_never_cleared():

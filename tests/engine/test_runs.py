@@ -114,6 +114,27 @@ def test_echoes_of_a_fan_are_those_of_the_own_plant_and_the_cone_tilts() -> None
     assert limited.echo(0, []) > cone.echo(0, []) + 0.1  # the near wall is seen at 20 degrees or more
 
 
+@pytest.mark.parametrize("echoes", ["specular", "diffuse"])
+def test_reflectors_are_those_of_the_own_plant(echoes: str) -> None:
+    base, boat = replace(load_scenario("tank-static"), depth=-1.0), load_vehicle("sur540-tilting")
+    scenario = replace(base, sensors=base.sensors.hearing(echoes))
+    world, array = build_world(scenario, boat, seed=0), scenario.sensors.array_on(boat["radius"])
+    mine, cone = OwnPhysics(world, boat, array), MujocoPhysics(world, boat, array, EngineOptions(count=4000))
+    ranges = []
+    for x, y, heading in ((1.0, 2.5, 0.2), (3.2, 2.2, 0.0), (3.2, 2.2, 2.0)):
+        mine.state = cone.state = plant_state(boat.form).pack({"eta": [x, y, -1.0, heading]})
+        for sensor in range(array.size):
+            ranges.append(mine.echo(sensor, world.bodies(0.0)))
+            assert cone.echo(sensor, world.bodies(0.0)) == pytest.approx(ranges[-1], abs=3e-3)
+    level = 1.0 / np.sin(array.half_angle)  # of the water surface
+    assert (abs(max(ranges) - level) < 1e-9) == (echoes == "diffuse")
+    down = replace(array, pitch=-0.15)
+    mine, cone = OwnPhysics(world, boat, down), MujocoPhysics(world, boat, down, EngineOptions(count=4000))
+    mine.state = cone.state = plant_state(boat.form).pack({"eta": [3.2, 2.2, -1.0, 0.0]})
+    assert cone.echo(0, world.bodies(0.0)) == pytest.approx(mine.echo(0, world.bodies(0.0)), abs=3e-3)
+    assert mine.echo(0, world.bodies(0.0)) == pytest.approx(2.069 if echoes == "diffuse" else 2.388, abs=1e-3)
+
+
 def test_the_exported_model_moves_as_here(tmp_path: Path) -> None:
     need_compiler()
     mujoco, boat = library(), load_vehicle("sur540-tilting")

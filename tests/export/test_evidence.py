@@ -42,7 +42,8 @@ def test_the_bundle_of_a_command_carries_what_was_run_and_compared(
         manifest["sha256"]["surctl_closed_form.fmu"]
         == hashlib.sha256(Path("fw/surctl_closed_form.fmu").read_bytes()).hexdigest()
     )
-    assert set(manifest["sha256"]) == {file.name for file in Path("fw").iterdir()} - {"manifest.json"}
+    written = {file.relative_to("fw").as_posix() for file in Path("fw").rglob("*") if file.is_file()}
+    assert set(manifest["sha256"]) == written - {"manifest.json"} and "ros2/package.xml" in written
     assert read_bundle(Path("fw")).wrong == ()
     readme = Path("fw/README.md").read_text().split("## Evidence")[1]
     assert "pool-behind by sur400, truth, seed 0: arrived without contact." in readme

@@ -16,7 +16,7 @@ import pytest
 from surctl.control import build_law
 from surctl.export import Bundle, build_bundle, origin_of, write_bundle
 from surctl.export.contract import STATUS
-from surctl.export.wiring import DEMANDS
+from surctl.export.wiring import DEMANDS, _sonars
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import load_scenario
 from surctl.vehicle import load_vehicle
@@ -24,8 +24,15 @@ from tests.export.closed_form import exported, vehicle
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need, need_compiler, need_make
 
+
+def test_the_wiring_states_the_pitch_of_the_sonars() -> None:
+    origin = origin_of(build_law("closed_form"), load_vehicle("sur400"))
+    for pitch, words in ((-0.3, "75° wide, its axis 17.2° below the horizontal."), (0.0, "75° wide. No echo")):
+        assert words in " ".join(_sonars(SonarArray(pitch=pitch), origin))
+
+
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
-C_FILES = ("main_example.c", "board_example.c")
+C_FILES = ("main_example.c", "loop.c", "board_example.c")
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +88,7 @@ void board_gains(int result) { (void)fprintf(stderr, "gains %d", result); }
 
 def test_the_example_reacts_to_each_status(folder: Path) -> None:
     (folder / "board_test.c").write_text(BOARD)
-    program = build("gcc", folder, ["main_example.c", "board_test.c", *code(guarded()[1])], "scripted")
+    program = build("gcc", folder, ["main_example.c", "loop.c", "board_test.c", *code(guarded()[1])], "scripted")
     done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=True)
     assert done.stderr == "gains -11"  # stored bytes of another length are reported, not ignored
     first, *rest = done.stdout.split(" ", 1)
@@ -224,8 +231,8 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
     ):
         assert words in wiring, words
     assert "memset(&input, 0, sizeof input);" in readme
-    for file in ("main_example.c", "arduino_example.ino"):  # a refused step keeps what arrived, but not for long
-        cleared = files[file].split("if ((status >= 0) || (refused >= ")[1]
+    for file in ("loop.c", "arduino_example.ino"):  # a refused step keeps what arrived, but not for long
+        cleared = files[file].replace("loop->", "").split("if ((status >= 0) || (refused >= ")[1]
         assert all(f"input.{flag} = 0.0;" in cleared for flag in ("fix_fresh", "contacts_fresh", "fresh[k]"))
     assert 'FLAGS = ["fix_fresh", "contacts_fresh", "fresh"]' in files["surctl_guarded.py"]
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.export import Records, as_records, build_bundle
+from surctl.export import REALS, Records, as_records, build_bundle
 from surctl.export.fmu import write_fmu
 from surctl.export.precision import Rounded, evaluated
 from surctl.ir import Real
@@ -71,18 +71,25 @@ class Unit:
         self.slave.freeInstance()
 
 
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[Real, Path]:
+    need_compiler()
+    folder = tmp_path_factory.mktemp("fmu")
+    return {real: made(exact(), folder / real, real) for real in REALS}
+
+
 @pytest.fixture
-def unit(law: Exact, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Unit]:
-    opened = Unit(made(law, tmp_path / "fmu", getattr(request, "param", "float64")), tmp_path / "out")
+def unit(files: dict[Real, Path], tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Unit]:
+    opened = Unit(files[getattr(request, "param", "float64")], tmp_path / "out")
     yield opened
     opened.close()
 
 
 @pytest.mark.parametrize("real", ["float64", "float32"])
-def test_fmpy_finds_no_problem(law: Exact, tmp_path: Path, real: Real) -> None:
+def test_fmpy_finds_no_problem(files: dict[Real, Path], real: Real) -> None:
     from fmpy.validation import validate_fmu
 
-    assert validate_fmu(str(made(law, tmp_path, real))) == []
+    assert validate_fmu(str(files[real])) == []
 
 
 def test_it_tells_the_start_values_of_inputs_and_gains(law: Exact, tmp_path: Path) -> None:
@@ -97,7 +104,7 @@ def test_it_tells_the_start_values_of_inputs_and_gains(law: Exact, tmp_path: Pat
     assert told == {"input": law.inputs.pack().tolist(), "parameter": gains.tolist()}
     with zipfile.ZipFile(path) as unit:
         listed = re.findall(r'<File name="(.*?)" />', unit.read("modelDescription.xml").decode())
-        assert listed == ["fmu.c", "standin.c", "standin_law.c"]
+        assert listed == ["fmi2.c", "standin.c", "standin_law.c"]
         assert {f"sources/{file}" for file in listed} <= set(unit.namelist())
 
 
@@ -127,7 +134,7 @@ def test_what_is_not_finite_gives_a_warning_and_no_thrust(law: Exact, unit: Unit
 
 def test_a_wrong_step_size_or_reference_is_refused(unit: Unit) -> None:
     for call in (
-        lambda: unit.slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.1),
+        lambda: unit.slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=0.0),
         lambda: unit.slave.getReal([10**6]),
         lambda: unit.slave.setReal(unit.references["output"][:1], [1.0]),
         lambda: unit.slave.setBoolean([0], [True]),
@@ -143,7 +150,7 @@ def test_every_step_is_done_however_late_the_clock_is(unit: Unit) -> None:
             then = start + 0.05 * k  # the master's clock, and the step that it can tell
             unit.slave.doStep(currentCommunicationPoint=now, communicationStepSize=then - now)
             now = then
-    for now, step in ((0.0, 0.05001), (1e8, 0.0501), (1.7e9, 0.06), (1e20, -1.0), (np.inf, 0.05), (0.0, np.nan)):
+    for now, step in ((0.0, -0.05), (0.0, 1e7), (1e20, 1.0), (1e20, -1.0), (np.inf, 0.05), (0.0, np.nan)):
         with pytest.raises(Exception, match="status 3"):
             unit.slave.doStep(currentCommunicationPoint=now, communicationStepSize=step)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -174,3 +175,27 @@ def test_the_law_may_say_that_an_iteration_did_not_end(tmp_path: Path) -> None:
     load = np.ones(len(flight), dtype=bool)
     told = build_controller(law, mutant, tmp_path / "b").run(flight, load=load)
     assert set(told.status) == {ITER} and not told.tau.any()
+
+
+def test_the_readme_has_a_note_on_every_kind_of_misra_violation(tmp_path: Path) -> None:
+    cppcheck = need("cppcheck")
+    _, bundle, _ = exported("float32")
+    write_bundle(bundle, tmp_path)
+    command = [
+        cppcheck,
+        "--addon=misra",
+        "-q",
+        "--std=c99",
+        "--template={id}",
+        *bundle.sources,
+        bundle.selftest,
+        "loop.c",
+    ]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    if "misra" not in done.stderr:
+        pytest.skip("this cppcheck has no MISRA addon")
+    text = bundle.files["README.md"].split("## MISRA")[1].split("## Evidence")[0]
+    noted = set(re.findall(r"^\| ([\d.]+) \(", text, flags=re.MULTILINE))
+    wrong = set(re.findall(r"([\d.]+) for", text))
+    assert len(noted) <= 4 and wrong == {"2.4", "12.3"}
+    assert set(re.findall(r"misra-c2012-([\d.]+)", done.stderr)) <= noted | wrong

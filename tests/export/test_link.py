@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -125,8 +126,8 @@ def test_one_bit_of_thrust_state_or_telemetry_is_enough(line: Line, monkeypatch:
     last = 4 * (law.outputs.size + law.state.size)
     flipped = {3: 0, 5: 4 * 4, 8: last - 4}  # the lowest bit of the first thrust and state, and of the last telemetry
 
-    def step(sequence: int, inputs: Vector) -> Reply:
-        answer = asked(sequence, inputs)
+    def step(sequence: int, inputs: Vector, *, compact: bool) -> Reply:
+        answer = asked(sequence, inputs, compact=compact)
         assert len(answer.raw) == last
         changed = bytearray(answer.raw)
         if sequence in flipped:
@@ -271,7 +272,11 @@ def test_it_listens_on_the_loopback_alone(small: dict[Real, Path]) -> None:
 
 
 LAW = exact()
-WHO = Identity(build_bundle(LAW, {}, real="float32").id, "float32", LAW.inputs.size, 4, LAW.state.size, 0)
+
+
+@cache
+def who() -> Identity:
+    return Identity(build_bundle(LAW, {}, real="float32").id, "float32", LAW.inputs.size, 4, LAW.state.size, 0)
 
 
 @dataclass
@@ -284,9 +289,9 @@ class Echo(Line):
         pass
 
     def request(self) -> Identity:
-        return WHO
+        return who()
 
-    def step(self, sequence: int, inputs: Vector) -> Reply:
+    def step(self, sequence: int, inputs: Vector, *, compact: bool) -> Reply:
         if sequence >= self.ends_at:
             raise LineDown(f"{self.name} closed the connection")
         return Reply(0, np.full(4, float(sequence)), LAW.initial_state(), np.zeros(LAW.outputs.size - 4), b"")
@@ -438,3 +443,20 @@ def test_a_message_whose_bytes_drip_ends_the_connection_within_seconds(small: di
         assert time.monotonic() - began < 20  # it closes after 2 s; not after the 34 s of all bytes
         with connect(where) as opened:  # the next robot is served
             opened.request()
+
+
+def test_compact_replies_are_compared_in_thrust_and_carry_pythons_state(small: dict[Real, Path]) -> None:
+    law, p = exact(), exact().gains.pack()
+    for faults in (LinkFaults(), LinkFaults(loss=0.3, seed=2)):
+        with serving(small["float32"]) as (_, where), connect(where) as opened:
+            linked = LinkedLaw(law, p, opened, faults, compact=True)
+            stepped(law, linked, 40)
+            few = linked.report()
+            opened.start(linked.identity)
+            whole = LinkedLaw(law, p, opened, faults)
+            stepped(law, whole, 40)
+        assert (few.differing, whole.report().differing) == (0, 0) and few.answered == whole.report().answered
+        assert np.array_equal(linked._state, whole._state)
+        first = linked._log[3][2]
+        linked._log[3] = (*linked._log[3][:2], first._replace(raw=first.raw[:-1] + b"!"), *linked._log[3][3:])
+        assert linked.report().first == 3

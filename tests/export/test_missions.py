@@ -11,13 +11,23 @@ import pytest
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.export import Records, build_bundle, build_controller, compare_runs, write_bundle
+from surctl.export import (
+    LinkedLaw,
+    LinkFaults,
+    Records,
+    build_bundle,
+    build_controller,
+    compare_runs,
+    connect,
+    write_bundle,
+)
 from surctl.export.fields import transfers
 from surctl.guidance import Path
 from surctl.ir import compile_program
 from surctl.simulation import Scenario, law_numbers, load_scenario, simulate
 from surctl.vehicle import load_vehicle
 from tests.export.standin import stand_in
+from tests.export.test_link import serving
 
 VEHICLE, GAINS = load_vehicle("sur400"), load_gains("default")
 
@@ -110,3 +120,25 @@ def test_a_law_without_a_path_has_no_mission() -> None:
         build_bundle(stand_in(), {"k_p": np.array([1.0, 2.0, 0.1, 0.8])}, mission=np.zeros((9, 5)))
     with pytest.raises(InputError, match=r"has shape \(9, 2\)"):
         build_bundle(law, law.gains.unpack(p), mission=np.zeros((9, 2)))
+
+
+def test_a_controller_process_and_the_loop_of_the_examples_feed_themselves(tmp_path: FilePath) -> None:
+    scenario, law = mission(60, seconds=15.0), build_law("closed_form")
+    p = law_numbers(scenario, GAINS, VEHICLE)
+    bundle = build_bundle(law, law.gains.unpack(p), mission=scenario.path.table())
+    write_bundle(bundle, tmp_path)
+    code = [tmp_path / file for file in ("controller.c", "link.c", "loop.c", "mission.c", *bundle.sources)]
+    built = compile_program([*code, tmp_path / bundle.selftest], tmp_path / "controller", flags=("-O1",))
+    direct = simulate(scenario, VEHICLE, gains=GAINS, law=law).record
+    for compact in (False, True):
+        with serving(built) as (_, where), connect(where) as line:
+            linked = LinkedLaw(law, p, line, compact=compact, fed=True)
+            record = simulate(scenario, VEHICLE, gains=GAINS, law=law, stepper=linked).record
+        assert (linked.report().differing, linked.report().answered) == (0, 300)
+        assert record.tau.tobytes() == direct.tau.tobytes() and record.law_state.tobytes() == direct.law_state.tobytes()
+    assert record.fed is not None and len(np.unique(record.fed[:, law.gains.slice("waypoints")], axis=0)) > 2
+    assert all("_mission_feed(" in bundle.files[file] for file in ("loop.c", "link.c"))
+    for file in ("Makefile", "CMakeLists.txt", "ros2/CMakeLists.txt", "zephyr/CMakeLists.txt"):
+        assert "mission.c" in bundle.files[file]
+    with serving(built) as (_, where), connect(where) as line, pytest.raises(InputError, match="drop --link-loss"):
+        LinkedLaw(law, p, line, LinkFaults(loss=0.1), fed=True)

@@ -1,11 +1,10 @@
-"""The tuning page as a user has it: served by the command, moved in Chromium, compared with the same sums in Python."""
+"""The design page as a user has it: served by the command, moved in Chromium, compared with the same sums in Python."""
 
 import os
 import re
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,216 +12,267 @@ import pytest
 
 from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.report.bench import Bench, save_gains, slider_steps, step_responses
-from surctl.report.page_parts import BY_SPEED, attempt, picture, speeds
+from surctl.ir import Layout, Port
+from surctl.lyapunov import Problem, continuous_dynamics
+from surctl.report.bench import Bench, save_gains
+from surctl.report.design_bench import SystemBench, activity
+from surctl.report.page_parts import page, respond
+from surctl.report.panel import Curve, Panel, Shade, draw_panel, panel_svg
+from surctl.report.theme import new_axes
 from surctl.simulation import load_scenario
-from surctl.tuning import GainRange, Goal, load_goals
+from surctl.system import Controller, Plant, System
+from surctl.tuning import Goal, Overshoot, Profile, Rejection, Settling, load_goals
 from surctl.vehicle import load_vehicle
-from surctl.verification import claims, decide, linear_table
-from surctl.verification.loops import LOOP_NAMES
-from tests.browser import WIDTHS, open_page
+from surctl.verification import system_margins
+from tests.browser import open_page
 from tests.cli.process import surctl
+from tests.report.test_page_in_chromium import CONTRAST
 from tests.tools import PATIENCE, need, need_compiler
+from tests.tuning.test_loop_goals import FILE, SYSTEM
 
 ROOT = Path(__file__).parents[2]
-BENCH = Bench(load_vehicle("sur400"), load_scenario("pool-behind"), load_gains("default"), load_goals(), (0.05, 0.22))
-SHOWN = "() => document.querySelector('#time_s') && document.querySelectorAll('img.picture').length === 5"
-MISSED = """() => [...document.querySelectorAll('img.picture, .sur, .sliders, .line, button')].filter(
-    e => e.getBoundingClientRect().right > innerWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
+FILES = ROOT / "analysis" / "27_own_law"
+GOALS = (
+    Settling(name="soon", source="target", end="place", at_most=8.0),
+    Overshoot(name="calm", source="target", end="place", at_most=0.25),
+    Rejection(name="waves", at="force", attenuation=Profile((0.05, 0.5), (50.0, 2.0)), points=("heavy",)),
+)
+PLACES = {"light": {"plant.mass": 0.5, "reference.target": 1.0}, "heavy": {"plant.mass": 2.0, "reference.target": 1.0}}
+RANGES = {"k_p": (1.0, 16.0), "k_d": (0.75, 12.0), "k_i": (0.25, 4.0)}
+OWN = SystemBench(SYSTEM, "mine.py:build", 6.0, RANGES, PLACES, GOALS)
+ROBOT = Bench(load_vehicle("sur400"), load_scenario("pool-behind"), load_gains("default"), load_goals(), (0.05, 0.22))
+MISSED = """() => [...document.querySelectorAll('figure, table, input, select, button, label')].filter(
+    e => e.getClientRects().length && !e.closest('.scroll') && e.getBoundingClientRect().right > innerWidth + 1)
+    .map(e => e.outerHTML.slice(0, 80))"""
 
 
-@pytest.fixture
-def address(tmp_path):
-    """Of the page, served from a folder of its own; it must end by Ctrl-C with 130 and one line."""
-    need_compiler()
+def request(bench, **changed):
+    names = bench.loop({one.name: one.value for one in bench.sliders}, bench.points[0]).names
+    values = {one.name: one.value for one in bench.sliders}
+    asked = {
+        "values": values,
+        "compared": None,
+        "points": list(bench.points[:2]),
+        "opening": names.commands[0],
+        "source": f"measured.{names.outputs[0]}",
+        "end": f"measured.{names.outputs[0]}",
+        "locus": next(iter(values)),
+    }
+    return asked | changed  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """Address and folder of a page for a system; it must end by Ctrl-C with 130 and one line."""
     need("chromium")
-    words = ["surctl", "tune", "--page", "--scenario", "pool-behind", "--cruise", "0.05,0.22", "--no-browser"]
-    served = subprocess.Popen(
-        [sys.executable, "-m", *words],
-        cwd=tmp_path,
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "cart.toml").write_text(FILE)
+    (folder / "mine.py").write_text(
+        "from tests.tuning.test_loop_goals import cart\n\ndef build():\n    return cart()\n"
+    )
+    words = ["surctl", "tune", "mine.py:build", "reference.target=1", "--page", "--goals", "cart.toml"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", *words, "--seconds", "6", "--no-browser"],
+        cwd=folder,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
     try:
-        found = re.match(r"(http://127\.0\.0\.1:\d+/\S*)", served.stdout.readline())
-        assert found, served.communicate()[1]
-        yield found[1]
-        served.send_signal(signal.SIGINT)
-        _, complaint = served.communicate(timeout=30)
-        assert served.returncode == 130, complaint
+        found = re.match(r"(http://127\.0\.0\.1:\d+/\S*)", process.stdout.readline())
+        assert found, process.communicate()[1]
+        yield found[1], folder
+        process.send_signal(signal.SIGINT)
+        _, complaint = process.communicate(timeout=30)
+        assert process.returncode == 130, complaint
         assert "Traceback" not in complaint and "stopped" in complaint
     finally:
-        served.kill()
-        served.communicate()
+        process.kill()
+        process.communicate()
 
 
-def shown(page, name: str) -> float:
-    return float(page.locator(f"[id='{name}']").get_attribute("data-value"))
+def settled(page):
+    """All views are those of the present gains."""
+    page.wait_for_function(
+        "() => ['linear', 'goals', 'details', 'run'].every(k => document.body.dataset[k] === `${fresh}`)"
+    )
 
 
-def told(page, words: str) -> str:
-    page.wait_for_function("w => document.querySelector('#message')?.innerText.includes(w)", arg=words)
-    return page.inner_text("#message")
-
-
-def assert_shows(page, gains) -> None:
-    """Every number is the one of the same call in Python."""
-    flown, linear, judged = BENCH.simulate(gains).metrics, BENCH.linear(gains), BENCH.judge(gains)
-    for name in ("time_s", "min_clearance_m", "deviation_m", "effort_n"):
-        assert shown(page, name) == getattr(flown, name)
-    for name in ("delay_margin_s", "disk_margin", "slowest_pole_per_s", "settling_time_s.surge_speed"):
-        assert shown(page, name) == pytest.approx(linear[name], rel=1e-9)
-    at = BENCH.over_speeds(gains, BY_SPEED)
-    for speed, margin in zip(at.cruise, at.figures["disk_margin"], strict=True):
-        assert shown(page, f"disk_margin at {speed:g}") == pytest.approx(margin, rel=1e-9)
-    for goal, figure in zip(judged.goals, judged.figure[0], strict=True):
-        assert shown(page, f"goal {goal.name}") == pytest.approx(figure, rel=1e-9)
-
-
-def test_move_check_save_and_load(address, tmp_path):
+def test_the_keyboard_moves_compares_undoes_saves_and_loads(served):
+    address, folder = served
     with open_page(address) as opened:
         page = opened.page
         page.set_default_timeout(1000 * PATIENCE)
-        page.wait_for_function(SHOWN)
-        assert_shows(page, BENCH.gains)
-        pictures = page.locator("img.picture").evaluate_all("all => all.map(e => e.src)")
+        settled(page)
+        assert page.locator("#linear figure").count() == 8 and page.locator("#goals figure").count() == 12
+        assert page.locator("#goals path.miss").count() >= 12  # the violated side of each goal
+        times = page.locator("#run figure").evaluate_all("all => all.map(e => e.textContent)")
+        assert len(times) == 4 and all("time [s]" in text for text in times)
+        drawn = page.locator("#linear").inner_html()
+        page.keyboard.press("Tab")  # the link to the views
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.id") == "gain-k_p"
+        page.keyboard.press("End")
+        settled(page)
+        assert page.input_value("#gain-k_p-value") == "16" and page.locator("#linear").inner_html() != drawn
+        page.keyboard.press("Control+z")
+        settled(page)
+        assert page.input_value("#gain-k_p-value") == "4" and page.locator("#linear").inner_html() == drawn
+        page.keyboard.press("Control+y")
+        page.locator("#keep").press("Enter")
+        page.locator("#gain-k_p-value").fill("9")
+        page.locator("#gain-k_p-value").press("Enter")
+        settled(page)
+        assert "B: k_p = 16" in page.inner_text("#compared")
+        assert page.locator("#linear path.faint").count() > 8  # the curves of B
+        page.locator("#swap").press("Enter")
+        settled(page)
+        assert page.input_value("#gain-k_p-value") == "16"
+        page.locator("#opening").select_option("place")
+        page.locator("input[value=heavy]").uncheck()
+        settled(page)
+        assert "opened at place" in page.inner_text("#linear") and "heavy" not in page.inner_text("#linear")
 
-        ranges = BENCH.ranges(BENCH.gains)
-        k = [r.name for r in ranges].index("k_v")
-        steps = slider_steps(ranges[k], 1.5)
-        moved = BENCH.gains.with_values({"k_v": steps[-1]})
-        before = shown(page, "settling_time_s.surge_speed")
-        page.get_by_role("slider").nth(k).press("End")
-        page.wait_for_function(
-            "v => +document.querySelector('[id=\"settling_time_s.surge_speed\"]').dataset.value !== v", arg=before
-        )
-        assert_shows(page, moved)
-        page.wait_for_function(
-            "old => [...document.querySelectorAll('img.picture')].every((e, k) => e.src !== old[k])", arg=pictures
-        )
-
-        assert "Not checked" in page.inner_text("p#verdicts")
-        page.get_by_text("Check the claims").click()
-        page.wait_for_selector("div#verdicts", timeout=120_000)
-        rows = page.locator("div#verdicts tbody tr").evaluate_all(
-            "all => all.map(r => [...r.cells].map(c => c.innerText))"
-        )
-        library = claims(moved.values, vehicle=BENCH.vehicle)
-        assert [name for name, _ in rows] == [claim.name for claim in library]
-        some = [claim for claim in library if claim.name in ("m-norm-printed", "m-norm-corrected", "v2-obstacle")]
-        assert {c.name: decide(c).verdict for c in some}.items() <= dict(rows).items()
-        assert {word for _, word in rows} >= {"proved", "refuted"}
-
-        page.get_by_text("Save", exact=True).click()
-        told(page, "saved gains.toml")
-        assert load_gains(str(tmp_path / "gains.toml")).values == moved.values
-
-        other = BENCH.gains.with_values({"k_psi": 0.9, "k_v": 1.1})
-        save_gains(other, str(tmp_path / "other.toml"))
-        bad = (tmp_path / "other.toml").read_text().replace("k_psi = { value = 0.9", "k_psi = { value = -0.9")
-        (tmp_path / "bad.toml").write_text(bad)
-        box = page.locator("input[type=text]")
-        for file, button, problem in (
-            ("bad.toml", "Load", "gains.k_psi"),
-            ("none.toml", "Load", "none.toml"),
-            ("/proc/none/gains.toml", "Save", "cannot be written"),
-            ("gains.txt", "Save", ".toml"),
-        ):
-            box.fill(file)
-            box.press("Enter")
-            box.blur()
-            page.wait_for_timeout(300)
-            page.get_by_text(button, exact=True).click()
-            line = told(page, problem)
-            assert line.startswith("error:") and "\n" not in line and "Traceback" not in line
-        box.fill("other.toml")
-        box.press("Enter")
-        box.blur()
-        page.wait_for_timeout(300)
-        page.get_by_text("Load", exact=True).click()
-        told(page, "loaded other.toml")
-        page.wait_for_function(
-            "v => Math.abs(document.querySelector('#time_s').dataset.value - v) < 1e-9",
-            arg=BENCH.simulate(other).metrics.time_s,
-        )
-        page.wait_for_timeout(1000)
-        assert_shows(page, other)
-        for width in WIDTHS:
+        page.locator("#save").press("Enter")
+        page.wait_for_function("() => document.querySelector('#message').textContent.includes('saved')")
+        text = (folder / "gains.toml").read_text()
+        assert '"k_p" = 16.0' in text and "file_sha256" in text and "mine.py:build" in text
+        page.locator("#reset").press("Enter")
+        page.locator("#load").press("Enter")
+        page.wait_for_function("() => document.querySelector('#message').textContent.includes('loaded')")
+        assert page.input_value("#gain-k_p-value") == "16"
+        page.fill("#file", "none.txt")
+        page.locator("#save").press("Enter")
+        page.wait_for_function("() => document.querySelector('#message').textContent.includes('none.txt')")
+        assert page.inner_text("#message").startswith("error: save = 'none.txt'")
+        settled(page)
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert [text for ratio, text in page.evaluate(CONTRAST) if ratio < 4.5] == []
+        for width in (1280, 400):
             assert opened.overflow(width) <= 0
             assert page.evaluate(MISSED) == []
-        assert opened.errors == []
-        assert opened.outside == []
+        assert opened.errors == [] and opened.outside == []
 
 
-def test_a_slider_has_its_value_and_its_ends():
-    steps = slider_steps(GainRange("k_v", 0.3, 3.0), 1.234567)
-    assert steps == sorted(set(steps)) and steps[0] == 0.3 and steps[-1] == 3.0 and 1.234567 in steps
-    assert slider_steps(GainRange("k_v", 0.3, 3.0), 5.0)[-1] == 5.0
+def test_without_the_secret_there_is_no_page(served):
+    from urllib.error import HTTPError
+    from urllib.request import Request, urlopen
+
+    address, folder = served
+    base = address.partition("?")[0]
+    body = b'{"values": {}, "file": "stolen.toml"}'
+    for asked in (base, f"{base}?token=guess", Request(f"{base}save", data=body, headers={"X-Token": "guess"})):
+        with pytest.raises(HTTPError, match="403"):
+            urlopen(asked)
+    assert not (folder / "stolen.toml").exists()
 
 
-def test_one_loop_the_steps_and_s_and_t_are_overlaid_over_all_speeds():
-    assert BENCH.speeds == (0.05, 0.15, 0.22)
-    goal = Goal("robust", "disk_margin", "1", 0.6, "at least", cruise=(0.1, 0.15))
-    assert replace(BENCH, goals=(goal,), cruise=()).speeds == (0.1, 0.15)
-    names = ["0.05 m/s", "0.15 m/s", "0.22 m/s"]
-    for ax in BENCH.bode(BENCH.gains, "cross_track").axes:
-        assert [line.get_label() for line in ax.lines if len(line.get_xdata()) > 2] == [
-            f"cross_track at {n}" for n in names
-        ]
-    gains = [line.get_ydata()[0] for line in BENCH.bode(BENCH.gains, "cross_track").axes[0].lines[::2][:3]]
-    assert np.diff(gains) == pytest.approx(20 * np.log10([3, 0.22 / 0.15]), abs=0.1), "its gain is U over lookahead"
-    assert len({line.get_label() for line in BENCH.bode(BENCH.gains).axes[0].lines} & set(LOOP_NAMES)) == 8
-    for ax in BENCH.sensitivity(BENCH.gains).axes:
-        assert [line.get_label().partition(":")[0] for line in ax.lines] == [f"thrust at {n}" for n in names]
-    for ax in BENCH.steps(BENCH.gains).axes:
-        assert [line.get_label() for line in ax.lines] == names
+def test_the_margins_and_goals_on_the_page_are_those_of_python():
+    found = respond(OWN, "details", request(OWN))
+    (margins,) = system_margins(OWN.loop({}, "light"), "force")
+    cells = re.findall(r"<td>(.*?)</td>", found["margins"])[:7]
+    assert cells[:2] == ["light", "force"] and float(cells[3]) == pytest.approx(margins.phase_margin_deg, rel=5e-3)
+    html = respond(OWN, "goals", request(OWN))["html"]
+    worst = max(GOALS[0].judge(OWN.loop({}, point)).value for point in PLACES)
+    assert f"{worst:.3g} s for 8" in html
+    run = respond(OWN, "run", request(OWN))
+    assert "force, light" in run["table"] and "sign changes per s" in run["table"]
+    assert (
+        respond(OWN, "linear", request(OWN, values={"k_p": -9.0, "k_d": 1.0, "k_i": 1.0}))["html"].count("figure") > 10
+    )
+    with pytest.raises(InputError, match="is not known"):
+        respond(OWN, "none", request(OWN))
+    assert "is no signal of the loop" in respond(OWN, "linear", request(OWN, opening="none"))["error"]
 
 
-def test_steps_are_drawn_over_linear_time_from_zero():
-    for ax in BENCH.steps(BENCH.gains).axes:
-        assert ax.get_xscale() == "linear" and ax.get_xlim()[0] == 0.0
-        assert all(line.get_xdata()[0] == 0.0 for line in ax.lines)
-    assert BENCH.steps(BENCH.gains).axes[-1].get_xlabel() == "time [s]"
+def test_a_region_is_proved_and_drawn_on_request():
+    speed, force = Port("speed", (1,), "m/s", "of the sled"), Port("force", (1,), "m/s^2", "over the mass")
+    sled = Plant("sled", Layout((speed,)), Layout((force,)), lambda x, f, d, p: f["force"] + x["speed"] ** 3)
+    gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
+    brake = Controller(
+        "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
+    )
+    system = System(sled, brake)
+
+    def problem(values):
+        dynamics = continuous_dynamics(system, {"speed": (-2.0, 2.0)}, values=dict(values))
+        return Problem(dynamics, "lyapunov", None, None, None)
+
+    bench = SystemBench(system, "mine.py:build", 1.0, {"k": (0.5, 2.0)}, {"nominal": {}}, (), problem)
+    assert bench.slow.startswith("Prove")
+    found = respond(bench, "slow", request(bench))
+    assert (
+        "proved" in found["html"] and "least level with a counterexample" in found["html"] and "<img" in found["html"]
+    )
 
 
-def test_loops_by_speed_are_a_table_with_the_worst_named():
-    told = speeds(BENCH.over_speeds(BENCH.gains, ("settling_time_s.cross_track",)))
-    assert [f'scope="col">{n}' in told for n in ("0.05 m/s", "0.22 m/s", "worst at")] == [True] * 3
-    assert told.endswith("<td>0.05 m/s</td></tr></tbody></table></div>"), "a slow vehicle returns slowly"
-    assert speeds(replace(BENCH, cruise=()).over_speeds(BENCH.gains, BY_SPEED)) == ""
+def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
+    need_compiler()
+    values = {one.name: one.value for one in ROBOT.sliders}
+    view = ROBOT.run(values, ROBOT.points)
+    rows = {name: (text, mark) for _, text, name, mark in view.rows}
+    run = ROBOT.simulate(values)
+    assert rows["time_s"][0] == f"{run.metrics.time_s:.4g} s" and rows["outcome"] == ("reached", "good")
+    assert rows["goal arrive"][1] == "good" and rows["goal delay margin"][0].startswith("met")
+    assert ROBOT.points == ("0.05 m/s", "0.15 m/s", "0.22 m/s") and ROBOT.slow.startswith("Check")
+    assert "k_v" in values and '"k_v"' in page(ROBOT, nonce="n", token="t")
+    assert all(panel.x == "time [s]" and not panel.log_x for panel in view.panels)
+    thrust = next(panel for panel in view.panels if "thrust surge" in panel.title)
+    assert thrust.shades[0].y[0] == ROBOT.vehicle.thrust_limit[0]
+    path = tmp_path / "gains.toml"
+    assert ROBOT.save({**values, "k_v": 1.1}, str(path)).startswith("saved")
+    assert load_gains(str(path))["k_v"] == 1.1 and "tuning page" in load_gains(str(path)).provenance
+    assert ROBOT.load(str(path))["k_v"] == 1.1
+    with pytest.raises(InputError, match=r"end the path in \.toml"):
+        save_gains(ROBOT.base, "gains.txt")
 
 
-def test_steps_settle_when_the_table_says():
-    drawn = step_responses(BENCH.vehicle, BENCH.gains.values, cruise=0.2, dt=BENCH.dt)
-    for name, value in drawn.value.items():
-        column = f"settling_time_s.{name}"
-        table = linear_table(BENCH.vehicle, {}, base=BENCH.gains.values, cruise=0.2, dt=BENCH.dt, columns=(column,))
-        outside = drawn.time[name][abs(value - 1) >= 0.02]
-        spacing = drawn.time[name][1]
-        assert outside[-1] == pytest.approx(table[column][0], abs=1.01 * spacing)
+def test_a_law_of_ones_own_is_linear_about_its_run():
+    need_compiler()
+    scenario = load_scenario(str(FILES / "wall.toml"))
+    goal = Goal("g", "loop_goal", "1", 1.0, loop=Settling(name="g", source="x", end="x", at_most=30.0))
+    bench = Bench(
+        load_vehicle(scenario.vehicle), scenario, load_gains("default"), (goal,), law=f"{FILES / 'wall_law.py'}:wall"
+    )
+    assert bench.points[0] == "its own run" and {"k_wall", "stand_off"} <= {one.name for one in bench.sliders}
+    start = {one.name: one.value for one in bench.sliders}
+    slow, fast = (bench.loop({**start, "k_wall": k}, "its own run") for k in (0.2, 0.4))
+    assert bench.version == 1  # of two gain sets, one is run; the other is linear about the same motion
+    assert bench.goals[0].judge(slow).value > 1.5 * bench.goals[0].judge(fast).value
+    moved = respond(bench, "run", request(bench, values={**start, "k_wall": 0.4}, points=["its own run"]))
+    assert moved["moved"] and bench.version == 2
+    assert bench.slow == ""
 
 
-def test_an_unstable_loop_has_no_step_response():
-    fast = {**BENCH.gains.values, "k_v": 40.0, "k_r": 40.0}
-    with pytest.raises(InputError, match="unstable"):
-        step_responses(BENCH.vehicle, fast, cruise=0.2, dt=BENCH.dt)
+def test_activity_counts_signs_and_saturation():
+    text = activity(np.array([2.0, 2.0, -2.0, 1.0]), 0.5, "N")
+    assert text == "rms 1.803 N, 1 sign changes per s, 75 % of the time at 2"
+    assert activity(np.zeros(3), 0.5, "N") == "none"
 
 
-def test_the_page_says_in_one_line_what_gains_do_not_have():
-    fast = BENCH.gains.with_values({"k_v": 40.0, "k_r": 40.0})
-    for draw in (BENCH.steps, BENCH.sensitivity):
-        said = attempt(lambda draw=draw: picture(draw(fast), "steps"))
-        assert "unstable" in said and "<img" not in said and "\n" not in said
+def test_a_panel_is_the_same_in_both_forms():
+    x = np.array([0.1, 1.0, 10.0])
+    panel = Panel("a & b", "w [rad/s]", "|L| [dB]", [Curve(x, np.array([20.0, np.nan, -20.0]), "one", 1)],
+                  [Shade(x, np.zeros(3), "above")], log_x=True)  # fmt: skip
+    html = panel_svg(panel)
+    assert "a &amp; b" in html and html.count('class="miss"') == 1 and 'class="c1"' in html
+    path = re.search(r'<path class="c1" stroke-dasharray="[^"]*" d="([^"]*)"/></svg>', html)[1]
+    assert path.count("M") == 2 and "nan" not in html  # the line is interrupted
+    time = np.arange(5000) * 0.01
+    cut = panel_svg(Panel("step", "time [s]", "y", [Curve(time, np.sin(time), "", 0)], limits=((0.0, 2.0), None)))
+    assert re.search(r'<path class="c0"[^>]* d="([^"]*)"', cut)[1].count("L") > 150  # of 200 shown points
+    ax = draw_panel(panel, new_axes(4, 3))
+    assert ax.get_xscale() == "log" and ax.get_title("left") == "a & b" and len(ax.collections) == 1
 
 
 MISTAKES = {
     "no such scenario": (("--page", "--scenario", "pool-behin"), "pool-behind"),
-    "no such gains": (("--page", "--gains", "none.toml"), "no such file"),
-    "two vehicles": (("--page", "--vehicle", "sur400", "--vehicle", "sur540-flooded"), "one vehicle"),
+    "no such law": (("--page", "--law", "gurded"), "--law = 'gurded'"),
     "a speed above the cap": (("--page", "--cruise", "0.1,0.9"), "--cruise = 0.9: is above the cap"),
     "a port without a page": (("--port", "8000"), "--page"),
+    "a law without a page": (("--law", "vo"), "study file"),
 }
 
 
@@ -231,21 +281,3 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, what):
     words, problem = MISTAKES[what]
     done = surctl("tune", *words, cwd=tmp_path)
     assert done.status == 2 and problem in done.complaint
-
-
-def test_without_marimo_it_names_the_remedy(tmp_path):
-    (tmp_path / "hide.py").write_text(
-        "import sys, importlib.util as u\nfind = u.find_spec\n"
-        "u.find_spec = lambda name, *rest: None if name == 'marimo' else find(name, *rest)\n"
-        "sys.argv = ['surctl', 'tune', '--page']\nfrom surctl.cli import main\nmain()\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "hide.py"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert 'pip install "surctl[notebooks]"' in done.stderr and done.stderr.count("\n") == 1

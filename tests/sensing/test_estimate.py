@@ -9,13 +9,13 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Layout
 from surctl.sensing import ContactMemory, Contacts, SonarArray, expected_range, sonar_contacts
-from surctl.world import Disc, site_walls
+from surctl.world import Disc, nearest_echo, site_walls
 
 ARRAY = SonarArray()
 SITE = (0.0, 10.0, 0.0, 5.0)
 
 
-def expected_function(azimuth, discs=3, half_angle=ARRAY.half_angle):
+def expected_function(azimuth, discs=3, half_angle=ARRAY.half_angle, incidence=None):
     position, heading, walls = ca.SX.sym("p", 2), ca.SX.sym("h", 2), ca.SX.sym("w", 4)
     table, valid = ca.SX.sym("d", discs, 3), ca.SX.sym("v", discs)
     value = expected_range(
@@ -28,6 +28,7 @@ def expected_function(azimuth, discs=3, half_angle=ARRAY.half_angle):
         hull_radius=ARRAY.hull_radius,
         half_angle=half_angle,
         maximum=ARRAY.maximum,
+        incidence=incidence,
     )
     return ca.Function("e", [position, heading, walls, table, valid], [value])
 
@@ -52,6 +53,23 @@ def test_expected_range_is_the_worlds(sensor, degrees):
         got = float(f(position, (math.cos(psi), math.sin(psi)), SITE, table, valid))
         assert got == pytest.approx(min(min(ranges), 2 * ARRAY.maximum), abs=1e-9)
     assert by_disc > 5
+
+
+@pytest.mark.parametrize("degrees", [7.5, 37.5])
+def test_a_specular_wall_answers_only_near_its_normal_and_ends_at_the_next_wall(degrees):
+    half, limit = math.radians(degrees), math.radians(22.5)
+    f = expected_function(0.0, discs=0, half_angle=half, incidence=limit)
+    rng, farther = np.random.default_rng(7), 0
+    for _ in range(300):
+        position, psi = rng.uniform((0.3, 0.3), (9.7, 4.7)), rng.uniform(-7, 7)
+        apex = position + ARRAY.hull_radius * np.array((math.cos(psi), math.sin(psi)))
+        if not (0 < apex[0] < 10 and 0 < apex[1] < 5):
+            continue
+        truth = nearest_echo(site_walls(5.0, 10.0), apex, psi, half_angle=half, incidence_limit=limit)
+        got = float(f(position, (math.cos(psi), math.sin(psi)), SITE, np.zeros((0, 3)), np.zeros(0)))
+        assert got == pytest.approx(min(truth, 2 * ARRAY.maximum), abs=1e-6)
+        farther += truth > min(s.nearest_in_cone(apex, psi, half_angle=half) for s in site_walls(5.0, 10.0)) + 0.1
+    assert farther > 50
 
 
 def test_expected_range_without_anything_in_the_cone():

@@ -6,12 +6,14 @@ reading, the weighted average of a firing, has half the spread and is refused he
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from surctl.sensing import Calibration, NoiseStream, SonarArray, calibrate, fire, table_ii
+from surctl.sensing import Calibration, Estimate, NoiseStream, SonarArray, calibrate, fire, table_ii
 from surctl.world import Wall
 
 ARRAY = SonarArray()
@@ -26,22 +28,50 @@ def firing(distance: float, noise: NoiseStream) -> np.ndarray:
     return fire(ARRAY, 0, position=(0.0, 0.0), heading=0.0, shapes=[wall], noise=drawn)
 
 
+@dataclass(frozen=True)
+class Table:
+    """What `calibrate` says of the errors of one table, without its line and the fit of its noise."""
+
+    errors: np.ndarray
+    mean_error: Estimate
+    error_sd: Estimate
+
+    @property
+    def largest(self) -> int:
+        return int(np.argmax(np.abs(self.errors)))
+
+
+def of_errors(errors: np.ndarray) -> Table:
+    n, mean, sd = len(errors), float(errors.mean()), float(errors.std(ddof=1))
+    half = float(stats.t.ppf(0.975, n - 1)) * sd / np.sqrt(n)
+    low, high = sd * np.sqrt((n - 1) / stats.chi2.ppf([0.975, 0.025], n - 1))
+    return Table(errors, Estimate(mean, mean - half, mean + half), Estimate(sd, float(low), float(high)))
+
+
 @cache
-def simulated(kind: str, count: int = TABLES) -> list[Calibration]:
-    """A calibration a seed."""
+def simulated(kind: str, count: int = TABLES) -> list[Table]:
+    """The errors of a table a seed."""
     weights = np.arange(1.0, ARRAY.samples + 1)
     tables = []
     for seed in range(count):
         noise = NoiseStream(seed)
         samples = [firing(d, noise) for d in table_ii().desired]
         readings = [s[0] if kind == "sample" else s @ weights / weights.sum() for s in samples]
-        tables.append(calibrate(table_ii().desired, np.round(readings, CENTIMETRES)))
+        tables.append(of_errors(np.round(readings, CENTIMETRES) - table_ii().desired))
     return tables
 
 
 @cache
 def printed() -> Calibration:
     return calibrate(table_ii().desired, table_ii().water.measured)
+
+
+def test_the_errors_are_those_of_a_calibration() -> None:
+    for table in (*simulated("sample", 20), of_errors(printed().errors)):
+        whole = calibrate(table_ii().desired, table_ii().desired + table.errors)
+        for own, other in ((table.mean_error, whole.mean_error), (table.error_sd, whole.error_sd)):
+            assert own.to_list() == pytest.approx(other.to_list(), rel=1e-9, abs=1e-12)
+        assert abs(table.errors[table.largest]) == pytest.approx(abs(whole.errors[whole.largest]), abs=1e-12)
 
 
 def test_spread_of_a_sample_is_that_of_noise_and_conversion() -> None:

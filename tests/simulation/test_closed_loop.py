@@ -74,7 +74,9 @@ def _flown(scenario: Scenario, seeds: int = 12) -> BatchResult:
 
 @pytest.mark.parametrize("name", ["tank-static", "tank-moving"])  # studies 12 and 22 fly the others
 def test_through_the_sonars_it_arrives_and_touches_nothing(name: str) -> None:
-    flown = _flown(load_scenario(name))
+    scenario = load_scenario(name)
+    # with faults that never begin it flies the same, through the compiled loop of the tests with dead sonars
+    flown = _flown(replace(scenario, sensors=_dead()) if name == "tank-static" else scenario)
     assert np.all(flown.column("reached") == 1)
     assert np.all(flown.column("min_clearance_m") > 0)
 

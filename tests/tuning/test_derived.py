@@ -83,13 +83,22 @@ def test_the_formulae_are_those_documented() -> None:
     assert weak["lookahead"] == pytest.approx(0.1**2 / 0.01) and weak["k1"] == pytest.approx(0.1)
 
 
-def test_the_result_does_not_depend_on_anything_but_the_arguments() -> None:
+def test_the_result_does_not_depend_on_anything_but_the_arguments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from surctl.tuning import derived
 
     first = derive_gains(WU, cruise=0.15)
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     derived._derive.cache_clear()
     again = derive_gains(WU, cruise=0.15)
-    assert again is not first and again.gains.values == first.gains.values
+    assert again is not first and again == first
+    derived._derive.cache_clear()
+    slower = derive_gains(WU, cruise=0.1)
+    monkeypatch.setattr(derived, "_derivation", lambda *_: pytest.fail("it is on disk"))
+    assert derive_gains(WU, cruise=0.15) == first and slower != first
+    derived._derive.cache_clear()
+    assert derive_gains(WU, cruise=0.1) == slower
 
 
 def test_built_in_vehicles_keep_the_set_chosen_for_them(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from surctl.vehicle import (
     LOG_MOTION,
     LOG_THRUST,
     MotionLog,
+    PlantForm,
     Vehicle,
     build_plant,
     identify,
@@ -27,6 +30,23 @@ from surctl.vehicle.parameters import vehicle_from_table
 
 START = load_vehicle("sur540-flooded")
 TRUE = START.with_values({"m11": 88.0, "m22": 97.0, "Xuu": 70.0, "Nrr": 1.3, "thrust_lag": 0.25})
+
+
+@cache
+def period(form: PlantForm) -> ca.Function:
+    """The state after 0.1 s from the state, the command and the parameters: eight steps of Runge and Kutta."""
+    ode, h = build_plant(form).ode, 0.1 / 8
+    x, command, p = (ca.SX.sym(name, ode.size1_in(k)) for k, name in ((0, "x"), (1, "command"), (3, "p")))
+    k1 = ode(x, command, 0, p)
+    k2 = ode(x + h / 2 * k1, command, 0, p)
+    k3 = ode(x + h / 2 * k2, command, 0, p)
+    k4 = ode(x + h * k3, command, 0, p)
+    step = ca.Function("step", [x, command, p], [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    after = start = ca.MX.sym("x", x.numel())
+    held, numbers = ca.MX.sym("command", command.numel()), ca.MX.sym("p", p.numel())
+    for _ in range(8):
+        after = step(after, held, numbers)
+    return ca.Function("period", [start, held, numbers], [after])
 
 
 def made_log(
@@ -48,17 +68,10 @@ def made_log(
     for axis in axes:
         held = np.repeat(rng.uniform(-1, 1, rows), rng.integers(6, 30, rows))[:rows]
         thrust[:, axis] = held * vehicle.thrust_limit[axis]
-    ode, p, x = build_plant(vehicle.form).ode, plant_parameters(vehicle), np.zeros(12)
+    moved, p, x = period(vehicle.form), plant_parameters(vehicle), np.zeros(12)
     motion = [x[:8]]
     for command in (thrust if drift is None else thrust + drift)[:-1]:
-        command = command if push is None else command + push(x)
-        for _ in range(8):
-            h = 0.1 / 8
-            k1 = np.asarray(ode(x, command, 0, p)).ravel()
-            k2 = np.asarray(ode(x + h / 2 * k1, command, 0, p)).ravel()
-            k3 = np.asarray(ode(x + h / 2 * k2, command, 0, p)).ravel()
-            k4 = np.asarray(ode(x + h * k3, command, 0, p)).ravel()
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x = np.asarray(moved(x, command if push is None else command + push(x), p)).ravel()
         motion.append(x[:8])
     noise = rng.normal(size=(rows, 8)) * 0.003
     return MotionLog(0.1 * np.arange(rows), np.array(motion) + noise, thrust, "log.csv")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -13,7 +14,11 @@ from surctl.vehicle.identification.outliers import outliers
 from tests.vehicle.test_identify import START, TRUE, made_log
 
 MASSES = ("m11", "m22", "m33", "m44")
-LOG = made_log(TRUE, seed=1, rows=300)
+
+
+@cache
+def made() -> MotionLog:
+    return made_log(TRUE, seed=1, rows=300)
 
 
 def check(log: MotionLog, *, share: float, outside: int) -> list[str]:
@@ -27,10 +32,10 @@ def check(log: MotionLog, *, share: float, outside: int) -> list[str]:
 
 def test_outliers_are_omitted_and_counted() -> None:
     rng = np.random.default_rng(5)
-    motion = LOG.motion.copy()
+    motion = made().motion.copy()
     wrong = rng.random(motion.shape) < 0.02
     motion[wrong] += rng.choice([-1.0, 1.0], wrong.sum()) * rng.uniform(0.3, 3.0, wrong.sum())
-    notes = check(replace(LOG, motion=motion), share=0.02, outside=2)
+    notes = check(replace(made(), motion=motion), share=0.02, outside=2)
     assert any("outliers are not used: " in note and "of x_m" in note for note in notes)
 
 
@@ -53,7 +58,7 @@ def test_coarse_resolution_is_noise() -> None:
     steps = np.array([0.01, 0.01, 0.01, np.radians(1.0), 0.01, 0.01, 0.01, np.radians(1.0)])
     assert not [
         n
-        for n in check(replace(LOG, motion=np.round(LOG.motion / steps) * steps), share=0.02, outside=3)
+        for n in check(replace(made(), motion=np.round(made().motion / steps) * steps), share=0.02, outside=3)
         if "outliers" in n
     ]
 
@@ -62,7 +67,7 @@ def test_coarse_resolution_is_noise() -> None:
 def test_a_start_vehicle_that_is_off_by_a_factor_of_five(factor: float) -> None:
     free = replace(START, parameters={k: replace(p, range=None) for k, p in START.parameters.items()})
     far = free.with_values({k: factor * TRUE[k] for k in (*MASSES, "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag")})
-    near, found = identify(LOG, START, name="near"), identify(LOG, far, name="far")
+    near, found = identify(made(), START, name="near"), identify(made(), far, name="far")
     for name in (*MASSES, "thrust_lag"):
         assert found.estimates[name][0] == pytest.approx(near.estimates[name][0], abs=0.2 * near.estimates[name][1])
 
@@ -88,6 +93,6 @@ def test_a_drift_that_predicts_nothing_is_not_fitted() -> None:
 
 
 def test_sections_of_a_drifting_force_are_not_too_short_for_a_log_with_few_rows() -> None:
-    slow = replace(LOG, time=10.0 * LOG.time)  # one row per second
+    slow = replace(made(), time=10.0 * made().time)  # one row per second
     assert sum(s.rows.stop - s.rows.start for s in drift_sections_of(slow)) == len(slow.time)
-    assert max(float(np.sum(s.dt)) for s in drift_sections_of(LOG)) <= 20.0
+    assert max(float(np.sum(s.dt)) for s in drift_sections_of(made())) <= 20.0

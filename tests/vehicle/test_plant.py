@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
+
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -27,10 +30,14 @@ STEP = 0.025  # [s] of one call of advance()
 
 
 def _fly(x: Array, tau: Array, *, d: Array = STILL, p: Array, seconds: float) -> list[Array]:
-    step, states = advance(), [x]
-    for _ in range(round(seconds / STEP)):
-        states.append(np.asarray(step(states[-1], tau, d, p)).reshape(-1))
-    return states
+    count = round(seconds / STEP)
+    held = (np.tile(value, (count, 1)).T for value in (tau, d, p))
+    return [x, *np.asarray(_steps(count)(x, *held)).T]
+
+
+@cache
+def _steps(count: int) -> ca.Function:
+    return advance().mapaccum(count)
 
 
 def _state(eta: object = (0, 0, 0, 0), nu: object = (0, 0, 0, 0), tau: object = (0, 0, 0, 0)) -> Array:

@@ -33,6 +33,7 @@ def expected_range(
     hull_radius: ca.SX | float,
     half_angle: float,
     maximum: float,
+    incidence: float | None = None,
 ) -> ca.SX:
     """Return the range [m] that one sensor would measure if only known walls and obstacles existed; at most 2·maximum.
 
@@ -50,6 +51,8 @@ def expected_range(
         hull_radius: distance from the robot's centre to the apex of the cone [m]; a symbol in a law for any vehicle.
         half_angle: half the opening angle of the cone [rad], 0 < half_angle < π/2.
         maximum: longest range that the sensor measures [m].
+        incidence: largest angle between a wall's normal and the direction to the sensor at which the wall answers
+            [rad]; None: a wall answers at every angle. Obstacles answer at every angle.
 
     Raises:
         InputError: if half_angle is out of range.
@@ -69,13 +72,18 @@ def expected_range(
     apex = position + hull_radius * axis
     nothing = 2.0 * maximum
     closest: ca.SX = ca.SX(nothing)
-    for normal, distance in (
-        ((1.0, 0.0), walls[1] - apex[0]),
-        ((-1.0, 0.0), apex[0] - walls[0]),
-        ((0.0, 1.0), walls[3] - apex[1]),
-        ((0.0, -1.0), apex[1] - walls[2]),
-    ):
-        closest = ca.fmin(closest, wall_range(axis, normal, distance=distance, half_angle=half_angle, nothing=nothing))
+    away = (walls[1] - apex[0], walls[3] - apex[1], apex[0] - walls[0], apex[1] - walls[2])
+    for k in (0, 2, 1, 3):
+        hit = wall_range(
+            axis,
+            ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[k],
+            distance=away[k],
+            half_angle=half_angle,
+            nothing=nothing,
+            incidence=incidence,
+            sides=(away[(k + 1) % 4], away[k - 1]),
+        )
+        closest = ca.fmin(closest, hit)
 
     def nearer(range_: ca.SX, disc: ca.SX) -> ca.SX:
         hit = disc_range(axis, disc[:2] - apex, radius=disc[2], half_angle=half_angle, nothing=nothing)

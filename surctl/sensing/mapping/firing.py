@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import casadi as ca
 
+from surctl.sensing.mapping.directions import bearing, level
+
 __all__ = [
+    "AXIS",
     "BLIND",
     "LIMITS",
     "MIDDLE",
@@ -12,6 +15,7 @@ __all__ = [
     "READING_SIZE",
     "RING",
     "cell_line",
+    "direction",
     "in_front",
     "limit_values",
     "named_limits",
@@ -47,6 +51,9 @@ MIDDLE = 1.0 - _OF_THE_UNKNOWN
 LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
 """Names of the limits of a firing: squared ranges [m²], `whole` and `outside` [m], the last three numbers 0 or 1."""
 
+AXIS = ("axis_x", "axis_y")
+"""Names of two more limits if the map stores directions: the beam's axis in {E}."""
+
 
 def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
     """Split an array of firings into one dictionary per firing, whose keys are the names in `READING`."""
@@ -76,12 +83,21 @@ def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
         "ranged": slot["clear"] >= 0,
         # the bounds of a block are valid only under these conditions
         "regular": ca.logic_and(ca.logic_and(cosine >= 0, sine >= 0), edge > 0),
+        "axis_x": slot["axis"][0],
+        "axis_y": slot["axis"][1],
     }
 
 
 def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
     """Return the limits of a firing as a dictionary whose keys are the names in `LIMITS`."""
-    return {name: limits[k] for k, name in enumerate(LIMITS)}
+    return {name: limits[k] for k, name in enumerate((*LIMITS, *AXIS)[: limits.numel()])}
+
+
+def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
+    """Return the direction from a firing's apex to a cell, see `directions.bearing`."""
+    along, across = column[0] + row[0], column[1] + row[1]
+    ex, ey = limit["axis_x"], limit["axis_y"]
+    return bearing(along * ex + across * ey, along * ey - across * ex)
 
 
 def cell_line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -104,5 +120,6 @@ def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: c
     """Return whether the whole cell is free: it lies deep enough inside the cone, and is nearer than the echo."""
     beam = line[0] * limit["sine"]
     deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
-    short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], value <= BLIND))
+    marks = value if "axis_x" not in limit else level(value)
+    short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], marks <= BLIND))
     return ca.logic_and(_inside(line, limit) > deep, short)

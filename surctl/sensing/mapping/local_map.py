@@ -25,7 +25,7 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
-from surctl.sensing.mapping.firing import BLIND, LIMITS, MIDDLE, READING, READING_SIZE, RING
+from surctl.sensing.mapping.firing import BLIND, MIDDLE, READING, READING_SIZE, RING
 from surctl.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
 
 __all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
@@ -51,6 +51,8 @@ class LocalMap:
         free_time: time [s] until a cleared cell has faded to 0 (design choice).
         known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
             counts as known to be free.
+        specular: whether surfaces reflect specularly: marks then store the directions from which they were heard, and
+            silence clears a mark only from within these directions (see `directions`).
     """
 
     dt: float
@@ -61,6 +63,7 @@ class LocalMap:
     mark_time: float = 60.0
     free_time: float = 60.0
     known: float = 0.3
+    specular: bool = False
 
     def __post_init__(self) -> None:
         """Check the values; raise an InputError that names an invalid value."""
@@ -143,6 +146,7 @@ class _Steps:
             fades=(local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time),
             known=local_map.known,
             held=local_map.held,
+            specular=local_map.specular,
         )
         self.limits, self.explained, self.explained_next, self.idle = (
             tuple(f"{name}_{s}" for s in range(local_map.slots))
@@ -379,7 +383,7 @@ class _Steps:
         sizes |= {"place": 4, "walls": 4, "slots": self.local_map.slots * READING_SIZE, "corner": 2, "corner_next": 2}
         sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
         sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
-        sizes |= dict.fromkeys(("limits", *self.limits), len(LIMITS))
+        sizes |= dict.fromkeys(("limits", *self.limits), len(self.programs.limit_names))
         listed = [(name, 1) if isinstance(name, str) else name for name in names]
         return tuple((name, count * sizes.get(name, 1)) for name, count in listed)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
+from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, WIDEST, WIDEST_FREE
 from surctl.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
@@ -68,17 +69,26 @@ def map_step(
     x, y = ((now[axis] + 0.5) * edge for axis in (0, 1))
     stays = np.outer(was[1] == now[1], was[0] == now[0])
     value = np.where(stays, _torus(local_map, _sized("cells", cells, n * n)), 0.0)
-    value = value - np.clip(value, -local_map.dt / local_map.free_time, local_map.dt / local_map.mark_time)
+    specular = local_map.specular
+    value = _faded(value, local_map.dt / local_map.free_time, local_map.dt / local_map.mark_time)
     beams = [_Beam(firing, x, y) for firing in firings]
-    explained = [
-        bool(np.any(beam.on_arc(edge) & (value >= -local_map.known) & (beam.square <= beam.cutoff**2)))
-        for beam in beams
-    ]
+
+    def may(beam: _Beam, value: Vector) -> NDArray[np.bool_]:
+        # cells that are not known to be free, of an echo from the beam's direction
+        silent = _includes(value, beam.direction) if specular else True
+        return np.asarray((_level(value) >= -local_map.known) | np.logical_not(silent))
+
+    explained = [bool(np.any(beam.on_arc(edge) & may(beam, value) & (beam.square <= beam.cutoff**2))) for beam in beams]
     for beam, already in zip(beams, explained, strict=True):
-        free = beam.in_front(edge, value)
-        marked = beam.on_arc(edge) & ((value >= -local_map.known) | (not already))
-        mark = 1.0 if beam.clear >= 0 else np.maximum(value, BLIND)
-        value = np.where(free, -1.0, np.where(marked, mark, value))
+        free, cleared, remark = beam.in_front(edge, _level(value)), np.array(-1.0), np.array(1.0)
+        if specular:
+            strong = _level(value) > BLIND
+            free &= np.logical_not(strong & (_stored(value) > DIRECTIONS)) | _includes(value, beam.direction)
+            remark = _sector_with(value, beam.direction, goes_on=strong, widest=WIDEST)
+            cleared = -_sector_with(value, beam.direction, goes_on=_level(value) < 0, widest=WIDEST_FREE)
+        marked = beam.on_arc(edge) & (may(beam, value) | (not already))
+        mark = remark if beam.clear >= 0 else np.maximum(value, BLIND)
+        value = np.where(free, cleared, np.where(marked, mark, value))
     dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
     square = dx * dx + dy * dy
     value = np.where(square < hull * hull, -1.0, value)
@@ -86,8 +96,13 @@ def map_step(
         (low + _AT_A_WALL * edge < centres) & (centres < high - _AT_A_WALL * edge)
         for centres, low, high in zip((x, y), *ends, strict=True)
     )
-    blank = (value >= -local_map.known) & (value <= 0) & (square > (hull + RING * edge) ** 2) & np.outer(along, across)
-    many = _blocks(local_map, value >= -local_map.known).sum(axis=1, keepdims=True) >= local_map.held
+    blank = (
+        (_level(value) >= -local_map.known)
+        & (value <= 0)
+        & (square > (hull + RING * edge) ** 2)
+        & np.outer(along, across)
+    )
+    many = _blocks(local_map, _level(value) >= -local_map.known).sum(axis=1, keepdims=True) >= local_map.held
     blank &= _torus(local_map, np.repeat(many, local_map.block**2, axis=1))
     marks, blanks = (_nearest(local_map, which, dx, dy, square) for which in (value > 0, blank))
     return _blocks(local_map, value).reshape(-1), window, marks, blanks
@@ -117,8 +132,50 @@ def map_view(
     n, low = local_map.side, _sized("corner", corner, 2)
     x, y = (low[axis] + np.arange(n) for axis in (0, 1))
     torus = _torus(local_map, _sized("cells", cells, n * n))
-    values = torus[np.ix_(np.mod(y, n).astype(int), np.mod(x, n).astype(int))]
+    values = _level(torus)[np.ix_(np.mod(y, n).astype(int), np.mod(x, n).astype(int))]
     return values, (x + 0.5) * edge, (y + 0.5) * edge
+
+
+def _level(value: Vector) -> Vector:
+    # strength of a mark or of a cleared cell, see `directions.level`
+    return np.asarray(value - np.sign(value) * 2 * _stored(value))
+
+
+def _stored(value: Vector) -> Vector:
+    return np.asarray(np.floor(np.abs(value) / 2))
+
+
+def _faded(value: Vector, free: float, mark: float) -> Vector:
+    after = value - np.where(value > 0, mark, -free)
+    return np.where((_level(value) <= mark) & (_level(value) >= -free), 0.0, after)
+
+
+def _bearing(x: Vector, y: Vector) -> Vector:
+    share = np.abs(y) / np.maximum(np.abs(x) + np.abs(y), 1e-9)
+    share = share + BENT * share * (1 - share) * (2 * share - 1)
+    upper = np.where(x >= 0, share, 2 - share)
+    return np.asarray(np.where(y >= 0, upper, 4 - upper) * (DIRECTIONS / 4))
+
+
+def _includes(value: Vector, direction: Vector) -> NDArray[np.bool_]:
+    """Return whether the sector of each cell includes a direction, or is close to it; see `directions.includes`."""
+    stored = _stored(value)
+    further = np.floor(np.maximum(stored - 1, 0) / DIRECTIONS)
+    off = np.mod(direction - (stored - 1 - DIRECTIONS * further), DIRECTIONS)
+    return np.asarray((stored < 1) | (off <= further + 1 + BESIDE) | (off >= DIRECTIONS - BESIDE))
+
+
+def _sector_with(value: Vector, direction: Vector, *, goes_on: NDArray[np.bool_], widest: int) -> Vector:
+    """Return the absolute number of each cell with a direction in its sector; see `directions.sector_with`."""
+    stored = _stored(value)
+    further = np.floor(np.maximum(stored - 1, 0) / DIRECTIONS)
+    first, now = stored - 1 - DIRECTIONS * further, np.minimum(np.floor(direction), DIRECTIONS - 1)
+    after = np.mod(now - first, DIRECTIONS)
+    before = DIRECTIONS - after + further
+    grown = (after <= further) | ((after <= widest) & (after <= before))
+    keep = (stored >= 1) & goes_on & (grown | (before <= widest))
+    count = np.where(keep, np.where(grown, np.maximum(after, further), before), 0)
+    return np.asarray(3 + 2 * (np.where(keep & grown, first, now) + DIRECTIONS * count))
 
 
 class _Beam:
@@ -131,6 +188,7 @@ class _Beam:
         self.along = away_x * ex + away_y * ey
         self.across = np.abs(away_x * ey - away_y * ex)
         self.square = away_x**2 + away_y**2
+        self.direction = _bearing(*np.broadcast_arrays(away_x, away_y))
 
     @property
     def depth(self) -> Vector:

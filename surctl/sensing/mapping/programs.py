@@ -18,12 +18,15 @@ from math import cos, pi, sin
 import casadi as ca
 
 from surctl.ir import Program, lower_named
+from surctl.sensing.mapping.directions import WIDEST, WIDEST_FREE, confirms, includes, level, sector_with
 from surctl.sensing.mapping.firing import (
+    AXIS,
     BLIND,
     LIMITS,
     READING_SIZE,
     RING,
     cell_line,
+    direction,
     in_front,
     limit_values,
     named_limits,
@@ -59,6 +62,7 @@ class MapPrograms:
         fades: amounts by which the value of a marked cell and of a cleared cell approach 0 in one period.
         known: smallest fraction of `free_time` that must remain for a cleared cell to count as known to be free.
         held: number of cells not known to be free below which the unknown cells of a block are ignored.
+        specular: whether cells store directions, because surfaces reflect specularly (see `directions`).
     """
 
     slots: int
@@ -69,6 +73,12 @@ class MapPrograms:
     fades: tuple[float, float]
     known: float
     held: int
+    specular: bool = False
+
+    @property
+    def limit_names(self) -> tuple[str, ...]:
+        """Names of the limits of a firing."""
+        return (*LIMITS, *AXIS) if self.specular else LIMITS
 
     @cached_property
     def bounds_size(self) -> int:
@@ -94,7 +104,7 @@ class MapPrograms:
         limits, explained = {}, {}
         for s, slot in enumerate(split(slots, self.slots)):
             values = limit_values(slot, edge)
-            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in LIMITS))
+            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in self.limit_names))
             explained[f"explained_{s}"] = values["far"] < values["near"]  # no cell is on an empty arc
         ring = hull + RING * edge
         everything = explained["explained_0"]
@@ -212,9 +222,13 @@ class MapPrograms:
         """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
         hit, value = ca.SX.sym("hit"), ca.SX.sym("value")
         column, across, row, down = self._cell()
-        limits = ca.SX.sym("limits", len(LIMITS))
+        limits = ca.SX.sym("limits", len(self.limit_names))
         limit, line = named_limits(limits), cell_line(across, down)
-        near = ca.logic_and(self._faded(value, column, row) >= -self.known, line[2] <= limit["cutoff"])
+        faded = self._faded(value, column, row)
+        may = self._level(faded) >= -self.known
+        if self.specular:
+            may = ca.logic_or(may, ca.logic_not(includes(faded, direction(across, down, limit))))
+        near = ca.logic_and(may, line[2] <= limit["cutoff"])
         after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
         inputs = {
             **{"hit": hit, "cells": value, "column": column, "column_beam": across},
@@ -226,11 +240,20 @@ class MapPrograms:
         """Program that computes a cell's value after a firing."""
         value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
         _, across, _, down = self._cell()
-        limits = ca.SX.sym("limits", len(LIMITS))
+        limits = ca.SX.sym("limits", len(self.limit_names))
         limit, line = named_limits(limits), cell_line(across, down)
-        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(value >= -self.known, ca.logic_not(explained)))
-        mark = ca.if_else(limit["ranged"], 1, ca.fmax(value, BLIND))
-        after = ca.if_else(in_front(line, limit, value), -1, ca.if_else(marked, mark, value))
+        free, remark, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
+        if self.specular:
+            away, now = direction(across, down, limit), level(value)
+            strong = now > BLIND
+            beside = includes(value, away)
+            free = ca.logic_and(free, ca.logic_or(beside, ca.logic_not(ca.logic_and(strong, confirms(value)))))
+            remark = sector_with(value, away, goes_on=strong, widest=WIDEST)
+            cleared = -sector_with(value, away, goes_on=now < 0, widest=WIDEST_FREE)
+            may = ca.logic_or(now >= -self.known, ca.logic_not(beside))
+        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
+        mark = ca.if_else(limit["ranged"], remark, ca.fmax(value, BLIND))
+        after = ca.if_else(free, cleared, ca.if_else(marked, mark, value))
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
         return lower_named("observe", inputs, {"after": after})
 
@@ -244,7 +267,7 @@ class MapPrograms:
     def tally(self) -> Program:
         """Program that computes the largest value of a block's cells, and the number of cells not known to be free."""
         largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
-        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (value >= -self.known)}
+        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (self._level(value) >= -self.known)}
         return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
 
     # --- the nearest cell of a block ----------------------------------------------------------------------------------
@@ -291,7 +314,8 @@ class MapPrograms:
             square = columns[self._entry(k, BASE, which)] + row[which]
             holds = value > 0
             if unknown:
-                holds = ca.logic_and(ca.logic_and(value >= -self.known, value <= 0), square > hull[1])
+                blank = ca.logic_and(self._level(value) >= -self.known, value <= 0)
+                holds = ca.logic_and(blank, square > hull[1])
             nearer = ca.logic_and(holds, square < least)
             dx = ca.if_else(nearer, columns[self._entry(k, BASE, 0)], dx)
             least = ca.if_else(nearer, square, least)
@@ -339,7 +363,14 @@ class MapPrograms:
 
     def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
         old = value * (row[2] * column[2])
+        if self.specular:
+            now = level(old)
+            after = old - ca.if_else(old > 0, self.fades[0], -self.fades[1])
+            return ca.if_else(ca.logic_and(now <= self.fades[0], now >= -self.fades[1]), 0, after)
         return old - ca.fmin(ca.fmax(old, -self.fades[1]), self.fades[0])
+
+    def _level(self, value: ca.SX) -> ca.SX:
+        return level(value) if self.specular else value
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -348,11 +379,11 @@ class MapPrograms:
         return column, across, row, down
 
     def _limits(self) -> list[dict[str, ca.SX]]:
-        return [named_limits(ca.SX.sym(f"limits_{s}", len(LIMITS))) for s in range(self.slots)]
+        return [named_limits(ca.SX.sym(f"limits_{s}", len(self.limit_names))) for s in range(self.slots)]
 
     @staticmethod
     def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:
-        return {f"limits_{s}": ca.vertcat(*(one[name] for name in LIMITS)) for s, one in enumerate(limits)}
+        return {f"limits_{s}": ca.vertcat(*one.values()) for s, one in enumerate(limits)}
 
 
 def _least(values: list[ca.SX]) -> ca.SX:

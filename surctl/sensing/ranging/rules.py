@@ -104,7 +104,7 @@ def _believed(step: Step, late: Late, fine: Value, reading: Value) -> Value:
     # one repetition of a sample set is not yet a reason to reject the reading
     fair = op.either(fine, op.both(state["repeated"] > 0.5, state["repeated"] < rules.stuck))
     rejected = op.where(fair, state["rejected"], 1.0)
-    too_long = op.both(scene.fired, reading > scene.raw + scene.tolerance)
+    too_long = op.both(scene.fired, reading > scene.longest + scene.tolerance)
     trusted = op.both(believed, op.either(new.agrees, op.both(new.near, state["turned"] <= _UNSEEN)))
     state["distrust"] = op.where(too_long, 1.0, op.where(trusted, 0.0, state["distrust"]))
     state["rejected"] = op.where(believed, 0.0, op.where(scene.fired, rejected, state["rejected"]))
@@ -244,7 +244,7 @@ def _outputs(step: Step, late: Late, believed: Value) -> tuple[Value, ...]:
     anything = op.either(state["known"] < 0.5, lost)
     at_minimum = state["reading"] <= rules.minimum + 1.5 * rules.resolution  # all ranges below give the same reading
     low = op.where(op.either(anything, at_minimum), 0.0, op.most(low, 0.0))
-    ceiling = op.least(scene.expected + scene.tolerance, far)
+    ceiling = op.least(scene.ceiling + scene.tolerance, far)
     high = op.least(op.where(anything, far, high), ceiling)
     # if the track lies beyond a known wall, the interval ends at the wall
     low = op.where(low > ceiling, op.most(ceiling - 2.0 * scene.tolerance, 0.0), low)

@@ -60,6 +60,7 @@ class StepInputs(NamedTuple):
     fresh: Value
     closing: Value
     expected: Value
+    longest: Value
     turn: Value
     others: list[tuple[Value, Value, Value]]
     """For each other sensor: rate of the estimated range [m/s], newest and previous reading [m]; see `others`."""
@@ -71,7 +72,8 @@ class Scene(NamedTuple):
     fired: Value
     turning: Value
     follow: Value  # the beam turns and the track is a known wall, so the track moves with the expected range
-    raw: Value  # expected range, not limited
+    longest: Value  # range at which a known wall surely answers, not limited
+    ceiling: Value  # the same, limited to the maximum
     wall: Value  # a known wall is within the maximum range
     expected: Value  # expected range, limited to the maximum
     tolerance: Value
@@ -107,6 +109,8 @@ def opened(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: Step
 def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
     turning = op.size(inputs.turn) > _TURNING
     expected = op.least(op.most(inputs.expected, 0.0), rules.maximum)
+    same = inputs.longest is inputs.expected
+    ceiling = expected if same else op.least(op.most(inputs.longest, 0.0), rules.maximum)
     cycle = round(rules.due / rules.dt)
     before, earlier = (old["walls"][min(k * cycle, len(old["walls"])) - 1] for k in (1, 2))
     slide = op.most(op.size(expected - before), op.size(before - earlier), 0.5 * op.size(expected - earlier))
@@ -116,7 +120,8 @@ def _scene(op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: Step
         fired=inputs.fresh > 0.5,
         turning=turning,
         follow=op.both(turning, slide > _SLIDING, old["explained"] > 0.5, old["known"] > 0.5),
-        raw=inputs.expected,
+        longest=inputs.longest,
+        ceiling=ceiling,
         wall=inputs.expected < rules.maximum,
         expected=expected,
         tolerance=rules.tolerance + 0.5 * slide + unsure,
@@ -211,5 +216,5 @@ def sound(step: Step, reading: Value) -> Value:
         scene.fired,
         state["repeated"] < (0.5 if rules.one_repeat else rules.stuck),
         reading >= rules.minimum - code,
-        reading <= inputs.expected + scene.tolerance,
+        reading <= inputs.longest + scene.tolerance,
     )

@@ -169,6 +169,7 @@ class RangeTracker:
         closing: ca.SX,
         expected: ca.SX,
         turn: ca.SX,
+        longest: ca.SX | None = None,
         prefix: str = "",
     ) -> Ranging:
         """Return the ranges after one step, in CasADi symbols.
@@ -181,6 +182,8 @@ class RangeTracker:
                 object at rest.
             expected: (n,) range [m] at which the known walls give an echo; 2·maximum without a known wall.
             turn: yaw rate of the robot [rad/s].
+            longest: (n,) range [m] at which a known wall surely gives an echo; a longer reading is a fault. Default:
+                `expected`.
             prefix: prefix of the names of the state's entries.
         """
         ports, count = self.ports(), self.array.samples
@@ -193,8 +196,9 @@ class RangeTracker:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
             previous = {n: ca.vertsplit(v) if n in wide else v for n, v in own.items()}
             compared = [(around[3 * k], around[3 * k + 1], around[3 * k + 2]) for k in range(len(beside))]
-            fired, own_motion, walls = ca.vertsplit(values[count:])
-            inputs = StepInputs(ca.vertsplit(values[:count]), fired, own_motion, walls, turn, compared)
+            fired, own_motion, walls, *far = ca.vertsplit(values[count:])
+            farthest = far[0] if far else walls
+            inputs = StepInputs(ca.vertsplit(values[:count]), fired, own_motion, walls, farthest, turn, compared)
             after, outputs = range_step(SYMBOLS, self.rules(), previous, inputs)
             flat = [ca.vec(ca.vertcat(*v)) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
             return _column(flat), _column(outputs)
@@ -203,7 +207,7 @@ class RangeTracker:
             "range_track",
             sensor,
             ca.horzcat(*old.values()),
-            ca.horzcat(samples, fresh, closing, expected),
+            ca.horzcat(samples, fresh, closing, expected, *(() if longest is None else (longest,))),
             ca.horzcat(ca.SX.zeros(self.array.size, 0), *(value for one in beside for value in one)),
         )
         new, at = {}, 0
@@ -222,6 +226,7 @@ class RangeTracker:
         closing: ArrayLike,
         expected: ArrayLike,
         turn: ArrayLike,
+        longest: ArrayLike | None = None,
         prefix: str = "",
     ) -> Ranging:
         """Return the ranges after one step, as arrays with any leading axes (runs).
@@ -233,6 +238,7 @@ class RangeTracker:
             closing: (..., n) the robot's velocity along each beam's axis [m/s]; 0 if this velocity is unknown.
             expected: (..., n) range [m] at which the known walls give an echo; 2·maximum without a known wall.
             turn: (...) yaw rate of the robot [rad/s].
+            longest: (..., n) see `update`.
             prefix: prefix of the names of the state's entries.
         """
         old = {
@@ -242,19 +248,22 @@ class RangeTracker:
             for port in self.ports(prefix)
         }
         columns = [samples[..., j] for j in range(self.array.samples)]
-        fired, own, walls, beside = (np.asarray(v, dtype=float) for v in (fresh, closing, expected, turn))
+        far = expected if longest is None else longest
+        fired, own, walls, farthest, beside = (
+            np.asarray(v, dtype=float) for v in (fresh, closing, expected, far, turn)
+        )
         compared = others(NUMBERS, self.rules(), old, columns, fired)
         after, outputs = range_step(
-            NUMBERS, self.rules(), old, StepInputs(columns, fired, own, walls, beside[..., None], compared)
+            NUMBERS, self.rules(), old, StepInputs(columns, fired, own, walls, farthest, beside[..., None], compared)
         )
         lead = samples.shape[:-1]
         new = {
-            prefix + name: np.stack([np.broadcast_to(c, lead) for c in v], axis=-1)
+            prefix + name: np.stack([_filled(c, lead) for c in v], axis=-1)
             if isinstance(v, list)
-            else np.broadcast_to(v, lead).astype(float)
+            else _filled(v, lead).astype(float)
             for name, v in after.items()
         }
-        return Ranging(new, *(np.broadcast_to(v, lead).astype(float) for v in outputs))
+        return Ranging(new, *(_filled(v, lead).astype(float) for v in outputs))
 
     def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
         """Return the initial state for `step`: the value of each entry, by name, as an array (*runs, *port.shape)."""
@@ -293,6 +302,11 @@ class RangeTracker:
 def _column(parts: Iterable[Any]) -> ca.SX:
     whole: ca.SX = ca.vertcat(*parts)
     return whole
+
+
+def _filled(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    # most values have the shape already, and `broadcast_to` takes ten times as long as this look
+    return value if getattr(value, "shape", ()) == shape and shape else np.broadcast_to(value, shape)
 
 
 @cache

@@ -8,7 +8,7 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import cos, isfinite, pi, sin
+from math import acos, cos, isfinite, pi, sin
 
 from surctl.errors import InputError
 from surctl.sensing.sonar.mounting import inside_hull, open_cones
@@ -29,7 +29,9 @@ class SonarArray:
         mounts: (n, 2) apexes of the beams in {B} [m], not inside the hull; None: each apex lies on the hull at the
             azimuth of its sensor. The directions that the hull blocks are not part of a beam, see `cones`.
         hull_radius: radius [m] of the hull, a disc about the robot's centre.
-        beam_angle: full opening angle [rad], below π (75°, a design choice).
+        beam_angle: full opening angle [rad] of the beam, a circular cone, below π (75°, a design choice).
+        pitch: elevation of the beams' axes [rad], positive towards the water surface, less than half of `beam_angle`
+            (a design choice); sensors that look down receive fewer echoes of the surface.
         incidence_limit: largest angle [rad] between the outward normal of a surface and the direction to the sensor
             at which the surface reflects, in (0, π/2) (Webots' default for its sonars is 22.5°); None: every surface
             reflects.
@@ -58,6 +60,7 @@ class SonarArray:
     mounts: tuple[tuple[float, float], ...] | None = None
     hull_radius: float = 0.27
     beam_angle: float = 75.0 * pi / 180.0
+    pitch: float = 0.0
     incidence_limit: float | None = None
     minimum: float = 0.2
     blind_time: float | None = None
@@ -91,8 +94,14 @@ class SonarArray:
 
     @property
     def half_angle(self) -> float:
-        """Half the beam's opening angle [rad]."""
-        return 0.5 * self.beam_angle
+        """Half the beam's opening angle in the horizontal plane [rad]; less than half of `beam_angle` with a pitch."""
+        if self.pitch == 0.0:
+            return 0.5 * self.beam_angle
+        return acos(cos(0.5 * self.beam_angle) / cos(self.pitch))
+
+    def steepest(self, side: int) -> float:
+        """Return the elevation [rad] of the beam's steepest direction, at most π/2; side 1: upwards, −1: downwards."""
+        return min(0.5 * self.beam_angle + side * self.pitch, 0.5 * pi)
 
     @property
     def cycle(self) -> float:
@@ -205,6 +214,13 @@ def _check_geometry(array: SonarArray) -> None:
         key="beam_angle",
         value=array.beam_angle,
         remedy="give the full angle in radians",
+    )
+    _require(
+        isfinite(array.pitch) and abs(array.pitch) < 0.5 * array.beam_angle,
+        "must be less than half of the beam angle, so that the beam contains the horizontal plane",
+        key="pitch",
+        value=array.pitch,
+        remedy="give radians, positive upwards",
     )
     limit = array.incidence_limit
     _require(

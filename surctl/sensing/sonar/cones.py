@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import cos
+
 import casadi as ca
 
 __all__ = ["disc_range", "turned", "wall_range"]
@@ -14,18 +16,33 @@ def turned(heading: ca.SX, angle: float | ca.SX) -> ca.SX:
 
 
 def wall_range(
-    axis: ca.SX, normal: tuple[float, float], *, distance: ca.SX, half_angle: float | ca.SX, nothing: float
+    axis: ca.SX,
+    normal: tuple[float, float],
+    *,
+    distance: ca.SX,
+    half_angle: float | ca.SX,
+    nothing: float,
+    incidence: float | None = None,
+    sides: tuple[ca.SX, ca.SX] | None = None,
 ) -> ca.SX:
     """Return the range [m] to a wall within a cone; `nothing` if the cone does not meet the wall.
 
-    `distance` [m] is perpendicular to the wall, and `normal` points out of the water.
+    `distance` [m] is perpendicular to the wall, and `normal` points out of the water. With `incidence` [rad], only the
+    directions within this angle of the normal count; `sides` are then the distances [m] from the apex to the end of the
+    wall on the left of the normal, and to its end on the right.
     """
     along = axis[0] * normal[0] + axis[1] * normal[1]
     across = ca.fabs(axis[0] * normal[1] - axis[1] * normal[0])
     # cosine of the angle between the wall's perpendicular and the nearer edge ray
     edge = along * ca.cos(half_angle) + across * ca.sin(half_angle)
     slant = distance / ca.fmax(edge, 1e-9)
-    outside = ca.if_else(edge > 1e-9, slant, nothing)
+    if incidence is None or sides is None:
+        outside = ca.if_else(edge > 1e-9, slant, nothing)
+    else:
+        # the wall ends where it meets the next wall
+        left = axis[1] * normal[0] - axis[0] * normal[1] > 0
+        past = slant * slant - distance * distance > ca.if_else(left, sides[0] * sides[0], sides[1] * sides[1])
+        outside = ca.if_else(ca.logic_and(edge >= cos(incidence), ca.logic_not(past)), slant, nothing)
     nearest = ca.if_else(along >= ca.cos(half_angle), distance, outside)
     return ca.fmin(ca.fmax(nearest, 0.0), nothing)
 

@@ -13,15 +13,23 @@ from surctl.sensing.sonar.array import SonarArray
 from surctl.sensing.sonar.cones import turned
 from surctl.sensing.sonar.solids import Cone, Solid
 
-__all__ = ["Beam", "beam_of", "echo_range", "echo_samples"]
+__all__ = ["Beam", "beam_of", "echo_range", "echo_samples", "looks_of"]
 
 
 @dataclass(frozen=True, eq=False)
 class Beam:
-    """The beam of a sensor: its apex (2, 1) in {E} [m], and the cones that the hull does not block."""
+    """The beam of a sensor: its apex (2, 1) in {E} [m], the cones that the hull does not block, and its axis (2, 1)."""
 
     apex: ca.SX
     cones: tuple[Cone, ...]
+    axis: ca.SX
+
+    def holds(self, ray: ca.SX) -> ca.SX:
+        """Return whether a unit vector (2, 1) lies in one of the cones."""
+        inside = ca.SX(0)
+        for cone in self.cones:
+            inside = ca.logic_or(inside, cone.holds(ray))
+        return inside
 
 
 def beam_of(
@@ -72,7 +80,7 @@ def beam_of(
         offset = _picked(turn, offsets)
         turned_axis = axis if isinstance(offset, float) and offset == 0.0 else turned(axis, offset)
         parts.append(Cone(turned_axis, _picked(turn, halves)))
-    return Beam(apex, tuple(parts))
+    return Beam(apex, tuple(parts), axis)
 
 
 def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
@@ -95,11 +103,7 @@ def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
                 candidate = solid.nearest_in_cone(beam.apex, cone, nothing=nothing)
                 nearest = ca.fmin(nearest, ca.if_else(solid.present, candidate, nothing))
         return nearest
-    looks = [(edge, ca.SX(1)) for cone in beam.cones for edge in cone.edges]
-    inside = ca.SX(0)
-    for solid in solids:
-        inside = ca.logic_or(inside, ca.logic_and(solid.present, solid.holds(beam.apex)))
-        looks += [(ray, _held(beam, ray)) for ray in solid.outlook(beam.apex)]
+    looks, inside = looks_of(beam, solids)
     faced = cos(array.incidence_limit)
     for ray, looked in looks:
         distance, cosine = ca.SX(nothing), ca.SX(0)
@@ -109,6 +113,15 @@ def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
             distance, cosine = ca.if_else(first, far, distance), ca.if_else(first, facing, cosine)
         nearest = ca.fmin(nearest, ca.if_else(ca.logic_and(looked, cosine >= faced), distance, nothing))
     return ca.if_else(inside, 0.0, nearest)
+
+
+def looks_of(beam: Beam, solids: Sequence[Solid]) -> tuple[list[tuple[ca.SX, ca.SX]], ca.SX]:
+    """Return unit vectors to where the nearest echo may lie, each with 1 if in the beam; and 1 if inside a solid."""
+    looks, inside = [(edge, ca.SX(1)) for cone in beam.cones for edge in cone.edges], ca.SX(0)
+    for solid in solids:
+        inside = ca.logic_or(inside, ca.logic_and(solid.present, solid.holds(beam.apex)))
+        looks += [(ray, beam.holds(ray)) for ray in solid.outlook(beam.apex)]
+    return looks, inside
 
 
 def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
@@ -142,10 +155,3 @@ def _picked(turn: ca.SX | int, values: Sequence[float]) -> ca.SX | float:
     for k, value in enumerate(values):
         chosen = ca.if_else(turn == k, value, chosen)
     return chosen
-
-
-def _held(beam: Beam, ray: ca.SX) -> ca.SX:
-    inside = ca.SX(0)
-    for cone in beam.cones:
-        inside = ca.logic_or(inside, cone.holds(ray))
-    return inside

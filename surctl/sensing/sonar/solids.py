@@ -141,6 +141,15 @@ class SolidBox(Solid):
             rays.append(_beside(_towards(to), side))
         return [self._global(ray) for ray in rays]
 
+    def edges(self, apex: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
+        """Return the vertical edges (2, 1) [m], each with 1 if the box does not hide it; see `box_edges`."""
+        half, here = 0.5 * self.size, self._local(apex - self.centre)
+        edges = []
+        for along, across in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
+            shown = ca.logic_or(along * here[0] > half[0], across * here[1] > half[1])
+            edges.append((self.centre + self._global(ca.vertcat(along * half[0], across * half[1])), shown))
+        return edges
+
     def _entry(self, here: ca.SX, ray: ca.SX, nothing: float) -> tuple[ca.SX, ca.SX]:
         # slab method in the frame of the box: distance [m] and cosine of the incidence angle
         half = 0.5 * self.size
@@ -181,12 +190,24 @@ class SolidWalls(Solid):
 
     def hit(self, apex: ca.SX, ray: ca.SX, *, nothing: float) -> tuple[ca.SX, ca.SX]:
         """See `Solid.hit`."""
+        approach, along_x, along_y = self._along(apex, ray)
+        cosine = ca.if_else(along_x <= along_y, approach[0], approach[1])
+        return ca.fmin(ca.fmin(along_x, along_y), nothing), cosine
+
+    def picked(self, apex: ca.SX, ray: ca.SX, values: tuple[float, ...]) -> ca.SX:
+        """Return the value of the wall that a ray hits, from the values (4,) of x_min, x_max, y_min, y_max."""
+        if all(value == values[0] for value in values):
+            return ca.SX(values[0])
+        _, along_x, along_y = self._along(apex, ray)
+        west, east, south, north = values
+        return ca.if_else(along_x <= along_y, ca.if_else(ray[0] > 0, east, west), ca.if_else(ray[1] > 0, north, south))
+
+    def _along(self, apex: ca.SX, ray: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         west, east, south, north = (distance for _, distance in self._faces(apex))
         approach = ca.fmax(ca.fabs(ray), _PARALLEL)
         along_x = ca.if_else(ray[0] > 0, east, west) / approach[0]
         along_y = ca.if_else(ray[1] > 0, north, south) / approach[1]
-        cosine = ca.if_else(along_x <= along_y, approach[0], approach[1])
-        return ca.fmin(ca.fmin(along_x, along_y), nothing), cosine
+        return approach, along_x, along_y
 
     def outlook(self, apex: ca.SX) -> list[ca.SX]:
         """See `Solid.outlook`: directions to the foot points on the four walls."""

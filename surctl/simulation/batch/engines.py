@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, ToolMissing, nearest
-from surctl.ir import Batch, compile_batch, fused, to_casadi, without_libm
+from surctl.ir import Batch, compile_batch_source, to_casadi
 from surctl.simulation.batch.bodies import ABSENT
 from surctl.simulation.batch.case import Case, check_values
 from surctl.simulation.batch.counting import VARIATIONS
 from surctl.simulation.batch.loop import Loop, Structure, build_loop
 from surctl.simulation.batch.pack import Packed, pack, structure_of
+from surctl.simulation.batch.stored import stored_loop
 from surctl.simulation.metrics import METRICS, STOPS
 
 __all__ = ["ENGINES", "BatchResult", "Engine", "SlowerEngine", "compiled_loop", "simulate_batch"]
@@ -134,7 +135,7 @@ def compiled_loop(structure: Structure) -> Batch:
     Raises:
         ToolMissing: there is no C compiler.
     """
-    return compile_batch(fused(without_libm(build_loop(structure).step)))
+    return compile_batch_source(stored_loop(structure).source)
 
 
 @cache

@@ -6,7 +6,7 @@ The module computes the same sensor values as the methods `_listen` and `_measur
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from math import gcd
 
 import casadi as ca
@@ -14,11 +14,14 @@ import casadi as ca
 from surctl.control import CONTACT_SLOTS, Law
 from surctl.ir import Layout, Port
 from surctl.sensing import (
+    ECHO_KEY,
     NOISE_STATE,
     SLOT,
     BaseStation,
+    Beam,
     SolidWalls,
     beam_of,
+    certain_range_symbols,
     delayed_symbols,
     draw_normals,
     draw_uniforms,
@@ -26,6 +29,9 @@ from surctl.sensing import (
     echo_samples,
     fault_ports,
     faulty_samples,
+    firing_block_symbols,
+    uniform_symbols,
+    weak_range_symbols,
 )
 from surctl.simulation.batch.bodies import Body
 from surctl.simulation.batch.counting import modulo
@@ -188,11 +194,11 @@ class Listening:
             turns = [plan.sensors[(t * self._instants + instant) % plan.period][k] for t in range(period)]
             listed = [0 if i is None else i for i in turns]
             beam = beam_of(array, listed, turn, position=plant[:2], heading=plant[3], hull_radius=w["world_hull"])
-            distance = echo_range(array, beam, [*(body.solid for body in bodies), SolidWalls(w["walls"])])
             at = (instant * wide + k) * samples
             noise, sensor = numbers["normals"][at : at + samples], ca.SX(0)
             for t, i in enumerate(listed):
                 sensor = ca.if_else(turn == t, i, sensor)
+            distance = self._distance(w, bodies, beam, plant[2], sensor, step * self._instants + instant)
             if structure.may_fail:
                 at = 2 * (instant * wide + k)
                 arrival = faulty_samples(
@@ -220,6 +226,25 @@ class Listening:
             after |= now
             fresh = [ca.fmax(flag, ca.logic_and(sensor == i, arrived)) for i, flag in enumerate(fresh)]
         return after, ca.vertcat(*fresh)
+
+    def _distance(
+        self, w: Mapping[str, ca.SX], bodies: Sequence[Body], beam: Beam, z: ca.SX, sensor: ca.SX, instant: ca.SX
+    ) -> ca.SX:
+        # distance [m] of the first detected echo; `instant` counts the firing instants of the run
+        array, surfaces = self.structure.equipment.array, self.structure.surfaces
+        walls, solids = SolidWalls(w["walls"]), [body.solid for body in bodies]
+        if surfaces is None:
+            return echo_range(array, beam, [*solids, walls])
+        upright = list(zip(solids, surfaces.obstacles, strict=True))
+        nearest = certain_range_symbols(array, beam, upright, walls, z=z, surfaces=surfaces)
+        if not (surfaces.weak or surfaces.corners):
+            return nearest
+        key, numbers = ca.SX.zeros(ECHO_KEY), ca.SX.zeros(len(upright))
+        if surfaces.weak:
+            key, numbers = w["echo_key"], w["echo_numbers"]
+        uniform = partial(uniform_symbols, key, firing_block_symbols(key, instant, sensor))
+        numbered = [(numbers[k], *pair) for k, pair in enumerate(upright)]
+        return ca.fmin(nearest, weak_range_symbols(array, beam, numbered, walls, surfaces=surfaces, uniform=uniform))
 
 
 def slots(rows: Sequence[ca.SX], near: Sequence[ca.SX], most: int = CONTACT_SLOTS) -> ca.SX:

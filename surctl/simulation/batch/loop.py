@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 
 import casadi as ca
 
@@ -29,7 +29,7 @@ from surctl.ir import (
     nearby_angles,
     shared_divisors,
 )
-from surctl.sensing import NOISE_STATE, SLOT, FaultChances
+from surctl.sensing import ECHO_KEY, NOISE_STATE, SLOT, FaultChances
 from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted, path_square, path_tangent
 from surctl.simulation.batch.driving import driven
@@ -56,19 +56,38 @@ class Loop:
         law: the law of the loop.
         state: layout of a run's state vector; the run ends when the vector's first entry, `done`, becomes 1.
         parameters: layout of a run's parameter vector.
-        step: function that simulates one control period; from a run's state and parameters it computes the next state.
     """
 
     structure: Structure
     law: Law
     state: Layout
     parameters: Layout
-    step: Routine
+
+    @cached_property
+    def step(self) -> Routine:
+        """Function that simulates one control period: from a run's state and parameters it computes the next state."""
+        law, state, parameters = self.law, self.state, self.parameters
+        builder = _Builder(self.structure, law, state, parameters)
+        sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
+        # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
+        move = shared_divisors(nearby_angles(lower(advance(self.structure.form)), source=0, entry=_HEADING))
+        outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
+        steps = (
+            *(builder.mission.steps(state, parameters) if builder.mission else ()),
+            Call(sense, ("s", "w"), outputs[0]),
+            Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
+            Call(drive, tuple(name for name, _ in drive.inputs), ("thrust",)),
+            Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
+            Call(between, tuple(name for name, _ in between.inputs), outputs[1]),
+            Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
+            Call(close, tuple(name for name, _ in close.inputs), outputs[2]),
+        )
+        return Routine("step", (("s", state.size), ("w", parameters.size)), steps, outputs[2])
 
 
 @cache
 def build_loop(structure: Structure) -> Loop:
-    """Return the closed loop of a loop structure; the result is cached."""
+    """Return the closed loop of a loop structure; the result is cached, and its step is built when it is first used."""
     law = build_law(  # no more slots than obstacles, and no filter without input
         structure.law,
         avoidance=structure.avoidance,
@@ -83,24 +102,7 @@ def build_loop(structure: Structure) -> Loop:
         depths=structure.depths,
         actuators=structure.actuators,
     )
-    state, parameters = Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure))
-    builder = _Builder(structure, law, state, parameters)
-    sense, drive, between, close = builder.sense(), builder.drive(), builder.between(), builder.close()
-    # the headings of all RK4 stages are near the first: the hull turns little within 25 ms
-    move = shared_divisors(nearby_angles(lower(advance(structure.form)), source=0, entry=_HEADING))
-    outputs = [tuple(name for name, _ in program.outputs) for program in (sense, between, close)]
-    steps = (
-        *(builder.mission.steps(state, parameters) if builder.mission else ()),
-        Call(sense, ("s", "w"), outputs[0]),
-        Call(law.block, ("x", "u", "p"), ("tau", "x_next", "status", "telemetry")),
-        Call(drive, tuple(name for name, _ in drive.inputs), ("thrust",)),
-        Call(move, ("plant", "thrust", "d0", "plant_p"), ("plant_between",)),
-        Call(between, tuple(name for name, _ in between.inputs), outputs[1]),
-        Call(move, ("plant_between", "thrust", "d1", "plant_p"), ("plant_next",)),
-        Call(close, tuple(name for name, _ in close.inputs), outputs[2]),
-    )
-    size = (("s", state.size), ("w", parameters.size))
-    return Loop(structure, law, state, parameters, Routine("step", size, steps, outputs[2]))
+    return Loop(structure, law, Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure)))
 
 
 def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
@@ -128,6 +130,10 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
     heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
     allowed = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
     upright = (*((heights,) if structure.heights else ()), *((allowed,) if structure.depths else ()))
+    weak = (
+        Port("echo_key", (ECHO_KEY,), "1", "key of the random numbers of weak echoes, see echo_keys"),
+        Port("echo_numbers", (len(structure.bodies),), "1", "number of each obstacle's first weak echo"),
+    )
     there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
     thrusters = [law.inputs.port(WORKING)] if WORKING in law.inputs else []
@@ -138,6 +144,7 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         *optional,
         *thrusters,
         *upright,
+        *(weak if structure.draws_echoes else ()),
         *(port for port in failing if structure.may_fail and port.size),
     )
     mission = _mission_of(structure, law)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.allocation import working_flags
 from surctl.control import WORKING
-from surctl.sensing import FaultChances, fault_slots, noise_states
+from surctl.sensing import FaultChances, echo_keys, echo_number, fault_slots, noise_states
 from surctl.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.simulation.batch.case import Case, case_parameters
 from surctl.simulation.batch.loop import Loop, Structure
@@ -82,6 +82,7 @@ def structure_of(case: Case, values: Mapping[str, Columns]) -> Structure:
         len(sensors.faults),
         struck,
         any(fault.kind == "delay" for fault in sensors.faults),
+        surfaces=case.scenario.surfaces,
         **shared,
     )
 
@@ -231,6 +232,9 @@ class _Filler:
         structure = self.loop.structure
         if structure.may_fail:
             columns["fault_chances"] = [self.number(f"sonar.{kind}") for kind in FaultChances.kinds()]
+        if structure.draws_echoes:
+            columns["echo_key"] = list(echo_keys(self.seeds).T)
+            columns["echo_numbers"] = [np.asarray(float(echo_number(o.name))) for o in scenario.obstacles]
         if structure.faults:
             slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
             columns["fault_slots"] = [np.asarray(value) for value in slots.ravel()]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from surctl.control import CONTACT_SLOTS, Barrier, Movers
 from surctl.guidance import AvoidanceForm, Guidance
 from surctl.priority import Mode
-from surctl.sensing import Equipment
+from surctl.sensing import Equipment, Surfaces
 from surctl.simulation.batch.bodies import BodyKind
 from surctl.simulation.run import Sensing
 from surctl.vehicle import Actuators, PlantForm
@@ -32,6 +32,7 @@ class Structure:
         actuators: the thrusters to which the law allocates its thrust; None: each axis has its own limit.
         points: number of waypoints that a run can hold if the path is fed to the law (`Path.fed`); 0: it is not fed.
         rises: whether the path changes its depth.
+        surfaces: how each surface answers a sonar; None: all alike, as the `incidence_limit` of the sonars says.
     """
 
     law: str
@@ -53,11 +54,17 @@ class Structure:
     actuators: Actuators | None = None
     points: int = 0
     rises: bool = False
+    surfaces: Surfaces | None = None
 
     @property
     def may_fail(self) -> bool:
         """Whether a sonar can fail in a run."""
         return self.faults > 0 or self.chances
+
+    @property
+    def draws_echoes(self) -> bool:
+        """Whether some echoes are detected with a probability."""
+        return self.surfaces is not None and self.surfaces.weak
 
     @property
     def moving(self) -> bool:

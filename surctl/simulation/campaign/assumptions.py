@@ -8,9 +8,11 @@ from math import pi
 from surctl.control import BARRIER, law_source
 from surctl.errors import InputError, NotApplicable
 from surctl.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_distance_with_drag
+from surctl.sensing import Reflector, level_range
 from surctl.simulation.batch import Case
 from surctl.simulation.clearance import end_findings
 from surctl.simulation.margin import margin_needed, turn_rate
+from surctl.simulation.scenario import Scenario
 from surctl.simulation.world import build_world
 from surctl.vehicle import Vehicle, check_equation_3
 
@@ -24,6 +26,7 @@ MEANINGS: Mapping[str, str] = {
     "margin": "braking needs more than the gain margin",
     "hull": "the hull does not fit at the start or at the target",
     "dynamics": "the vehicle has terms beyond equation (3) of the paper",
+    "echoes": "some surfaces do not answer every firing, or others hide them",
 }
 """What a violation of each assumption means, by the name that `assumptions` returns."""
 
@@ -37,7 +40,9 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
     drawn number is outside its stated range. `margin` (guarded law only): to brake before an obstacle at rest, the
     simulated vehicle needs a larger distance than the law's gain `margin`; the function `margin_needed` computes this
     distance and includes the force on a turning hull with m11 ≠ m22. `hull`: `end_findings` reports that the hull does
-    not fit at the start or at the target; gaps between start and target are not checked.
+    not fit at the start or at the target; gaps between start and target are not checked. `echoes`: with sonars, an
+    obstacle or a wall does not answer at any angle, or a sonar hears the water surface or the floor, so that no range
+    is one of certain detection.
 
     Args:
         case: the simulated setup; the law's model is `case.model`, or `case.vehicle` if there is no model.
@@ -69,8 +74,19 @@ def assumptions(case: Case, draw: Mapping[str, float], *, detection: float, fast
         "margin": BARRIER in law_source(case.law).parts and not _stops(case, draw),
         "hull": not _fits(case),
         "dynamics": not (_plain(case.vehicle) and _plain(believed)),
+        "echoes": case.sensing == "sonar" and not _answered(scenario),
     }
     return tuple(name for name, is_broken in broken.items() if is_broken)
+
+
+def _answered(scenario: Scenario) -> bool:
+    array, surfaces = scenario.sensors.equipment.array, scenario.surfaces
+    if surfaces is None:
+        return array.incidence_limit is None
+    levels = ((1, surfaces.surface, -scenario.depth), (-1, surfaces.floor, surfaces.depth + scenario.depth))
+    nearest = [level_range(array, reflector, side=side, gap=gap) for side, reflector, gap in levels]
+    silent = all(distance is None or distance > array.maximum for distance in nearest)
+    return silent and {*surfaces.obstacles, *surfaces.walls} == {Reflector()}
 
 
 def _plain(vehicle: Vehicle) -> bool:

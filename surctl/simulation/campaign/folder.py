@@ -15,8 +15,8 @@ from typing import Any
 from surctl import __version__
 from surctl.errors import InputError
 from surctl.files import prepare_folder, write_file
-from surctl.simulation.batch import build_loop
 from surctl.simulation.batch.pack import structure_of
+from surctl.simulation.batch.stored import stored_loop
 from surctl.simulation.campaign.campaign import CHUNK, Campaign
 from surctl.simulation.campaign.plan import Plan
 from surctl.simulation.scenario_table import scenario_table
@@ -81,7 +81,7 @@ class CampaignFolder:
             InputError: another process has locked the store, or the store cannot be written.
         """
         structure = structure_of(plan.case, plan.values(0, 1))
-        digest = build_loop(structure).step.digest()
+        digest = stored_loop(structure).digest
         text = json.dumps([_request(plan), digest, CHUNK], sort_keys=True)
         store = ChunkStore(
             self.path / "campaign.chunks" / _file_name(plan.name), hashlib.sha256(text.encode()).hexdigest()

@@ -6,7 +6,7 @@ import pytest
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.guidance.braking import Watch, brakes_of, range_needed, stopping_distance_with_drag
-from surctl.simulation import Case, Obstacle, load_scenario
+from surctl.simulation import Case, Obstacle, Reflectors, load_scenario
 from surctl.simulation.campaign import assumptions
 from surctl.vehicle import load_vehicle
 
@@ -49,6 +49,17 @@ def test_an_obstacle_over_the_target_or_start_is_told():
     for place in (SCENARIO.target, SCENARIO.start):
         one = Obstacle(name="b", shape="cylinder", centre_m=tuple(place), radius_m=0.1)
         assert told(scenario=replace(SCENARIO, obstacles=(one,))) == ("hull",)
+
+
+def test_surfaces_that_stay_silent_are_told():
+    for echoes in ("webots", "specular", "diffuse"):
+        assert told(scenario=replace(SCENARIO, sensors=SCENARIO.sensors.hearing(echoes))) == ("echoes",)
+    smooth = replace(SCENARIO, sensors=SCENARIO.sensors.hearing("webots"))
+    assert told(scenario=smooth, sensing="truth") == ()
+    # a surface that is heard beyond the longest range changes nothing
+    for floor, wanted in ((2.0, ("echoes",)), (5.0, ())):
+        site = replace(SCENARIO, site=(10.0, 5.0, floor), reflectors=Reflectors(floor="diffuse"))
+        assert told(scenario=site) == wanted
 
 
 def test_short_sight_is_told():

@@ -1,0 +1,103 @@
+"""Study 33: every scenario with the four echo models; and the echo model against brute-force rays.
+
+    python analysis/33_echoes/run.py [--quick] [--write] [--seeds N] [--echoes NAME]
+
+Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
+option.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rays import agreement
+
+from surctl.control import load_gains
+from surctl.reproduction.simulations import scenario_names
+from surctl.simulation import ECHOES, STOPS, Case, load_scenario, simulate_batch
+from surctl.vehicle import load_vehicle
+
+SEEDS = 200
+STOPPED = [STOPS.index(reason) for reason in ("dead end", "standstill")]
+HEAD = [
+    "| scenario | echoes | arrived | collided | stopped | late | time of those that arrived, median / slowest [s] "
+    "| least clearance [m] |",
+    "|---|---|---|---|---|---|---|---|",
+]
+
+
+def case_of(name: str, echoes: str) -> Case:
+    """Return a scenario of the library with its own vehicle, with sonars and an echo model."""
+    scenario = load_scenario(name)
+    scenario = replace(scenario, sensors=scenario.sensors.hearing(echoes))
+    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
+
+
+def row(name: str, echoes: str, seeds: int, *, quick: bool) -> tuple[str, list[int]]:
+    """Return a row of the table, and how many runs arrived, collided, stopped and were late.
+
+    In the `quick` form the runs end after a few seconds, and no loop is compiled.
+    """
+    values, engine = ({"scenario.time_limit": 5.0}, "vm") if quick else ({}, "auto")
+    case = case_of(name, echoes)
+    runs = simulate_batch(case, values, seeds=np.arange(seeds), threads=2, engine=engine)  # type: ignore[arg-type]
+    reached = runs.column("reached") > 0
+    arrived, hit = int(reached.sum()), int(runs.column("collided").sum())
+    stopped = int(np.isin(runs.column("stopped"), STOPPED).sum())
+    counts = [arrived, hit, stopped, seeds - arrived - hit - stopped]
+    times = runs.column("time_s")[reached]
+    took = f"{np.median(times):.1f} / {times.max():.1f}" if arrived else "-"
+    least = runs.column("min_clearance_m").min()
+    print(name, echoes, counts, took, file=sys.stderr, flush=True)
+    return f"| `{name}` | {echoes} | {' | '.join(map(str, counts))} | {took} | {least:.3f} |", counts
+
+
+def study(*, quick: bool, seeds: int, only: str | None) -> tuple[str, bool]:
+    """Return the Markdown text, and whether every limit holds."""
+    names = ["pool-behind"] if quick else scenario_names()
+    models = [only] if only else ["specular"] if quick else list(ECHOES)
+    out = [f"## The law as it is: seeds 0-{seeds - 1} of each", "", *HEAD]
+    totals: dict[str, NDArray[np.int64]] = {}
+    for echoes in models:
+        for name in names:
+            line, counts = row(name, echoes, seeds, quick=quick)
+            out.append(line)
+            totals[echoes] = totals.get(echoes, np.zeros(4, dtype=int)) + counts
+    out += [
+        "",
+        "Sums of all scenarios:",
+        "",
+        "| echoes | arrived | collided | stopped | late |",
+        "|---|---|---|---|---|",
+    ]
+    out += [f"| {echoes} | {' | '.join(map(str, counts))} |" for echoes, counts in totals.items()]
+    lines, bars = agreement(quick=quick)
+    out += ["", "## The echo model against rays", "", *lines, "", "## Bars", ""]
+    out += [f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in bars.items()]
+    return "\n".join(out), all(bars.values())
+
+
+def main() -> int:
+    """Run the study and print the results."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="one scenario and echo model, few runs and rays")
+    parser.add_argument("--write", action="store_true", help="write README.md beside this file")
+    parser.add_argument("--seeds", type=int, help=f"seeds of each scenario (default {SEEDS})")
+    parser.add_argument("--echoes", choices=list(ECHOES), help="only this echo model")
+    options = parser.parse_args()
+    seeds = options.seeds or (2 if options.quick else SEEDS)
+    text, held = study(quick=options.quick, seeds=seeds, only=options.echoes)
+    print(text)
+    if options.write:
+        folder = Path(__file__).parent
+        folder.joinpath("README.md").write_text(f"{folder.joinpath('about.md').read_text()}\n{text}\n")
+    return 0 if held else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,79 @@
+"""The reference of the Python packages, from the docstrings of what each package exports."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+from page import Page, table
+
+__all__ = ["PACKAGES", "pages"]
+
+FOLDER = "reference/python"
+ROOT = Path(__file__).parents[2]
+PACKAGES = {
+    "vehicle": "Describe a vehicle",
+    "world": "Describe a vehicle",
+    "sensing": "Sense",
+    "guidance": "Command",
+    "tasks": "Command",
+    "priority": "Command",
+    "allocation": "Command",
+    "control": "Command",
+    "simulation": "Simulate",
+    "system": "Simulate",
+    "engine": "Simulate",
+    "tuning": "Tune",
+    "verification": "Prove",
+    "lyapunov": "Prove",
+    "sos": "Prove",
+    "certcheck": "Prove",
+    "export": "Export",
+    "bridge": "Export",
+    "ir": "Export",
+    "report": "Report",
+    "study": "Report",
+    "reproduction": "Report",
+    "testing": "Check your own code",
+}
+
+
+def exported(package: str) -> tuple[str, list[str]]:
+    """Return the first line of a package's docstring and the names that it exports, without importing it."""
+    tree = ast.parse((ROOT / "surctl" / package / "__init__.py").read_text(encoding="utf-8"))
+    names: list[str] = []
+    for node in tree.body:
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
+            names = [str(name) for name in ast.literal_eval(node.value)]
+    return (ast.get_docstring(tree) or "").split("\n\n")[0], names
+
+
+def pages(*, quick: bool) -> list[Page]:
+    """Return a page for each package, after a page with all of them; `quick` lists the names without docstrings."""
+    made: list[Page] = []
+    rows: list[tuple[str, ...]] = []
+    for package, purpose in PACKAGES.items():
+        said, names = exported(package)
+        rows.append((purpose, f"[`surctl.{package}`]({package}.md)", said))
+        body = said + "\n\n" + ", ".join(f"`{name}`" for name in names) if quick else _directive(package, names)
+        made.append(Page(f"{FOLDER}/{package}.md", f"surctl.{package}", f"# surctl.{package}\n\n{body}\n"))
+    text = _HEAD + table(("to", "package", "contents"), rows)
+    return [Page(f"{FOLDER}/index.md", "Python", text, index=True), *made]
+
+
+_HEAD = """# Python
+
+Each function states shapes, units, errors and source, and has an example; the tests run every example. Numbers in
+parentheses such as (13) are [equations of the paper](../equations.md). Inside the code all numbers are in SI units and
+radians, with ENU axes for the world and FLU axes for the body.
+
+"""
+
+
+def _directive(package: str, names: list[str]) -> str:
+    functions = [name for name in names if not re.fullmatch(r"[A-Z0-9_]+", name)]
+    members = "\n".join(f"        - {name}" for name in functions)
+    constants = [name for name in names if name not in functions]
+    said = "Constants: " + ", ".join(f"`{name}`" for name in constants) + ".\n\n" if constants else ""
+    return f"{said}::: surctl.{package}\n    options:\n      members:\n{members}\n"

@@ -1,0 +1,142 @@
+"""What MkDocs calls while it builds the site: generated pages, links that leave the guides, formulas, terms."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+for _folder in (HERE, ROOT):
+    if str(_folder) not in sys.path:
+        sys.path.insert(0, str(_folder))
+
+import api_pages  # noqa: E402
+import command_pages  # noqa: E402
+import file_pages  # noqa: E402
+import gallery  # noqa: E402
+import repository  # noqa: E402
+from formulas import equation_links, with_mathml  # noqa: E402
+from glossary import link_terms, terms_of  # noqa: E402
+from mkdocs.structure.files import File, Files  # noqa: E402
+from notebook_pages import notebook_pages  # noqa: E402
+
+import surctl  # noqa: E402
+
+QUICK = os.environ.get("SURCTL_SITE") == "quick"
+_SOURCES: dict[str, Path] = {}  # page of the site → file of the repository that it shows
+_TERMS: dict[str, str] = {}
+
+
+def on_config(config: Any) -> Any:
+    """Put the version into the header, and leave out in the quick form what takes long."""
+    config.site_name = f"surctl {surctl.__version__}"
+    config.extra["version_text"] = surctl.__version__
+    if QUICK:
+        config.plugins["mkdocstrings"].config.enabled = False
+        config.extra_css = [name for name in config.extra_css if "mkdocstrings" not in str(name)]
+    return config
+
+
+def on_files(files: Files, config: Any) -> Files:
+    """Add generated pages and what the pages of the repository link to, and complete the navigation."""
+    guides = Path(config.docs_dir)
+    _SOURCES.clear()
+    _SOURCES.update({f.src_uri: Path(str(f.abs_src_path)) for f in files.documentation_pages()})
+    examples, pictures = gallery.pages(run=not QUICK)
+    generated = {
+        "commands": command_pages.pages(),
+        "files": file_pages.pages(),
+        "python": api_pages.pages(quick=QUICK),
+        "notebooks": notebook_pages(ROOT / "notebooks"),
+        "gallery": examples,
+    }
+    for pages in generated.values():
+        for page in pages:
+            files.append(File.generated(config, page.uri, content=page.text))
+            if page.source is not None:
+                _SOURCES[page.uri] = page.source
+    generated["studies"] = repository.studies()
+    generated["changelog"] = [repository.changelog()]
+    for page in repository.reached({**_SOURCES}, generated["studies"] + generated["changelog"], guides):
+        if page.copied:
+            files.append(File.generated(config, page.uri, abs_src_path=str(page.source)))
+        else:
+            files.append(File.generated(config, page.uri, content=page.text))
+        _SOURCES[page.uri] = page.source
+    for name, picture in pictures.items():
+        files.append(File.generated(config, name, content=picture))
+    for asset in sorted((HERE / "assets").iterdir()):
+        files.append(File.generated(config, f"assets/{asset.name}", abs_src_path=str(asset)))
+    config.nav = _filled(config.nav, generated)
+    named = set(_named(config.nav))
+    others = [file.src_uri for file in files.documentation_pages() if "/" not in file.src_uri]
+    _section(config.nav, "How-to guides").extend(uri for uri in others if uri not in named)
+    _TERMS.update(terms_of(guides / "glossary.md"))
+    return files
+
+
+def _filled(nav: list[Any], generated: dict[str, list[Any]]) -> list[Any]:
+    filled: list[Any] = []
+    for entry in nav:
+        if isinstance(entry, str):
+            filled.append(entry)
+            continue
+        ((title, content),) = entry.items()
+        if isinstance(content, list):
+            filled.append({title: _filled(content, generated)})
+        elif content.startswith("*"):
+            pages = generated[content[1:]]
+            filled.append({title: [page.uri if page.index else {page.title: page.uri} for page in pages]})
+        else:
+            filled.append(entry)
+    return filled
+
+
+def _named(nav: Any) -> Iterator[str]:
+    """Yield the pages of a navigation."""
+    if isinstance(nav, str):
+        yield nav
+    for entry in nav.values() if isinstance(nav, dict) else nav if isinstance(nav, list) else ():
+        yield from _named(entry)
+
+
+def _section(nav: list[Any], title: str) -> list[Any]:
+    return next(entry[title] for entry in nav if isinstance(entry, dict) and title in entry)
+
+
+def on_page_markdown(markdown: str, page: Any, config: Any, files: Files) -> str:
+    """Adapt GitHub's Markdown, and point links that leave the guides to their pages on the site."""
+    uri = page.file.src_uri
+    if uri in ("index.md", "glossary.md"):  # alone in their section
+        page.meta["hide"] = ["navigation"]
+    if "search" not in page.meta:
+        page.meta["search"] = {"boost": _boost(uri)}
+    text = repository.as_python_markdown(markdown)
+    if uri in _SOURCES:
+        text = repository.relinked(text, uri, _SOURCES[uri], _SOURCES)
+    return text
+
+
+def _boost(uri: str) -> float:
+    """Return the weight of a page in the search: guides and tutorials come before reference and notebooks."""
+    if uri.startswith(("reference/python/", "tutorials/notebooks/", "coming-from/")):
+        return 0.5
+    return 1.0 if "/" in uri and not uri.startswith(("tutorials/", "explanation/")) else 3.0
+
+
+def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
+    """Set formulas as MathML, and link equation numbers and terms of the glossary."""
+    uri = page.file.src_uri
+    html = with_mathml(html)
+    html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
+    up = "../" * uri.count("/")
+    if uri.startswith("reference/python/"):
+        html = equation_links(html, f"{up}reference/equations.html")
+    if not uri.startswith(("reference/python/", "studies/", "glossary", "changelog")):
+        html = link_terms(html, _TERMS, f"{up}glossary.html")
+    return html

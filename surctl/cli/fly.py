@@ -1,0 +1,231 @@
+"""`surctl fly`: let the exported law steer an ArduSub vehicle, or rehearse it with a simulated autopilot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surctl.cli.gains_choice import GAINS_HELP, choose_gains
+from surctl.cli.law_option import choose_law, law_option
+from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress
+
+if TYPE_CHECKING:
+    from surctl.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
+
+__all__ = ["fly"]
+
+_SYSTEM = click.IntRange(1, 255)
+
+
+@click.command
+@click.argument("scenario")
+@click.option("--mavlink", metavar="URL", help="Link to the autopilot: udp:HOST:PORT (listen) or udpout:HOST:PORT.")
+@click.option("--dry-run", is_flag=True, help="Rehearse with a simulated autopilot, in simulated time.")
+@click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
+@click.option("--gains", metavar="FILE", help=GAINS_HELP)
+@law_option
+@click.option("--sensing", default="truth", metavar="NAME", help="Obstacles as reported: truth (default), or sonar.")
+@click.option("--mode", default="alt_hold", metavar="NAME", help="Mode: alt_hold (default), manual or guided.")
+@click.option(
+    "--send", default="rc", metavar="NAME", help="Channel overrides, rc (default), or manual control, manual."
+)
+@click.option(
+    "--origin",
+    default="0,0,90",
+    metavar="X,Y,DEG",
+    help="Autopilot's origin in the scenario's frame [m]; compass direction of that frame's x axis (default 0,0,90).",
+)
+@click.option(
+    "--yaw-rate",
+    type=FiniteRange(min=1.0, max=360.0),
+    default=45.0,
+    metavar="DEG/S",
+    help="Yaw rate at full stick, 45 times ACRO_YAW_P (default 45).",
+)
+@click.option("--target", type=_SYSTEM, default=1, metavar="N", help="System id of the autopilot (default 1).")
+@click.option("--system", type=_SYSTEM, default=255, metavar="N", help="System id of the bridge (default 255).")
+@click.option("--loss", type=FiniteRange(0.0, 1.0), default=0.0, metavar="P", help="Rehearsal: share of lost frames.")
+@click.option("--delay", type=FiniteRange(0.0, 60.0), default=0.0, metavar="S", help="Rehearsal: delay each way [s].")
+@click.option(
+    "--act",
+    "acts",
+    multiple=True,
+    metavar="S:ACT",
+    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit, blind or a mode.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed (default 0).")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of the record (default surctl-out/fly; rehearsal: no record).",
+)
+@as_json
+def fly(
+    scenario: str,
+    mavlink: str | None,
+    dry_run: bool,
+    vehicle: str | None,
+    gains: str | None,
+    law: str | None,
+    sensing: str,
+    mode: str,
+    send: str,
+    origin: str,
+    yaw_rate: float,
+    target: int,
+    system: int,
+    loss: float,
+    delay: float,
+    acts: tuple[str, ...],
+    seed: int,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Steer an ArduSub vehicle along a scenario's path by the exported law, over MAVLink.
+
+    The bridge steers only after the operator arms the vehicle in the mode of --mode, and never arms it. Loss of the
+    link or of the position makes the thrust neutral; after a long loss, a restart or a change of mode, the operator
+    must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not arrive.
+
+    Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
+    """
+    from math import radians
+
+    from surctl.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session
+    from surctl.cli.vehicle_choice import choose_vehicle
+    from surctl.control import law_source
+    from surctl.errors import InputError, nearest
+    from surctl.files import prepare_folder
+    from surctl.simulation import SENSING, load_scenario
+    from surctl.vehicle import load_vehicle
+
+    if (mavlink is None) == (not dry_run):
+        raise InputError("needs one of --mavlink and --dry-run", key="surctl fly", remedy="begin with --dry-run")
+    alone = [key for key, value in (("--loss", loss), ("--delay", delay), ("--act", acts)) if value and not dry_run]
+    if alone:
+        raise InputError("is only for a rehearsal", key=alone[0], remedy="add --dry-run, and leave out --mavlink")
+    if sensing not in SENSING:
+        raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
+    address = None if mavlink is None else parse_address(mavlink)
+    mode_of(mode)
+    site, wire, script = (
+        parse_site(origin),
+        Wire(target=target, system=system, send=send),
+        [_act(text) for text in acts],
+    )
+    mission = load_scenario(scenario)
+    choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
+    robot = load_vehicle(choice.word)
+    reference, lines = choose_law(law, [robot])
+    tuned = choose_gains(gains, robot, cruise=mission.cruise, own=law_source(reference).gains)
+    progress("building and compiling the law")
+    plan = plan_session(
+        mission,
+        robot,
+        gains=tuned.gains,
+        law=reference,
+        sonar=sensing == "sonar",
+        mode=mode,
+        site=site,
+        full_rate=radians(yaw_rate),
+    )
+    bridge = Bridge(plan, wire)
+    lines += [choice.line(robot.name), *tuned.lines]
+    lines.append(f"controller {plan.controller.bundle.id[:12]}; mode {mode}: {plan.mapping.mode.what}")
+    if out is not None or address is not None:
+        out = out or Path("surctl-out", "fly")
+        prepare_folder(out)
+    if address is None:
+        result = _rehearsed(bridge, LinkQuality(loss=loss, delay=delay), script, out=out, seed=seed)
+        files = [] if out is None else sorted(str(path) for path in out.glob(f"rehearsal-{mission.name}-{seed}.*"))
+        lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
+        finish(_data(result) | {"files": files}, lines, as_json=as_json, passed=result.arrived)
+    assert out is not None and address is not None
+    for line in lines:
+        progress(line)
+    arrived, files = _live(bridge, address, out)
+    lines = ["arrived" if arrived else "not arrived", *files]
+    finish({"arrived": arrived, "files": files}, lines, as_json=as_json, passed=arrived)
+
+
+def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
+    import time
+
+    from surctl.bridge import Ended, SessionRecord, run_session
+    from surctl.errors import SurctlError
+
+    with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
+        files = [str(path) for path in record.files]
+        try:
+            return run_session(bridge, address, log=record, said=progress), files
+        except (KeyboardInterrupt, Ended) as end:
+            why = f" ({end})" if isinstance(end, Ended) else ""
+            raise Stopped(f"the session ended{why}, the last commands were neutral; record {files[1]}") from None
+        except OSError as error:
+            raise SurctlError(
+                f"the record cannot be written ({error.strerror}); the last commands were neutral"
+            ) from None
+
+
+def _rehearsed(
+    bridge: Bridge, quality: LinkQuality, script: Sequence[Act], *, out: Path | None, seed: int
+) -> RehearsalResult:
+    from surctl.bridge import SessionRecord, SimulatedSub, rehearse
+
+    plan = bridge.plan
+    sub = SimulatedSub(
+        plan.scenario,
+        plan.vehicle,
+        site=plan.site,
+        full_rate=plan.mapping.full_rate,
+        seed=seed,
+        sonars=plan.law.perception is not None,
+    )
+    sub.mode = plan.mapping.mode.name
+    if out is None:
+        return rehearse(bridge, sub, link=quality, seed=seed, acts=script)
+    with SessionRecord(out, f"rehearsal-{plan.scenario.name}-{seed}", bridge, epoch=0.0, new=False) as record:
+        return rehearse(bridge, sub, link=quality, seed=seed, acts=script, log=record)
+
+
+def _act(text: str) -> Act:
+    from surctl.bridge import ACTIONS, Act
+    from surctl.errors import InputError, nearest
+
+    at, _, action = text.partition(":")
+    try:
+        time = float(at)
+    except ValueError:
+        time = -1.0
+    if not 0.0 <= time <= 1e5:
+        raise InputError("does not begin with a time", key="--act", value=text, remedy="write 20:reboot")
+    if action not in ACTIONS:
+        raise InputError("is not known", key="--act", value=action, remedy=nearest(action, ACTIONS))
+    return Act(time, ACTIONS[ACTIONS.index(action)])
+
+
+def _summary(result: RehearsalResult) -> str:
+    time = result.time if result.arrived else result.steered
+    end = "arrived after" if result.arrived else "did not arrive; steered for"
+    text = f"{end} {time:.2f} s, least clearance {result.clearance:.3f} m"
+    for act, after in result.neutral_after:
+        text += f"; {act.action} at {act.time:g} s: neutral after {after:.2f} s"
+    return text
+
+
+def _data(result: RehearsalResult) -> dict[str, Any]:
+    return {
+        "arrived": result.arrived,
+        "time_s": result.time,
+        "min_clearance_m": result.clearance,
+        "steered_s": result.steered,
+        "phases": dict(result.phases),
+        "neutral_after_s": [[act.action, act.time, after] for act, after in result.neutral_after],
+        "begun": result.begun,
+        "invalid_frames": result.bad,
+        "texts": [list(one) for one in result.texts],
+    }

@@ -1,0 +1,276 @@
+"""What the design page needs of a closed loop, and this for a system of the user's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError
+from surctl.files import quoted, read_toml, write_file
+from surctl.ir import Layout
+from surctl.lyapunov import Problem, solve
+from surctl.report.motion_plots import plot_motion
+from surctl.report.panel import Curve, Panel
+from surctl.system import LinearLoop, Record, System, entry_labels, entry_units, linearise, run_system
+from surctl.tuning import LoopGoal
+
+__all__ = ["DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activity", "gain_file"]
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+_DIGITS = 4
+_MOST_TIMES = 1500
+
+
+@dataclass(frozen=True)
+class Slider:
+    """A gain with its slider: unit, meaning, ends and start value."""
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class RunView:
+    """Runs for one set of gains.
+
+    Attributes:
+        rows: (label, text, name, mark) of each figure; mark is "good", "bad" or "".
+        panels: signals over time.
+        picture: further picture with its text, or None.
+    """
+
+    rows: Sequence[tuple[str, str, str, str]]
+    panels: Sequence[Panel]
+    picture: tuple[Figure, str] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SlowView:
+    """What takes seconds: claims or a region, as lines of text with their marks, and a picture."""
+
+    lines: Sequence[tuple[str, str]]
+    picture: tuple[Figure, str] | None = None
+
+
+class DesignBench(Protocol):
+    """A closed loop as the design page shows it; methods take the values of all gains by name."""
+
+    def __hash__(self) -> int:
+        """Return a hash of the object itself: loops are cached for it."""
+
+    @property
+    def title(self) -> str:
+        """Return what is designed, in one line."""
+
+    @property
+    def sliders(self) -> Sequence[Slider]:
+        """Return the gains with their ranges."""
+
+    @property
+    def points(self) -> Sequence[str]:
+        """Return the names of the operating points."""
+
+    @property
+    def goals(self) -> Sequence[LoopGoal]:
+        """Return the goals about the loop."""
+
+    @property
+    def slow(self) -> str:
+        """Return the label of the button for what takes seconds; empty for none."""
+
+    def loop(self, values: Values, point: str) -> LinearLoop:
+        """Return the linear loop at an operating point."""
+
+    def run(self, values: Values, points: Sequence[str]) -> RunView:
+        """Return runs of the closed loop."""
+
+    def decide(self, values: Values) -> SlowView:
+        """Return what takes seconds."""
+
+    def save(self, values: Values, file: str) -> str:
+        """Write the gains to a file; return what to do with it."""
+
+    def load(self, file: str) -> dict[str, float]:
+        """Read gains from a file."""
+
+
+@dataclass(frozen=True, eq=False)
+class SystemBench:
+    """A system of the user's own on the design page.
+
+    Attributes:
+        system: the closed loop.
+        label: FILE.py:FUNCTION, for the title, the provenance and commands.
+        seconds: duration of a run [s].
+        ranges: range of each gain with a slider, by label.
+        places: numbers of each operating point by its name, as in `run_numbers`.
+        goals: goals about the loop.
+        region: problem of the region of attraction for given gains, or None.
+        about: further identity for saved gains, such as the SHA-256 of the file.
+    """
+
+    system: System
+    label: str
+    seconds: float
+    ranges: Mapping[str, tuple[float, float]]
+    places: Mapping[str, Mapping[str, ArrayLike]]
+    goals: tuple[LoopGoal, ...] = ()
+    region: Any = None
+    about: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """Return plant, controller and file."""
+        return f"{self.system.plant.name} under {self.system.controller.name}, {self.label}"
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Return the names of the operating points."""
+        return tuple(self.places)
+
+    @property
+    def slow(self) -> str:
+        """Return the label of the button that proves the region."""
+        return "" if self.region is None else "Prove the region for these gains"
+
+    @property
+    def sliders(self) -> tuple[Slider, ...]:
+        """Return the gains with their ranges."""
+        gains = self.system.controller.gains
+        labels, units = entry_labels(gains), entry_units(gains)
+        values = dict(zip(labels, gains.pack().tolist(), strict=True))
+        meanings = {label: port.meaning for port in gains for label in entry_labels(Layout((port,)))}
+        unit = dict(zip(labels, units, strict=True))
+        return tuple(
+            Slider(name, unit[name], meanings[name], min(low, values[name]), max(high, values[name]), values[name])
+            for name, (low, high) in self.ranges.items()
+        )
+
+    def loop(self, values: Values, point: str) -> LinearLoop:
+        """Return the linear loop at an operating point."""
+        return linearise(self.system, {**self.places[point], **values})
+
+    def run(self, values: Values, points: Sequence[str]) -> RunView:
+        """Return one run at each operating point: its costs, signals and the activity of each command."""
+        runs = {p: run_system(self.system, self.seconds, {**self.places[p], **values}) for p in points}
+        rows = []
+        for point, record in runs.items():
+            mark = "" if record.stopped == "time" else "bad"
+            rows.append((f"end, {point}", f"{record.stopped}, {record.duration:.4g} s", f"end {point}", mark))
+            for name, value in record.figures.items():
+                cost = self.system.costs[name]
+                bad = cost.at_most is not None and not value <= cost.at_most
+                text = _quantity(value, cost.unit) + ("" if cost.at_most is None else f" for {cost.at_most:g}")
+                rows.append((f"{cost.meaning or name}, {point}", text, f"cost {name} {point}", "bad" if bad else ""))
+            for label, values_, unit in _entries(record, "command"):
+                rows.append(
+                    (f"{label}, {point}", activity(values_, record.system.dt, unit), f"act {label} {point}", "")
+                )
+        return RunView(rows, _signal_panels(runs))
+
+    def decide(self, values: Values) -> SlowView:
+        """Prove the region of attraction; the picture shows it with the least level that has a counterexample."""
+        problem: Problem = self.region(values)
+        solution = solve(problem, time_limit=30.0)
+        mark = {"proved": "good", "refuted": "bad"}.get(solution.verdict, "none")
+        lines = [(f"{solution.verdict} ({solution.seconds:.1f} s)", mark)]
+        if solution.reason:
+            lines.append((solution.reason, ""))
+        if solution.decision is None:
+            return SlowView(lines)
+        claim = solution.decision.claim
+        lines.append((claim.statement, ""))
+        level = claim.plain().get("level")
+        if level is None:
+            return SlowView(lines)
+        if solution.falsified is not None:
+            share = 100 * level / solution.falsified
+            lines.append((f"{share:.1f} % of the least level with a counterexample, {solution.falsified:.4g}", ""))
+        figure = plot_motion(claim.dynamics, claim.function, level=level, falsified=solution.falsified)
+        return SlowView(lines, (figure, "Region of attraction: certified level, and the least level that is falsified"))
+
+    def save(self, values: Values, file: str) -> str:
+        """Write the gains with their origin; return the command that uses them."""
+        path = gain_file(file)
+        rows = "".join(f"{json.dumps(name)} = {float(value)!r}\n" for name, value in values.items())
+        about = {"source": "surctl tune --page", "system": self.label, **self.about}
+        origin = "".join(f"{name} = {quoted(text)}\n" for name, text in about.items())
+        points = "".join(f"# point {name}: {dict(numbers)}\n" for name, numbers in self.places.items())
+        write_file(path, f'kind = "system-gains"\n\n[gains]\n{rows}\n[provenance]\n{origin}{points}')
+        return f"saved {path}; surctl verify {self.label} " + " ".join(
+            f"{n}={v:.{_DIGITS}g}" for n, v in values.items()
+        )
+
+    def load(self, file: str) -> dict[str, float]:
+        """Read gains that `save` wrote."""
+        path = gain_file(file)
+        table = read_toml(path).get("gains")
+        known = {one.name for one in self.sliders}
+        if not isinstance(table, dict) or not table.keys() <= known:
+            raise InputError("has no gains of this system", file=path, key="gains", remedy="save it on this page")
+        return {name: float(value) for name, value in table.items()}
+
+
+def gain_file(file: str) -> Path:
+    """Return the path of a gain file.
+
+    Raises:
+        InputError: the name does not end in .toml.
+    """
+    path = Path(file.strip()).expanduser()
+    if path.suffix != ".toml":
+        raise InputError("is not the name of a gain file", key="save", value=file, remedy="end the path in .toml")
+    return path
+
+
+def activity(values: Array, dt: float, unit: str) -> str:
+    """Return how a command moves: root mean square, changes of sign, and share of time at its largest size."""
+    known = values[np.isfinite(values)]
+    if not known.any():
+        return "none" if known.size else "no values"
+    rms, most = float(np.sqrt(np.mean(known**2))), float(np.abs(known).max())
+    signs = np.sign(known[np.abs(known) > 1e-3 * most]) if most > 0 else np.zeros(0)
+    changes = int(np.count_nonzero(np.diff(signs)))
+    held = np.abs(known) >= most * (1 - 1e-9)
+    share = float(held.mean()) if held.sum() > 1 else 0.0
+    per_second = changes / (len(known) * dt)
+    held_text = f"{100 * share:.3g} % of the time at {most:.3g}"
+    return f"rms {_quantity(rms, unit)}, {per_second:.3g} sign changes per s, {held_text}"
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{value:.4g}" + ("" if unit == "1" else f" {unit}")
+
+
+def _entries(record: Record, *kinds: str) -> list[tuple[str, Array, str]]:
+    entries = []
+    for name, port in record.ports(*kinds).items():
+        alone = Layout((port,))
+        labels = (label.replace(port.name, name, 1) for label in entry_labels(alone))
+        entries += list(zip(labels, record.signals[name].T, entry_units(alone), strict=True))
+    return entries
+
+
+def _signal_panels(runs: Mapping[str, Record]) -> list[Panel]:
+    """Return a panel for each state and command with the run of every operating point."""
+    panels: dict[str, tuple[str, list[Curve]]] = {}
+    for k, (point, record) in enumerate(runs.items()):
+        for kind in ("state", "command", "reference"):
+            for label, values, unit in _entries(record, kind):
+                step = max(1, len(values) // _MOST_TIMES)
+                curve = Curve(record.time[::step], values[::step], point, k, "steps" if kind == "command" else "line")
+                panels.setdefault(label, (unit, []))[1].append(curve)
+    return [Panel(f"Run: {label}", "time [s]", f"{label} [{unit}]", curves) for label, (unit, curves) in panels.items()]

@@ -1,0 +1,213 @@
+"""Pictures of many runs of any system: fans over time, phase planes, distributions and dependences of metrics."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.ir import Layout
+from surctl.report.theme import AVOIDING, BAD, CYCLE, INK, MUTED, ROBOT, dress, head, legend_above, new_axes, new_figure
+from surctl.system import Record, Runs, entry_labels, entry_units
+
+__all__ = ["plot_dependence", "plot_fan", "plot_phase_plane", "plot_runs"]
+
+Array = NDArray[np.float64]
+
+_BANDS = ((5, 95, 0.18), (25, 75, 0.32))  # percentiles and opacity
+_BINS = 24
+
+
+def plot_fan(records: Sequence[Record], signal: str, ax: Axes | None = None) -> Axes:
+    """Plot one signal of many runs over time: median, bands of 50 % and 90 % of the runs, and the outermost runs.
+
+    A run that ended early counts until its end.
+
+    Args:
+        records: the runs of one system.
+        signal: label of one entry of a signal, such as `speed` or `force[1]`.
+        ax: the axes; None creates new ones.
+
+    Raises:
+        InputError: there is no run or no such signal.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.report import plot_fan
+        >>> from surctl.system import Controller, Plant, System, run_system
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> runs = [run_system(System(cart, brake), 2.0, {"start.speed": v}) for v in np.linspace(0.5, 1.5, 9)]
+        >>> plot_fan(runs, "speed").get_title("left")
+        'speed, 9 runs'
+    """
+    if not records:
+        raise InputError("has no runs", key="records", remedy="give at least one record")
+    longest = max(records, key=lambda record: len(record.time))
+    table = np.full((len(records), len(longest.time)), np.nan)
+    for row, record in zip(table, records, strict=True):
+        values, unit = _signal(record, signal)
+        row[: len(values)] = values
+    ax = dress(ax or new_axes(6.4, 3.9), title=f"{signal}, {len(records)} runs", x="time [s]", y=f"{signal} [{unit}]")
+    time = longest.time
+    for low, high, alpha in _BANDS:
+        ends = np.nanpercentile(table, [low, high], axis=0)
+        ax.fill_between(time, *ends, color=ROBOT, alpha=alpha, linewidth=0, label=f"{high - low} % of the runs")
+    ax.plot(time, np.nanmedian(table, axis=0), color=ROBOT, linewidth=1.8, label="median")
+    for name, row in (("least", np.nanmin(table, axis=0)), ("greatest", np.nanmax(table, axis=0))):
+        ax.plot(time, row, color=MUTED, linewidth=0.9, linestyle="--" if name == "least" else ":", label=name)
+    ax.set_xlim(0.0, float(time[-1]) or 1.0)
+    legend_above(ax, columns=5)
+    return ax
+
+
+def plot_phase_plane(records: Sequence[Record], x: str, y: str, ax: Axes | None = None) -> Axes:
+    """Plot runs in the plane of two signals; a circle marks the start, a square the end, a red one an early end.
+
+    Args:
+        records: the runs.
+        x, y: labels of two entries of signals, such as `angle` and `rate`.
+        ax: the axes; None creates new ones.
+
+    Raises:
+        InputError: there is no such signal.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.report import plot_phase_plane
+        >>> from surctl.system import Controller, Plant, System, run_system
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> runs = [run_system(System(cart, brake), 2.0, {"start.speed": v}) for v in (0.5, 1.0)]
+        >>> ax = plot_phase_plane(runs, "speed", "force")
+        >>> ax.get_xlabel(), len(ax.lines)
+        ('speed [m/s]', 6)
+    """
+    ax = ax or new_axes(5.4, 4.6)
+    units = ("1", "1")
+    for k, record in enumerate(records):
+        (across, unit), (upwards, other) = _signal(record, x), _signal(record, y)
+        units = (unit, other)
+        early = record.stopped != "time"
+        ax.plot(across, upwards, color=CYCLE[k % len(CYCLE)], linewidth=1.2)
+        ax.plot(across[:1], upwards[:1], "o", color=INK, markersize=4, fillstyle="none")
+        ax.plot(across[-1:], upwards[-1:], "s", color=BAD if early else INK, markersize=4)
+    return dress(ax, title=f"{y} over {x}, {len(records)} runs", x=f"{x} [{units[0]}]", y=f"{y} [{units[1]}]")
+
+
+def plot_runs(runs: Runs, names: Sequence[str] = ()) -> Figure:
+    """Plot how each metric of many runs is distributed, with its mean and its 95th percentile.
+
+    Args:
+        runs: the runs.
+        names: names of metrics; by default all.
+
+    Raises:
+        InputError: there is no such metric, or none at all.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Cost, Plant, System, simulate_system
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> way = Cost(lambda s: s.x["speed"], "integral", "m")
+        >>> runs = simulate_system(System(cart, brake, costs={"way": way}), 5.0, {"start.speed": np.linspace(0, 1, 50)})
+        >>> runs.plot().axes[0].get_xlabel()
+        'way'
+    """
+    chosen = list(names or runs.figures)
+    if not chosen:
+        raise InputError("have no metrics", key="runs", remedy="give System(..., costs={...})")
+    figure = new_figure(4.6 * min(len(chosen), 2), 3.2 * -(-len(chosen) // 2))
+    axes = figure.subplots(-(-len(chosen) // 2), min(len(chosen), 2), squeeze=False).ravel()
+    for ax, name in zip(axes, chosen, strict=False):
+        values = runs[name]
+        known = values[np.isfinite(values)]
+        dress(ax, title=f"{name}, {len(known)} of {len(values)} runs", x=name, y="runs")
+        if known.size:
+            ax.hist(known, bins=_BINS, color=ROBOT, alpha=0.75)
+            ax.axvline(float(known.mean()), color=INK, linewidth=1.2, label="mean")
+            ax.axvline(float(np.percentile(known, 95)), color=AVOIDING, linestyle="--", linewidth=1.2, label="95 %")
+            legend_above(ax, columns=2)
+    for ax in axes[len(chosen) :]:
+        ax.set_axis_off()
+    return figure
+
+
+def plot_dependence(values: Mapping[str, ArrayLike], runs: Runs, name: str) -> Figure:
+    """Plot one metric of many runs over each varied number, ordered by the size of the rank correlation.
+
+    Args:
+        values: the numbers (n,) of the runs by name, as given to `simulate_system`; scalars are left out.
+        runs: the runs.
+        name: name of the metric.
+
+    Raises:
+        InputError: there is no such metric, or no number varies.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.report import plot_dependence
+        >>> from surctl.system import Controller, Cost, Plant, System, simulate_system
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> way = Cost(lambda s: s.x["speed"], "integral", "m")
+        >>> values = {"start.speed": np.linspace(0, 1, 50)}
+        >>> runs = simulate_system(System(cart, brake, costs={"way": way}), 5.0, values)
+        >>> plot_dependence(values, runs, "way").axes[0].get_title("left")
+        'start.speed: rank correlation 1.00'
+    """
+    figure_values = runs[name]
+    varied = {key: array for key, array in ((k, np.asarray(v, dtype=float)) for k, v in values.items()) if array.ndim}
+    numbers = {
+        f"{key}[{j}]" if array.ndim == 2 and array.shape[1] > 1 else key: array.reshape(len(array), -1)[:, j]
+        for key, array in varied.items()
+        for j in range(array.reshape(len(array), -1).shape[1])
+        if len(array) == len(figure_values)
+    }
+    if not numbers:
+        raise InputError("vary nothing", key="values", remedy="give one number for each run")
+    strength = {key: _rank_correlation(array, figure_values) for key, array in numbers.items()}
+    order = sorted(numbers, key=lambda key: -abs(strength[key]))
+    columns = min(3, len(order))
+    rows = -(-len(order) // columns)
+    figure = new_figure(3.7 * columns, 0.5 + 2.9 * rows)
+    head(figure, f"{name} of {len(figure_values)} runs")
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, key in zip(axes, order, strict=False):
+        ax.plot(numbers[key], figure_values, ".", color=ROBOT, markersize=3, alpha=0.6)
+        dress(ax, title=f"{key}: rank correlation {strength[key]:.2f}", x=key, y=name)
+    for ax in axes[len(order) :]:
+        ax.set_axis_off()
+    return figure
+
+
+def _rank_correlation(x: Array, y: Array) -> float:
+    known = np.isfinite(x) & np.isfinite(y)
+    ranks = [np.argsort(np.argsort(v[known], kind="stable"), kind="stable") for v in (x, y)]
+    if known.sum() < 2 or np.ptp(x[known]) == 0 or np.ptp(y[known]) == 0:
+        return 0.0
+    return float(np.corrcoef(ranks[0], ranks[1])[0, 1])
+
+
+def _signal(record: Record, label: str) -> tuple[Array, str]:
+    known: list[str] = []
+    for name, port in record.ports().items():
+        alone = Layout((port,))
+        labels = [one.replace(port.name, name, 1) for one in entry_labels(alone)]
+        if label in labels:
+            k = labels.index(label)
+            return record.signals[name][:, k], entry_units(alone)[k]
+        known += labels
+    raise InputError("is no signal of the run", key="signal", value=label, remedy=nearest(label, known))

@@ -1,0 +1,263 @@
+"""A sampled linear loop with named signals: opened and closed transfer functions, poles, and python-control systems."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.plotted import Plotted
+
+__all__ = ["LinearLoop", "LoopNames"]
+
+Array = NDArray[np.float64]
+Matrices = tuple[Array, Array, Array, Array]
+
+KINDS = ("reference", "disturbance", "command", "measured")
+"""Kinds of signals; `kind.LABEL` names a signal where the label alone is ambiguous."""
+
+
+@dataclass(frozen=True)
+class LoopNames:
+    """Labels of all signals of a loop.
+
+    Attributes:
+        plant, controller: names of both parts.
+        states, controller_states: labels of their states.
+        inputs: labels of the plant's actuator inputs, each of which takes the command with its label.
+        commands: labels of the controller's commands.
+        outputs: labels of the measured outputs.
+        references, disturbances: labels of the external inputs.
+    """
+
+    plant: str
+    controller: str
+    states: tuple[str, ...]
+    controller_states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    commands: tuple[str, ...]
+    outputs: tuple[str, ...]
+    references: tuple[str, ...] = ()
+    disturbances: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLoop(Plotted):
+    """A linear loop, with the plant in continuous time and the controller in discrete time.
+
+    `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles.
+
+    Attributes:
+        plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
+            disturbance d and measured output y.
+        law: matrices (A, B_y, B_r, C, D_y, D_r) of the controller, with z⁺ = A z + B_y y + B_r r and command = C z +
+            D_y y + D_r r, for controller state z and reference r.
+        names: labels of all signals.
+        dt: control period [s].
+    """
+
+    PLOT = "surctl.report.loop_views:plot_loop"
+
+    plant: tuple[Array, ...]
+    law: tuple[Array, ...]
+    names: LoopNames
+    dt: float
+
+    def plant_system(self) -> Any:
+        """Return the plant as `control.StateSpace`, from actuator commands and disturbances to measured outputs."""
+        A, B, E, C, D = self.plant
+        names = self.names
+        return _state_space(
+            (A, np.hstack([B, E]), C, np.hstack([np.zeros((len(C), B.shape[1])), D])), 0,
+            (names.states, (*names.inputs, *names.disturbances), _measured(names.outputs)), names.plant,
+        )  # fmt: skip
+
+    def controller_system(self) -> Any:
+        """Return the controller as discrete-time `control.StateSpace`, from measurements and references to commands."""
+        A, By, Br, C, Dy, Dr = self.law
+        names = self.names
+        return _state_space(
+            (A, np.hstack([By, Br]), C, np.hstack([Dy, Dr])), self.dt,
+            (names.controller_states, (*_measured(names.outputs), *names.references), names.commands),
+            names.controller,
+        )  # fmt: skip
+
+    def closed(self) -> Any:
+        """Return the closed loop as discrete-time `control.StateSpace`, exact at the control instants.
+
+        The inputs are references and disturbances, which are constant over a control period; the outputs are the
+        measured outputs and the commands.
+
+        Raises:
+            InputError: the loop has no inputs.
+        """
+        names = self.names
+        sources = [f"reference.{label}" for label in names.references]
+        sources += [f"disturbance.{label}" for label in names.disturbances]
+        if not sources:
+            raise InputError("has neither references nor disturbances", key="closed", remedy="call poles()")
+        ends = [*(f"measured.{label}" for label in names.outputs), *(f"command.{label}" for label in names.commands)]
+        labels = (self.states(), (*names.references, *names.disturbances), (*_measured(names.outputs), *names.commands))
+        return _state_space(self.transferred(sources, ends), self.dt, labels, "closed loop")
+
+    def transfer(self, sources: str | Sequence[str], ends: str | Sequence[str]) -> Any:
+        """Return the closed loop between chosen signals as discrete-time `control.StateSpace`.
+
+        Args:
+            sources: labels of references, of disturbances, of measured outputs (a change of the setpoint, which is
+                subtracted from what the controller reads) or of commands (a load that is added to the command).
+            ends: labels of measured outputs or commands. Where a label names several signals, write `reference.LABEL`,
+                `disturbance.LABEL`, `measured.LABEL` or `command.LABEL`.
+
+        Raises:
+            InputError: a label names no such signal.
+        """
+        sources, ends = _listed(sources), _listed(ends)
+        labels = [[label.replace(".", " ") for label in part] for part in (sources, ends)]  # as python-control demands
+        return _state_space(self.transferred(sources, ends), self.dt, (self.states(), *labels), "closed loop")
+
+    def transferred(self, sources: Sequence[str], ends: Sequence[str]) -> Matrices:
+        """Return the matrices (A, B, C, D) of the closed loop that `transfer` returns."""
+        _, Bd, Ed = self._sampled_plant
+        C, D = self.plant[3:]
+        By, Br, Cz, Dy, Dr = self.law[1:]
+        nothing = np.zeros((len(By), Bd.shape[1]))
+        enters = {  # kind → columns of (x, z), of the measured outputs, of the commands
+            "reference": (np.vstack([Bd @ Dr, Br]), np.zeros((len(C), Dr.shape[1])), Dr),
+            "disturbance": (np.vstack([Ed + Bd @ Dy @ D, By @ D]), D, Dy @ D),
+            "command": (np.vstack([Bd, nothing]), np.zeros((len(C), len(Cz))), np.zeros((len(Cz), len(Cz)))),
+            "measured": (-np.vstack([Bd @ Dy, By]), np.zeros((len(C), len(C))), -Dy),
+        }
+        leaves = {"measured": np.hstack([C, np.zeros((len(C), len(By)))]), "command": np.hstack([Dy @ C, Cz])}
+        starts = [self._place(source, KINDS) for source in sources]
+        stops = [self._place(end, ("measured", "command")) for end in ends]
+        B = np.column_stack([enters[kind][0][:, k] for kind, k in starts])
+        through = np.array(
+            [[enters[kind][1 + (to == "command")][row, k] for kind, k in starts] for to, row in stops], dtype=float
+        )
+        return self._transition(), B, np.vstack([leaves[to][row] for to, row in stops]), through
+
+    def loop(self, *openings: str) -> Any:
+        """Return the loop transfer function L(z), opened at the given signals only, as `control.StateSpace`.
+
+        Args:
+            openings: labels of commands or measured outputs at which the loop is opened; a label is the port's name,
+                with [i] if the port has several entries. Each opening is one channel of L, from the signal injected
+                behind the opening to the signal that returns, under negative feedback.
+
+        Raises:
+            InputError: no opening is given, or an opening is unknown.
+        """
+        back = [f"{name} back" for name in openings]
+        return _state_space(self.opened(*openings), self.dt, (self.states(), openings, back), "loop")
+
+    def opened(self, *openings: str) -> Matrices:
+        """Return the matrices (A, B, C, D) of the opened loop that `loop` returns."""
+        commands, outputs = self.names.commands, self.names.outputs
+        if not openings:
+            raise InputError("is missing", key="opening", remedy="name a command or a measured output")
+        for name in openings:
+            if name not in (*commands, *outputs):
+                raise InputError(
+                    "is no signal of the loop", key="opening", value=name, remedy=nearest(name, (*commands, *outputs))
+                )
+        at_command = np.array([[float(name == label) for label in commands] for name in openings])
+        at_output = np.array(
+            [[float(name == label and name not in commands) for label in outputs] for name in openings]
+        )
+        Ad, Bd, _ = self._sampled_plant
+        C = self.plant[3]
+        Az, By, _, Cz, Dy, _ = self.law
+        # at a loop opening, the channel's own signal is cut, and the injected signal replaces it
+        keep_f, keep_y = (
+            np.eye(len(commands)) - at_command.T @ at_command,
+            np.eye(len(outputs)) - at_output.T @ at_output,
+        )
+        measured, enters = keep_y @ C, at_output.T
+        f_x, f_z, f_e = Dy @ measured, Cz, Dy @ enters
+        A = np.block([[Ad + Bd @ keep_f @ f_x, Bd @ keep_f @ f_z], [By @ measured, Az]])
+        B = np.vstack([Bd @ (keep_f @ f_e + at_command.T), By @ enters])
+        back = np.hstack([at_command @ f_x + at_output @ C, at_command @ f_z])
+        return A, B, -back, -(at_command @ f_e)
+
+    def channels(self) -> list[str]:
+        """Return the labels of signals at which the loop can be opened: every command, then every measured output."""
+        commands = self.names.commands
+        return [*commands, *(name for name in self.names.outputs if name not in commands)]
+
+    def poles(self) -> NDArray[np.complex128]:
+        """Return the poles z of the sampled closed loop, largest first.
+
+        The loop is stable if all poles lie inside the unit circle.
+        """
+        poles = np.linalg.eigvals(self._transition()).astype(complex)
+        return poles[np.argsort(-np.abs(poles), kind="stable")]
+
+    def states(self) -> list[str]:
+        """Return the labels of the plant states, then of the controller states."""
+        return [*self.names.states, *(f"controller {label}" for label in self.names.controller_states)]
+
+    def _place(self, label: str, kinds: Sequence[str]) -> tuple[str, int]:
+        # kind and index of a signal
+        names = self.names
+        known = {
+            "reference": names.references, "disturbance": names.disturbances, "command": names.commands,
+            "measured": names.outputs,
+        }  # fmt: skip
+        prefix, dot, rest = label.partition(".")
+        if dot and prefix in kinds and rest in known[prefix]:
+            return prefix, known[prefix].index(rest)
+        for kind in (k for k in ("reference", "disturbance", "measured", "command") if k in kinds):
+            if label in known[kind]:
+                return kind, known[kind].index(label)
+        every = [name for kind in kinds for name in (*known[kind], *(f"{kind}.{one}" for one in known[kind]))]
+        raise InputError("is no signal of the loop", key="signal", value=label, remedy=nearest(label, every))
+
+    @cached_property
+    def _sampled_plant(self) -> tuple[Array, Array, Array]:
+        # (A_d, B_d, E_d) over one control period, driven by the commands and the disturbances
+        return _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.dt)
+
+    def _transition(self) -> Array:
+        # from one control instant to the next
+        Ad, Bd, _ = self._sampled_plant
+        Az, By, _, Cz, Dy, _ = self.law
+        C = self.plant[3]
+        return np.block([[Ad + Bd @ Dy @ C, Bd @ Cz], [By @ C, Az]])
+
+    def _selection(self) -> Array:
+        # (plant inputs, commands): 1 where an actuator takes a command
+        names = self.names
+        chosen = [[float(name == label) for label in names.commands] for name in names.inputs]
+        return np.array(chosen).reshape(len(names.inputs), len(names.commands))
+
+
+def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
+    # held inputs: x⁺ = A_d x + B_d f + E_d d, exact
+    from scipy.linalg import expm  # takes a second to import
+
+    n, m = len(A), B.shape[1] + E.shape[1]
+    whole = np.zeros((n + m, n + m))
+    whole[:n] = np.hstack([A, B, E])
+    transition = expm(whole * dt)
+    return transition[:n, :n], transition[:n, n : n + B.shape[1]], transition[:n, n + B.shape[1] :]
+
+
+def _state_space(matrices: Matrices, dt: float, labels: tuple[Sequence[str], ...], name: str) -> Any:
+    import control  # takes seconds to import
+
+    states, inputs, outputs = (list(part) for part in labels)
+    return control.ss(*matrices, dt, states=states, inputs=inputs, outputs=outputs, name=name)
+
+
+def _measured(outputs: Sequence[str]) -> tuple[str, ...]:
+    return tuple(f"measured {label}" for label in outputs)
+
+
+def _listed(labels: str | Sequence[str]) -> list[str]:
+    return [labels] if isinstance(labels, str) else list(labels)

@@ -1,0 +1,245 @@
+"""Goals about the frequency response of a linear loop: shape, sensitivity, rejection, gain, effort, tracking."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.system import LinearLoop
+from surctl.tuning.loop_goals import Between, Bound, Judgement, LoopView, Opened, Profile
+from surctl.tuning.loop_responses import frequencies, loop_gains, response, sensitivities_at
+
+__all__ = ["Effort", "LoopShape", "MaxGain", "Rejection", "SensitivityBound", "Tracking"]
+
+Array = NDArray[np.float64]
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopShape(Opened):
+    """The loop gain |L| follows a target within a band, as `TuningGoal.LoopShape`.
+
+    Attributes:
+        target: the target of the loop gain over frequency.
+        band_db: largest distance from the target [dB].
+        side: "both"; "above" if the gain may only not fall below the band (least loop gain at low frequencies);
+            "below" if it may only not rise above the band (roll-off).
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import LoopShape, Profile
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = LoopShape(name="integrator", at=("force",), target=Profile((0.01, 1.0), (200.0, 2.0)), band_db=1.0)
+        >>> goal.judge(linearise(System(cart, hold))).met
+        True
+    """
+
+    TYPE: ClassVar[str] = "loop_shape"
+
+    target: Bound
+    band_db: float = 3.0
+    side: Literal["both", "above", "below"] = "both"
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        omega, target = _grid(loop, self.openings, self.target)
+        least, largest = loop_gains(loop, self.openings, omega)
+        low, high = (-20 * np.log10(np.maximum(least / target, _TINY)), 20 * np.log10(largest / target))
+        off = {"both": np.maximum(low, high), "above": low, "below": high}[self.side]
+        k = int(np.nanargmax(off))
+        factor = 10 ** (self.band_db / 20)
+        lower = None if self.side == "below" else target / factor
+        upper = None if self.side == "above" else target * factor
+        shown = least if self.side == "above" else largest
+        view = LoopView("frequency", omega, shown, "|L| [1]", lower, upper)
+        share = max(float(off[k]), 0.0) / self.band_db
+        return Judgement(float(off[k]), "dB", self.band_db, share, view, f"at {omega[k]:.3g} rad/s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensitivityBound(Opened):
+    """The sensitivity |S| stays below a bound over frequency, as `TuningGoal.Sensitivity`.
+
+    Attributes:
+        at_most: bound of the largest singular value of S.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import SensitivityBound
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = SensitivityBound(name="peak", at="force", at_most=2.0)
+        >>> round(goal.judge(linearise(System(cart, hold))).value, 3)
+        1.111
+    """
+
+    TYPE: ClassVar[str] = "sensitivity"
+
+    at_most: Bound
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        omega, bound = _grid(loop, self.openings, self.at_most)
+        return _below(omega, sensitivities_at(loop, self.openings, omega)[0], bound, "|S| [1]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rejection(Opened):
+    """Disturbances at a signal are attenuated by at least a factor, as `TuningGoal.Rejection`.
+
+    Attributes:
+        attenuation: least factor of attenuation, 1/|S|, over frequency.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Profile, Rejection
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = Rejection(name="waves", at=("force",), attenuation=Profile((0.02, 0.2), (100.0, 10.0)))
+        >>> round(goal.judge(linearise(System(cart, hold))).normalised, 2)
+        1.0
+    """
+
+    TYPE: ClassVar[str] = "rejection"
+
+    attenuation: Bound
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        omega, factor = _grid(loop, self.openings, self.attenuation)
+        return _below(omega, sensitivities_at(loop, self.openings, omega)[0], 1 / factor, "|S| [1]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class MaxGain(Between):
+    """The magnitude |T| from one signal to another stays below a bound over frequency, as `TuningGoal.Gain`.
+
+    Attributes:
+        at_most: bound of the magnitude.
+        unit: unit of the magnitude.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import MaxGain
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = MaxGain(name="peak of T", source="measured.speed", end="speed", at_most=1.5)
+        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        1.0
+    """
+
+    TYPE: ClassVar[str] = "gain"
+
+    at_most: Bound
+    unit: str = "1"
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        omega, bound = _grid(loop, (), self.at_most)
+        size = np.abs(response(loop.transferred([self.source], [self.end]), omega, loop.dt)[:, 0, 0])
+        return _below(omega, size, bound, f"|T| [{self.unit}]", self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort(MaxGain):
+    """The magnitude from a reference, setpoint or disturbance to a command stays below a bound over frequency.
+
+    From a setpoint, this is |K S|.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Effort
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = Effort(name="noise", source="measured.speed", end="force", at_most=2.5)
+        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        2.22
+    """
+
+    TYPE: ClassVar[str] = "effort"
+
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        label = self.end.removeprefix("command.")
+        if label not in loop.names.commands or (label in loop.names.outputs and label == self.end):
+            remedy = f"name one of: {', '.join(f'command.{one}' for one in loop.names.commands)}"
+            raise InputError("is no command", key="to", value=self.end, remedy=remedy)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracking(Between):
+    """The relative error |1 - T| stays below a bound that rises with frequency, as `TuningGoal.Tracking`.
+
+    The bound is |(e_p s + e_0 w)/(s + w)| with w = 2/response time, e_0 = `steady_error` and e_p = `peak_error`.
+
+    Attributes:
+        response_s: response time [s].
+        steady_error: largest error of a constant reference, as a share; greater than 0.
+        peak_error: largest error over all frequencies, as a share.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Tracking
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = Tracking(name="follow", source="measured.speed", end="speed", response_s=1.0, peak_error=1.2)
+        >>> goal.judge(linearise(System(cart, hold))).met
+        True
+    """
+
+    TYPE: ClassVar[str] = "tracking"
+
+    response_s: float
+    steady_error: float = 0.01
+    peak_error: float = 1.0
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        omega = frequencies(loop)
+        w, s = 2 / self.response_s, 1j * omega
+        bound = np.abs((self.peak_error * s + self.steady_error * w) / (s + w))
+        T = response(loop.transferred([self.source], [self.end]), omega, loop.dt)[:, 0, 0]
+        return _below(omega, np.abs(1 - T), bound, "|error| [1]")
+
+
+def _grid(loop: LinearLoop, at: Sequence[str], bound: Bound) -> tuple[Array, Array]:
+    """Return the frequencies at which a bound is judged, and its values there.
+
+    Raises:
+        InputError: the bound lies wholly outside of the loop's frequencies.
+    """
+    omega = frequencies(loop, at)
+    if isinstance(bound, Profile):
+        inside = [w for w in bound.frequency if w < np.pi / loop.dt]
+        ends = [*inside, *np.geomspace(min(inside, default=1.0), max(inside, default=1.0), 100)]
+        omega = np.unique(np.concatenate([omega, ends]))
+        value = bound(omega)
+    elif callable(bound):
+        value = np.abs(np.asarray(bound(1j * omega), dtype=complex)).reshape(-1)
+    else:
+        value = np.full(len(omega), float(bound))
+    judged = np.isfinite(value) & (value > 0)
+    if not judged.any():
+        remedy = f"bound frequencies below {np.pi / loop.dt:.4g} rad/s, half of the control frequency"
+        raise InputError("bounds no frequency of the loop", key="frequency_rad_per_s", remedy=remedy)
+    return omega[judged], value[judged]
+
+
+def _below(omega: Array, size: Array, bound: Array, quantity: str, unit: str = "1") -> Judgement:
+    share = size / bound
+    k = int(np.argmax(share))
+    view = LoopView("frequency", omega, size, quantity, upper=bound)
+    return Judgement(float(size[k]), unit, float(bound[k]), float(share[k]), view, f"at {omega[k]:.3g} rad/s")

@@ -1,0 +1,143 @@
+"""Goals of a loop judged at several operating points of a system."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from surctl.errors import InputError
+from surctl.plotted import Plotted
+from surctl.system import LinearLoop, System, linearise
+from surctl.tuning.loop_goal_file import check_points
+from surctl.tuning.loop_goals import Judgement, LoopGoal
+
+__all__ = ["LoopScores", "Score", "judge_loops", "operating_loops"]
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """One goal judged at one operating point.
+
+    Attributes:
+        goal: the goal.
+        point: name of the operating point.
+        judgement: its value, bound, normalised value and curve.
+    """
+
+    goal: LoopGoal
+    point: str
+    judgement: Judgement
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the score as plain data for JSON."""
+        one = self.judgement
+        numbers = {"value": one.value, "unit": one.unit, "limit": one.limit, "normalised": one.normalised}
+        return {"goal": self.goal.name, "kind": self.goal.kind, "point": self.point, **numbers, "where": one.where}
+
+
+@dataclass(frozen=True, eq=False)
+class LoopScores(Plotted):
+    """The scores of all goals at all operating points; `plot()` draws each goal with its violated region.
+
+    Attributes:
+        scores: the scores, goal by goal.
+    """
+
+    PLOT = "surctl.report.loop_views:plot_loop_goals"
+
+    scores: tuple[Score, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether every hard goal is met at every one of its points."""
+        return all(score.judgement.met for score in self.scores if score.goal.kind == "hard")
+
+    def worst(self) -> tuple[Score, ...]:
+        """Return, for each goal, the score at its worst operating point."""
+        best: dict[str, Score] = {}
+        for score in self.scores:
+            known = best.get(score.goal.name)
+            if known is None or score.judgement.normalised > known.judgement.normalised:
+                best[score.goal.name] = score
+        return tuple(best.values())
+
+    def lines(self) -> list[str]:
+        """Return a line of text for each goal, at its worst operating point."""
+        lines = []
+        for score in self.worst():
+            one = score.judgement
+            unit = "" if one.unit == "1" else f" {one.unit}"
+            value = "no value" if one.value != one.value else f"{one.value:.4g}{unit} for {one.limit:.4g}"
+            mark = "met    " if one.met else "NOT MET"
+            place = f", {one.where}" if one.where else ""
+            lines.append(
+                f"{mark} {score.goal.name} ({score.goal.kind}): {one.normalised:.3f}, {value}{place}; {score.point}"
+            )
+        return lines
+
+
+def operating_loops(system: System, points: Mapping[str, Mapping[str, ArrayLike]]) -> dict[str, LinearLoop]:
+    """Return the linear loop of a system at each operating point, by its name.
+
+    Args:
+        system: the closed loop.
+        points: numbers of each operating point by name, as in `run_numbers`; without points, the system's own numbers.
+
+    Raises:
+        InputError: a point has no equilibrium, or `run_numbers` rejects its numbers.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System
+        >>> from surctl.tuning import operating_loops
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 2.0),))
+        >>> hold = Controller(
+        ...     "hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
+        ... )
+        >>> loops = operating_loops(System(cart, hold), {"soft": {"k": 1.0}, "stiff": {"k": 4.0}})
+        >>> {name: round(float(abs(loop.poles()[0])), 2) for name, loop in loops.items()}
+        {'soft': 0.9, 'stiff': 0.6}
+    """
+    loops: dict[str, LinearLoop] = {}
+    for name, values in (points or {"nominal": {}}).items():
+        try:
+            loops[name] = linearise(system, values)
+        except InputError as error:
+            raise InputError(error.problem, key=f"point {name}: {error.key}", remedy=error.remedy) from None
+    return loops
+
+
+def judge_loops(goals: Sequence[LoopGoal], loops: Mapping[str, LinearLoop]) -> LoopScores:
+    """Return the score of every goal at each of its operating points.
+
+    Raises:
+        InputError: a goal names a signal or an operating point that does not exist.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Margins, SensitivityBound, judge_loops
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> peak = SensitivityBound(name="peak", at="force", at_most=2.0)
+        >>> goals = [peak, Margins(name="phase", at="force", phase_deg=60.0)]
+        >>> for line in judge_loops(goals, {"nominal": linearise(System(cart, hold))}).lines():
+        ...     print(line)
+        met     peak (soft): 0.556, 1.111 for 2, at 31.4 rad/s; nominal
+        met     phase (soft): 0.712, 84.26 deg for 60, phase margin 84.3 deg at force; nominal
+    """
+    check_points(tuple(goals), loops)
+    return LoopScores(
+        tuple(
+            Score(goal, name, goal.judge(loop))
+            for goal in goals
+            for name, loop in loops.items()
+            if not goal.points or name in goal.points
+        )
+    )

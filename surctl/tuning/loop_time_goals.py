@@ -1,0 +1,288 @@
+"""Goals about step responses, poles and margins of a linear loop of any system."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.system import LinearLoop
+from surctl.tuning.loop_goals import Between, Judgement, LoopGoal, LoopView, Opened
+from surctl.tuning.loop_responses import held_step, rates, step_series
+from surctl.verification.sampled_margins import quick_margins
+
+__all__ = ["Margins", "Overshoot", "Poles", "Settling", "StepRejection", "StepTracking"]
+
+Array = NDArray[np.float64]
+_BAND = 0.02  # of the final value, as in step_info of python-control
+_RESTS = 1e-6  # a final value below this share of the peak counts as 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overshoot(Between):
+    """The response to a step exceeds its final value by at most a share, as `TuningGoal.Overshoot`.
+
+    Attributes:
+        at_most: largest overshoot as a share of the final value, such as 0.1 for 10 %.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Overshoot
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -15 * u["speed"])
+        >>> goal = Overshoot(name="calm", source="measured.speed", end="speed", at_most=0.1)
+        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        0.5
+    """
+
+    TYPE: ClassVar[str] = "overshoot"
+
+    at_most: float
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        time, value, final = step_series(loop, self.source, self.end)
+        if _returns(value, final):
+            raise InputError("returns to 0 after a step", key="to", value=self._path, remedy="use step_rejection")
+        share = value / final
+        over = max(float(share.max()) - 1, 0.0)
+        view = LoopView("time", time, share, "response / final value [1]", upper=_flat(time, 1 + self.at_most))
+        at = f"at {time[int(share.argmax())]:.3g} s"
+        return Judgement(over, "1", self.at_most, over / self.at_most, view, at)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settling(Between):
+    """The response to a step stays within 2 % of its final value from a time on.
+
+    If the response returns to 0, as after a disturbance, the band is 2 % of its peak.
+
+    Attributes:
+        at_most: longest settling time [s].
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Settling
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = Settling(name="soon", source="measured.speed", end="speed", at_most=2.5)
+        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        1.8
+    """
+
+    TYPE: ClassVar[str] = "settling"
+
+    at_most: float
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        time, value, final = step_series(loop, self.source, self.end)
+        scale = float(np.abs(value).max()) if _returns(value, final) else abs(final)
+        duration, late = settling_time(time, value, final, scale), time >= self.at_most
+        lower, upper = (np.where(late, final + sign * _BAND * scale, np.nan) for sign in (-1, 1))
+        view = LoopView("time", time, value, self.end, lower, upper)
+        return Judgement(duration, "s", self.at_most, duration / self.at_most, view, "2 % band")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepTracking(Between):
+    """The response to a step follows that of a reference model, as `TuningGoal.StepTracking`.
+
+    The value is the gap |y - y_ref|/|1 - y_ref|, with |·| the root of the sum of squares over time.
+
+    Attributes:
+        model: reference model, a python-control system in continuous time with one input and one output.
+        at_most: largest gap.
+
+    Example:
+        >>> import control
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import StepTracking
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> model = control.tf([2.0], [1.0, 2.0])
+        >>> goal = StepTracking(name="as a lag", source="measured.speed", end="speed", model=model, at_most=0.2)
+        >>> goal.judge(linearise(System(cart, hold))).met
+        True
+    """
+
+    TYPE: ClassVar[str] = "step_tracking"
+
+    model: Any
+    at_most: float = 0.1
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        import control  # takes seconds to import
+
+        model = control.ss(self.model)
+        if model.isdtime(strict=True):
+            raise InputError("is in discrete time", key="model", remedy="give a model in continuous time")
+        time, value, _ = step_series(loop, self.source, self.end)
+        reference = held_step((model.A, model.B, model.C, model.D), time)
+        free = float(np.linalg.norm(1 - reference))
+        gap = float(np.linalg.norm(value - reference)) / free if free > 0 else np.inf
+        allowance = self.at_most * free / np.sqrt(len(time))  # a constant gap of this size is at the bound
+        view = LoopView("time", time, value, self.end, reference - allowance, reference + allowance)
+        return Judgement(gap, "1", self.at_most, gap / self.at_most, view, "relative gap to the model")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepRejection(Between):
+    """The response to a step of a disturbance stays below a peak, as `TuningGoal.StepRejection`.
+
+    Attributes:
+        at_most: largest magnitude of the response, in units of the end for a step of one unit of the source.
+        unit: unit of the end.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import StepRejection
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = StepRejection(name="load", source="command.force", end="speed", at_most=0.6)
+        >>> round(goal.judge(linearise(System(cart, hold))).value, 2)
+        0.5
+    """
+
+    TYPE: ClassVar[str] = "step_rejection"
+
+    at_most: float
+    unit: str = "1"
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        time, value, _ = step_series(loop, self.source, self.end)
+        peak, k = float(np.abs(value).max()), int(np.abs(value).argmax())
+        view = LoopView("time", time, value, self.end, _flat(time, -self.at_most), _flat(time, self.at_most))
+        return Judgement(peak, self.unit, self.at_most, peak / self.at_most, view, f"at {time[k]:.3g} s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Poles(LoopGoal):
+    """The poles of the closed loop lie in a region, as `TuningGoal.Poles`; z is mapped to s = log(z)/dt.
+
+    Attributes:
+        decay_per_s: least decay rate -Re(s) [1/s].
+        damping: least damping ratio -Re(s)/|s| of complex poles.
+        fastest_rad_per_s: largest |s| [rad/s].
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Poles
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> judged = Poles(name="region", decay_per_s=1.0, damping=0.7).judge(linearise(System(cart, hold)))
+        >>> round(judged.normalised, 2), judged.where
+        (0.7, 'damping ratio 1')
+    """
+
+    TYPE: ClassVar[str] = "poles"
+
+    decay_per_s: float = 0.0
+    damping: float = 0.0
+    fastest_rad_per_s: float = np.inf
+
+    def _check(self, loop: LinearLoop) -> None:
+        if not (self.decay_per_s > 0 or self.damping > 0 or np.isfinite(self.fastest_rad_per_s)):
+            raise InputError("bounds nothing", key="poles", remedy="give decay_per_s, damping or fastest_rad_per_s")
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        poles = rates(loop)
+        decay, size = float(np.min(-poles.real, initial=np.inf)), np.abs(poles)
+        complex_ones = np.abs(poles.imag) > 1e-9 * np.maximum(size, 1e-12)
+        damping = float(np.min(-poles.real[complex_ones] / size[complex_ones], initial=1.0))
+        fastest = float(size.max(initial=0.0))
+        checks = [
+            (self.decay_per_s / decay, decay, self.decay_per_s, "decay rate", "1/s"),
+            (self.damping / damping if damping > 0 else np.inf, damping, self.damping, "damping ratio", "1"),
+            (fastest / self.fastest_rad_per_s, fastest, self.fastest_rad_per_s, "natural frequency", "rad/s"),
+        ]
+        worst = max(checks, key=lambda check: check[0])
+        view = LoopView(
+            "poles", poles.real, poles.imag, "imaginary part [rad/s]",
+            region=(self.decay_per_s, self.damping, self.fastest_rad_per_s),
+        )  # fmt: skip
+        share, value, limit, what, unit = worst
+        text = f"{what} {value:.3g}" + ("" if unit == "1" else f" {unit}")
+        return Judgement(value, unit, limit, float(share), view, text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Margins(Opened):
+    """Gain, phase, delay and disk margin of every loop, opened one at a time, as `TuningGoal.Margins`.
+
+    Attributes:
+        gain: least gain margin, a factor greater than 1; a margin downwards counts too.
+        phase_deg: least phase margin [deg].
+        delay_s: least delay margin [s].
+        disk: least disk margin α, 0 to 2.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import Margins
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> judged = Margins(name="robust", at="force", gain=2.0).judge(linearise(System(cart, hold)))
+        >>> round(judged.normalised, 2), judged.where
+        (0.3, 'gain margin 10 at force')
+    """
+
+    TYPE: ClassVar[str] = "margins"
+
+    gain: float = 0.0
+    phase_deg: float = 0.0
+    delay_s: float = 0.0
+    disk: float = 0.0
+
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        if not max(self.gain, self.phase_deg, self.delay_s, self.disk) > 0:
+            raise InputError("bounds nothing", key="margins", remedy="give gain, phase_deg, delay_s or disk")
+        if self.gain and not self.gain > 1:
+            raise InputError("is not greater than 1", key="gain", value=self.gain, remedy="give a factor, such as 2")
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        checks: list[tuple[float, float, float, str, str]] = []
+        for m in quick_margins(loop, *self.openings):
+            both = min(m.gain_margin, 1 / m.least_gain if m.least_gain > 0 else np.inf)
+            if self.gain:  # in dB, so that twice the margin is half the normalised value
+                share = np.log(self.gain) / np.log(both) if both > 1 else np.inf
+                checks.append((float(share), both, self.gain, f"gain margin {both:.3g} at {m.name}", "1"))
+            for least, value, what, unit in (
+                (self.phase_deg, m.phase_margin_deg, "phase margin", "deg"),
+                (self.delay_s, m.delay_margin_s, "delay margin", "s"),
+                (self.disk, m.disk_margin, "disk margin", "1"),
+            ):
+                if least:
+                    text = f"{what} {value:.3g}{'' if unit == '1' else f' {unit}'} at {m.name}"
+                    checks.append((least / value if value > 0 else np.inf, value, least, text, unit))
+        share, value, limit, text, unit = max(checks, key=lambda check: check[0])
+        return Judgement(value, unit, limit, share, None, text)
+
+
+def settling_time(time: Array, value: Array, final: float, scale: float) -> float:
+    """Return the time [s] from which a response stays within 2 % of `scale` about its final value."""
+    outside = np.flatnonzero(np.abs(value - final) >= _BAND * scale)
+    if not outside.size:
+        return 0.0
+    return float(time[min(int(outside[-1]) + 1, len(time) - 1)])
+
+
+def _returns(value: Array, final: float) -> bool:
+    return abs(final) <= _RESTS * float(np.abs(value).max(initial=0.0))
+
+
+def _flat(time: Array, level: float) -> Array:
+    return np.full(len(time), level)

@@ -1,0 +1,92 @@
+"""Pictures of runs of any system, and `plot()` of results."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from PIL import Image
+
+import surctl
+from surctl.errors import InputError
+from surctl.plotted import Plotted
+from surctl.report import darkened, plot_dependence, plot_fan, plot_phase_plane, plot_record
+from surctl.report.files import save_figure
+from surctl.report.theme import new_axes
+from surctl.system import Runs, run_system
+from tests.system.examples import pendulum
+
+STARTS = np.linspace(-0.4, 0.4, 7)
+RUNS = [run_system(pendulum(), 0.5, {"start.angle": a}) for a in (*STARTS, 1.6)]
+
+
+def test_every_result_with_a_picture_has_one() -> None:
+    for module in ("system", "tuning", "verification", "lyapunov"):
+        importlib.import_module(f"surctl.{module}")
+    for kind in Plotted.__subclasses__():
+        module, _, function = kind.PLOT.partition(":")
+        assert callable(getattr(importlib.import_module(module), function)), kind
+    assert {kind.__name__ for kind in Plotted.__subclasses__()} >= {
+        "Record",
+        "Runs",
+        "LinearLoop",
+        "LoopScores",
+        "Locus",
+    }
+    assert "plotted" in [m.name for m in pkgutil.iter_modules(surctl.__path__)]
+
+
+def test_a_fan_has_the_percentiles_of_the_runs() -> None:
+    ax = plot_fan(RUNS[:7], "angle")
+    table = np.array([run["angle"][:, 0] for run in RUNS[:7]])
+    median, least, greatest = (line.get_ydata() for line in ax.lines)
+    assert median == pytest.approx(np.median(table, axis=0))
+    assert least == pytest.approx(table.min(axis=0)) and greatest == pytest.approx(table.max(axis=0))
+    assert len(ax.collections) == 2 and ax.get_ylabel() == "angle [rad]"
+    short = plot_fan(RUNS, "angle")  # the last run has fallen at once
+    assert len(short.lines[0].get_xdata()) == len(RUNS[0].time)
+    with pytest.raises(InputError, match="signal = 'angel': is no signal of the run; did you mean 'angle'"):
+        plot_fan(RUNS, "angel")
+
+
+def test_a_phase_plane_marks_what_ended_early() -> None:
+    ax = plot_phase_plane(RUNS, "angle", "rate")
+    ends = [line for line in ax.lines if line.get_marker() == "s"]
+    assert [to_rgb(end.get_color())[0] > 0.5 for end in ends] == [False] * 7 + [True]
+    assert ax.get_xlabel() == "angle [rad]" and ax.get_ylabel() == "rate [rad/s]"
+
+
+def test_a_dependence_is_ordered_by_rank() -> None:
+    x, y = np.linspace(0, 1, 40), np.tile([0.0, 1.0], 20)
+    runs = Runs({"cost": 3 * x**3 + 0.1 * y}, np.full(40, "time"), np.ones(40), np.zeros((40, 1)))
+    figure = plot_dependence({"other": y, "first": x, "fixed": 2.0}, runs, "cost")
+    assert [ax.get_title("left").partition(":")[0] for ax in figure.axes] == ["first", "other"]
+    assert figure.axes[0].get_title("left").endswith("1.00") or "0.9" in figure.axes[0].get_title("left")
+    with pytest.raises(InputError, match="vary nothing"):
+        plot_dependence({"fixed": 2.0}, runs, "cost")
+
+
+def test_limits_are_drawn_and_the_figure_turns_dark() -> None:
+    figure = plot_record(RUNS[0], limits={"torque": (-5.0, 5.0)})
+    ax = next(ax for ax in figure.axes if ax.get_ylabel() == "torque [N m]")
+    assert ax.get_ylim()[0] < -5 and ax.get_ylim()[1] > 5 and len(ax.patches) == 2
+    dark = darkened(figure)
+    for text in (ax.yaxis.label, *ax.get_yticklabels()):
+        light = [np.dot(to_rgb(c), [0.2126, 0.7152, 0.0722]) for c in (text.get_color(), dark.get_facecolor())]
+        assert light[0] > 0.6 > 0.1 > light[1]
+
+
+def test_a_picture_names_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ax = new_axes(2, 2)
+    monkeypatch.setattr(sys, "argv", ["/usr/bin/surctl", "sweep", "k v=1"])
+    path = save_figure(ax.figure.figure, tmp_path, ("a",))
+    with Image.open(path) as picture:
+        assert picture.info["Description"] == "surctl sweep 'k v=1'"
+    monkeypatch.setattr(sys, "argv", ["pytest"])
+    with Image.open(save_figure(ax.figure.figure, tmp_path, ("b",))) as picture:
+        assert "Description" not in picture.info

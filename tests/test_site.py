@@ -1,0 +1,160 @@
+"""The documentation site: it builds from the repository, and its pages work from a folder in Chromium."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.browser import Opened, open_page
+from tests.processes import run_python
+from tests.tools import need_compiler, need_module
+
+ROOT = Path(__file__).parents[1]
+GUIDES = ROOT / "notebooks" / "guides"
+TOOLS = ROOT / "notebooks" / "docsite"
+EXAMPLES = sorted(path.stem for path in (ROOT / "notebooks" / "gallery").glob("*.py"))
+
+# text nodes whose colour and ground differ by less than WCAG's 4.5 (3 for large text)
+_CONTRAST = """() => {
+  const channel = (c) => (c /= 255) <= 0.03928 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+  const light = ([r, g, b]) => 0.2126 * channel(r) + 0.7152 * channel(g) + 0.0722 * channel(b);
+  const canvas = document.createElement("canvas").getContext("2d", { willReadFrequently: true });
+  const rgba = (text) => {
+    canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = text; canvas.fillRect(0, 0, 1, 1);
+    const [r, g, b, a] = canvas.getImageData(0, 0, 1, 1).data;
+    return [r, g, b, a / 255];
+  };
+  const over = (top, below) => [0, 1, 2].map((k) => top[k] * top[3] + below[k] * (1 - top[3]));
+  const ground = (element) => {
+    if (!element) return [255, 255, 255];
+    const own = rgba(getComputedStyle(element).backgroundColor);
+    return own[3] === 1 ? own : over(own, ground(element.parentElement));
+  };
+  const bad = new Set();
+  const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  for (let node = walk.nextNode(); node; node = walk.nextNode()) {
+    const element = node.parentElement;
+    if (!node.textContent.trim()) continue;
+    if (!element.checkVisibility({ opacityProperty: true, visibilityProperty: true })) continue;
+    if (element.closest(".headerlink, .md-top, script, style")) continue;
+    const box = element.getBoundingClientRect(), style = getComputedStyle(element);
+    if (!box.width || !box.height) continue;
+    let opacity = 1;
+    for (let up = element; up; up = up.parentElement) opacity *= +getComputedStyle(up).opacity;
+    const below = ground(element), colour = rgba(style.color);
+    colour[3] *= opacity;
+    const [a, b] = [light(over(colour, below)), light(below)];
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05), size = parseFloat(style.fontSize);
+    const large = size >= 24 || (size >= 18.66 && +style.fontWeight >= 700);
+    const name = `${element.tagName}.${element.className} ${node.textContent.trim().slice(0, 30)}`;
+    if (ratio < (large ? 3 : 4.5)) bad.add(`${name}: ${ratio.toFixed(2)}`);
+  }
+  return [...bad];
+}"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site without docstrings and without running the gallery; the build is strict about links and anchors."""
+    need_module("material")
+    folder = tmp_path_factory.mktemp("site")
+    words = ["-m", "mkdocs", "build", "-q", "-f", str(ROOT / "notebooks" / "mkdocs.yml"), "-d", str(folder)]
+    done = run_python(words, cwd=folder, environment={**os.environ, "SURCTL_SITE": "quick", "NO_MKDOCS_2_WARNING": "1"})
+    assert done.returncode == 0 and "WARNING" not in done.stderr, done.stderr
+    return folder
+
+
+@pytest.fixture
+def tools() -> Iterator[None]:
+    """The modules of the build can be imported."""
+    sys.path.insert(0, str(TOOLS))
+    yield
+    sys.path.remove(str(TOOLS))
+
+
+def test_every_page_is_there_and_loads_nothing_from_another_host(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
+    names = {path.relative_to(site).as_posix() for path in pages}
+    assert {
+        "index.html", "tutorials/firmware.html", "reference/commands/tune.html", "reference/files/vehicle.html",
+        "reference/python/system.html", "gallery/pendulum_lqr.html", "studies/26_examples.html", "glossary.html",
+    } <= names  # fmt: skip
+    loaded = re.compile(
+        r'<(?:script|img|iframe|source)[^>]* src="(?:https?:)?//|<link[^>]*stylesheet[^>]*href="(?:https?:)?//'
+    )
+    assert [path.name for path in pages if loaded.search(path.read_text(encoding="utf-8"))] == []
+
+
+def test_formulas_commands_keys_and_terms_are_set(site: Path) -> None:
+    text = {name: (site / f"{name}.html").read_text(encoding="utf-8") for name in (
+        "explanation/priorities", "reference/commands/simulate", "reference/files/scenario", "reference/files/gains",
+    )}  # fmt: skip
+    assert text["explanation/priorities"].count("<math") > 15 and "arithmatex" not in text["explanation/priorities"]
+    assert 'class="term" href="../glossary.html#jacobian"' in text["explanation/priorities"]
+    assert "--random-worlds" in text["reference/commands/simulate"]
+    assert "<code>spacing_m</code>" in text["reference/files/scenario"]
+    assert "<code>lookahead</code>" in text["reference/files/gains"]
+    found = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
+    assert any("sonar-replay" in entry["title"] for entry in found)
+
+
+@pytest.mark.usefixtures("tools")
+def test_each_key_of_each_file_has_a_meaning() -> None:
+    from file_pages import undocumented
+
+    assert undocumented() == [], "write it in notebooks/docsite/file_meanings.py"
+
+
+@pytest.mark.usefixtures("tools")
+def test_each_package_is_in_the_reference_and_each_example_in_the_gallery() -> None:
+    from api_pages import PACKAGES
+    from gallery import EXAMPLES as SHOWN
+
+    packages = {path.parent.name for path in (ROOT / "surctl").glob("*/__init__.py")}
+    assert packages - {"cli"} == set(PACKAGES)
+    assert sorted(SHOWN) == EXAMPLES
+
+
+@pytest.mark.usefixtures("tools")
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_runs_and_draws(name: str) -> None:
+    from gallery import run_example
+
+    need_compiler()
+    shown = run_example(name)
+    assert shown.printed.strip() and shown.picture.startswith(b"\x89PNG")
+
+
+PAGES = ("index", "tune", "explanation/priorities", "reference/files/vehicle", "gallery/index", "coming-from/matlab")
+
+
+def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
+    with open_page((site / "index.html").as_uri()) as opened:
+        for scheme in ("light", "dark"):
+            opened.page.emulate_media(color_scheme=scheme, reduced_motion="reduce")
+            for name in PAGES:
+                opened.page.evaluate("localStorage.clear()")
+                opened.page.goto((site / f"{name}.html").as_uri())
+                dark = opened.page.evaluate("document.body.dataset.mdColorScheme") == "slate"
+                assert dark == (scheme == "dark")
+                assert opened.page.evaluate(_CONTRAST) == [], (name, scheme)
+                for width in (1280, 400):
+                    assert opened.overflow(width) <= 0, (name, width)
+        search(opened, "pendulum")
+        assert opened.errors == [] and opened.outside == []
+
+
+def search(opened: Opened, word: str) -> None:
+    """The search finds pages although no server answers."""
+    page = opened.page
+    page.set_viewport_size({"width": 1280, "height": 900})
+    page.keyboard.press("/")
+    page.keyboard.type(word)
+    page.wait_for_selector(".md-search-result__item", timeout=20_000)
+    assert page.locator(".md-search-result__item").count() >= 2
