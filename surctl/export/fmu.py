@@ -133,7 +133,7 @@ def _compiled(name: str, sources: Mapping[str, str], machine: tuple[str, str], *
     if windows is not None:
         place, ending = _PLATFORMS[fmi]["Windows", "AMD64"]
         builds.append((place, ending, windows, (*_REPRODUCIBLE, "-static-libgcc", "-Wl,--no-insert-timestamp")))
-    found = {}
+    libraries = {}
     with tempfile.TemporaryDirectory(prefix="surctl-fmu-") as scratch:
         for file, text in sources.items():
             (Path(scratch) / file).write_bytes(text.encode())
@@ -142,8 +142,8 @@ def _compiled(name: str, sources: Mapping[str, str], machine: tuple[str, str], *
             library = Path(scratch) / f"{name}{ending}"
             own = f"-DFMI{fmi}_OVERRIDE_FUNCTION_PREFIX"
             compile_program(code, library, flags=(own, *flags), compiler=compiler)
-            found[f"binaries/{place}/{name}{ending}"] = library.read_bytes()
-    return found
+            libraries[f"binaries/{place}/{name}{ending}"] = library.read_bytes()
+    return libraries
 
 
 def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:

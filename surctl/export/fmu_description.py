@@ -105,15 +105,15 @@ def variables(law: Exportable, within: Envelope, gains: Vector, *, fed: Sequence
         ("parameter", law.gains, within.gains, gains),
         ("output", law.outputs, outputs, None),
     )
-    found: list[Variable] = []
+    numbers: list[Variable] = []
     for causality, layout, box, starts in parts:
         names = [member for port in layout for member in _members(port)]
         for k, (name, said, unit) in enumerate(names):
             low, high = (float(v) if abs(v) < _LIMIT else None for v in box[k])
             start = None if starts is None else float(starts[k])
             note = " (written by the unit from its mission)" if name.partition("[")[0] in fed else ""
-            found.append(Variable(name, len(found), causality, said + note, unit, low, high, start))
-    return found
+            numbers.append(Variable(name, len(numbers), causality, said + note, unit, low, high, start))
+    return numbers
 
 
 def _members(port: Port) -> Iterator[tuple[str, str, str]]:
@@ -190,9 +190,9 @@ def _unit_definitions(root: Element, numbers: Sequence[Variable]) -> None:
 
 def _attributes(variable: Variable) -> dict[str, str]:
     # unit, range and start
-    given = {"min": variable.low, "max": variable.high, "start": variable.start}
+    attributes = {"min": variable.low, "max": variable.high, "start": variable.start}
     unit = {"unit": variable.unit} if variable.unit else {}
-    return unit | {name: repr(value) for name, value in given.items() if value is not None}
+    return unit | {name: repr(value) for name, value in attributes.items() if value is not None}
 
 
 _KIND: Mapping[str, Mapping[str, str]] = MappingProxyType(

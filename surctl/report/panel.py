@@ -181,8 +181,8 @@ def _cropped(one: Curve, limits: tuple[float, float] | None) -> Curve:
     if limits is None or one.kind not in ("line", "steps") or not np.all(np.diff(one.x) >= 0):
         return one
     first, last = np.searchsorted(one.x, limits)
-    shown = slice(max(int(first) - 1, 0), int(last) + 1)
-    return replace(one, x=one.x[shown], y=one.y[shown])
+    part = slice(max(int(first) - 1, 0), int(last) + 1)
+    return replace(one, x=one.x[part], y=one.y[part])
 
 
 def _key(one: Curve) -> str:

@@ -9,7 +9,6 @@ import subprocess
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
-from shutil import which
 from typing import Any
 
 import numpy as np
@@ -258,8 +257,7 @@ def test_two_units_of_both_versions_link_into_one_program(tmp_path: Path) -> Non
 
 
 def test_a_unit_holds_a_library_for_windows_where_its_compiler_is_installed(files: dict[int, Path]) -> None:
-    if which("x86_64-w64-mingw32-gcc") is None:
-        pytest.skip("x86_64-w64-mingw32-gcc is not installed")
+    need("x86_64-w64-mingw32-gcc")
     for fmi, place in ((2, "win64"), (3, "x86_64-windows")):
         with zipfile.ZipFile(files[fmi]) as archive:
             name = f"binaries/{place}/{files[fmi].stem}.dll"

@@ -41,6 +41,12 @@ def test_the_loop_of_two_systems_is_that_of_feedback() -> None:
     time = np.arange(200) * 0.02
     record = run_system(system, 4.0, {"reference.ref_angle": 1.0})
     assert record["angle"][:, 0] == pytest.approx(control.step_response(closed, time).outputs, abs=1e-7)
+    z = np.exp(1j * omega * 0.02)
+    reference, setpoint, load = (loop.transfer(one, "measured.angle")(z) for one in ("ref_angle", "angle", "torque"))
+    assert setpoint == pytest.approx(reference, rel=1e-12) and reference == pytest.approx(closed(z), rel=1e-9)
+    plant = control.sample_system(PLANT, 0.02)
+    assert load == pytest.approx(plant(z) / (1 + sampled(z)), rel=1e-9)
+    assert loop.transfer("angle", "torque")(z) == pytest.approx(reference / plant(z), rel=1e-9)
     out = loop.closed()
     assert out.input_labels == ["ref_angle"] and out.output_labels == ["measured angle", "torque"]
     assert out.dt == 0.02 and isinstance(to_control(loop), control.StateSpace)

@@ -19,6 +19,7 @@ from surctl.sensing import (
     SLOT,
     BaseStation,
     Beam,
+    FaultChances,
     SolidWalls,
     beam_of,
     certain_range_symbols,
@@ -59,6 +60,22 @@ class Listening:
             Port("noise", (NOISE_STATE,), "1", "state of the noise generator"),
             *self.late.ports,
         )
+
+    def parameters(self) -> tuple[Port, ...]:
+        """Return the entries (name, size, unit) that the sensors add to the parameters of a run."""
+        structure, ports = self.structure, list[Port]()
+        if structure.draws_echoes:
+            ports = [
+                Port("echo_key", (ECHO_KEY,), "1", "key of the random numbers of weak echoes, see echo_keys"),
+                Port("echo_numbers", (len(structure.bodies),), "1", "number of each obstacle's first weak echo"),
+            ]
+        if structure.may_fail:
+            chances = (len(FaultChances.kinds()),)
+            ports += [
+                Port("fault_slots", (structure.faults, SLOT), "SI", "scheduled sonar faults, see fault_slots"),
+                Port("fault_chances", chances, "1", "fault probabilities per firing, see FaultChances"),
+            ]
+        return tuple(port for port in ports if port.size)
 
     @cached_property
     def echoes(self) -> Layout:

@@ -29,7 +29,7 @@ from surctl.ir import (
     nearby_angles,
     shared_divisors,
 )
-from surctl.sensing import ECHO_KEY, NOISE_STATE, SLOT, FaultChances
+from surctl.sensing import NOISE_STATE
 from surctl.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.simulation.batch.counting import SUMS, counted, path_square, path_tangent
 from surctl.simulation.batch.driving import driven
@@ -123,17 +123,9 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         Port("thrust_bias", (4,), "N, N m", "bias of the delivered thrust, per axis"),
     )
     bodies = (Port(f"body{k}", (body_size(kind),), "SI", kind) for k, kind in enumerate(structure.bodies))
-    failing = (
-        Port("fault_slots", (structure.faults, SLOT), "SI", "scheduled sonar faults, see fault_slots"),
-        Port("fault_chances", (len(FaultChances.kinds()),), "1", "fault probabilities per firing, see FaultChances"),
-    )
     heights = Port("heights", (len(structure.bodies), 2), "m", "z of each obstacle's bottom and top")
     allowed = Port("depths", (2,), "m", "lowest and highest z that the hull may use")
     upright = (*((heights,) if structure.heights else ()), *((allowed,) if structure.depths else ()))
-    weak = (
-        Port("echo_key", (ECHO_KEY,), "1", "key of the random numbers of weak echoes, see echo_keys"),
-        Port("echo_numbers", (len(structure.bodies),), "1", "number of each obstacle's first weak echo"),
-    )
     there = [Port("there", (len(structure.bodies),), "1", "1 if the obstacle is in the water")]
     optional = there if structure.optional else []
     thrusters = [law.inputs.port(WORKING)] if WORKING in law.inputs else []
@@ -144,8 +136,7 @@ def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
         *optional,
         *thrusters,
         *upright,
-        *(weak if structure.draws_echoes else ()),
-        *(port for port in failing if structure.may_fail and port.size),
+        *Listening(structure, law).parameters(),
     )
     mission = _mission_of(structure, law)
     return (*listed, *mission.parameters(Layout(listed))) if mission else listed
