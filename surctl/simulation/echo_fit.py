@@ -24,6 +24,11 @@ _SIDES: dict[str, Point] = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0
 _POINTS = 9  # places on a face
 _AHEAD = 24  # places along a direction from the face
 _NAMED = 4  # faces that a finding names
+_CLEARED = {
+    "diffuse": "silence is free water: a smooth face that a beam meets obliquely is cleared from the map",
+    "smooth-walls": "only walls may be silent: a smooth obstacle that a beam meets obliquely is cleared from the map",
+    "specular": "a face that never answered is not in the map",
+}
 _OBLIQUE = pi / 3  # [rad] with a larger limit, the missions arrive as if all surfaces answered (chosen)
 
 
@@ -37,9 +42,10 @@ def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> li
     listed = []
     angle = " or ".join(f"{degrees(limit):.3g}°" for limit in sorted(limit for limit in limits if limit is not None))
     if oblique:
+        assumed = scenario.sensors.equipment.surface_model
         text = (
-            f"surfaces answer only within {angle} of their normal, but the law takes silence for free water: a smooth "
-            "face that a beam meets obliquely is cleared from the map; simulate many seeds before a launch"
+            f"surfaces answer only within {angle} of their normal; with surface_model = {assumed!r}, "
+            f"{_CLEARED[assumed]}; simulate many seeds before a launch"
         )
         listed.append(Finding("warning", key, text))
     faces = silent_faces(scenario, vehicle["radius"], array)
