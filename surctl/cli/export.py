@@ -16,7 +16,7 @@ from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
 from surctl.cli.scene_export import export_scene
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
-from surctl.cli.system_export import export_system
+from surctl.cli.system_export import SystemExport, export_system
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.thruster_options import split_faults
 
@@ -118,8 +118,9 @@ def export(
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
-    if is_system(system, "seconds", "name", "out", "as_json"):
-        export_system(system, seconds=seconds, name=name, out=out, as_json=as_json)
+    if is_system(system, "seconds", "as_json", *SystemExport._fields):
+        own = SystemExport(name, target, real, check, targets, steps, prove, out)
+        export_system(system, own, seconds=seconds, as_json=as_json)
     if system:
         raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
     import tempfile
