@@ -40,6 +40,7 @@ def export_system(words: Sequence[str], options: SystemExport, *, seconds: float
     from surctl.export import (
         REALS,
         STEPS,
+        as_records,
         build_bundle,
         build_controller,
         check_builds,
@@ -85,7 +86,9 @@ def export_system(words: Sequence[str], options: SystemExport, *, seconds: float
         (sil,) = compare_runs(compiled, [record])
         if options.check:
             steps = options.steps or STEPS
-            report = check_builds(compiled, [record], tried, steps=steps, untried=untried, progress=progress)
+            report = check_builds(
+                compiled, [as_records(controller, record)], tried, steps=steps, untried=untried, progress=progress
+            )
         if options.target != "c99":
             progress("compiling the functional mock-up unit")
             fmi = 3 if options.target == "fmu3" else 2
