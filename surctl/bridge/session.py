@@ -10,8 +10,8 @@
 | `arrived` | the vehicle reached the end of the path | neutral |
 
 The bridge never arms, disarms or changes a mode. `permitted` is True from the moment at which the operator is seen to
-arm the vehicle in the session's mode; a restart, a loss of the link, a change of mode while steering, a refusing law, and arrival clear it.
-Then only the operator can let the bridge steer again, by disarming and arming the vehicle.
+arm the vehicle in the session's mode; a restart, a loss of the link, a change of mode, a refusing law, and arrival
+clear it. Then only the operator can let the bridge steer again, by disarming and arming the vehicle.
 
 The functions are pure: they map a state and an event to the next state, and know no sockets and no clock.
 """
