@@ -166,6 +166,9 @@ class LinearLoop(Plotted):
                 raise InputError(
                     "is no signal of the loop", key="opening", value=name, remedy=nearest(name, (*commands, *outputs))
                 )
+        if len(set(openings)) < len(openings):
+            double = next(name for k, name in enumerate(openings) if name in openings[:k])
+            raise InputError("is opened twice", key="opening", value=double, remedy="name each signal once")
         at_command = np.array([[float(name == label) for label in commands] for name in openings])
         at_output = np.array(
             [[float(name == label and name not in commands) for label in outputs] for name in openings]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -129,9 +130,13 @@ class LoopGoal(ABC):
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            unset = value == field.default if isinstance(value, float | int) else True
+            key = f"goals.{self.name}.{field.name}"
+            bound = field.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
+            number = field.type == "float" and not isinstance(value, Real)
+            if bound or number:
+                raise InputError("is no number", key=key, value=value, remedy="correct it")
+            unset = value == field.default if isinstance(value, Real) else True
             if not unset and not (np.isfinite(value) and value > 0):
-                key = f"goals.{self.name}.{field.name}"
                 raise InputError("must be finite and greater than 0", key=key, value=value, remedy="correct it")
 
     def judge(self, loop: LinearLoop) -> Judgement:
