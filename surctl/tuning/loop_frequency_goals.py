@@ -131,7 +131,7 @@ class MaxGain(Between):
 
     Attributes:
         at_most: bound of the magnitude.
-        unit: unit of the magnitude.
+        unit: unit of the bound, such as "N m/deg"; empty: that of the end over that of the source.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -148,12 +148,17 @@ class MaxGain(Between):
     TYPE: ClassVar[str] = "gain"
 
     at_most: Bound
-    unit: str = "1"
+    unit: str = ""
+
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        self._scale(loop, self.unit, over_source=True)
 
     def _judged(self, loop: LinearLoop) -> Judgement:
+        factor, unit = self._scale(loop, self.unit, over_source=True)
         omega, bound = _grid(loop, (), self.at_most)
-        size = np.abs(response(loop.transferred([self.source], [self.end]), omega, loop.dt)[:, 0, 0])
-        return _below(omega, size, bound, f"|T| [{self.unit}]", self.unit)
+        size = factor * np.abs(response(loop.transferred([self.source], [self.end]), omega, loop.dt)[:, 0, 0])
+        return _below(omega, size, bound, f"|T| [{unit}]", unit)
 
 
 @dataclass(frozen=True, kw_only=True)

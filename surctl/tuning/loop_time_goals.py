@@ -167,7 +167,7 @@ class StepRejection(Between):
 
     Attributes:
         at_most: largest magnitude of the response, in units of the end for a step of one unit of the source.
-        unit: unit of the end.
+        unit: unit of the bound; empty: that of the end.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -184,13 +184,19 @@ class StepRejection(Between):
     TYPE: ClassVar[str] = "step_rejection"
 
     at_most: float
-    unit: str = "1"
+    unit: str = ""
+
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        self._scale(loop, self.unit, over_source=False)
 
     def _judged(self, loop: LinearLoop) -> Judgement:
+        factor, unit = self._scale(loop, self.unit, over_source=False)
         time, value, _ = step_series(loop, self.source, self.end)
+        value = factor * value
         peak, k = float(np.abs(value).max()), int(np.abs(value).argmax())
         view = LoopView("time", time, value, self.end, _flat(time, -self.at_most), _flat(time, self.at_most))
-        return Judgement(peak, self.unit, self.at_most, peak / self.at_most, view, f"at {time[k]:.3g} s")
+        return Judgement(peak, unit, self.at_most, peak / self.at_most, view, f"at {time[k]:.3g} s")
 
 
 @dataclass(frozen=True, kw_only=True)

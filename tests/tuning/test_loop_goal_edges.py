@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import control
 import numpy as np
 import pytest
 
 from surctl.errors import InputError
 from surctl.system import LinearLoop, from_control, linearise
-from surctl.tuning import LoopShape, Poles, Profile, SensitivityBound, Settling, StepTracking
+from surctl.tuning import (
+    Effort,
+    LoopShape,
+    Poles,
+    Profile,
+    SensitivityBound,
+    Settling,
+    StepRejection,
+    StepTracking,
+    load_loop_goals,
+)
 from tests.tuning.test_loop_goals import SYSTEM
 
 
@@ -90,3 +102,39 @@ def test_a_goal_that_means_nothing_is_one_line(case: str, loop: LinearLoop) -> N
     with pytest.raises(InputError) as raised:
         build().judge(loop)
     assert problem in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_bounds_count_in_their_units(loop: LinearLoop) -> None:
+    one, other = (
+        StepRejection(name="p", source="wind", end="place", at_most=bound, unit=unit).judge(loop)
+        for bound, unit in ((0.5, "m"), (50.0, "cm"))
+    )
+    assert other.normalised == pytest.approx(one.normalised) and other.value == pytest.approx(100 * one.value)
+    assert (
+        other.unit == "cm" and StepRejection(name="p", source="wind", end="place", at_most=1.0).judge(loop).unit == "m"
+    )
+    noise = Effort(name="e", source="measured.place", end="command.force", at_most=0.2, unit="m/s^2/cm").judge(loop)
+    own = Effort(name="e", source="measured.place", end="command.force", at_most=20.0).judge(loop)
+    assert noise.normalised == pytest.approx(own.normalised) and own.unit == "(m/s^2)/(m)"
+    for goal in (
+        StepRejection(name="p", source="wind", end="place", at_most=1.0, unit="deg"),
+        Effort(name="p", source="measured.place", end="command.force", at_most=1.0, unit="N/m"),
+    ):
+        with pytest.raises(InputError, match=r"goals\.p\.at_most\.unit = .*: wrong unit; give it in"):
+            goal.judge(loop)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('type = "poles"\ndamping = 0.5\n[[goals]]\nname = "g"\ntype = "poles"\ndamping = 0.5\n', "of two goals"),
+        ('type = "sensitivity"\nat = "force"\nfrequency_rad_per_s = [1, 2]\nat_most = "2"\n', "needs one bound"),
+        ('type = "gain"\nfrom = "wind"\nto = "place"\nfrequency_rad_per_s = [1, 2]\ngain = [1, 2]\ngain_db = [1, 2]\n',
+         "needs one bound"),
+    ],
+)  # fmt: skip
+def test_contradictions_in_a_file_are_one_line(tmp_path: Path, text: str, problem: str) -> None:
+    file = tmp_path / "cart.toml"
+    file.write_text(f'kind = "goals"\nname = "cart"\n[[goals]]\nname = "g"\n{text}')
+    with pytest.raises(InputError, match=problem):
+        load_loop_goals(file)
