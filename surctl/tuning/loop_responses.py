@@ -87,8 +87,8 @@ def _zeros(matrices: Matrices) -> Complex:
     selected = np.zeros((len(A) + len(D), len(A) + len(D)))
     selected[: len(A), : len(A)] = np.eye(len(A))
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.asarray(eigvals(np.block([[A, B], [C, D]]), selected), dtype=np.complex128)
-    return found[np.isfinite(found) & (np.abs(found) < 1e6)]
+        zeros = np.asarray(eigvals(np.block([[A, B], [C, D]]), selected), dtype=np.complex128)
+    return zeros[np.isfinite(zeros) & (np.abs(zeros) < 1e6)]
 
 
 def response(matrices: Matrices, omega: Array, dt: float) -> Complex:

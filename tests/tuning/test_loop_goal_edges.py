@@ -20,6 +20,7 @@ from surctl.tuning import (
     StepRejection,
     StepTracking,
     load_loop_goals,
+    tune_system,
 )
 from tests.tuning.test_loop_goals import SYSTEM
 
@@ -138,3 +139,9 @@ def test_contradictions_in_a_file_are_one_line(tmp_path: Path, text: str, proble
     file.write_text(f'kind = "goals"\nname = "cart"\n[[goals]]\nname = "g"\n{text}')
     with pytest.raises(InputError, match=problem):
         load_loop_goals(file)
+
+
+def test_an_operating_point_does_not_set_a_searched_gain() -> None:
+    goals = [Poles(name="p", damping=0.5)]
+    with pytest.raises(InputError, match="point a = 'k_p': is searched"):
+        tune_system(SYSTEM, 0.1, {"k_p": (1.0, 2.0)}, trials=12, goals=goals, points={"a": {"k_p": 1.5}})
