@@ -160,6 +160,7 @@ def export(
     from surctl.simulation import SENSING, law_numbers, load_scenario, simulate
     from surctl.simulation.numbers import fed_ranges
     from surctl.vehicle import load_vehicle
+    from surctl.vehicle.linearise import command_range
 
     checked = (
         ("--target", target, ("c99", "fmu", "fmu3", "mjcf")),
@@ -219,7 +220,8 @@ def export(
     proof = None
     if prove:
         progress("proving")
-        proof = prove_bundle(shipped, bundle, robot.thrust_bound)
+        limit = command_range(robot) if robot.actuators is None else robot.thrust_bound
+        proof = prove_bundle(shipped, bundle, limit)
         bundle = with_proof(bundle, proof)
     progress(f"simulating {mission.name}")
     run = simulate(mission, robot, gains=tuned, law=built, sensing=sensing, seed=seed)

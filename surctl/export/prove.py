@@ -144,7 +144,8 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector | None = None) -
     Args:
         law: the exported law.
         bundle: the exported files; the analysis covers the ranges that their guard accepts.
-        limit: largest absolute thrust of each axis (n_tau,) [N, N m]; None: limits are not part of the proof.
+        limit: largest absolute thrust of each axis (n_tau,) [N, N m], or least and largest thrust (2, n_tau); None:
+            limits are not part of the proof.
 
     Raises:
         ToolMissing: Frama-C is not installed.
@@ -245,9 +246,13 @@ def _program(law: Exportable, bundle: Bundle, limit: Vector | None) -> str:
     lines += [f"state.last[{k}] = {_any(within.inputs[rate.entry], real)};" for k, rate in enumerate(within.rates)]
     if not law.gains.size:
         lines.append(f"gains.reserved = {c_literal(0.0, real)};")
-    bounds = [Decimal(float(np.dtype(real).type(most))) for most in (() if limit is None else limit)]
+    ends = np.zeros((2, 0)) if limit is None else np.array([-limit, limit] if np.ndim(limit) == 1 else limit)
+    bounds = [tuple(Decimal(float(np.dtype(real).type(end))) for end in pair) for pair in ends.T]
     taus = [] if limit is None else [member for member, _ in entries(commands(law))]
-    claims = [f"/*@ assert limit: -{b} <= output.{tau} <= {b}; */" for tau, b in zip(taus, bounds, strict=True)]
+    claims = [
+        f"/*@ assert limit: {least} <= output.{tau} <= {most}; */"
+        for tau, (least, most) in zip(taus, bounds, strict=True)
+    ]
     body = [
         *("state.sample = any_count(0U, 4294967295U);", "input.sample = any_count(0U, 4294967295U);"),
         *("state.counted = any_count(0U, 1U);", *lines),
