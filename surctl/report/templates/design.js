@@ -57,7 +57,10 @@ function set(to) { values = { ...to }; saved = { ...to }; show(); ask(); }
 function undo() { if (past.length) { future.push({ ...saved }); set(past.pop()); } }
 function redo() { if (future.length) { past.push({ ...saved }); set(future.pop()); } }
 
-function message(text, bad) { $("message").textContent = text; $("message").className = bad ? "bad" : "good"; }
+// `view`: an error of a view, which the next good view removes; other messages stay until the next one
+function message(text, bad, view = false) {
+  $("message").textContent = text; $("message").className = bad ? "bad" : "good"; $("message").dataset.view = `${view}`;
+}
 async function post(path, body) {
   const response = await fetch(path, { method: "POST", body: JSON.stringify(body),
     headers: { "Content-Type": "application/json", "X-Token": about.token } });
@@ -76,9 +79,9 @@ async function send(path, place) {
   const began = performance.now(), version = fresh;
   try {
     const found = await post(path, request());
-    if (found.error) message(`error: ${found.error}`, true);
-    else { place(found); if ($("message").textContent.startsWith("error:")) message("", false); }
-  } catch (error) { message(`error: ${error.message}`, true); }
+    if (found.error) message(`error: ${found.error}`, true, true);
+    else { place(found); if ($("message").dataset.view === "true") message("", false); }
+  } catch (error) { message(`error: ${error.message}`, true, true); }
   busy[path] = false;
   document.body.dataset[path] = `${version}`;
   document.body.dataset[`${path}Ms`] = `${Math.round(performance.now() - began)}`;
