@@ -123,7 +123,11 @@ class SceneFile:
             thrust = dict(zip(("surge_n", "sway_n", "heave_n", "yaw_n_m"), _rounded(*tau), strict=True))
             write("/thrust", "surctl.Thrust", time, {"timestamp": at, **thrust})
         near = round(clearance, 4) if isfinite(clearance) else None
-        status_values = {"status": None if status is None else int(status), "clearance_m": near, "values": dict(values or {})}
+        status_values = {
+            "status": None if status is None else int(status),
+            "clearance_m": near,
+            "values": dict(values or {}),
+        }
         write("/status", "surctl.Status", time, {"timestamp": at, **status_values})
         self._obstacles(time, bodies)
         if ranges is not None:
