@@ -84,8 +84,8 @@ def steady_motion(run: Run) -> OperatingPoint:
         raise InputError(f"ended after {record.time[-1]:g} s", key=run.scenario.name, remedy=_REMEDY)
     windows = np.lib.stride_tricks.sliding_window_view(signals, steps + 1, axis=0)
     ranges = np.ptp(windows, axis=2)  # (windows, signals), 1 at the largest steady range
-    full = np.abs(record.tau) >= _FULL * limits  # nothing controls an axis whose thrust is at its limit
-    full = np.lib.stride_tricks.sliding_window_view(full, steps + 1, axis=0).any(axis=2)
+    most = np.abs(record.tau) >= _FULL * limits  # nothing controls an axis whose thrust is at its limit
+    full = np.any(np.lib.stride_tricks.sliding_window_view(most, steps + 1, axis=0), axis=2)
     worst = np.where(full.any(axis=1), np.inf, ranges.max(axis=1))
     fast = np.hypot(*record.nu[steps:, :2].T) >= 0.5 * run.scenario.cruise
     moving = fast & (worst <= 1.0)
@@ -97,10 +97,8 @@ def steady_motion(run: Run) -> OperatingPoint:
         if ranges[k].max() <= 1.0 and full[k].any():
             problem = f"has no steady motion that is controlled: {which[5 + int(np.argmax(full[k]))]} is at its limit"
             raise InputError(problem, key=run.scenario.name, remedy="give a lower speed, or less current")
-        if not np.isfinite(worst[k]):
-            worst[k] = ranges[k].max()
-        varied = which[int(np.argmax(ranges[k]))]
-        problem = f"has no steady motion: in its steadiest {_WINDOW:g} s, {varied} varies {worst[k]:.2g} times too much"
+        varied, by = which[int(np.argmax(ranges[k]))], ranges[k].max()
+        problem = f"has no steady motion: in its steadiest {_WINDOW:g} s, {varied} varies {by:.2g} times too much"
         raise InputError(problem, key=run.scenario.name, remedy=_REMEDY)
     nu = record.nu[middle]
     if abs(nu[3]) > _TURN:
