@@ -70,10 +70,10 @@ def steady_motion(run: Run) -> OperatingPoint:
         >>> from surctl.simulation import load_scenario, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> from surctl.verification import steady_motion
-        >>> run = simulate(load_scenario("pool-ahead"), load_vehicle("sur400"), gains=load_gains("default"))
+        >>> run = simulate(load_scenario("tank-static"), load_vehicle("sur400"), gains=load_gains("default"))
         >>> point = steady_motion(run)
         >>> round(point.speed, 2)
-        0.15
+        0.22
     """
     record, steps = run.record, round(_WINDOW / run.law.dt)
     limits = np.maximum(record.law_parameters[run.law.gains.slice("thrust_limit")], 1e-12)
