@@ -201,10 +201,10 @@ class Inputs:
 
     def _radius(self, system: int) -> float:
         # moving obstacles in the order of their systems' ids; with more systems than obstacles the order says nothing
-        heard = sorted({*self._tracks, *self._gone})
-        if len(heard) > len(self._radii):
+        systems = sorted({*self._tracks, *self._gone})
+        if len(systems) > len(self._radii):
             return max([*self._radii, self.vehicle["radius"]])
-        return self._radii[heard.index(system)]
+        return self._radii[systems.index(system)]
 
     def _rows(self, now: float, eta: Vector, *, still: bool) -> Vector:
         # (slots, 6): moving obstacles first continued from their last message, then the nearest charted ones

@@ -237,9 +237,14 @@ def _in_table(table: str, make: Callable[[], T]) -> T:
     except InputError as error:
         # an error may name several fields: take the first
         name = (error.key or "").removeprefix("array.").removeprefix("delivery.").partition(",")[0]
-        raise InputError(
-            error.problem, key=f"{table}.{_KEYS.get(name, name)}", value=error.value, remedy=error.remedy
-        ) from None
+        problem, value, remedy = error.problem, error.value, error.remedy
+        if name in _ANGLES.values():  # the file has degrees, the sonars have radians
+            problem, remedy = (
+                problem.replace("0 and pi", "0 and 180").replace("180/2", "90"),
+                (remedy or "").replace("radians", "degrees"),
+            )
+            value = round(degrees(value), 6) if isinstance(value, float) else value
+        raise InputError(problem, key=f"{table}.{_KEYS.get(name, name)}", value=value, remedy=remedy) from None
 
 
 def _array(table: SonarTable) -> SonarArray:

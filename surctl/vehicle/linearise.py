@@ -214,15 +214,21 @@ def labelled(names: Sequence[str], *, units: bool = True) -> list[str]:
 
 
 def plant_jacobians(
-    parameters: NDArray[np.float64], nu: NDArray[np.float64], *, psi: float = 0.0, form: PlantForm = PAPER
+    parameters: NDArray[np.float64],
+    nu: NDArray[np.float64],
+    *,
+    psi: float = 0.0,
+    form: PlantForm = PAPER,
+    current: Sequence[float] | NDArray[np.float64] = (0.0, 0.0),
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return ∂ẋ/∂x and ∂ẋ/∂τ of n plants, each linearised about its own trimmed motion in still water.
+    """Return ∂ẋ/∂x and ∂ẋ/∂τ of n plants, each linearised about its own trimmed motion.
 
     Args:
         parameters: (n, …), one plant per row, as `plant_parameters` returns it.
         nu: (n, 4) body velocity of each plant [m/s, rad/s].
         psi: heading [rad] of all plants.
         form: the optional terms that all plants have.
+        current: horizontal velocity (2,) of the water in {E} [m/s]; the trim is exact for a motion without yaw rate.
 
     Returns:
         Three arrays. A (n, 12, 12): state matrices ∂ẋ/∂x, in the order of `STATE_NAMES`, and (n, 16, 16) with the
@@ -238,11 +244,13 @@ def plant_jacobians(
         >>> a.shape, a[:, 4, 4].round(4).tolist()
         ((2, 12, 12), [-0.217, -0.2105])
     """
-    count = len(nu)
-    tau = np.asarray(trim_function(form)(nu.T, parameters.T)).T
-    tilt = np.asarray(trim_tilt(form)(nu.T, parameters.T)).T if form.tilts else np.zeros((count, 0))
+    count, (along, aside), (c, s) = len(nu), current, (np.cos(psi), np.sin(psi))
+    through = nu - np.array([c * along + s * aside, c * aside - s * along, 0.0, 0.0])  # velocity through the water
+    tau = np.asarray(trim_function(form)(through.T, parameters.T)).T
+    tilt = np.asarray(trim_tilt(form)(through.T, parameters.T)).T if form.tilts else np.zeros((count, 0))
     x = np.hstack([np.zeros((count, 3)), np.full((count, 1), psi), nu, tau, tilt])
-    a, b = build_plant(form).jacobians(x.T, tau.T, np.tile(PLANT_DISTURBANCE.pack(), (count, 1)).T, parameters.T)
+    water = PLANT_DISTURBANCE.pack({"current": [*current, 0.0]})
+    a, b = build_plant(form).jacobians(x.T, tau.T, np.tile(water, (count, 1)).T, parameters.T)
     # CasADi returns the matrices of many calls side by side
     return (
         np.asarray(a).reshape(x.shape[1], count, -1).swapaxes(0, 1),

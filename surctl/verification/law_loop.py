@@ -92,7 +92,7 @@ class LawLoop:
         where = f"about {self.place}" if self.place else f"at {self.cruise:g} m/s"
         head = f"sampled loop of law {self.law} {where}, linearised numerically: "
         notes = [f"  left out, because nothing depends on it: {', '.join(self.free)}"] if self.free else []
-        notes = ["  x is the position along the heading, y the position to its right", *notes] if self.place else notes
+        notes = ["  x is the position along the motion, y the position to its left", *notes] if self.place else notes
         if self.kink > _KINK:
             slopes = f"the derivatives of the law to both sides differ by {self.kink:.0%}"
             notes.append(f"  caution: {slopes} there; the margins are those of their mean")
@@ -171,18 +171,20 @@ def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Arr
 
 
 def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, *, place: str = "") -> LawLoop:
-    (Az, By, C, D), kink = _differentiated(law, at)
-    linear, free = _linear(law, vehicle, at.nu, (Az, By, C, D))
+    (Az, By, C, D), kink, axis = _differentiated(law, at)
+    linear, free = _linear(law, vehicle, at, (Az, By, C, D), axis)
     return LawLoop(label(law.ref), at.speed, linear, place, free, kink)
 
 
 def _linear(
-    law: Law, vehicle: Vehicle, nu: Array, slopes: tuple[Array, Array, Array, Array]
+    law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: tuple[Array, Array, Array, Array], axis: float
 ) -> tuple[LinearLoop, tuple[str, ...]]:
     # the loop, and the coordinates that are left out
     form = vehicle.form
-    (A,), (B,), _ = plant_jacobians(plant_parameters(vehicle)[None], nu[None], form=form)
-    B = B @ _delivered(vehicle, nu)
+    along, ahead = _turned(axis).T @ at.current, _turned(at.heading).T @ at.current
+    numbers, psi = plant_parameters(vehicle)[None], at.heading - axis
+    (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
+    B = B @ _delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
     Az, By, C, D = slopes
     acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
@@ -238,7 +240,8 @@ def _free(A: Array, felt: NDArray[np.bool_], coordinates: Sequence[int]) -> list
 def _delivered(vehicle: Vehicle, nu: Array) -> Array:
     """Return the derivative (4, 4) of the force and yaw moment that the thrusters deliver by the command of the law.
 
-    It is the identity, unless a command moves another axis too: a rudder pushes sideways when it turns the craft.
+    It is the identity, unless a command moves another axis too: a rudder pushes sideways when it turns the craft. `nu`
+    is the velocity through the water.
     """
     if vehicle.actuators is None:
         return np.eye(4)
@@ -253,15 +256,21 @@ def _delivered(vehicle: Vehicle, nu: Array) -> Array:
     return np.eye(4) if np.abs(J - np.eye(4)).max() < _COUPLED**0.5 else J
 
 
-def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, Array, Array], float]:
-    """Return A, B, C, D of z⁺ = A z + B y and thrust = C z + D y, and the relative difference of one-sided derivatives.
+def _turned(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
 
-    y = (x, y, z, ψ, u, v, w, r), with x along the heading of the operating point and y to its right.
+
+def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, Array, Array], float, float]:
+    """Return A, B, C, D of z⁺ = A z + B y and thrust = C z + D y, the relative difference of one-sided derivatives, and
+    the direction of x [rad].
+
+    y = (x, y, z, ψ, u, v, w, r), with x along the motion over ground and y to its left; where the law depends on one
+    direction alone, such as the distance from a line, that direction is the nearer of both, exactly.
     """
     size, eta, nu = law.state.size, law.inputs.slice("eta"), law.inputs.slice("nu")
-    c, s = np.cos(at.heading), np.sin(at.heading)
     turned = np.eye(4)
-    turned[:2, :2] = [[c, -s], [s, c]]
+    turned[:2, :2] = _turned(at.course)
     directions = []
     for k in range(size):
         dz = np.zeros(size)
@@ -282,7 +291,18 @@ def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, A
     behind = np.array([(here - outputs(dz, du, -_STEP)) / _STEP for dz, du in directions]).T
     J = (ahead + behind) / 2
     kink = float(np.abs(ahead[size:] - behind[size:]).max() / max(np.abs(J[size:]).max(), _COUPLED))
-    return (J[:size, :size], J[:size, size:], J[size:, :size], J[size:, size:]), kink
+    angle = _neutral(J[:, size : size + 2])
+    J[:, size : size + 2] @= _turned(angle)
+    return (J[:size, :size], J[:size, size:], J[size:, :size], J[size:, size:]), kink, at.course + angle
+
+
+def _neutral(slopes: Array) -> float:
+    # angle [rad], within a right angle, by which x and y are turned so that the law depends on one of them alone
+    _, sizes, directions = np.linalg.svd(slopes, full_matrices=False)
+    if not (sizes[0] > _COUPLED and sizes[1] <= _NEUTRAL * sizes[0]):
+        return 0.0
+    quarter = 0.5 * np.pi
+    return float((np.arctan2(directions[0, 1], directions[0, 0]) + 0.5 * quarter) % quarter - 0.5 * quarter)
 
 
 def _in_loop(A: Array, B: Array, C: Array) -> list[int]:

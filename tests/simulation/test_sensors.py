@@ -100,3 +100,11 @@ def test_everyone_fires_once_a_cycle_in_the_array_s_order(count: int, period: fl
     assert fired == [array.order[k % count] for k in range(len(fired))]
     assert len(fired) == round(instants * FIRING / period)
     assert [plan.at(k) for k in range(plan.period)] == [plan.at(k + plan.period) for k in range(plan.period)]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "limit"), [("pitch_deg", 40.0, "half"), ("incidence_limit_deg", 120.0, "0 and 90;")]
+)
+def test_a_wrong_angle_is_stated_in_degrees(tmp_path: Path, key: str, value: float, limit: str) -> None:
+    with pytest.raises(InputError, match=rf"{key} = {value}: .*{limit}.* give degrees"):
+        _loaded(tmp_path, f"[sonar]\n{key} = {value}\n")

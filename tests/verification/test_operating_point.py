@@ -53,7 +53,7 @@ def test_the_distance_decays_as_the_pole_says() -> None:
     rate = np.log(error[last] / error[first]) / 4.0
     rates = np.log(np.abs(loop.poles)) / 0.05
     assert np.abs(rates / rate - 1).min() < 1e-3
-    assert loop.stable and loop.free == ("y",)  # the position along the wall
+    assert loop.stable and loop.free == ("x",)  # the position along the wall, to the left of the hull
 
 
 @pytest.mark.parametrize("direction", [0.0, 2.0])
@@ -74,6 +74,18 @@ def test_a_course_in_another_direction_has_the_same_loop(direction: float) -> No
     assert np.allclose(np.sort(np.abs(loop.poles))[-6:], np.sort(np.abs(straight.poles))[-6:], atol=2e-3)
 
 
+def test_a_current_is_in_the_loop_and_does_not_make_it_unstable() -> None:
+    scenario, flow = load_scenario(str(FILES / "wall.toml")), (-0.03, 0.02)
+    drift = replace(scenario, disturbance=Disturbance(current_m_per_s=flow))
+    point = steady_motion(simulate(drift, VEHICLE, gains=GAINS, law=wall_law()))
+    loop = law_loop(wall_law(), VEHICLE, GAINS, cruise=0.15, at=point)
+    assert point.current == flow and loop.stable and loop.free == ("x",)
+    through = point.nu[0] - np.cos(point.heading) * flow[0] - np.sin(point.heading) * flow[1]
+    drag = (VEHICLE.linear_drag[0] + 2 * VEHICLE.quadratic_drag[0] * abs(through)) / VEHICLE.mass[0]
+    surge = loop.linear.names.states.index("u")
+    assert loop.linear.plant[0][surge, surge] == pytest.approx(-drag, rel=1e-6)
+
+
 def test_a_motion_that_is_not_steady_is_refused() -> None:
     run = along_the_wall()
     cut = replace(run.record, **{name: getattr(run.record, name)[:20] for name in ("time", "eta", "nu", "tau")})
@@ -82,6 +94,9 @@ def test_a_motion_that_is_not_steady_is_refused() -> None:
     turning = run.record.nu + np.array([0, 0, 0, 0.1])
     with pytest.raises(InputError, match=r"turns at 0\.1 rad/s where it is steady"):
         steady_motion(replace(run, record=replace(run.record, nu=turning)))
+    full = run.record.tau * 0 + np.array([VEHICLE["Fu_max"], 0, 0, 0])
+    with pytest.raises(InputError, match="that is controlled: surge thrust is at its limit; give a lower speed"):
+        steady_motion(replace(run, record=replace(run.record, tau=full)))
     shaking = run.record.tau.copy()
     shaking[::2, 3] += 0.1 * VEHICLE["Fr_max"]
     with pytest.raises(InputError, match=r"no steady motion: .* yaw thrust varies 5 times too much"):
