@@ -16,7 +16,7 @@ from surctl.cli.output import as_json, finish, progress
 from surctl.cli.priority_options import priority_options
 from surctl.cli.scene_export import export_scene
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
-from surctl.cli.system_export import export_system
+from surctl.cli.system_export import SystemExport, export_system
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.thruster_options import split_faults
 
@@ -118,8 +118,9 @@ def export(
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
-    if is_system(system, "seconds", "name", "out", "as_json"):
-        export_system(system, seconds=seconds, name=name, out=out, as_json=as_json)
+    if is_system(system, "seconds", "as_json", *SystemExport._fields):
+        own = SystemExport(name, target, real, check, targets, steps, prove, out)
+        export_system(system, own, seconds=seconds, as_json=as_json)
     if system:
         raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
     import tempfile
@@ -159,6 +160,7 @@ def export(
     from surctl.simulation import SENSING, law_numbers, load_scenario, simulate
     from surctl.simulation.numbers import fed_ranges
     from surctl.vehicle import load_vehicle
+    from surctl.vehicle.linearise import command_range
 
     checked = (
         ("--target", target, ("c99", "fmu", "fmu3", "mjcf")),
@@ -218,7 +220,8 @@ def export(
     proof = None
     if prove:
         progress("proving")
-        proof = prove_bundle(shipped, bundle, robot.thrust_bound)
+        limit = command_range(robot) if robot.actuators is None else robot.thrust_bound
+        proof = prove_bundle(shipped, bundle, limit)
         bundle = with_proof(bundle, proof)
     progress(f"simulating {mission.name}")
     run = simulate(mission, robot, gains=tuned, law=built, sensing=sensing, seed=seed)

@@ -1,4 +1,4 @@
-"""`surctl export FILE.py:FUNCTION`: the controller of a system of the user's own as C, checked over a run."""
+"""`surctl export FILE.py:FUNCTION`: the controller of a system of the user's own as C or FMU, checked over a run."""
 
 from __future__ import annotations
 
@@ -6,46 +6,122 @@ import shlex
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from surctl.cli.output import finish, progress
 from surctl.cli.system_option import assigned, load_system
 from surctl.cli.system_simulate import cost_data, cost_lines, end_text
 
-__all__ = ["export_system"]
+__all__ = ["SystemExport", "export_system"]
+
+_TARGETS = ("c99", "fmu", "fmu3")
 
 
-def export_system(words: Sequence[str], *, seconds: float | None, name: str | None, out: Path, as_json: bool) -> None:
-    """Write the controller as C, compare C and Python over a run; exit with status 1 if a number differs."""
-    from surctl.export import build_bundle, build_controller, compare_runs, write_bundle
+class SystemExport(NamedTuple):
+    """Options of the export of a system, as typed: prefix, output, number type, checks, proof, folder."""
+
+    name: str | None
+    target: str
+    real: str
+    check: bool
+    targets: str | None
+    steps: int | None
+    prove: bool
+    out: Path
+
+
+def export_system(words: Sequence[str], options: SystemExport, *, seconds: float | None, as_json: bool) -> None:
+    """Write the controller as C, compare C and Python over a run; exit with status 1 if a number differs.
+
+    Raises:
+        InputError: an option is not available, or `--check` is missing.
+    """
+    from surctl.errors import InputError, nearest
+    from surctl.export import (
+        REALS,
+        STEPS,
+        as_records,
+        build_bundle,
+        build_controller,
+        check_builds,
+        check_folder,
+        chosen_targets,
+        compare_runs,
+        evidence_of,
+        prove_bundle,
+        with_evidence,
+        with_proof,
+        write_bundle,
+        write_fmu,
+    )
     from surctl.ir import find_compiler
     from surctl.system import LOST, run_system
 
+    for key, value, known in (("--target", options.target, _TARGETS), ("--real", options.real, REALS)):
+        if value not in known:
+            problem = "is not available for a system of your own"
+            raise InputError(problem, key=key, value=value, remedy=nearest(value, known))
+    if not options.check and (options.targets or options.steps):
+        raise InputError("needs --check", key="--targets" if options.targets else "--steps", remedy="add --check")
+    named = [name.strip() for name in options.targets.split(",")] if options.targets else ()
+    tried, untried = chosen_targets(named)
+    real = REALS[REALS.index(options.real)]
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
     find_compiler()
+    check_folder(options.out)
     controller = own.system.controller
     record = run_system(own.system, duration, values)
-    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]), name=name)
-    files = write_bundle(bundle, out)
+    gains = controller.gains.unpack(record.controller[2])
+    bundle = build_bundle(controller, gains, name=options.name, real=real)
+    proof = None
+    if options.prove:
+        progress("proving")
+        proof = prove_bundle(controller, bundle)
+        bundle = with_proof(bundle, proof)
     progress("compiling and replaying")
+    binaries, report = {}, None
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         compiled = build_controller(controller, bundle, Path(scratch, bundle.name))
         (sil,) = compare_runs(compiled, [record])
+        if options.check:
+            steps = options.steps or STEPS
+            report = check_builds(
+                compiled, [as_records(controller, record)], tried, steps=steps, untried=untried, progress=progress
+            )
+        if options.target != "c99":
+            progress("compiling the functional mock-up unit")
+            fmi = 3 if options.target == "fmu3" else 2
+            unit = write_fmu(controller, bundle, controller.gains.pack(gains), scratch, fmi=fmi)
+            binaries[unit.path.name] = unit.path.read_bytes()
+    replayed = {
+        "system": own.label,
+        "text": end_text(own, record),
+        "failure": record.lost if record.stopped == LOST else None,
+    }
+    evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof)
+    files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), options.out)
     largest = max(part.absolute for part in (sil.tau, sil.state, sil.telemetry))
     passed = sil.conclusive and largest == 0.0 and record.stopped != LOST
+    passed = passed and (report is None or report.passed) and (proof is None or proof.proved)
     lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
     lines += [*cost_lines(own.system, record.figures), sil.summary()]
+    lines += [] if proof is None else ["", proof.summary()]
+    lines += [] if report is None else ["", report.summary()]
     data = {
         **own.names,
         "name": bundle.name,
         "id": bundle.id,
+        "real": real,
         "commands": {port.name: port.unit for port in own.system.commands},
         "files": [str(file.path) for file in files],
-        "sha256": {file.path.relative_to(out).as_posix(): file.sha256 for file in files},
+        "sha256": {file.path.relative_to(options.out).as_posix(): file.sha256 for file in files},
         "stopped": record.stopped,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),
         "largest_difference": largest,
         "sil": sil.to_dict(),
     }
-    finish(data, lines, as_json=as_json, passed=passed, then=[f"make -C {shlex.quote(str(out))} check"])
+    data |= {} if proof is None else {"proof": proof.to_dict()}
+    data |= {} if report is None else {"check": report.to_dict()}
+    finish(data, lines, as_json=as_json, passed=passed, then=[f"make -C {shlex.quote(str(options.out))} check"])

@@ -25,7 +25,7 @@ def evidence_of(
 
     Args:
         run: scenario, vehicle, sensing and seed of the simulated run, its result, and `failure` (None if it arrived
-            without contact).
+            without contact); of a system of the user's own, `system`, `text` and `failure`.
         sil: comparison of the compiled controller with Python over this run.
         check: comparison over several compilers and processors, or None.
         proof: proof of the absence of run-time errors, or None.
@@ -90,10 +90,16 @@ def with_evidence(
 
 def _lines(evidence: Mapping[str, Any]) -> list[str]:
     run, sil, check, proof = (evidence[name] for name in ("run", "sil", "check", "proof"))
-    result = "arrived without contact" if run.get("failure") is None else f"FAILED: {run['failure']}"
+    failure, own = run.get("failure"), "system" in run
+    result = ("" if own else "arrived without contact") if failure is None else f"FAILED: {failure}"
+    if own:
+        flown = run["text"] + (f": {result}" if result else "")
+    else:
+        flown = f"{run['scenario']} by {run['vehicle']}, {run['sensing']}, seed {run['seed']}: {result}"
     lines = [
-        f"- Simulated run: {run['scenario']} by {run['vehicle']}, {run['sensing']}, seed {run['seed']}: {result}.",
-        f"- The compiled C over {sil['steps']} steps of this run, against Python: largest difference of the thrust "
+        f"- Simulated run: {flown}.",
+        f"- The compiled C over {sil['steps']} steps of this run, against Python: largest difference of the "
+        f"{'commands' if own else 'thrust'} "
         f"{sil['tau']:.1e}, {sil['status_mismatches']} other statuses; {sil['fault_cases']} bad inputs, "
         f"{len(sil['fault_failures'])} not refused ({sil['compiler']}).",
     ]
@@ -105,7 +111,8 @@ def _lines(evidence: Mapping[str, Any]) -> list[str]:
         lines += [f"- Compilers and processors, {steps} steps each: {verdict}.", "", *_builds(check), ""]
         lines.append("  Instructions are measured over these steps; they are not a proved bound.")
     claim = "not tried (`surctl export --prove`)" if proof is None else f"{proof['status']}: {proof['claim']}"
-    return [*lines, f"- No run-time error, thrust within its limits: {claim}."]
+    what = "No run-time error" if own else "No run-time error, thrust within its limits"
+    return [*lines, f"- {what}: {claim}."]
 
 
 def _builds(check: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import GAINS, GainSpec, Law, law_source
+from surctl.control.ports import OF_VEHICLE
 from surctl.guidance.braking import brakes_of
 from surctl.ir import Layout
 from surctl.simulation import Scenario
@@ -45,7 +46,8 @@ def gain_ranges(
         fast: largest speeds (4,) [m/s, rad/s] that the guard accepts.
         tuned: values (np,) that the ranges contain in any case.
     """
-    bounds = {**_control(law, mission, fast), **_model(vehicle, fast), **_mission(mission, fast)}
+    bounds = {**_control(law, mission, fast), **_of_vehicle(law, mission, vehicle)}
+    bounds |= {**_model(vehicle, fast), **_mission(mission, fast)}
     box = box_of(gains, bounds)
     if tuned is not None and gains.size:
         box = np.column_stack([np.minimum(box[:, 0], tuned), np.maximum(box[:, 1], tuned)])
@@ -84,6 +86,18 @@ def _control(law: Law, mission: Scenario, fast: Vector) -> Box:
         if name in GAINS and not np.isfinite(high):
             high = _WIDE * max(1.0, spec.default or 0.0)
         ranges[name] = [(0.0 if spec.zero_allowed else min(_LEAST, spec.default or _LEAST), high)]
+    return ranges
+
+
+def _of_vehicle(law: Law, mission: Scenario, vehicle: Vehicle) -> Box:
+    # numbers of the law's own that follow from the vehicle: a thrust limit at most the vehicle's, a share within 0 and
+    # 1, and the others up to twice the vehicle's number, with its sign
+    ranges: dict[str, list[tuple[float, float]]] = {}
+    for name, spec in law_source(law.ref).gains.items():
+        if spec.from_vehicle:
+            value = OF_VEHICLE[name](vehicle, mission.cruise)
+            low, high = {"fin_share": (0.0, 1.0), "ahead_limit": (0.0, value)}.get(name, (0.0, 2.0 * value))
+            ranges[name] = [(min(low, high), max(low, high))]
     return ranges
 
 

@@ -3,12 +3,12 @@
 The analysed program (`proof.c`) sets every state, input, gain and last accepted input to an arbitrary number in its
 range, sets an arbitrary sample number, and calls the step once. If Eva reports no alarm, then in every such step no
 uninitialised value is read, no array index is out of bounds, no conversion overflows, and each thrust is a number
-within its limit. For a law in closed form with bounded memory, Eva also shows that no NaN or infinity is computed and
-nothing is divided by zero. The absence of NaN, infinities and divisions by zero is not proved for a law that loops over
-velocity constraints `n·v ≤ b` with possibly infinite bounds b, or whose state is unbounded. IEEE 754 defines the
-operations of such a law on infinities and NaN, and the exported step checks every result of the law. The analysis uses
-the ranges of the guard (input check), which rejects all numbers outside before the law reads them. The proof therefore
-covers every step on the robot.
+within its limit. For a law in closed form with bounded state, inputs and gains, Eva also shows that no NaN or infinity
+is computed and nothing is divided by zero. This is not proved for a law that loops over velocity constraints `n·v ≤ b`
+with possibly infinite bounds b, or with an unbounded state, input or gain. IEEE 754 defines the operations of such a
+law on infinities and NaN, and the exported step checks every result of the law. The analysis uses the ranges of the
+guard (input check), which rejects all numbers outside before the law reads them. The proof therefore covers every step
+on the robot.
 """
 
 from __future__ import annotations
@@ -88,6 +88,7 @@ class ProofReport:
         log: output of the analyser.
         source: text of the analysed program.
         inside: whether the proof also shows that every intermediate number is finite and no divisor is zero.
+        limited: whether it also shows that each command is within its limit.
     """
 
     alarms: tuple[Alarm, ...]
@@ -97,6 +98,7 @@ class ProofReport:
     log: str
     source: str
     inside: bool = True
+    limited: bool = True
 
     @property
     def proved(self) -> bool:
@@ -112,7 +114,8 @@ class ProofReport:
     @property
     def claim(self) -> str:
         """Return the statement that holds if every property is proved."""
-        common = "no uninitialised read, no index out of bounds, no conversion overflow, each thrust within its limit"
+        common = "no uninitialised read, no index out of bounds, no conversion overflow"
+        common += ", each thrust within its limit" if self.limited else ""
         return f"{common}; {_INSIDE if self.inside else _OUTSIDE}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -130,17 +133,19 @@ class ProofReport:
         verdict = "proved" if self.proved else f"OPEN, {len(self.alarms)} alarms"
         verdict += "" if self.accepts else ", and the guard accepts no step"
         spent = f"{self.properties} properties, {self.seconds:.1f} s, {self.tool}"
-        head = f"proof of no run-time error and of thrust limits: {verdict}; {spent}"
+        limits = " and of thrust limits" if self.limited else ""
+        head = f"proof of no run-time error{limits}: {verdict}; {spent}"
         return "\n".join([head, f"  {self.claim}", *(f"  {a.file}:{a.line}: {a.kind}: {a.text}" for a in self.alarms)])
 
 
-def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
+def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector | None = None) -> ProofReport:
     """Analyse the bundle's C with Frama-C, and return the report.
 
     Args:
         law: the exported law.
         bundle: the exported files; the analysis covers the ranges that their guard accepts.
-        limit: largest absolute thrust of each axis (n_tau,) [N, N m].
+        limit: largest absolute thrust of each axis (n_tau,) [N, N m], or least and largest thrust (2, n_tau); None:
+            limits are not part of the proof.
 
     Raises:
         ToolMissing: Frama-C is not installed.
@@ -187,13 +192,16 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector) -> ProofReport:
     version = subprocess.run([_TOOL, "-version"], capture_output=True, text=True, check=False).stdout.split()
     ordered = tuple(sorted(alarms, key=lambda a: (a.file, a.line, a.kind, a.text)))
     tool = f"Frama-C {version[0] if version else '?'}"
-    return ProofReport(ordered, len(rows), spent, tool, log, source, inside=options == _BOUNDED)
+    return ProofReport(
+        ordered, len(rows), spent, tool, log, source, inside=options == _BOUNDED, limited=limit is not None
+    )
 
 
 def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
     # options of Eva, with or without the proof that all numbers are finite (see the module docstring)
     within = bundle.envelope or anywhere(law)
-    if (np.abs(within.state) < _ANY).all() and isinstance(law.block, Program):
+    bounds = np.vstack([within.state, within.inputs, within.gains])
+    if (np.abs(bounds) < _ANY).all() and isinstance(law.block, Program):
         return _BOUNDED
     turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # loops with `until` fill no rows
     return (*_UNBOUNDED, str(max(_LEAST_UNROLLED, *turns, 0)))
@@ -227,7 +235,7 @@ def _first_error(log: str) -> str:
     return match.group(0).strip() if match else "no reason given"
 
 
-def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
+def _program(law: Exportable, bundle: Bundle, limit: Vector | None) -> str:
     # proof.c
     name, real = bundle.name, bundle.real
     within = bundle.envelope or anywhere(law).fitted(law, real)
@@ -238,9 +246,13 @@ def _program(law: Exportable, bundle: Bundle, limit: Vector) -> str:
     lines += [f"state.last[{k}] = {_any(within.inputs[rate.entry], real)};" for k, rate in enumerate(within.rates)]
     if not law.gains.size:
         lines.append(f"gains.reserved = {c_literal(0.0, real)};")
-    bounds = [Decimal(float(np.dtype(real).type(most))) for most in limit]
-    taus = [member for member, _ in entries(commands(law))]
-    claims = [f"/*@ assert limit: -{b} <= output.{tau} <= {b}; */" for tau, b in zip(taus, bounds, strict=True)]
+    ends = np.zeros((2, 0)) if limit is None else np.array([-limit, limit] if np.ndim(limit) == 1 else limit)
+    bounds = [tuple(Decimal(float(np.dtype(real).type(end))) for end in pair) for pair in ends.T]
+    taus = [] if limit is None else [member for member, _ in entries(commands(law))]
+    claims = [
+        f"/*@ assert limit: {least} <= output.{tau} <= {most}; */"
+        for tau, (least, most) in zip(taus, bounds, strict=True)
+    ]
     body = [
         *("state.sample = any_count(0U, 4294967295U);", "input.sample = any_count(0U, 4294967295U);"),
         *("state.counted = any_count(0U, 1U);", *lines),

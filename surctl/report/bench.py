@@ -34,6 +34,7 @@ from surctl.tuning import (
     judged_goals,
 )
 from surctl.vehicle import Vehicle
+from surctl.vehicle.linearise import command_range
 from surctl.verification import (
     Inapplicable,
     OperatingPoint,
@@ -278,12 +279,12 @@ def _panels(run: Run) -> list[Panel]:
     panels = [Panel("Run: clearance", "time [s]", "clearance [m]", clearance, [Shade(time, 0 * time, "below")])]
     for k, name in zip((0, 1, 3), _MOTION, strict=True):
         panels.append(Panel(f"Run: {name.partition(' ')[0]}", "time [s]", name, [Curve(time, record.nu[:, k], "", 0)]))
-    limits = run.vehicle.thrust_limit
+    least, most = command_range(run.vehicle)
     for k, (axis, unit) in enumerate(_THRUST.items()):
         tau = record.tau[:, k]
         if np.abs(tau).max(initial=0.0) > 0:
-            bound = np.full(len(time), float(limits[k]))
-            shades = [Shade(time, bound, "above"), Shade(time, -bound, "below")]
+            above, below = (np.full(len(time), float(limit[k])) for limit in (most, least))
+            shades = [Shade(time, above, "above"), Shade(time, below, "below")]
             curve = [Curve(time, tau, "", 0, "steps")]
             title = f"Run: thrust {axis}, with its limits"
             panels.append(Panel(title, "time [s]", f"{axis} [{unit}]", curve, shades))

@@ -14,6 +14,7 @@ from surctl.report.theme import AVOIDING, BAD, MUTED, curve, dress, head, legend
 from surctl.simulation import Run
 from surctl.simulation.metrics import avoidance_intervals
 from surctl.simulation.record import path_depths
+from surctl.vehicle.linearise import command_range
 
 __all__ = [
     "plot_clearance",
@@ -111,7 +112,7 @@ def plot_force(run: Run, ax: Axes | None = None) -> Axes:
     ax = _axes(run, ax, title="force", unit="N")
     for k, name in reversed([*enumerate(("F_u", "F_v", "F_w"))]):  # surge on top
         curve(ax, run.record.time, run.record.tau[:, k], label=name, k=k, faint=True)
-    _limits(ax, np.unique(run.vehicle.thrust_limit[:3]))
+    _limits(ax, command_range(run.vehicle)[:, :3])
     legend_above(ax)
     return ax
 
@@ -120,15 +121,14 @@ def plot_moment(run: Run, ax: Axes | None = None) -> Axes:
     """Plot the commanded yaw moment F_r [N m], with its limit."""
     ax = _axes(run, ax, title="yaw moment", unit="N m")
     curve(ax, run.record.time, run.record.tau[:, 3], label="F_r", k=0, faint=True)
-    _limits(ax, run.vehicle.at_speed(run.scenario.cruise).thrust_limit[3:])
+    _limits(ax, command_range(run.vehicle.at_speed(run.scenario.cruise))[:, 3:])
     legend_above(ax)
     return ax
 
 
 def _limits(ax: Axes, limits: NDArray[np.float64]) -> None:
-    for k, limit in enumerate(limits):
+    for k, limit in enumerate(np.unique(limits)):
         ax.axhline(limit, color=BAD, linewidth=1.0, linestyle="--", label="" if k else "limit")
-        ax.axhline(-limit, color=BAD, linewidth=1.0, linestyle="--")
 
 
 def _axes(run: Run, ax: Axes | None, *, title: str, unit: str) -> Axes:

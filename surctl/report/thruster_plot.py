@@ -14,6 +14,7 @@ from surctl.errors import InputError
 from surctl.report.files import save_figure
 from surctl.report.theme import CYCLE, INK, dress, legend_below, new_axes
 from surctl.vehicle import Actuators, Vehicle, attainable
+from surctl.vehicle.linearise import command_range
 
 __all__ = ["plot_attainable", "save_attainable"]
 
@@ -77,8 +78,9 @@ def _plot_turning(vehicle: Vehicle, ax: Axes | None, failed: Sequence[str]) -> A
         ax.fill(*corners.T, color=CYCLE[k], alpha=0.10)
         said = f"at {speed:.3g} m/s" if actuators.fins else "at any speed"
         ax.plot(*np.vstack([corners, corners[:1]]).T, color=CYCLE[k], linewidth=1.6, label=said)
-    u, r = vehicle.thrust_limit[[0, 3]]
-    ax.add_patch(Rectangle((-u, -r), 2 * u, 2 * r, fill=False, edgecolor=INK, linestyle="--", label="Fu_max, Fr_max"))
+    (back, right), (ahead, left) = command_range(vehicle)[:, [0, 3]]
+    size, label = (ahead - back, left - right), "Fu_max, Fr_max"
+    ax.add_patch(Rectangle((back, right), *size, fill=False, edgecolor=INK, linestyle="--", label=label))
     ax.autoscale_view()
     legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
     return ax

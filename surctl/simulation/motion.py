@@ -14,7 +14,7 @@ from surctl.simulation.mission_fit import leg_speeds
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
 from surctl.vehicle import Vehicle
-from surctl.vehicle.linearise import WITHIN_LAW, ahead_limit
+from surctl.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 
 __all__ = ["closest", "motion_findings"]
 
@@ -148,9 +148,8 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
 
 
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    ahead, most = vehicle.thrust_range[1], vehicle.thrust_limit
+    ahead, most = vehicle.thrust_range[1], command_range(vehicle)[1]
     axes = {"surge": ("Xu", 0), "sway": ("Yv", 1)}
-    most[0] = ahead_limit(vehicle)
     held = {axis: _held(vehicle, drag, float(most[k])) for axis, (drag, k) in axes.items() if ahead[k] > 0}
     if scenario.cap <= min(held.values()):
         return []

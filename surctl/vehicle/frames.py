@@ -15,7 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError
 
 __all__ = ["FRAMES", "FRAME_TEXT", "Frame", "check_frame", "heading_velocity", "swap_body", "swap_pose"]
 
@@ -97,7 +97,7 @@ def heading_velocity(
     return np.stack(np.broadcast_arrays(ahead, across, up, turn), axis=-1)
 
 
-def check_frame(frame: object, *, key: str = "frame") -> Frame:
+def check_frame(frame: object, *, key: str = "frame", file: object = None) -> Frame:
     """Return the frame name if it is in `FRAMES`; otherwise raise InputError.
 
     Example:
@@ -107,10 +107,10 @@ def check_frame(frame: object, *, key: str = "frame") -> Frame:
         >>> check_frame("nde")
         Traceback (most recent call last):
             ...
-        surctl.errors.InputError: frame = 'nde': is not known; did you mean 'ned'?
+        surctl.errors.InputError: frame = 'nde': is not known; give enu (ENU/FLU) or ned (NED/FRD)
     """
     if frame not in FRAMES:
-        raise InputError("is not known", key=key, value=frame, remedy=nearest(str(frame), FRAMES))
+        raise InputError("is not known", key=key, value=frame, file=file, remedy="give enu (ENU/FLU) or ned (NED/FRD)")
     return frame
 
 

@@ -33,6 +33,7 @@ __all__ = [
     "can_hold",
     "check_cruise",
     "check_trim",
+    "command_range",
     "dynamic_states",
     "labelled",
     "linearise",
@@ -150,6 +151,21 @@ def ahead_limit(vehicle: Vehicle) -> float:
         (239, 133)
     """
     return float((vehicle.thrust_limit if vehicle["Fv_max"] > 0 else vehicle.thrust_range[1])[0])
+
+
+def command_range(vehicle: Vehicle) -> NDArray[np.float64]:
+    """Return the least and the largest thrust (2, 4) [N, N m] that a law commands; ahead it is `ahead_limit`.
+
+    Example:
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.vehicle.linearise import command_range
+        >>> command_range(load_vehicle("otter"))[:, 0].round().tolist()
+        [-133.0, 239.0]
+    """
+    most = np.array(vehicle.thrust_limit)
+    least = -most
+    most[0] = ahead_limit(vehicle)
+    return np.array([least, most])
 
 
 def beyond_law(vehicle: Vehicle, cruise: float) -> str:

@@ -193,12 +193,12 @@ def _numbers(table: Recorded, name: str, columns: Mapping[str, tuple[str, str] |
 
 
 def _frame(table: Recorded, frame: Frame | str | None) -> Frame:
-    requested = None if frame is None else check_frame(frame)
+    requested = None if frame is None else check_frame(frame, key="--frame", file=table.name)
     said = next((m[1] for line in table.about if (m := re.search(r"\bframe=(\w+)", line))), None)
     said = said or next((key for key, text in FRAME_TEXT.items() if text in table.about), None)
     if said is None:
         return requested or "enu"
-    recorded = check_frame(said, key=f"frame of {table.name}")
+    recorded = check_frame(said, file=table.name)
     if requested not in (None, recorded):
         raise InputError(
             f"is not the frame that the file states ({recorded})",

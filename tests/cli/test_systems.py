@@ -8,6 +8,7 @@ import re
 import shlex
 from pathlib import Path
 from types import ModuleType
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from surctl.errors import InputError
 from surctl.own_code import object_of, pinned
 from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
 from surctl.verification import system_disk_margin, system_margins
-from tests.tools import need_compiler
+from tests.tools import need, need_compiler
 
 # without control, x is about 1/(1 + t); with `blow` = 1 the root is not a number below x = 0.5, from about t = 1 s on
 FILE = """
@@ -209,6 +210,19 @@ def test_the_exported_controller_gives_the_numbers_of_the_run(file: str) -> None
     } == {"k": [3.0]}
 
 
+def test_a_system_is_exported_in_float_as_a_unit_with_its_proof_and_its_evidence(file: str) -> None:
+    need_compiler()
+    need("frama-c")
+    words = ("--seconds", "1", "--real", "float32", "--target", "fmu3", "--prove", "--check", "--steps", "50")
+    done = data("export", file, *words, "--targets", "gcc-O2", "--out", "c")
+    assert done["largest_difference"] == 0.0 and done["check"]["passed"] and done["real"] == "float32"
+    assert done["proof"]["status"] == "proved" and "thrust" not in done["proof"]["claim"]
+    assert b'fmiVersion="3.0"' in ZipFile("c/pump.fmu").read("modelDescription.xml")
+    evidence = json.loads(Path("c/manifest.json").read_text())["evidence"]
+    assert evidence["run"]["text"].startswith("pool under pump: ended after 1 s") and evidence["sil"]["steps"] == 100
+    assert "arrived" not in Path("c/README.md").read_text().split("## Evidence")[1]
+
+
 MISTAKES = {
     "no such file": (("simulate", "yours.py:build", "--seconds", "1"), "yours.py: system: cannot be read"),
     "no such function": (("verify", "mine.py:bild"), "no such function; did you mean 'build'"),
@@ -243,6 +257,8 @@ MISTAKES = {
     "no costs": (("sweep", "mine.py:bare", "k=1", "--seconds", "1"), "has no costs"),
     "an option of the robot": (("simulate", "mine.py:build", "--gains", "x"), "--gains: does not apply"),
     "its export": (("export", "mine.py:build", "--sensing", "truth", "--seconds", "1"), "--sensing: does not apply"),
+    "its target": (("export", "mine.py:build", "--target", "mjcf", "--seconds", "1"), "'mjcf': is not avail"),
+    "its steps": (("export", "mine.py:build", "--steps", "9", "--seconds", "1"), "--steps: needs --check; add --check"),
     "its sweep": (("sweep", "mine.py:build", "k=1", "--seeds", "2", "--seconds", "1"), "--seeds: does not apply"),
     "its claims": (("verify", "mine.py:build", "--cruise", "0.1"), "--cruise: does not apply"),
     "seconds of a scenario": (("simulate", "tank-static", "--seconds", "1"), "--seconds: applies only to a system"),

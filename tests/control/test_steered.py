@@ -212,8 +212,12 @@ def test_commands_choose_the_law_and_say_so(files: Path) -> None:
     assert "no-contact claim: not judged" in verified.output
 
 
-def test_export_agrees_with_python(files: Path) -> None:
+def test_export_agrees_with_python_at_more_thrust_than_it_has_astern(files: Path) -> None:
     need_compiler()
+    file = files / "otter.toml"
+    weaker = '[thrust]\nFu_reverse = { value = 45.0, unit = "N", provenance = "chosen" }\n'
+    file.write_text(file.read_text().replace("[thrust]\n", weaker, 1))
+    assert craft("otter")["Xu"] * CRUISE["otter"] > 45.0  # the drag at the cruise speed
     words = (
         "--vehicle",
         "otter.toml",
@@ -226,4 +230,7 @@ def test_export_agrees_with_python(files: Path) -> None:
     )
     exported = run(files, "export", *words)
     assert exported.exit_code == 0, exported.output
-    assert "thrust 0.0e+00, state 0.0e+00, telemetry 0.0e+00" in exported.output
+    assert "thrust 0.0e+00, state 0.0e+00, telemetry 0.0e+00" in exported.output and "reached" in exported.output
+    assert "| `ahead_limit` | 133.0 | N | largest surge thrust ahead | 0 to 133 |" in (
+        (files / "firmware" / "README.md").read_text()
+    )

@@ -119,6 +119,15 @@ def test_the_guard_accepts_the_drift_of_a_coupled_craft_in_a_turn(name: str) -> 
     assert sway == surge > 0 and yaw > (surge - 1) / (2 * craft["radius"])
 
 
+def test_the_guard_accepts_the_numbers_of_another_vehicle_of_its_size() -> None:
+    law = build_law("steered")
+    box = operating_envelope(law, load_scenario("pool-behind"), load_vehicle("otter"), law.gains).gains
+    ahead, munk, fins = (box[law.gains.slice(name)][0].tolist() for name in ("ahead_limit", "munk", "fin_share"))
+    assert ahead == [0.0, pytest.approx(239.364)] and fins == [0.0, 1.0]
+    assert munk == [0.0, pytest.approx(2 * load_vehicle("otter").munk(load_scenario("pool-behind").cruise))]
+    assert munk[1] > 100.0
+
+
 def test_mistakes_are_named() -> None:
     law = stand_in()
     with pytest.raises(InputError, match="smallest and largest"):

@@ -15,11 +15,20 @@ from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
 from surctl.export import gain_box, prove_bundle, with_proof
 from surctl.export.mutants import caught_by, mutants
+from surctl.export.prove import _program
 from surctl.ir import Program
 from surctl.simulation import law_numbers, load_scenario
 from tests.export.altered import altered
 from tests.export.closed_form import exported, searching, vehicle
 from tests.tools import need, need_compiler
+
+
+def test_the_thrust_may_be_larger_ahead_than_astern() -> None:
+    law, bundle, _ = exported("float32")
+    limit = vehicle().thrust_limit
+    both, ahead = (_program(law, bundle, ends) for ends in (limit, np.array([-limit, [9.0, *limit[1:]]])))
+    assert f"assert limit: -{limit[0]:g} <= output.tau[0] <= {limit[0]:g};" in both
+    assert f"assert limit: -{limit[0]:g} <= output.tau[0] <= 9;" in ahead and both.count("limit:") == 4
 
 
 def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:

@@ -33,10 +33,11 @@ from surctl.report import (
     save_run,
 )
 from surctl.report.evidence import _sense
-from surctl.report.signals import spans
-from surctl.report.theme import printable
+from surctl.report.signals import plot_force, spans
+from surctl.report.theme import BAD, printable
 from surctl.simulation import Run, load_scenario, simulate
 from surctl.tuning import Sensitivity, SweepTable
+from surctl.vehicle import load_vehicle
 from surctl.verification import build_cascade, evaluate, replay
 from tests.report.data import ABOUT, GAINS, report, run, sweep, swept, vehicle, verdict
 
@@ -123,6 +124,13 @@ def test_the_signals_show_limits_and_avoidance() -> None:
     assert {5.0, -5.0} <= levels
     shown = next(line for line in clearance.lines if line.get_label() == "true")
     np.testing.assert_array_equal(shown.get_ydata(), flown.record.clearance)
+
+
+def test_the_limit_ahead_is_not_the_one_astern() -> None:
+    flown = replace(run(), vehicle=load_vehicle("otter"))
+    lines = [line for line in plot_force(flown).lines if line.get_color() == BAD]
+    levels = {round(float(np.ravel(line.get_ydata())[0]), 3) for line in lines}
+    assert levels == {-133.416, 0.0, 239.364, -0.0}
 
 
 def test_spans_last_until_the_next_tick() -> None:

@@ -6,6 +6,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from matplotlib.patches import Rectangle
 
 from surctl.errors import InputError
 from surctl.report import plot_attainable
@@ -30,6 +31,11 @@ def test_every_corner_of_the_plot_is_on_the_edge_of_the_attainable_set(name: str
 def test_a_vehicle_without_thrusters_is_refused() -> None:
     with pytest.raises(InputError, match="describes no thrusters"):
         plot_attainable(load_vehicle("sur400"))
+
+
+def test_the_box_of_a_craft_that_is_weaker_astern_ends_at_both_limits() -> None:
+    (box,) = (patch for patch in plot_attainable(load_vehicle("otter")).patches if isinstance(patch, Rectangle))
+    assert (box.get_x(), box.get_x() + box.get_width()) == pytest.approx((-133.416, 239.364))
 
 
 def test_a_craft_without_sway_force_is_plotted_in_surge_and_yaw() -> None:

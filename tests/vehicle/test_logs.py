@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +21,7 @@ from surctl.vehicle import (
     topic_lines,
 )
 from surctl.vehicle.logs.joining import heading_frame, roll_pitch_heading
+from surctl.vehicle.logs.recording import Rows, step_back
 from tests.vehicle import logs_written as written
 
 DIVE = written.dive()
@@ -319,3 +321,44 @@ def test_a_table_without_a_header_or_time_says_where_to_name_them(tmp_path: Path
     named.write_text(text)
     with pytest.raises(InputError, match=r"^\S*map.toml: log.time = 't_s': is no column of \S*run.txt"):
         read_mapped_log(table, named)
+
+
+def _moving(rows: int = 60) -> list[list[float]]:
+    return [[0.5 * k, 0.1 * k, 1.0, 0.0, 0.0, 0.0] for k in range(rows)]
+
+
+@pytest.mark.parametrize(
+    ("rows", "fragment"),
+    [
+        ([*_moving(), *_moving()], r"clock that runs back: 0.000 s comes after 29.500 s; sort the rows by time"),
+        (_moving()[::-1], r"velocity \(table\): has a clock that runs back: .*; sort"),
+        (_moving(1), r"run.csv: t_s: has one row with a time; give a longer log"),
+        ([[t, u, *4 * [math.nan]] for t, u, *_ in _moving()], r"run.csv: thrust \(table\): has no command at any of"),
+        ([[math.nan, *row[1:]] for row in _moving()], r"map.toml: log.time = 't_s': has no times in \S*run.csv"),
+    ],
+)
+def test_rows_that_are_no_log(rows: list[list[float]], fragment: str, tmp_path: Path) -> None:
+    lines = ["t_s,u_m_per_s,Fu_N,Fv_N,Fw_N,Fr_N_m", *(",".join(map(str, row)) for row in rows)]
+    (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
+    (tmp_path / "map.toml").write_text(
+        'kind = "log-map"\n[log]\nframe = "enu"\n[velocity]\nfields = ["u_m_per_s", ""]\nframe = "heading"\n'
+        '[thrust]\nfields = ["Fu_N", "Fv_N", "Fw_N", "Fr_N_m"]\n'
+    )
+    with pytest.raises(InputError, match=fragment) as caught:
+        read_mapped_log(tmp_path / "run.csv", tmp_path / "map.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_frame_that_is_unknown_is_named_with_its_file(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("# frame=nwu\nt_s,Fu_N,Fv_N,Fw_N,Fr_N_m\n0,1,0,0,0\n")
+    with pytest.raises(InputError, match=r"run.csv: --frame = 'nwu': is not known; give enu .* or ned"):
+        read_motion_log(tmp_path / "run.csv", frame="nwu")
+    with pytest.raises(InputError, match=r"run.csv: frame = 'nwu': is not known; give enu .* or ned"):
+        read_motion_log(tmp_path / "run.csv")
+
+
+def test_messages_that_are_a_little_late_are_sorted_and_a_clock_that_starts_anew_is_not() -> None:
+    assert step_back(np.array([0.0, 2.0, 1.5, 3.0])) is None
+    rows = Rows([0.0, 2.0, 1.5, 3.0], [{"a": float(k)} for k in range(4)])
+    assert rows.topic().time.tolist() == [0.0, 1.5, 2.0, 3.0] and rows.topic().back is None
+    assert Rows([5.0, 6.0, 0.0], [{"a": 0.0}] * 3).topic().back == (6.0, 0.0)

@@ -9,7 +9,7 @@ from surctl.errors import InputError
 from surctl.units import in_unit
 from surctl.vehicle.frames import swap_body
 from surctl.vehicle.logs.log_map import LogMap, Source
-from surctl.vehicle.logs.recording import Recording, Topic
+from surctl.vehicle.logs.recording import Recording, Topic, step_back
 from surctl.vehicle.motion_log import MotionLog, swapped
 
 __all__ = ["heading_frame", "joined", "roll_pitch_heading"]
@@ -96,6 +96,13 @@ def joined(recording: Recording, log_map: LogMap, *, map_name: str) -> MotionLog
             motion[:, 10:] = rates[:, :2]
     thrust = sources.thrust(time)
     known = np.isfinite(thrust).all(axis=1)
+    if len(time) and not known.any():
+        raise InputError(
+            f"has no command at any of the {len(time)} common times",
+            file=recording.source,
+            key=f"thrust ({log_map.thrust.topic or 'table'})",
+            remedy="correct thrust.fields, or give the longest time for which a command counts in thrust.hold_s",
+        )
     time, motion, thrust = time[known], motion[known], thrust[known]
     if log_map.log.frame == "ned":
         motion, thrust = swapped(motion), swap_body(thrust)
@@ -161,7 +168,7 @@ class _Sources:
 
     def time(self, name: str, part: Source) -> Array:
         topic, clock = self.topic(name, part), self.map.log
-        time = topic.time
+        time, back = topic.time, topic.back
         if part.topic in clock.stamp:
             stamp = clock.stamp[part.topic]
             seconds = [f"{stamp}.{k}" for k in ("sec", "secs") if f"{stamp}.{k}" in topic.fields]
@@ -171,6 +178,14 @@ class _Sources:
                 remedy = "name a field with sec and nanosec"
                 raise InputError("is no time", file=self.map_name, key=key, value=stamp, remedy=remedy)
             time = topic.fields[seconds[0]] + 1e-9 * topic.fields[parts[0]]
+            back = step_back(time[np.isfinite(time)])
+        if back is not None:
+            raise InputError(
+                f"has a clock that runs back: {back[1]:.3f} s comes after {back[0]:.3f} s",
+                file=self.recording.source,
+                key=f"{name} ({part.topic or 'table'})",
+                remedy="sort the rows by time, or split the log there and give both parts",
+            )
         return np.asarray(time + clock.shift_s.get(part.topic, 0.0))
 
     def motion(self, name: str, part: Source, time: Array, unit: str, target: str) -> Array:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.recorded import shown
 
-__all__ = ["Reader", "Recording", "Rows", "Topic", "flattened", "optional_module", "recording_of"]
+__all__ = ["Reader", "Recording", "Rows", "Topic", "flattened", "optional_module", "recording_of", "step_back"]
 
 _LONGEST = 64  # numbers of an array that become fields
+_JITTER = 1.0  # [s] messages that are late by at most this are sorted
 
 Reader = Callable[[Path, Collection[str] | None], "Recording"]
 """Reads the topics with some names, or all, from a file."""
@@ -30,10 +31,12 @@ class Topic:
         time: (n,) [s] by the clock of the recording.
         fields: (n,) numbers by field; NaN where a message does not have the field. A field of a nested message is
             `pose.position.x`, an entry of an array `data[3]`.
+        back: times [s] before and after the first place where the clock runs back by more than a second, if it does.
     """
 
     time: NDArray[np.float64]
     fields: Mapping[str, NDArray[np.float64]]
+    back: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,12 +97,28 @@ class Rows:
         time = np.array(self.time)
         order = np.argsort(time, kind="stable")
         order = order[np.append(np.diff(time[order]) > 0, True)]
-        return Topic(time[order], {k: v[order] for k, v in columns.items()})
+        return Topic(time[order], {k: v[order] for k, v in columns.items()}, step_back(time))
 
 
 def recording_of(path: Path, rows: Mapping[str, Rows]) -> Recording:
     """Return the recording of a file that was read; topics without numbers are omitted."""
     return Recording(shown(path), {name: one.topic() for name, one in rows.items() if any(one.messages)})
+
+
+def step_back(time: NDArray[np.float64]) -> tuple[float, float] | None:
+    """Return the latest time so far and the next time [s] where a clock (n,) first runs back by more than a second.
+
+    Messages that are late by less are no such step, because a recorder may write the messages of its sources in turn.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.vehicle.logs.recording import step_back
+        >>> step_back(np.array([0.0, 0.2, 0.1, 0.3])), step_back(np.array([7.0, 8.0, 0.5]))
+        (None, (8.0, 0.5))
+    """
+    latest = np.maximum.accumulate(time) if len(time) else time
+    back = np.flatnonzero(time < latest - _JITTER)
+    return (float(latest[back[0]]), float(time[back[0]])) if len(back) else None
 
 
 def flattened(value: Any, name: str = "") -> Iterator[tuple[str, float]]:

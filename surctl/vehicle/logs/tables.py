@@ -10,7 +10,7 @@ import numpy as np
 from surctl.errors import InputError, nearest
 from surctl.recorded import Recorded, read_recorded, read_unnamed
 from surctl.units import in_unit
-from surctl.vehicle.logs.recording import Recording, Topic
+from surctl.vehicle.logs.recording import Recording, Topic, step_back
 
 __all__ = ["read_table"]
 
@@ -44,7 +44,9 @@ def read_table(
     fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
     known = np.isfinite(seconds)
     order = np.flatnonzero(known)[np.argsort(seconds[known], kind="stable")]
-    if len(order) < 2:
+    if len(order) == 1:
+        raise InputError("has one row with a time", file=table.name, key=time, remedy="give a longer log")
+    if not len(order):
         raise InputError(
             f"has no times in {table.name}",
             file=map_name or table.name,
@@ -52,8 +54,9 @@ def read_table(
             value=time,
             remedy="name the column of the time",
         )
+    back = step_back(seconds[known])
     order = order[np.append(np.diff(seconds[order]) > 0, True)]
-    return Recording(table.name, {"": Topic(seconds[order], {k: v[order] for k, v in fields.items()})})
+    return Recording(table.name, {"": Topic(seconds[order], {k: v[order] for k, v in fields.items()}, back)})
 
 
 def _numbers(table: Recorded, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.recorded import shown
-from surctl.vehicle.logs.recording import Recording, Topic, optional_module
+from surctl.vehicle.logs.recording import Recording, Topic, optional_module, step_back
 
 __all__ = ["read_ulog"]
 
@@ -35,5 +35,6 @@ def read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
         order = np.argsort(time, kind="stable")
         order = order[np.append(np.diff(time[order]) > 0, True)]
         fields = {k: np.asarray(v, dtype=float)[order] for k, v in data.data.items() if k != "timestamp"}
-        held[data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"] = Topic(time[order], fields)
+        name = data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"
+        held[name] = Topic(time[order], fields, step_back(time))
     return Recording(shown(path), held)
