@@ -260,7 +260,7 @@ def _checked(system: Any, *, key: str) -> None:
 
 
 def _is_time(dt: Any) -> bool:
-    return isinstance(dt, Real) and not isinstance(dt, bool) and bool(0 < float(dt) < np.inf)
+    return dt is not True and isinstance(dt, Real) and bool(0 < float(dt) < np.inf)
 
 
 def _sampled(system: Any, dt: float | None) -> tuple[float, Any]:
