@@ -55,12 +55,21 @@ _PLAIN: Mapping[str, str] = MappingProxyType(
 )
 
 
+def _demands(law: Exportable) -> dict[str, str]:
+    texts = dict(DEMANDS)
+    if not law.gains.size:
+        texts["RANGE"] = (
+            "Thrusters to zero in this period. Go on calling the step; an input is out of its range or jumped."
+        )
+    return texts if is_robot_law(law) else {k: v.replace("Thrusters", "Actuators") for k, v in texts.items()}
+
+
 def wiring_values(law: Exportable, origin: Origin | None) -> dict[str, Any]:
     """Return the values of the template of the wiring section."""
     equipment = None if origin is None else origin.equipment
     array = None if equipment is None else equipment.array
     return {
-        "demands": {k: v if is_robot_law(law) else v.replace("Thrusters", "Actuators") for k, v in DEMANDS.items()},
+        "demands": _demands(law),
         "wires": [(port.name, _source(port.name, array)) for port in law.inputs],
         "sonar_lines": _sonars(equipment, origin) if equipment and origin and "samples" in law.inputs else [],
         "rate_lines": _rates(law, equipment),

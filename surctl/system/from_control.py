@@ -259,12 +259,16 @@ def _checked(system: Any, *, key: str) -> None:
                 raise InputError("has a number that is not finite", key=_name(system), remedy="correct its matrices")
 
 
+def _is_time(dt: Any) -> bool:
+    return dt is not True and isinstance(dt, Real) and bool(0 < float(dt) < np.inf)
+
+
 def _sampled(system: Any, dt: float | None) -> tuple[float, Any]:
     # control period and system in discrete time; a static gain has any period
     import control  # takes seconds to import
 
     linear = isinstance(system, control.StateSpace | control.TransferFunction)
-    if dt is not None and (isinstance(dt, bool) or not isinstance(dt, Real) or not 0 < dt < np.inf):
+    if dt is not None and not _is_time(dt):
         raise InputError("is not a positive time", key="dt", value=dt, remedy="give seconds")
     if system.isdtime(strict=True):
         own = dt if system.dt is True else float(system.dt)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -265,7 +266,7 @@ def loop_names(system: System) -> LoopNames:
     """Return the labels of all signals of a system."""
     plant, controller = system.plant, system.controller
     layouts = (plant.state, controller.state, plant.inputs, system.commands, plant.measurements, system.references)
-    labels = [tuple(entry_labels(layout)) for layout in (*layouts, plant.disturbances)]
+    labels: list[Any] = [tuple(entry_labels(layout)) for layout in (*layouts, plant.disturbances)]
     kinds = {
         "command": system.commands, "measured": plant.measurements, "reference": system.references,
         "disturbance": plant.disturbances,
@@ -275,7 +276,7 @@ def loop_names(system: System) -> LoopNames:
         for kind, layout in kinds.items()
         for label, unit in zip(entry_labels(layout), entry_units(layout), strict=True)
     ]
-    return LoopNames(plant.name, controller.name, *labels, units=tuple(units))
+    return replace(LoopNames(plant.name, controller.name, *labels), units=tuple(units))
 
 
 def _state_labels(system: System) -> list[str]:

@@ -263,7 +263,7 @@ def _magnitude(bound: Callable[[Any], Any], omega: Array, dt: float) -> Array:
     if value.size != omega.size:
         remedy = "give a system with one input and one output"
         raise InputError(f"has {value.size // omega.size} entries", key="bound", remedy=remedy)
-    return value.reshape(-1)
+    return np.asarray(value.reshape(-1), dtype=float)
 
 
 def _below(omega: Array, size: Array, bound: Array, quantity: str, unit: str = "1") -> Judgement:

@@ -257,6 +257,17 @@ def test_other_laws_have_nodes_that_compile(tmp_path: Path) -> None:
     assert "`working` (in) | std_msgs/Float64MultiArray" in sensor_law.files["ros2/README.md"]
 
 
+@pytest.mark.parametrize("bundle", [sensing(), clocks()[1]], ids=["robot", "other"])
+def test_a_readme_claims_nothing_that_the_bundle_has_not(bundle: Bundle) -> None:
+    texts = {file: text for file, text in bundle.files.items() if file.endswith((".md", ".yaml"))}
+    gains = f"{bundle.name}_gains_begin" in bundle.files[f"{bundle.name}.h"] or f"{bundle.name}_gains.h" in bundle.files
+    whole = "\n".join(texts.values())
+    for claim in ("gains as parameters", "_gains_begin", "the tuned values.", "gains are tunable", "gains_check"):
+        assert gains or claim not in whole, claim
+    wrench = "WrenchStamped" in bundle.files["ros2/src/controller_node.cpp"]
+    assert ("frame_id" in whole) == wrench and ("--target fmu3" in whole) == wrench
+
+
 def test_a_package_has_a_name_of_ros() -> None:
     law, bundle, _ = guarded()
     assert bundle.envelope is not None
