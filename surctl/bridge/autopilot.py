@@ -27,7 +27,7 @@ Vector = NDArray[np.float64]
 
 _ARDUPILOT, _SUBMARINE, _ARMED, _OWN_MODES = 3, 12, 128, 1
 _INTERVAL = 511  # MAV_CMD_SET_MESSAGE_INTERVAL
-_FIRST_OTHER = 11  # system id of the first moving obstacle
+_FIRST_OTHER = 10  # difference between the system ids of the first moving obstacle and the vehicle
 _DEPTH, _DEPTH_RATE, _RATE = 0.5, 1.5, 3.0  # [1/s², 1/s, 1/s] loops of the simulated autopilot
 _GUIDED_TIMEOUT = 3.0  # [s] after which a velocity target ends
 
@@ -37,6 +37,7 @@ class SimulatedSub:
 
     Attributes:
         physics: the plant; its state is the vehicle's.
+        system_id, pilot_id: system ids of the autopilot, and of the system from which it takes control.
         armed, mode: armed state and name of the mode; only `arm`, `disarm`, `set_mode` and failsafes change them.
         sticks: deflections that act now.
         blind: whether the autopilot has no position and attitude.
@@ -52,6 +53,8 @@ class SimulatedSub:
         rate: rate of attitude and position [Hz].
         seed: seed of the scenario's world.
         sonars: whether to send DISTANCE_SENSOR messages.
+        target: system id of the autopilot.
+        system: the system id from which it takes control, ArduSub's MAV_GCS_SYSID.
 
     Example:
         >>> from surctl.bridge import SimulatedSub, Wire
@@ -73,8 +76,11 @@ class SimulatedSub:
         rate: float = 40.0,
         seed: int = 0,
         sonars: bool = False,
+        target: int = 1,
+        system: int = 255,
     ) -> None:
         self.scenario, self.vehicle = scenario, vehicle
+        self.system_id, self.pilot_id = target, system
         self.site = site or Site()
         self.world = build_world(scenario, vehicle, seed=seed)
         self.array = scenario.sensors.array_on(vehicle["radius"])
@@ -134,15 +140,15 @@ class SimulatedSub:
         for m in self._parser.parse(data)[0]:
             kind = m.get_type()
             if kind == "TIMESYNC" and m.tc1 == 0:
-                replies.append(self._frame(1, "timesync", int((now - self.booted) * 1e9) or 1, m.ts1))
+                replies.append(self._frame(self.system_id, "timesync", int((now - self.booted) * 1e9) or 1, m.ts1))
             elif kind in ("COMMAND_LONG", "COMMAND_INT"):
                 self.commands.add(int(m.command))
                 if m.command == _INTERVAL and m.param1 == 0:
                     self.beat_period = m.param2 * 1e-6
-            elif kind == "RC_CHANNELS_OVERRIDE" and m.get_srcSystem() == 255:
+            elif kind == "RC_CHANNELS_OVERRIDE" and m.get_srcSystem() == self.pilot_id:
                 pwm = (m.chan5_raw, m.chan6_raw, m.chan3_raw, m.chan4_raw)
                 self._piloted(Axes(*((v - 1500) / 400 for v in pwm)), now)
-            elif kind == "MANUAL_CONTROL" and m.get_srcSystem() == 255:
+            elif kind == "MANUAL_CONTROL" and m.get_srcSystem() == self.pilot_id:
                 self._piloted(Axes(m.x / 1000, m.y / 1000, (m.z - 500) / 500, m.r / 1000), now)
             elif kind == "SET_POSITION_TARGET_LOCAL_NED":
                 self.target = now, (m.vx, m.vy, m.vz), m.yaw_rate
@@ -214,7 +220,7 @@ class SimulatedSub:
         if self._each(self.beat_period):
             base = _OWN_MODES | (_ARMED if self.armed else 0)
             number = MODES[self.mode].number if self.mode in MODES else 0
-            frames.append(self._frame(1, "heartbeat", _SUBMARINE, _ARDUPILOT, base, number, 4))
+            frames.append(self._frame(self.system_id, "heartbeat", _SUBMARINE, _ARDUPILOT, base, number, 4))
         if self._each(1.0 / self.rate) and not self.blind:
             frames += self._state(boot)
         if self._each(0.1):
@@ -230,9 +236,13 @@ class SimulatedSub:
         c, s = cos(eta[3]), sin(eta[3])
         velocity = self.site.velocity_to_ned([c * nu[0] - s * nu[1], s * nu[0] + c * nu[1], nu[2]]).tolist()
         attitude = self._frame(
-            1, "attitude", boot, 0.0, 0.0, (yaw + np.pi) % (2 * np.pi) - np.pi, 0.0, 0.0, -float(nu[3])
+            self.system_id, "attitude", boot, 0.0, 0.0, (yaw + np.pi) % (2 * np.pi) - np.pi, 0.0, 0.0, -float(nu[3])
         )
-        return [attitude, self._frame(1, "local_position_ned", boot, north, east, down, *velocity)]
+        return [attitude, self._frame(self.system_id, "local_position_ned", boot, north, east, down, *velocity)]
+
+    def _other(self, number: int) -> int:
+        # system id of a moving obstacle; ids end at 255 and begin at 1
+        return (self.system_id + _FIRST_OTHER + number - 1) % 255 + 1
 
     def _obstacles(self, now: float) -> list[bytes]:
         there = {b.name: b for b in self.bodies(now) if b.moving}
@@ -245,7 +255,7 @@ class SimulatedSub:
                 assert isinstance(shape, Disc)
                 place = self.site.to_ned([*shape.center, self.scenario.depth, 0.0])
                 numbers = [*place[:3].tolist(), *self.site.velocity_to_ned([*v, 0.0]).tolist()]
-            frames.append(self._frame(_FIRST_OTHER + k, "local_position_ned", int(now * 1000), *numbers))
+            frames.append(self._frame(self._other(k), "local_position_ned", int(now * 1000), *numbers))
         return frames
 
     def _ranges(self, now: float, boot: int) -> list[bytes]:
@@ -256,7 +266,8 @@ class SimulatedSub:
             cm = round(100 * distance) if isfinite(distance) else 65535
             far = round(100 * self.array.maximum)
             orientation = round(-axis / 45) % 8
-            frames.append(self._frame(1, "distance_sensor", boot, 20, far, min(cm, far), 1, sensor, orientation, 255))
+            numbers = (boot, 20, far, min(cm, far), 1, sensor, orientation, 255)
+            frames.append(self._frame(self.system_id, "distance_sensor", *numbers))
         return frames
 
     def _frame(self, system: int, kind: str, *numbers: Any) -> bytes:

@@ -312,7 +312,7 @@ class Bridge:
 
     def _ranges(self, event: Event, now: float) -> None:
         assert isinstance(event, Ranges)
-        measured = self._stamped(event.boot, now)
+        measured = now if event.boot is None else self._stamped(event.boot, now)
         if measured is not None and now - measured <= self.plan.limits.estimate:
             self.inputs.ranges(event, measured)
 

@@ -53,10 +53,11 @@ class Odometry(NamedTuple):
 class Ranges(NamedTuple):
     """Distances [m] from the hull by direction: (azimuth in {B} [rad], counter-clockwise from forward; distance).
 
-    The distance is inf for a direction without an echo. Directions without a measurement are left out.
+    The distance is inf for a direction without an echo. Directions without a measurement are left out. `boot` is the
+    time of the measurement since the autopilot's start [s]; None if the sender has another clock.
     """
 
-    boot: float
+    boot: float | None
     rays: tuple[tuple[float, float], ...]
 
 

@@ -6,7 +6,6 @@ velocity; a flag of arrival is 1 once for each measurement, and an old measureme
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import atan2, cos, inf, pi, radians, sin
 
@@ -177,10 +176,9 @@ class Inputs:
         known = self.estimate
         assert known is not None
         eta, nu = known.at(now)
-        tracks = [self._tracks[k] for k in sorted(self._tracks)]
         values: dict[str, object] = {"eta": eta, "nu": nu, "working": self._working(), "column": np.zeros(2)}
         values |= {"samples": self._samples, "fresh": self._fresh}
-        rows = self._rows(tracks, now, eta, still=self.law.perception is None)
+        rows = self._rows(now, eta, still=self.law.perception is None)
         values |= {"contacts": rows, "contacts_fresh": float(self._reports > 0), **self._fix(known)}
         values |= {"yaw": eta[3], "yaw_rate": nu[3]}
         u = self.law.inputs.pack({name: value for name, value in values.items() if name in self.law.inputs})
@@ -201,14 +199,20 @@ class Inputs:
         size = self.law.inputs.port("working").size if "working" in self.law.inputs else 0
         return np.ones(size)
 
-    def _rows(self, tracks: Sequence[_Track], now: float, eta: Vector, *, still: bool) -> Vector:
+    def _radius(self, system: int) -> float:
+        # moving obstacles in the order of their systems' ids; with more systems than obstacles the order says nothing
+        heard = sorted({*self._tracks, *self._gone})
+        if len(heard) > len(self._radii):
+            return max([*self._radii, self.vehicle["radius"]])
+        return self._radii[heard.index(system)]
+
+    def _rows(self, now: float, eta: Vector, *, still: bool) -> Vector:
         # (slots, 6): moving obstacles first continued from their last message, then the nearest charted ones
         slots = self.law.inputs.port("contacts").shape[0] if "contacts" in self.law.inputs else 0
-        radii = [*self._radii, *[self.vehicle["radius"]] * len(tracks)]
         rows = []
-        for radius, track in zip(radii, tracks, strict=False):
+        for system, track in sorted(self._tracks.items()):
             x, y = (track.place[:2] + track.velocity[:2] * (now - track.received)).tolist()
-            rows.append([x, y, radius, *track.velocity[:2].tolist(), 1.0])
+            rows.append([x, y, self._radius(system), *track.velocity[:2].tolist(), 1.0])
         for body, drift in self._still if still else ():
             place = body.shape.center if isinstance(body.shape, Disc) else body.shape.nearest(eta[:2])[1]
             radius = body.shape.radius if isinstance(body.shape, Disc) else 0.0

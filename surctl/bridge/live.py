@@ -67,6 +67,13 @@ def parse_address(text: str, *, key: str = "--mavlink") -> Address:
         raise InputError(
             "is not an address", key=key, value=text, remedy=f"write {kind}:HOST:PORT, such as {kind}:127.0.0.1:14550"
         )
+    host = host.removeprefix("[").removesuffix("]")  # as IPv6 addresses are often written
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        raise InputError(
+            "is not a name or number of a computer", key=key, value=host, remedy="such as 127.0.0.1"
+        ) from None
     return Address(host, port, kind != "udpout")
 
 
@@ -138,7 +145,8 @@ class _Loop:
                 due = max(due + dt, now)  # a late period is not made up for
         finally:
             for _ in range(_NEUTRAL if bridge.active else 0):
-                self._emit(bridge.neutral(), peer)
+                with suppress(OSError):  # a record that cannot be written must not keep the commands away
+                    self._send(bridge.neutral(), peer, time.monotonic() - begin)
                 time.sleep(dt)
             self.ended = True  # else, after a second Ctrl-C for instance, the guardian sends the neutral commands
 
@@ -162,16 +170,14 @@ class _Loop:
                 return peer
 
     def _send(self, frames: list[bytes], peer: tuple[str, int] | None, now: float) -> None:
-        self._emit(frames, peer)
+        if peer is None:
+            return
+        for frame in frames:
+            with suppress(OSError):
+                self.wire.sendto(frame, peer)
         if self.log is not None:
             for frame in frames:
                 self.log.frame(now, frame, sent=True)
-
-    def _emit(self, frames: list[bytes], peer: tuple[str, int] | None) -> None:
-        if peer is not None:
-            for frame in frames:
-                with suppress(OSError):
-                    self.wire.sendto(frame, peer)
 
     def _report(self) -> None:
         if self.log is not None:
@@ -203,7 +209,9 @@ def _unusable(address: Address, error: OSError) -> InputError:
         f"cannot be used ({error.strerror})",
         key="--mavlink",
         value=f"{address.host}:{address.port}",
-        remedy="use an address of this machine and a port that no other program uses",
+        remedy="use an address of this machine and a port that no other program uses"
+        if address.listen
+        else "give the address of the vehicle's computer",
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 
@@ -63,11 +64,27 @@ class FrameLog:
         self._file.close()
 
     def frame(self, now: float, data: bytes, *, sent: bool) -> None:
-        """Record a datagram that was sent or received at `now` [s] since the begin of the session."""
-        self._file.write(_STAMP.pack(int((self.epoch + now) * 1e6)) + data)
+        """Record the frames of a datagram that was sent or received at `now` [s] since the begin of the session."""
+        stamp = _STAMP.pack(int((self.epoch + now) * 1e6))
+        whole = b"".join(stamp + frame for frame in _frames(data))
+        if whole:
+            self._file.write(whole)
 
     def period(self, bridge: Bridge) -> None:
         """Record nothing: the frames hold the control period."""
+
+
+def _frames(data: bytes) -> Iterator[bytes]:
+    # the frames of MAVLink 2 (0xFD, signed or not) and 1 (0xFE), by their lengths; other bytes are no frames
+    at = 0
+    while at + 3 <= len(data):
+        head = data[at]
+        length = {0xFD: 12 + 13 * (data[at + 2] & 1), 0xFE: 8}.get(head, 0) + data[at + 1]
+        if head in (0xFD, 0xFE) and at + length <= len(data):
+            yield data[at : at + length]
+            at += length
+        else:
+            at += 1
 
 
 class SessionRecord:
@@ -167,8 +184,8 @@ class SessionRecord:
             moment.time,
             eta=moment.eta,
             nu=moment.nu,
-            tau=moment.tau,
-            status=0 if moment.status is None else moment.status,
+            tau=None if moment.status is None else moment.tau,
+            status=moment.status,
             clearance=min(gaps, default=float("nan")),
             bodies=bodies,
             ranges=ranges,

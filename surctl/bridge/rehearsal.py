@@ -51,6 +51,7 @@ class RehearsalResult:
         phases: number of control periods by phase.
         neutral_after: for each loss, restart, change of mode or disarming (time, action): the time after which the
             commanded thrust at the vehicle was neutral for good or until the operator armed again [s].
+        missed: acts whose time lies after the end of the rehearsal.
         begun: number of times at which the bridge began to steer, also after a gap.
         bad: number of invalid frames that the bridge received.
         commands: numbers of the commands (COMMAND_LONG) that the bridge sent.
@@ -63,10 +64,16 @@ class RehearsalResult:
     steered: float
     phases: Mapping[str, int]
     neutral_after: Sequence[tuple[Act, float]]
+    missed: Sequence[Act]
     begun: int
     bad: int
     commands: frozenset[int]
     texts: Sequence[tuple[float, str]]
+
+    @property
+    def touched(self) -> bool:
+        """Whether the hull touched an obstacle or wall; the rehearsal goes on after it."""
+        return self.clearance <= 0.0
 
 
 @dataclass
@@ -169,9 +176,10 @@ def rehearse(
     run = Rehearsal(bridge, sub, Channel(quality, 2 * seed), Channel(quality, 2 * seed + 1), log)
     plan = bridge.plan
     end = plan.scenario.time_limit if limit is None else limit
-    pending = sorted(acts or ())
+    pending = list(acts or ())
     if not any(act.action == "arm" for act in pending):
-        pending = sorted([*pending, Act(_READY, "arm")])
+        pending.append(Act(_READY, "arm"))
+    pending.sort(key=lambda act: act.time)  # acts of one time stay in the given order
     done: list[Act] = []
     counts: dict[str, int] = {}
     began = arrived = left = inf
@@ -206,8 +214,8 @@ def rehearse(
     time = min(arrived, run.now) - began if began < inf else 0.0
     return RehearsalResult(
         arrived < inf, time, sub.least, counts.get("steering", 0) * plan.law.dt, counts,
-        [(act, _neutral(run, act, done)) for act in done if act.action not in ("arm", "join")],
-        begun, bridge.wire.bad, frozenset(sub.commands), bridge.texts,
+        [(act, _neutral(run, act, done)) for act in done if act.action not in ("arm", "join", plan.mapping.mode.name)],
+        pending, begun, bridge.wire.bad, frozenset(sub.commands), bridge.texts,
     )  # fmt: skip
 
 

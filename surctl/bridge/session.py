@@ -10,8 +10,8 @@
 | `arrived` | the vehicle reached the end of the path | neutral |
 
 The bridge never arms, disarms or changes a mode. `permitted` is True from the moment at which the operator is seen to
-arm the vehicle; a restart, a loss of the link, a change of mode while steering, a refusing law, and arrival clear it.
-Then only the operator can let the bridge steer again, by disarming and arming the vehicle.
+arm the vehicle in the session's mode; a restart, a loss of the link, a change of mode, a refusing law, and arrival
+clear it. Then only the operator can let the bridge steer again, by disarming and arming the vehicle.
 
 The functions are pure: they map a state and an event to the next state, and know no sockets and no clock.
 """
@@ -40,6 +40,9 @@ Phase = Literal["waiting", "ready", "steering", "holding", "released", "arrived"
 Sending = Literal["nothing", "neutral", "command"]
 
 
+_OTHER = "armed in another mode: set the mode, then disarm and arm"
+
+
 @dataclass(frozen=True)
 class Session:
     """State of a session.
@@ -50,7 +53,8 @@ class Session:
         since: time at which the phase began [s].
         beat: time of the newest heartbeat [s]; None before the first.
         armed, mode: armed state and mode number in the newest heartbeat; None before the first one since a restart.
-        permitted: whether the operator has armed the vehicle since the last event that ended steering.
+        permitted: whether the operator has armed the vehicle in the session's mode since the last event that ended
+            steering.
         missing: time since which no fresh estimate has been known [s]; None while there is one.
         refused: time since which the law refuses its steps [s]; None while it accepts them.
         estimate: time at which the newest usable estimate was measured [s].
@@ -88,8 +92,10 @@ def after_beat(session: Session, now: float, *, armed: bool, mode: int, steering
         known = replace(known, permitted=True, refused=None)
         if known.phase in ("released", "arrived"):
             known = known.to("ready", now, "armed")
-    if mode != steering_mode and known.phase in ("steering", "holding", "arrived"):
-        return replace(known, permitted=False).to("released", now, "the operator changed the mode")
+    if mode != steering_mode:  # a later change of mode must not hand the vehicle over
+        known = replace(known, permitted=False)
+        if known.phase in ("steering", "holding", "arrived"):
+            return known.to("released", now, "the operator changed the mode")
     return known
 
 
@@ -161,10 +167,9 @@ def after_time(
     if not session.armed:
         return session.to("ready", now, "not armed")
     if not session.permitted:
-        why = session.why if session.phase == "holding" else "armed before the bridge was ready: disarm and arm"
-        return session.to(session.phase, now, why)
-    if session.mode != steering_mode:
-        return session.to("ready", now, "armed in another mode")
+        here = session.mode == steering_mode
+        why = "armed before the bridge was ready, or in another mode: disarm and arm" if here else _OTHER
+        return session.to(session.phase, now, session.why if session.phase == "holding" else why)
     if session.refused is not None and session.phase == "holding":
         session = replace(session, refused=None)
     return session.to("steering", now, "")

@@ -29,6 +29,7 @@ _INTERVAL = 511  # MAV_CMD_SET_MESSAGE_INTERVAL, the only command that the bridg
 _HEARTBEAT, _STREAMED = 0, (30, 32)  # ATTITUDE, LOCAL_POSITION_NED
 _IGNORED = 65535
 _VELOCITY_AND_RATE = 0b010111000111
+_EPOCH = 1e9  # [s] a time beyond it counts from 1970, not from the start of the autopilot
 _MARK = 64  # ns: requests of the bridge end with it, so that replies to others are not taken for its own
 
 
@@ -132,14 +133,24 @@ class Wire:
     def _own(self, message: Any) -> bool:
         return bool(message.get_srcSystem() == self.target)
 
+    def _autopilot(self, message: Any) -> bool:
+        # other computers of the vehicle share the system id, but have clocks and frames of their own
+        return self._own(message) and bool(message.get_srcComponent() == _AUTOPILOT)
+
+    def _boot(self, message: Any, time: float) -> float | None:
+        # time since start of the autopilot [s]; None: on another clock, or since 1970
+        return time if self._autopilot(message) and time < _EPOCH else None
+
     def _beat(self, m: Any) -> Iterator[Event]:
-        if self._own(m) and m.get_srcComponent() == _AUTOPILOT and m.autopilot != _NO_AUTOPILOT:
+        if self._autopilot(m) and m.autopilot != _NO_AUTOPILOT:
             sub = m.autopilot == _ARDUPILOT and m.type == _SUBMARINE and bool(m.base_mode & _OWN_MODES)
             yield Beat(bool(m.base_mode & _ARMED), int(m.custom_mode), sub)
 
     def _position(self, m: Any) -> Iterator[Event]:
         numbers = (m.x, m.y, m.z, m.vx, m.vy, m.vz)
         system = m.get_srcSystem()
+        if self._own(m) and not self._autopilot(m):
+            return
         if all(map(isfinite, numbers)):
             yield Position(system, m.time_boot_ms * 1e-3, numbers[:3], numbers[3:])
         elif system != self.target and not isfinite(m.x) and not isfinite(m.y):
@@ -149,16 +160,17 @@ class Wire:
 
     def _attitude(self, m: Any) -> Iterator[Event]:
         numbers = (m.roll, m.pitch, m.yaw, m.rollspeed, m.pitchspeed, m.yawspeed)
-        if self._own(m) and self._finite(numbers):
+        if self._autopilot(m) and self._finite(numbers):
             yield Attitude(m.time_boot_ms * 1e-3, *numbers[:3], numbers[3:])
 
     def _odometry(self, m: Any) -> Iterator[Event]:
         numbers = (m.x, m.y, m.z, *m.q, m.vx, m.vy, m.vz, m.rollspeed, m.pitchspeed, m.yawspeed)
         local_ned, body_frd = 1, (8, 12)
-        if not self._own(m) or m.frame_id != local_ned or m.child_frame_id not in body_frd:
+        boot = self._boot(m, m.time_usec * 1e-6)
+        if boot is None or m.frame_id != local_ned or m.child_frame_id not in body_frd:
             return
         if self._finite(numbers) and abs(sum(v * v for v in m.q) - 1.0) < 0.1:
-            yield Odometry(m.time_usec * 1e-6, numbers[:3], tuple(m.q), numbers[7:10], numbers[10:])
+            yield Odometry(boot, numbers[:3], tuple(m.q), numbers[7:10], numbers[10:])
 
     def _distance(self, m: Any) -> Iterator[Event]:
         if not self._own(m) or m.signal_quality == 1:
@@ -170,7 +182,8 @@ class Wire:
         else:
             return
         far = m.current_distance >= m.max_distance
-        yield Ranges(m.time_boot_ms * 1e-3, ((azimuth, float("inf") if far else 0.01 * m.current_distance),))
+        boot = self._boot(m, m.time_boot_ms * 1e-3)
+        yield Ranges(boot, ((azimuth, float("inf") if far else 0.01 * m.current_distance),))
 
     def _distances(self, m: Any) -> Iterator[Event]:
         step = m.increment_f if m.increment_f else float(m.increment)
@@ -181,10 +194,10 @@ class Wire:
             for k, d in enumerate(m.distances)
             if d != _IGNORED
         ]
-        yield Ranges(m.time_usec * 1e-6, tuple(rays))
+        yield Ranges(self._boot(m, m.time_usec * 1e-6), tuple(rays))
 
     def _reply(self, m: Any) -> Iterator[Event]:
-        if self._own(m) and m.tc1 > 0 and m.ts1 > 0 and m.ts1 % 1000 == _MARK:
+        if self._autopilot(m) and m.tc1 > 0 and m.ts1 > 0 and m.ts1 % 1000 == _MARK:
             yield Reply(m.ts1 * 1e-9, m.tc1 * 1e-9)
 
     def _text(self, m: Any) -> Iterator[Event]:

@@ -89,7 +89,8 @@ def fly(
 
     The bridge steers only after the operator arms the vehicle in the mode of --mode, and never arms it. Loss of the
     link or of the position makes the thrust neutral; after a long loss, a restart or a change of mode, the operator
-    must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not arrive.
+    must disarm and arm again. Read notebooks/guides/field.md first. Exit status: 1 if the vehicle does not arrive,
+    or touches something in a rehearsal.
 
     Examples: surctl fly tank-speed-015 --dry-run; surctl fly tank-speed-015 --mavlink udp:0.0.0.0:14550
     """
@@ -108,6 +109,10 @@ def fly(
     alone = [key for key, value in (("--loss", loss), ("--delay", delay), ("--act", acts)) if value and not dry_run]
     if alone:
         raise InputError("is only for a rehearsal", key=alone[0], remedy="add --dry-run, and leave out --mavlink")
+    if target == system:
+        raise InputError(
+            "is the system id of the bridge", key="--target", value=target, remedy="give two different ids"
+        )
     if sensing not in SENSING:
         raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
     address = None if mavlink is None else parse_address(mavlink)
@@ -143,7 +148,7 @@ def fly(
         result = _rehearsed(bridge, LinkQuality(loss=loss, delay=delay), script, out=out, seed=seed)
         files = [] if out is None else sorted(str(path) for path in out.glob(f"rehearsal-{mission.name}-{seed}.*"))
         lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
-        finish(_data(result) | {"files": files}, lines, as_json=as_json, passed=result.arrived)
+        finish(_data(result) | {"files": files}, lines, as_json=as_json, passed=result.arrived and not result.touched)
     assert out is not None and address is not None
     for line in lines:
         progress(line)
@@ -184,6 +189,8 @@ def _rehearsed(
         full_rate=plan.mapping.full_rate,
         seed=seed,
         sonars=plan.law.perception is not None,
+        target=bridge.wire.target,
+        system=bridge.wire.system,
     )
     sub.mode = plan.mapping.mode.name
     if out is None:
@@ -211,9 +218,12 @@ def _act(text: str) -> Act:
 def _summary(result: RehearsalResult) -> str:
     time = result.time if result.arrived else result.steered
     end = "arrived after" if result.arrived else "did not arrive; steered for"
-    text = f"{end} {time:.2f} s, least clearance {result.clearance:.3f} m"
+    touched = ", but touched an obstacle or wall" if result.touched else ""
+    text = f"{end} {time:.2f} s{touched}, least clearance {result.clearance:.3f} m"
     for act, after in result.neutral_after:
         text += f"; {act.action} at {act.time:g} s: neutral after {after:.2f} s"
+    for act in result.missed:
+        text += f"; {act.action} at {act.time:g} s: did not happen, the rehearsal ended before"
     return text
 
 
@@ -222,9 +232,11 @@ def _data(result: RehearsalResult) -> dict[str, Any]:
         "arrived": result.arrived,
         "time_s": result.time,
         "min_clearance_m": result.clearance,
+        "touched": result.touched,
         "steered_s": result.steered,
         "phases": dict(result.phases),
         "neutral_after_s": [[act.action, act.time, after] for act, after in result.neutral_after],
+        "missed": [[act.action, act.time] for act in result.missed],
         "begun": result.begun,
         "invalid_frames": result.bad,
         "texts": [list(one) for one in result.texts],

@@ -15,7 +15,7 @@ from surctl.control import Gains, law_source, load_gains, write_gains
 from surctl.errors import InputError
 from surctl.files import write_file
 from surctl.own_code import is_own, label
-from surctl.report.design_bench import RunView, Slider, SlowView, activity, gain_file
+from surctl.report.design_bench import RunView, Slider, SlowView, activity, gain_file, replaceable
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.report.plan_view import plot_run
 from surctl.simulation import METRICS, Case, Run, Scenario, simulate
@@ -295,9 +295,10 @@ def save_gains(gains: Gains, file: str) -> Path:
     """Write a gain file that `load_gains` can read; return its path.
 
     Raises:
-        InputError: the name is empty or does not end in .toml, or the folder cannot be written.
+        InputError: the name is empty or does not end in .toml, the folder cannot be written, or a file of another kind
+            has this name.
     """
-    path = gain_file(file)
+    path = replaceable(gain_file(file), "gains")
     write_file(path, write_gains(gains))
     load_gains(str(path))
     return path

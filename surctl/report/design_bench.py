@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -12,6 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
+from surctl import __version__
 from surctl.errors import InputError
 from surctl.files import quoted, read_toml, write_file
 from surctl.ir import Layout
@@ -21,12 +24,11 @@ from surctl.report.panel import Curve, Panel
 from surctl.system import LinearLoop, Record, System, entry_labels, entry_units, linearise, run_system
 from surctl.tuning import LoopGoal
 
-__all__ = ["DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activity", "gain_file"]
+__all__ = ["DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activity", "gain_file", "replaceable"]
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
-_DIGITS = 4
 _MOST_TIMES = 1500
 
 
@@ -204,15 +206,14 @@ class SystemBench:
 
     def save(self, values: Values, file: str) -> str:
         """Write the gains with their origin; return the command that uses them."""
-        path = gain_file(file)
+        path = replaceable(gain_file(file), "system-gains")
         rows = "".join(f"{json.dumps(name)} = {float(value)!r}\n" for name, value in values.items())
-        about = {"source": "surctl tune --page", "system": self.label, **self.about}
+        about = {"system": self.label, **self.about, "source": f"surctl {__version__} tune --page"}
         origin = "".join(f"{name} = {quoted(text)}\n" for name, text in about.items())
-        points = "".join(f"# point {name}: {dict(numbers)}\n" for name, numbers in self.places.items())
+        points = "".join(f"# point {json.dumps(name)}: {dict(numbers)}\n" for name, numbers in self.places.items())
         write_file(path, f'kind = "system-gains"\n\n[gains]\n{rows}\n[provenance]\n{origin}{points}')
-        return f"saved {path}; surctl verify {self.label} " + " ".join(
-            f"{n}={v:.{_DIGITS}g}" for n, v in values.items()
-        )
+        words = [self.label, *(f"{name}={float(value)!r}" for name, value in values.items())]
+        return f"saved {path}; surctl verify {shlex.join(words)}"
 
     def load(self, file: str) -> dict[str, float]:
         """Read gains that `save` wrote."""
@@ -221,6 +222,9 @@ class SystemBench:
         known = {one.name for one in self.sliders}
         if not isinstance(table, dict) or not table.keys() <= known:
             raise InputError("has no gains of this system", file=path, key="gains", remedy="save it on this page")
+        for name, value in table.items():
+            if isinstance(value, bool) or not isinstance(value, float | int) or not np.isfinite(value):
+                raise InputError("is no number", file=path, key=f"gains.{name}", value=value, remedy="correct it")
         return {name: float(value) for name, value in table.items()}
 
 
@@ -233,6 +237,21 @@ def gain_file(file: str) -> Path:
     path = Path(file.strip()).expanduser()
     if path.suffix != ".toml":
         raise InputError("is not the name of a gain file", key="save", value=file, remedy="end the path in .toml")
+    return path
+
+
+def replaceable(path: Path, kind: str) -> Path:
+    """Return a path to which a gain file may be written.
+
+    Raises:
+        InputError: the path is that of a file of another kind, which would be lost.
+    """
+    if path.exists():
+        with suppress(InputError):
+            if read_toml(path).get("kind") == kind:
+                return path
+        remedy = "choose another name, or remove that file"
+        raise InputError("is another kind of file and would be lost", key="save", value=str(path), remedy=remedy)
     return path
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from surctl.errors import InputError, SurctlError
+from surctl.errors import InputError, SurctlError, nearest
 from surctl.report.design_bench import DesignBench, Slider
 from surctl.report.loop_views import default_step, goal_panels, locus_panel, loop_panels
 from surctl.report.panel import panel_svg
@@ -95,7 +95,7 @@ def respond(bench: DesignBench, path: str, request: Request) -> dict[str, Any]:
             return handlers[path](bench, request)
     except SurctlError as error:
         return {"error": str(error)}
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"is not complete ({error})", key="request", value=path) from None
     raise InputError("is not known", key="request", value=path)
 
@@ -110,7 +110,7 @@ def _values(bench: DesignBench, values: Mapping[str, Any]) -> dict[str, float]:
 
 def _loops(bench: DesignBench, values: Mapping[str, float], points: Sequence[str]) -> dict[str, LinearLoop]:
     version = getattr(bench, "version", 0)
-    return {point: _one_loop(bench, tuple(values.items()), point, version) for point in points if point in bench.points}
+    return {point: _one_loop(bench, tuple(values.items()), point, version) for point in points}
 
 
 @lru_cache(maxsize=64)
@@ -121,8 +121,13 @@ def _one_loop(bench: DesignBench, values: tuple[tuple[str, float], ...], point: 
 def _both(bench: DesignBench, request: Request, points: Sequence[str] = ()) -> list[dict[str, LinearLoop] | None]:
     """Return the loops of the present gains, and of the compared ones if there are any."""
     chosen = points or request["points"] or bench.points[:1]
+    for point in chosen:
+        if point not in bench.points:
+            raise InputError(
+                "is no operating point", key="points", value=point, remedy=nearest(str(point), bench.points)
+            )
     sets = [request["values"], request.get("compared")]
-    return [None if one is None else _loops(bench, _values(bench, one), chosen) for one in sets]
+    return [None if k and one is None else _loops(bench, _values(bench, one), chosen) for k, one in enumerate(sets)]
 
 
 def _linear(bench: DesignBench, request: Request) -> dict[str, Any]:
@@ -133,7 +138,8 @@ def _linear(bench: DesignBench, request: Request) -> dict[str, Any]:
 
 
 def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
-    every = tuple(dict.fromkeys([*request["points"], *(p for goal in bench.goals for p in goal.points)]))
+    named = {p for goal in bench.goals for p in goal.points or bench.points}  # also those that are not drawn elsewhere
+    every = tuple(point for point in bench.points if point in named)
     loops, compared = _both(bench, request, every)
     scores, others = (None if one is None else judge_loops(bench.goals, one) for one in (loops, compared))
     assert scores is not None
@@ -152,7 +158,7 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
             rows.append(cells if m.stable else (point, m.name, "unstable", "", "", "", ""))
     head = ("operating point", "opened at", "gain margin", "phase [deg]", "delay [s]", "disk", "crossover [rad/s]")
     name, values = request["locus"], _values(bench, request["values"])
-    slider = next(one for one in bench.sliders if one.name == name)
+    slider = {one.name: one for one in bench.sliders}[name]
     grid = _positions(slider, _LOCUS)
     point = next(iter(loops))
     swept = [bench.loop({**values, name: float(value)}, point) for value in grid]

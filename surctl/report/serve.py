@@ -60,13 +60,16 @@ class _Server(ThreadingHTTPServer):
 def _handler(bench: DesignBench, token: str) -> type[BaseHTTPRequestHandler]:
     lock = Lock()  # numpy and CasADi functions of one system are not shared between threads
 
+    def permitted(secret: str) -> bool:
+        return hmac.compare_digest(secret.encode("utf-8", "surrogateescape"), token.encode())
+
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
         def do_GET(self) -> None:
             parts = urlsplit(self.path)
             secret = parse_qs(parts.query).get("token", [""])[0]
-            if parts.path != "/" or not hmac.compare_digest(secret, token):
+            if parts.path != "/" or not permitted(secret):
                 self._send(403 if parts.path == "/" else 404, b"no access", "text/plain")
                 return
             with lock:
@@ -74,18 +77,20 @@ def _handler(bench: DesignBench, token: str) -> type[BaseHTTPRequestHandler]:
             self._send(200, text.encode(), "text/html; charset=utf-8")
 
         def do_POST(self) -> None:
-            length = int(self.headers.get("Content-Length") or 0)
-            if not hmac.compare_digest(self.headers.get("X-Token", ""), token) or not 0 < length <= _LONGEST:
+            stated = self.headers.get("Content-Length", "")
+            length = int(stated) if stated.isascii() and stated.isdigit() and len(stated) < 10 else 0
+            if not permitted(self.headers.get("X-Token", "")) or not 0 < length <= _LONGEST:
                 self.close_connection = True
                 self._send(403, b"no access", "text/plain")
                 return
             try:
                 with lock:
                     reply: Any = respond(bench, self.path.strip("/"), json.loads(self.rfile.read(length)))
-            except (InputError, ValueError) as error:
+                body = json.dumps(reply, allow_nan=False).encode()
+            except (InputError, ValueError, RecursionError) as error:
                 self._send(400, str(error).encode(), "text/plain")
                 return
-            self._send(200, json.dumps(reply, allow_nan=False).encode(), "application/json")
+            self._send(200, body, "application/json")
 
         def _send(self, status: int, body: bytes, kind: str) -> None:
             self.send_response(status)

@@ -84,8 +84,8 @@ class SceneFile:
         *,
         eta: Vector,
         nu: Vector,
-        tau: Vector,
-        status: int,
+        tau: Vector | None,
+        status: int | None,
         tilt: tuple[float, float] = (0.0, 0.0),
         clearance: float = float("nan"),
         bodies: Sequence[Body] = (),
@@ -98,8 +98,8 @@ class SceneFile:
             time: time [s].
             eta: pose (4,) in {E}.
             nu: velocity (4,) in {B}.
-            tau: thrust (4,) [N, N m] in {B}.
-            status: status of the law.
+            tau: thrust (4,) [N, N m] in {B}; None: the law made no step, and `/thrust` gets no message.
+            status: status of the law; None: the law made no step.
             tilt: roll and pitch [rad].
             clearance: distance to the nearest obstacle [m]; NaN: unknown.
             bodies: obstacles that are there now.
@@ -119,10 +119,15 @@ class SceneFile:
         state |= dict(zip(names, _rounded(*nu[:3], digits=5), strict=True))
         state |= {"yaw_rate_deg_per_s": round(degrees(float(nu[3])), 3)}
         write("/state", "surctl.State", time, {"timestamp": at, **state})
-        thrust = dict(zip(("surge_n", "sway_n", "heave_n", "yaw_n_m"), _rounded(*tau), strict=True))
-        write("/thrust", "surctl.Thrust", time, {"timestamp": at, **thrust})
+        if tau is not None:
+            thrust = dict(zip(("surge_n", "sway_n", "heave_n", "yaw_n_m"), _rounded(*tau), strict=True))
+            write("/thrust", "surctl.Thrust", time, {"timestamp": at, **thrust})
         near = round(clearance, 4) if isfinite(clearance) else None
-        status_values = {"status": int(status), "clearance_m": near, "values": dict(values or {})}
+        status_values = {
+            "status": None if status is None else int(status),
+            "clearance_m": near,
+            "values": dict(values or {}),
+        }
         write("/status", "surctl.Status", time, {"timestamp": at, **status_values})
         self._obstacles(time, bodies)
         if ranges is not None:
@@ -162,7 +167,7 @@ class SceneFile:
         if time >= self._scene + _SCENE or entities:
             self._scene = time
             entities += [self._body(time, body) for body in bodies if body.velocity.any() or entities]
-            names = {body.name for body in bodies}
+            names = {_id(body.name) for body in bodies}
             gone = [{"timestamp": self._at(time), "type": 0, "id": name} for name in sorted(self._shown - names)]
             self._shown = names
             if entities or gone:
@@ -192,10 +197,10 @@ class SceneFile:
         if isinstance(body.shape, Disc):
             pose, wide = {"position": _point(x, y, z), "orientation": _UNTURNED}, 2 * body.shape.radius
             solid = {"pose": pose, "size": _point(wide, wide, height), "bottom_scale": 1.0, "top_scale": 1.0, **kind}
-            return self._entity(time, body.name, cylinders=[solid])
+            return self._entity(time, _id(body.name), cylinders=[solid])
         pose = {"position": _point(x, y, z), "orientation": _turned(body.shape.angle, 0.0, 0.0)}
         long, wide = (float(v) for v in body.shape.size)
-        return self._entity(time, body.name, cubes=[{"pose": pose, "size": _point(long, wide, height), **kind}])
+        return self._entity(time, _id(body.name), cubes=[{"pose": pose, "size": _point(long, wide, height), **kind}])
 
     def _entity(self, time: float, name: str, *, frame: str = "world", **parts: list[dict[str, Any]]) -> dict[str, Any]:
         kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
@@ -305,6 +310,11 @@ def write_layout(folder: Path, *, sonars: int = 0) -> Path:
         "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 60},
     }
     return write_file(folder / LAYOUT, json.dumps(layout, indent=2) + "\n")
+
+
+def _id(name: str) -> str:
+    # of an obstacle; a viewer would replace the hull by an obstacle of this name
+    return f"obstacle {name}" if name in ("hull", "site") else name
 
 
 def _rounded(*numbers: float, digits: int = 4) -> list[float]:

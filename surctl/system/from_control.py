@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import casadi as ca
@@ -251,6 +253,10 @@ def _checked(system: Any, *, key: str) -> None:
     if not isinstance(system, kinds):
         remedy = "give a control.StateSpace, TransferFunction or NonlinearIOSystem"
         raise InputError(f"is a {type(system).__name__}", key=key, remedy=remedy)
+    if isinstance(system, control.StateSpace | control.TransferFunction):
+        for matrix in _matrices(system):
+            if not np.isfinite(matrix).all():
+                raise InputError("has a number that is not finite", key=_name(system), remedy="correct its matrices")
 
 
 def _sampled(system: Any, dt: float | None) -> tuple[float, Any]:
@@ -258,6 +264,8 @@ def _sampled(system: Any, dt: float | None) -> tuple[float, Any]:
     import control  # takes seconds to import
 
     linear = isinstance(system, control.StateSpace | control.TransferFunction)
+    if dt is not None and (isinstance(dt, bool) or not isinstance(dt, Real) or not 0 < dt < np.inf):
+        raise InputError("is not a positive time", key="dt", value=dt, remedy="give seconds")
     if system.isdtime(strict=True):
         own = dt if system.dt is True else float(system.dt)
         if own is None or (dt is not None and abs(dt - own) > _ALIKE * own):
@@ -285,19 +293,24 @@ def _functions(system: Any) -> tuple[Callable[[ca.SX, ca.SX], ca.SX], Callable[[
         A, B, C, D = (ca.DM(np.asarray(m)) for m in _matrices(system))
         return (lambda x, u: ca.SX(A @ x + B @ u)), (lambda x, u: ca.SX(C @ x + D @ u))
 
+    time = ca.SX.sym("t")
+
     def traced(function: Any, size: int) -> Callable[[ca.SX, ca.SX], ca.SX]:
         def call(x: ca.SX, u: ca.SX) -> ca.SX:
-            arrays = [_objects(v) for v in (x, u)]
+            arrays = [_objects(v) for v in (time, x, u)]
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # numpy functions of CasADi expressions
-                    returned = function(0.0, *arrays, system.params)
+                    returned = function(arrays[0][0], *arrays[1:], system.params)
                 flat = ca.vertcat(*_flat(returned))
             except Exception as error:
                 text = " ".join(str(error).split())[:200]
                 problem = f"fails on CasADi symbols ({type(error).__name__}: {text})"
                 remedy = "write it with numpy functions of the entries x[0], u[0], and without if"
                 raise InputError(problem, key=_name(system), remedy=remedy) from error
+            if ca.depends_on(flat, time):
+                remedy = "make what depends on time an input"
+                raise InputError("depends on the time t", key=_name(system), remedy=remedy)
             if flat.numel() != size:
                 raise InputError(f"returns {flat.numel()} numbers, expected {size}", key=_name(system))
             return flat
@@ -326,7 +339,12 @@ def _flat(returned: Any) -> list[ca.SX]:
 def _matrices(system: Any) -> tuple[Array, ...]:
     import control  # takes seconds to import
 
-    whole = control.ss(system)
+    try:
+        whole = control.ss(system)
+    except (TypeError, ValueError) as error:
+        problem = f"has no state space ({' '.join(str(error).split())})"
+        remedy = "give a proper system with real numbers, such as a derivative with a filter"
+        raise InputError(problem, key=_name(system), remedy=remedy) from None
     return whole.A, whole.B, whole.C, whole.D
 
 
@@ -358,7 +376,8 @@ def _layout(labels: Sequence[str]) -> Layout:
 
 
 def _identifier(text: str) -> str:
-    name = re.sub(r"\W+", "_", text.strip(), flags=re.ASCII).strip("_") or "signal"
+    letters = (char if char.isascii() else unicodedata.name(char, "_").split()[-1].lower() for char in text.strip())
+    name = re.sub(r"\W+", "_", "".join(letters), flags=re.ASCII).strip("_") or "signal"
     return f"s_{name}" if name[0].isdigit() else name
 
 
@@ -370,6 +389,11 @@ def _renamed(law: Controller, plant: Plant) -> Controller:
     """Return the controller with commands that have the names of the plant's inputs."""
     if all(port.name in law.command for port in plant.inputs):
         return law
+    same = [port.name for port in plant.inputs if port.name in law.command]
+    if same:
+        others = ", ".join(port.name for port in plant.inputs if port.name not in law.command)
+        remedy = "name a command after each of the plant's inputs, or none, so that they are connected in order"
+        raise InputError(f"commands {', '.join(same)}, but not {others}", key=law.name, remedy=remedy)
     if law.command.size != plant.inputs.size:
         problem = f"commands {law.command.size} signals, but the plant has {plant.inputs.size} inputs"
         raise InputError(problem, key=law.name, remedy="give the commands the names of the plant's inputs")

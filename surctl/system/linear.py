@@ -14,7 +14,7 @@ from surctl.ir import to_casadi
 from surctl.system.controller import Controller, SampledController
 from surctl.system.linear_loop import LinearLoop, LoopNames
 from surctl.system.loop import System, once_per_system
-from surctl.system.parts import entry_labels
+from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant_linear import plant_slopes
 from surctl.system.values import RunNumbers, run_numbers
 
@@ -266,7 +266,16 @@ def loop_names(system: System) -> LoopNames:
     plant, controller = system.plant, system.controller
     layouts = (plant.state, controller.state, plant.inputs, system.commands, plant.measurements, system.references)
     labels = [tuple(entry_labels(layout)) for layout in (*layouts, plant.disturbances)]
-    return LoopNames(plant.name, controller.name, *labels)
+    kinds = {
+        "command": system.commands, "measured": plant.measurements, "reference": system.references,
+        "disturbance": plant.disturbances,
+    }  # fmt: skip
+    units = [
+        (f"{kind}.{label}", unit)
+        for kind, layout in kinds.items()
+        for label, unit in zip(entry_labels(layout), entry_units(layout), strict=True)
+    ]
+    return LoopNames(plant.name, controller.name, *labels, units=tuple(units))
 
 
 def _state_labels(system: System) -> list[str]:

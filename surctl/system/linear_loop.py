@@ -33,6 +33,7 @@ class LoopNames:
         commands: labels of the controller's commands.
         outputs: labels of the measured outputs.
         references, disturbances: labels of the external inputs.
+        units: (kind.LABEL, unit) of commands, measured outputs, references and disturbances; empty: not known.
     """
 
     plant: str
@@ -44,6 +45,7 @@ class LoopNames:
     outputs: tuple[str, ...]
     references: tuple[str, ...] = ()
     disturbances: tuple[str, ...] = ()
+    units: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +168,9 @@ class LinearLoop(Plotted):
                 raise InputError(
                     "is no signal of the loop", key="opening", value=name, remedy=nearest(name, (*commands, *outputs))
                 )
+        if len(set(openings)) < len(openings):
+            double = next(name for k, name in enumerate(openings) if name in openings[:k])
+            raise InputError("is opened twice", key="opening", value=double, remedy="name each signal once")
         at_command = np.array([[float(name == label) for label in commands] for name in openings])
         at_output = np.array(
             [[float(name == label and name not in commands) for label in outputs] for name in openings]
@@ -201,6 +206,17 @@ class LinearLoop(Plotted):
     def states(self) -> list[str]:
         """Return the labels of the plant states, then of the controller states."""
         return [*self.names.states, *(f"controller {label}" for label in self.names.controller_states)]
+
+    def unit(self, label: str, kinds: Sequence[str] = KINDS) -> str:
+        """Return the unit of a signal of these kinds, named as in `transfer`; empty if it is not known.
+
+        Raises:
+            InputError: there is no such signal.
+        """
+        kind, k = self._place(label, kinds)
+        names = self.names
+        of_kind = {"reference": names.references, "disturbance": names.disturbances, "command": names.commands}
+        return dict(names.units).get(f"{kind}.{of_kind.get(kind, names.outputs)[k]}", "")
 
     def _place(self, label: str, kinds: Sequence[str]) -> tuple[str, int]:
         # kind and index of a signal

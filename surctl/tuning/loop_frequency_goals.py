@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ __all__ = ["Effort", "LoopShape", "MaxGain", "Rejection", "SensitivityBound", "T
 
 Array = NDArray[np.float64]
 _TINY = 1e-12
+_SIDES = ("both", "above", "below")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,8 +49,13 @@ class LoopShape(Opened):
     band_db: float = 3.0
     side: Literal["both", "above", "below"] = "both"
 
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        if self.side not in _SIDES:
+            raise InputError("is no side", key="side", value=self.side, remedy=f"write one of: {', '.join(_SIDES)}")
+
     def _judged(self, loop: LinearLoop) -> Judgement:
-        omega, target = _grid(loop, self.openings, self.target)
+        omega, target = _grid(loop, self.openings, self.target, zeros=self.side != "below")
         least, largest = loop_gains(loop, self.openings, omega)
         low, high = (-20 * np.log10(np.maximum(least / target, _TINY)), 20 * np.log10(largest / target))
         off = {"both": np.maximum(low, high), "above": low, "below": high}[self.side]
@@ -125,7 +131,7 @@ class MaxGain(Between):
 
     Attributes:
         at_most: bound of the magnitude.
-        unit: unit of the magnitude.
+        unit: unit of the bound, such as "N m/deg"; empty: that of the end over that of the source.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -142,12 +148,17 @@ class MaxGain(Between):
     TYPE: ClassVar[str] = "gain"
 
     at_most: Bound
-    unit: str = "1"
+    unit: str = ""
+
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        self._scale(loop, self.unit, over_source=True)
 
     def _judged(self, loop: LinearLoop) -> Judgement:
+        factor, unit = self._scale(loop, self.unit, over_source=True)
         omega, bound = _grid(loop, (), self.at_most)
-        size = np.abs(response(loop.transferred([self.source], [self.end]), omega, loop.dt)[:, 0, 0])
-        return _below(omega, size, bound, f"|T| [{self.unit}]", self.unit)
+        size = factor * np.abs(response(loop.transferred([self.source], [self.end]), omega, loop.dt)[:, 0, 0])
+        return _below(omega, size, bound, f"|T| [{unit}]", unit)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,20 +226,20 @@ class Tracking(Between):
         return _below(omega, np.abs(1 - T), bound, "|error| [1]")
 
 
-def _grid(loop: LinearLoop, at: Sequence[str], bound: Bound) -> tuple[Array, Array]:
+def _grid(loop: LinearLoop, at: Sequence[str], bound: Bound, *, zeros: bool = False) -> tuple[Array, Array]:
     """Return the frequencies at which a bound is judged, and its values there.
 
     Raises:
         InputError: the bound lies wholly outside of the loop's frequencies.
     """
-    omega = frequencies(loop, at)
+    omega = frequencies(loop, at, zeros=zeros)
     if isinstance(bound, Profile):
         inside = [w for w in bound.frequency if w < np.pi / loop.dt]
         ends = [*inside, *np.geomspace(min(inside, default=1.0), max(inside, default=1.0), 100)]
         omega = np.unique(np.concatenate([omega, ends]))
         value = bound(omega)
     elif callable(bound):
-        value = np.abs(np.asarray(bound(1j * omega), dtype=complex)).reshape(-1)
+        value = _magnitude(bound, omega, loop.dt)
     else:
         value = np.full(len(omega), float(bound))
     judged = np.isfinite(value) & (value > 0)
@@ -236,6 +247,23 @@ def _grid(loop: LinearLoop, at: Sequence[str], bound: Bound) -> tuple[Array, Arr
         remedy = f"bound frequencies below {np.pi / loop.dt:.4g} rad/s, half of the control frequency"
         raise InputError("bounds no frequency of the loop", key="frequency_rad_per_s", remedy=remedy)
     return omega[judged], value[judged]
+
+
+def _magnitude(bound: Callable[[Any], Any], omega: Array, dt: float) -> Array:
+    # of a python-control system, in continuous or in discrete time, or of another function of s
+    if getattr(bound, "isdtime", lambda strict: False)(strict=True):
+        own = getattr(bound, "dt", None)
+        if own is not True and abs(float(own or 0) - dt) > 1e-9 * dt:
+            remedy = f"give it in continuous time, or with the control period {dt:g} s"
+            raise InputError("has another control period than the loop", key="bound", value=own, remedy=remedy)
+        at = np.exp(1j * omega * dt)
+    else:
+        at = 1j * omega
+    value = np.abs(np.asarray(bound(at), dtype=complex))
+    if value.size != omega.size:
+        remedy = "give a system with one input and one output"
+        raise InputError(f"has {value.size // omega.size} entries", key="bound", remedy=remedy)
+    return value.reshape(-1)
 
 
 def _below(omega: Array, size: Array, bound: Array, quantity: str, unit: str = "1") -> Judgement:

@@ -120,7 +120,9 @@ def check_points(goals: tuple[LoopGoal, ...], points: Mapping[str, Any]) -> None
 def _bound(table: LoopGoalTable, unit: str | None = "1") -> Bound:
     # one number, or a profile by points
     profile = table.gain if table.gain_db is None else tuple(10 ** (np.array(table.gain_db) / 20))
-    if (profile is None) == (table.at_most is None):
+    several = table.gain is not None and table.gain_db is not None
+    idle = table.at_most is not None and table.frequency_rad_per_s is not None
+    if (profile is None) == (table.at_most is None) or several or idle:
         remedy = "give at_most, or frequency_rad_per_s with gain or gain_db"
         raise InputError("needs one bound", key="at_most", remedy=remedy)
     if profile is not None:
@@ -160,7 +162,7 @@ def _rejection(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
 
 def _gain(kind: type[MaxGain]) -> Callable[[LoopGoalTable, dict[str, Any]], LoopGoal]:
     def build(table: LoopGoalTable, about: dict[str, Any]) -> LoopGoal:
-        unit = "1" if table.at_most is None else table.at_most.unit
+        unit = "" if table.at_most is None else table.at_most.unit
         return kind(**about, **_path(table), at_most=_bound(table, None), unit=unit)
 
     return build
@@ -220,7 +222,7 @@ _BUILDERS: Mapping[str, Callable[[LoopGoalTable, dict[str, Any]], LoopGoal]] = {
     "settling": lambda table, about: Settling(**about, **_path(table), at_most=_most(table, "s")),
     "step_tracking": _model,
     "step_rejection": lambda table, about: StepRejection(
-        **about, **_path(table), at_most=_most(table, None), unit="1" if table.at_most is None else table.at_most.unit
+        **about, **_path(table), at_most=_most(table, None), unit="" if table.at_most is None else table.at_most.unit
     ),
     "poles": _poles,
     "margins": _margins,

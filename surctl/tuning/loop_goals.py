@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from numbers import Real
 from typing import Any, ClassVar, Literal, TypeAlias
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.system import LinearLoop
 from surctl.tuning.loop_responses import stable
+from surctl.units import in_unit
 
 __all__ = ["Between", "Bound", "Judgement", "LoopGoal", "LoopView", "Opened", "Profile"]
 
@@ -129,9 +131,13 @@ class LoopGoal(ABC):
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            unset = value == field.default if isinstance(value, float | int) else True
+            key = f"goals.{self.name}.{field.name}"
+            bound = field.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
+            number = field.type == "float" and not isinstance(value, Real)
+            if bound or number:
+                raise InputError("is no number", key=key, value=value, remedy="correct it")
+            unset = value == field.default if isinstance(value, Real) else True
             if not unset and not (np.isfinite(value) and value > 0):
-                key = f"goals.{self.name}.{field.name}"
                 raise InputError("must be finite and greater than 0", key=key, value=value, remedy="correct it")
 
     def judge(self, loop: LinearLoop) -> Judgement:
@@ -215,3 +221,23 @@ class Between(LoopGoal):
     @property
     def _path(self) -> str:
         return f"{self.source} to {self.end}"
+
+    def _scale(self, loop: LinearLoop, unit: str, *, over_source: bool) -> tuple[float, str]:
+        """Return the factor from the loop's own unit to a stated unit, and the unit to show.
+
+        Args:
+            loop: the loop; it may know the units of its signals.
+            unit: stated unit of the bound; empty: the loop's own.
+            over_source: the bound is about the end over the source, not about the end alone.
+
+        Raises:
+            InputError: the stated unit has another dimension than the signals.
+        """
+        end, source = loop.unit(self.end, ("measured", "command")), loop.unit(self.source)
+        own = end if not over_source else "1" if end == source else f"({end})/({source})"
+        if not unit or not end or (over_source and not source):
+            return 1.0, unit or own if end and source else unit or "1"
+        try:
+            return 1 / in_unit(1.0, unit, own), unit
+        except InputError as error:
+            raise InputError(error.problem, key="at_most.unit", value=unit, remedy=error.remedy) from None

@@ -9,18 +9,30 @@ from numpy.typing import NDArray
 
 from surctl.system import LinearLoop
 
-__all__ = ["frequencies", "held_step", "loop_gains", "rates", "response", "sensitivities_at", "stable", "step_series"]
+__all__ = [
+    "REMAINDER",
+    "frequencies",
+    "held_step",
+    "loop_gains",
+    "rates",
+    "response",
+    "sensitivities_at",
+    "stable",
+    "step_series",
+]
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Matrices = tuple[Array, Array, Array, Array]
 
+REMAINDER = 1e-4
+"""Share of the slowest mode that is left at the end of a step response."""
+
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
-_POINTS = 160
+_POINTS, _DENSE = 160, 27  # least number of frequencies, and number in each decade
 _NEAR = np.geomspace(1e-2, 3.0, 7)  # distances from a pole's frequency, in distances of the pole from the unit circle
 _DECADES = 2.0  # below the slowest pole
-_LOWEST, _RANGE = 1e-5, 1e6  # [rad/s]; largest ratio of two frequencies
-_REMAINDER = 1e-4  # share of the slowest mode that is left at the end of a step response
+_LEAST, _DOUBLE = 1e-9, 1e-7  # poles nearer to z = 1 count as at 1; several open-loop integrators spread that far
 _SHORTEST, _LONGEST = 60, 1 << 14  # samples of a step response
 
 
@@ -35,21 +47,48 @@ def rates(loop: LinearLoop) -> Complex:
     return np.asarray(np.log(poles[np.abs(poles) > 1e-9]) / loop.dt, dtype=np.complex128)
 
 
-def frequencies(loop: LinearLoop, openings: Sequence[str] = (), *, points: int = _POINTS) -> Array:
-    """Return frequencies [rad/s] up to the Nyquist frequency, ascending and dense near lightly damped poles."""
-    highest = np.pi / loop.dt
-    poles = loop.poles()
-    if openings:
-        poles = np.concatenate([poles, np.linalg.eigvals(loop.opened(*openings)[0]).astype(complex)])
-    poles = poles[np.abs(poles) > 1e-9]
-    sizes = np.abs(np.log(poles)) / loop.dt
-    slowest = float(np.min(sizes[sizes > _LOWEST], initial=highest / 10))
-    lowest = max(slowest / 10**_DECADES, highest / _RANGE, _LOWEST)
-    width = np.maximum(np.abs(1 - np.abs(poles)), 1e-6) / loop.dt
-    centre = np.abs(np.angle(poles)) / loop.dt
+def frequencies(loop: LinearLoop, openings: Sequence[str] = (), *, zeros: bool = False) -> Array:
+    """Return frequencies [rad/s] up to the Nyquist frequency, ascending and dense near lightly damped poles.
+
+    They begin two decades below the slowest pole.
+
+    Args:
+        loop: the loop.
+        openings: signals at which the loop is opened; the frequencies are dense near its open-loop poles too.
+        zeros: also near the zeros of the opened loop, where the loop gain has its notches.
+    """
+    highest, closed = np.pi / loop.dt, loop.poles()
+    opened = np.linalg.eigvals(loop.opened(*openings)[0]).astype(complex) if openings else closed[:0]
+    slow = [_sizes(closed, _LEAST), _sizes(opened, _DOUBLE)]
+    slowest = float(np.min(np.concatenate(slow), initial=np.pi / 10)) / loop.dt
+    lowest = slowest / 10**_DECADES
+    places = [closed, opened, *([_zeros(loop.opened(*openings))] if zeros else [])]
+    special = np.concatenate(places)
+    special = special[np.abs(special) > 1e-9]
+    width = np.maximum(np.abs(1 - np.abs(special)), 1e-6 * np.abs(np.log(special))) / loop.dt
+    centre = np.abs(np.angle(special)) / loop.dt
     near = centre[:, None] + width[:, None] * np.concatenate([-_NEAR, [0.0], _NEAR])
+    points = max(_POINTS, int(_DENSE * np.log10(highest / lowest)))
     omega = np.concatenate([np.geomspace(lowest, highest * (1 - 1e-9), points), near.ravel()])
     return np.unique(omega[(omega >= lowest) & (omega < highest)])
+
+
+def _sizes(poles: Complex, least: float) -> Array:
+    # |s| dt of the poles, without delays and integrators
+    sizes = np.abs(np.log(poles[np.abs(poles) > 1e-9]))
+    return np.asarray(sizes[sizes > least], dtype=float)
+
+
+def _zeros(matrices: Matrices) -> Complex:
+    # transmission zeros z of a square system
+    from scipy.linalg import eigvals  # takes a second to import
+
+    A, B, C, D = matrices
+    selected = np.zeros((len(A) + len(D), len(A) + len(D)))
+    selected[: len(A), : len(A)] = np.eye(len(A))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        zeros = np.asarray(eigvals(np.block([[A, B], [C, D]]), selected), dtype=np.complex128)
+    return zeros[np.isfinite(zeros) & (np.abs(zeros) < 1e6)]
 
 
 def response(matrices: Matrices, omega: Array, dt: float) -> Complex:
@@ -74,15 +113,15 @@ def sensitivities_at(loop: LinearLoop, openings: Sequence[str], omega: Array) ->
     return np.stack([np.linalg.norm(one, 2, axis=(1, 2)) for one in (S, eye - S)])
 
 
-def step_series(loop: LinearLoop, source: str, end: str) -> tuple[Array, Array, float]:
+def step_series(loop: LinearLoop, source: str, end: str, *, least_s: float = 0.0) -> tuple[Array, Array, float]:
     """Return times (n,) [s], the response (n,) to a unit step, and the value at which it comes to rest.
 
-    The response ends when the slowest mode of the loop has decayed to 1e-4 of its size. Up to 16,384 control periods,
-    it has one sample for each of them.
+    The response ends when the slowest mode of the loop has decayed to 1e-4 of its size, and not before `least_s` [s].
+    Up to 16,384 control periods, it has one sample for each of them.
     """
     A, B, C, D = loop.transferred([source], [end])
     size = float(np.abs(loop.poles()).max(initial=0.0))
-    needed = np.log(_REMAINDER) / np.log(size) if 0 < size < 1 else 0
+    needed = max(np.log(REMAINDER) / np.log(size) if 0 < size < 1 else 0, least_s / loop.dt)
     stride = max(1, int(np.ceil(needed / _LONGEST)))
     count = int(np.clip(np.ceil(needed / stride), _SHORTEST, _LONGEST)) + 1
     final = float((D + C @ np.linalg.solve(np.eye(len(A)) - A, B))[0, 0])

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.system import LinearLoop
 from surctl.tuning.loop_goals import Between, Judgement, LoopGoal, LoopView, Opened
-from surctl.tuning.loop_responses import held_step, rates, step_series
+from surctl.tuning.loop_responses import REMAINDER, held_step, rates, step_series
 from surctl.verification.sampled_margins import quick_margins
 
 __all__ = ["Margins", "Overshoot", "Poles", "Settling", "StepRejection", "StepTracking"]
 
 Array = NDArray[np.float64]
 _BAND = 0.02  # of the final value, as in step_info of python-control
+_UNIT = 1e-3  # largest distance from 1 of the gain of a reference model at frequency 0
 _RESTS = 1e-6  # a final value below this share of the peak counts as 0
 
 
@@ -59,7 +60,8 @@ class Overshoot(Between):
 class Settling(Between):
     """The response to a step stays within 2 % of its final value from a time on.
 
-    If the response returns to 0, as after a disturbance, the band is 2 % of its peak.
+    If the response returns to 0, as after a disturbance, the band is 2 % of its peak. The value is 0 if there is no
+    response.
 
     Attributes:
         at_most: longest settling time [s].
@@ -93,10 +95,12 @@ class Settling(Between):
 class StepTracking(Between):
     """The response to a step follows that of a reference model, as `TuningGoal.StepTracking`.
 
-    The value is the gap |y - y_ref|/|1 - y_ref|, with |·| the root of the sum of squares over time.
+    The value is the gap |y - y_ref|/|1 - y_ref|, with |·| the root of the sum of squares over time, until the slowest
+    modes of loop and model have decayed to 1e-4.
 
     Attributes:
-        model: reference model, a python-control system in continuous time with one input and one output.
+        model: reference model, a stable python-control system in continuous time with one input, one output and the
+            gain 1 at frequency 0.
         at_most: largest gap.
 
     Example:
@@ -118,14 +122,38 @@ class StepTracking(Between):
     model: Any
     at_most: float = 0.1
 
-    def _judged(self, loop: LinearLoop) -> Judgement:
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        self._matrices()
+
+    def _matrices(self) -> tuple[Array, Array, Array, Array]:
         import control  # takes seconds to import
 
-        model = control.ss(self.model)
-        if model.isdtime(strict=True):
-            raise InputError("is in discrete time", key="model", remedy="give a model in continuous time")
-        time, value, _ = step_series(loop, self.source, self.end)
-        reference = held_step((model.A, model.B, model.C, model.D), time)
+        model, remedy = self.model, "give a stable model in continuous time, such as control.tf([1], [2, 1])"
+        try:
+            whole = control.ss(model)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"is no model with a proper transfer function ({error})", key="model", remedy=remedy
+            ) from None
+        problems = {
+            "is in discrete time": whole.isdtime(strict=True),
+            f"has {whole.ninputs} inputs and {whole.noutputs} outputs": (whole.ninputs, whole.noutputs) != (1, 1),
+            "has no state": not whole.nstates,
+            "is unstable": bool(whole.nstates) and not np.real(whole.poles()).max() < 0,
+        }
+        wrong = [problem for problem, holds in problems.items() if holds]
+        if not wrong and not abs(float(np.real(whole.dcgain())) - 1) < _UNIT:
+            wrong, remedy = [f"has the gain {np.real(whole.dcgain()):.4g} at frequency 0"], "scale it to the gain 1"
+        if wrong:
+            raise InputError(wrong[0], key="model", remedy=remedy)
+        return whole.A, whole.B, whole.C, whole.D
+
+    def _judged(self, loop: LinearLoop) -> Judgement:
+        model = self._matrices()
+        slowest = float(np.min(-np.linalg.eigvals(model[0]).real))
+        time, value, _ = step_series(loop, self.source, self.end, least_s=-np.log(REMAINDER) / slowest)
+        reference = held_step(model, time)
         free = float(np.linalg.norm(1 - reference))
         gap = float(np.linalg.norm(value - reference)) / free if free > 0 else np.inf
         allowance = self.at_most * free / np.sqrt(len(time))  # a constant gap of this size is at the bound
@@ -139,7 +167,7 @@ class StepRejection(Between):
 
     Attributes:
         at_most: largest magnitude of the response, in units of the end for a step of one unit of the source.
-        unit: unit of the end.
+        unit: unit of the bound; empty: that of the end.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -156,13 +184,19 @@ class StepRejection(Between):
     TYPE: ClassVar[str] = "step_rejection"
 
     at_most: float
-    unit: str = "1"
+    unit: str = ""
+
+    def _check(self, loop: LinearLoop) -> None:
+        super()._check(loop)
+        self._scale(loop, self.unit, over_source=False)
 
     def _judged(self, loop: LinearLoop) -> Judgement:
+        factor, unit = self._scale(loop, self.unit, over_source=False)
         time, value, _ = step_series(loop, self.source, self.end)
+        value = factor * value
         peak, k = float(np.abs(value).max()), int(np.abs(value).argmax())
         view = LoopView("time", time, value, self.end, _flat(time, -self.at_most), _flat(time, self.at_most))
-        return Judgement(peak, self.unit, self.at_most, peak / self.at_most, view, f"at {time[k]:.3g} s")
+        return Judgement(peak, unit, self.at_most, peak / self.at_most, view, f"at {time[k]:.3g} s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +229,9 @@ class Poles(LoopGoal):
     def _check(self, loop: LinearLoop) -> None:
         if not (self.decay_per_s > 0 or self.damping > 0 or np.isfinite(self.fastest_rad_per_s)):
             raise InputError("bounds nothing", key="poles", remedy="give decay_per_s, damping or fastest_rad_per_s")
+        if self.damping > 1:
+            remedy = "give a damping ratio up to 1; a real pole has 1"
+            raise InputError("is greater than 1", key="damping", value=self.damping, remedy=remedy)
 
     def _judged(self, loop: LinearLoop) -> Judgement:
         poles = rates(loop)
@@ -274,6 +311,8 @@ class Margins(Opened):
 
 def settling_time(time: Array, value: Array, final: float, scale: float) -> float:
     """Return the time [s] from which a response stays within 2 % of `scale` about its final value."""
+    if not scale > 0:
+        return 0.0
     outside = np.flatnonzero(np.abs(value - final) >= _BAND * scale)
     if not outside.size:
         return 0.0

@@ -48,6 +48,10 @@ def load_loop_goals(path: Path | str) -> tuple[tuple[LoopGoal, ...], dict[str, d
                 raise InputError(problem, key=f"goals.{table.name}.metric", value=table.metric, remedy=remedy)
         points = _points(content.points)
         goals = tuple(loop_goal(table.loop()) for table in content.goals)
+        names = [goal.name for goal in goals]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError("is the name of two goals", key="goals.name", value=name, remedy="rename one")
         check_points(goals, points)
     except InputError as error:
         raise error.inside(path) from None

@@ -120,6 +120,10 @@ def tune_system(
     from scipy.optimize import differential_evolution
 
     name = check_tuning(system, ranges, cases or {}, objective=objective, goals=goals)
+    for point, values in points.items():
+        for gain in values.keys() & ranges.keys():
+            remedy = f"drop it from the point; {gain} has one value at all points"
+            raise InputError("is searched", key=f"point {point}", value=gain, remedy=remedy)
     judged = GoalSearch(system, tuple(goals), points) if goals else None
     names, (low, high) = list(ranges), np.array(list(ranges.values()), dtype=float).T
     logarithmic = low > 0

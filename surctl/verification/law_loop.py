@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 
 __all__ = ["LawLoop", "law_loop"]
 
+_UNITS = {"x": "m", "y": "m", "z": "m", "psi": "rad", "u": "m/s", "v": "m/s", "w": "m/s", "r": "rad/s"}
 _AXES = ("surge", "sway", "heave", "yaw")
 _HEADROOM = 1.5  # speed cap over the cruise speed: the cap must not act in a cruise
 _FAR = 1e6  # [m]
@@ -215,7 +216,9 @@ def _linear(
         none,
     )
     force = tuple(axes)
-    labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names))
+    units = [(f"command.{axis}", "N m" if axis == "yaw" else "N") for axis in axes]
+    units += [(f"measured.{name}", _UNITS[name]) for name in names]
+    labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names), units=tuple(units))
     return LinearLoop(plant, controller, labels, law.dt), tuple(STATE_NAMES[k] for k in free)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, nan, pi, radians
 
 import numpy as np
@@ -23,8 +24,11 @@ from surctl.bridge import (
     parse_address,
     parse_site,
 )
+from surctl.bridge.inputs import Inputs
 from surctl.bridge.site import body_velocity, yaw_rate
+from surctl.control import build_law
 from surctl.errors import InputError
+from surctl.simulation import load_scenario
 from surctl.vehicle import load_vehicle, swap_pose
 from tests.tools import need_module
 
@@ -126,6 +130,42 @@ def test_messages_become_events() -> None:
     assert told[2] == Position(1, 5.0, (1.0, 2.0, 0.5), (0.25, 0.0, 0.0)) and told[3] == Gone(11)
     assert told[4] == Ranges(5.0, ((-pi / 2, 1.0),)) and told[5] == Ranges(5.0, ((-3 * pi / 2, inf),))
     assert isinstance(told[6], Reply) and told[6].boot == 5.0 and wire.bad == 0
+
+
+def test_other_computers_of_the_vehicle_have_clocks_of_their_own() -> None:
+    need_module("pymavlink")
+    wire = Wire()
+    other = wire.mav.MAVLink(None, srcSystem=1, srcComponent=194)  # a sonar's computer, switched on 900 s before
+    boxes = [100] + [65535] * 71
+    sent = [
+        other.distance_sensor_encode(905_000, 20, 450, 100, 1, 0, 2, 255),
+        other.obstacle_distance_encode(1_700_000_000_000_000, 1, boxes, 10, 20, 450, 0.0, 90.0, 12),
+        other.local_position_ned_encode(905_000, 1.0, 2.0, 0.5, 0.0, 0.0, 0.0),
+        other.attitude_encode(905_000, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0),
+        other.timesync_encode(905_000_000_000, 9_000_000_064),
+    ]
+    told = [event for message in sent for event in wire.events(message.pack(other))]
+    assert told == [Ranges(None, ((-pi / 2, 1.0),))] * 2
+
+
+def test_a_moving_obstacle_keeps_its_radius_when_another_leaves() -> None:
+    scenario, radii = load_scenario("tank-moving"), iter((1.5, 0.25))
+    moving = [o.model_copy(update={"radius_m": next(radii)}) for o in scenario.obstacles if o.shape == "moving"]
+    vehicle = load_vehicle("sur540-flooded")
+    inputs = Inputs(build_law("closed_form"), replace(scenario, obstacles=tuple(moving)), vehicle, Site())
+
+    def heard(system: int) -> None:
+        inputs.obstacle(Position(system, 1.0, (0.0, float(system), 0.0), (0.0, 0.0, 0.0)), 1.0)
+
+    def radius() -> float:
+        return float(inputs._rows(1.0, np.array([20.0, 0.0, 0.0, 0.0]), still=False)[0, 2])
+
+    heard(21), heard(12)
+    assert radius() == 0.25
+    inputs.gone(12)
+    assert radius() == 0.25
+    heard(30)
+    assert radius() == 1.5, "three systems, two obstacles: which is which is unknown"
 
 
 def test_odometry_and_many_distances_are_read() -> None:

@@ -92,7 +92,8 @@ def test_a_session_that_is_ended_leaves_neutral_thrust(end: signal.Signals, tmp_
         assert before[-1][1][2] > 1600, "it never steered"
         os.kill(child, end)
         killed = time.monotonic() - begin
-        after = _sticks(_sail(sub, port, 1.0, wire=wire, begin=begin))
+        last = _sail(sub, port, 1.0, wire=wire, begin=begin)
+        after, after_end = _sticks(last), [data for _, data in last]
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == (3 if end == signal.SIGTERM else -end)
     neutral = [t for t, sticks in after if sticks == (1500,) * 4]
@@ -100,11 +101,16 @@ def test_a_session_that_is_ended_leaves_neutral_thrust(end: signal.Signals, tmp_
     assert len(neutral) >= 5
     log = path.read_bytes()
     assert all(data in log for _, data in heard), "what the vehicle received is in the record"
+    if end == signal.SIGTERM:
+        assert b"".join(after_end[-1:]) in log, "with the last commands"
 
 
 def test_a_session_never_overwrites_another(tmp_path: Path) -> None:
     with FrameLog(tmp_path / "a.tlog") as log:
-        log.frame(0.0, b"frame", sent=True)
+        frames = [Wire().heartbeat() for _ in range(2)]
+        log.frame(1.0, b"noise".join([b"", *frames, b""]) + frames[0][:9], sent=False)
+    stamp = (int((log.epoch + 1.0) * 1e6)).to_bytes(8, "big")
+    assert log.path.read_bytes() == b"".join(stamp + frame for frame in frames), "a time before each frame"
     with pytest.raises(InputError, match="never overwrites"):
         FrameLog(tmp_path / "a.tlog")
 

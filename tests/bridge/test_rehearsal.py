@@ -104,6 +104,20 @@ def test_only_arming_again_lets_it_go_on() -> None:
     assert next(time for time, text in result.texts if text == "steering" and time > 4.0) > 12.5
 
 
+def test_acts_keep_their_order_and_other_system_ids_are_rehearsed() -> None:
+    made = plan()
+    sub = SimulatedSub(made.scenario, made.vehicle, target=250, system=33)
+    acts = [Act(99.0, "cut"), Act(0.5, "arm"), Act(3.0, "disarm"), Act(3.0, "arm"), Act(3.5, "alt_hold")]
+    result = rehearse(Bridge(made, Wire(target=250, system=33)), sub, acts=acts, limit=5.0)
+    assert [text for time, text in sub.events if time > 2.9][:2] == [
+        "disarmed by the operator",
+        "armed by the operator",
+    ]
+    assert [act.action for act, _ in result.neutral_after] == ["disarm"], "alt_hold is the mode in which it steers"
+    assert result.missed == [Act(99.0, "cut")] and np.hypot(*sub.physics.state[4:6]) > 0.05
+    assert not result.touched and replace(result, clearance=-0.01).touched
+
+
 def test_a_vehicle_that_was_armed_before_is_left_alone() -> None:
     result = session(Act(0.0, "arm"), seconds=4.0)
     assert "steering" not in result.phases and "disarm and arm" in result.texts[-1][1]
@@ -157,6 +171,8 @@ def test_the_record_of_a_session_can_be_read(tmp_path: Path) -> None:
     read = messages((tmp_path / "swim.mcap").read_bytes())
     assert len(read["/pose"]) > 70 and read["/pose"][0][0] > 1000.0
     assert {m["values"]["phase"] for _, _, m in read["/status"]} == {"ready", "steering"}
+    steps = {m["values"]["phase"]: m["status"] is not None for _, _, m in read["/status"]}
+    assert steps == {"ready": False, "steering": True}, "0 would say that the law has accepted a step"
     assert max(m["surge_n"] for _, _, m in read["/thrust"]) == 5.0
     assert any("steering" in m["message"] for _, _, m in read["/log"])
     log = read_recording(tmp_path / "swim.tlog", None)

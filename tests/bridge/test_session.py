@@ -38,13 +38,19 @@ def test_it_steers_only_after_it_has_seen_the_operator_arm() -> None:
     assert sending(steering(), 10.0, limits=LIMITS) == "command"
 
 
-def test_it_waits_for_the_mode_and_leaves_with_it() -> None:
+def test_a_change_of_mode_never_hands_the_vehicle_over() -> None:
     other = beat(beat(Session(), 9.0, armed=False), 10.0, armed=True, mode=OTHER)
     other = tick(after_estimate(other, 10.0), 10.0)
-    assert other.phase == "ready" and other.permitted
+    assert other.phase == "ready" and "another mode: set the mode" in other.why
     now_in_it = tick(after_estimate(beat(other, 10.2, armed=True), 10.2), 10.2)
-    assert now_in_it.phase == "steering"
-    left = beat(now_in_it, 10.5, armed=True, mode=OTHER)
+    assert now_in_it.phase == "ready" and "disarm and arm" in now_in_it.why
+    early = beat(beat(Session(), 9.0, armed=False), 10.0, armed=True)  # armed in the mode, without an estimate
+    early = beat(beat(early, 10.1, armed=True, mode=OTHER), 10.2, armed=True)
+    assert tick(after_estimate(early, 10.2), 10.2).phase == "ready"
+
+
+def test_it_leaves_with_the_mode() -> None:
+    left = beat(steering(), 10.5, armed=True, mode=OTHER)
     assert left.phase == "released" and not left.permitted
     assert [sending(left, 10.5 + t, limits=LIMITS) for t in (0.1, 0.6)] == ["neutral", "nothing"]
     back = tick(after_estimate(beat(left, 11.0, armed=True), 11.0), 11.0)

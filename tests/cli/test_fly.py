@@ -21,6 +21,8 @@ from tests.tools import need_compiler, need_module
         (("--mavlink", "udp:127.0.0.1:14550", "--loss", "0.2"), "--loss: is only for a rehearsal"),
         (("--mavlink", "serial:/dev/ttyACM0"), "did you mean 'udp'|is not known"),
         (("--mavlink", "udp:127.0.0.1"), "is not an address"),
+        (("--dry-run", "--target", "255"), "--target = 255: is the system id of the bridge"),
+        (("--mavlink", "udpout:a..b:14550"), "is not a name or number of a computer"),
         (("--dry-run", "--mode", "althold"), "did you mean 'alt_hold'"),
         (("--dry-run", "--send", "mc"), "--send = 'mc'"),
         (("--dry-run", "--origin", "1,2"), "X,Y,DEG"),

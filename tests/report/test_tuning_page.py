@@ -5,6 +5,8 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
+from http.client import HTTPConnection
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +169,54 @@ def test_without_the_secret_there_is_no_page(served):
         with pytest.raises(HTTPError, match="403"):
             urlopen(asked)
     assert not (folder / "stolen.toml").exists()
+    place, token = base.partition("//")[2].strip("/"), address.partition("=")[2]
+    for path, body, stated, secret, status in (
+        ("linear", b"{}", "abc", token, 403), ("linear", b"{}", "99999999999", token, 403),
+        ("linear", b"{}", "2", "\xe9", 403), ("linear", b"[" * 90_000, "90000", token, 400),
+        ("linear", b"[]", "2", token, 400), ("linear", b'{"values": null, "points": []}', "30", token, 400),
+    ):  # fmt: skip
+        line = HTTPConnection(place, timeout=PATIENCE)
+        line.putrequest("POST", f"/{path}")
+        line.putheader("X-Token", secret)
+        line.putheader("Content-Length", stated)
+        line.endheaders(body)
+        assert line.getresponse().status == status, body[:20]
+        line.close()
+    with pytest.raises(HTTPError, match="403"):
+        urlopen(f"{base}?token=%C3%A9")
+
+
+def test_a_request_that_means_nothing_is_one_line(tmp_path):
+    for path, changed in (("linear", {"points": ["none"]}), ("details", {"points": [[1]]}), ("run", {"values": None})):
+        with pytest.raises(InputError, match="is not complete") if path == "run" else nullcontext():
+            assert "is no operating point" in respond(OWN, path, request(OWN, **changed))["error"]
+    with pytest.raises(InputError, match="is not complete"):
+        respond(OWN, "details", request(OWN, locus="none"))
+
+
+def test_goals_are_judged_at_every_operating_point():
+    one = respond(OWN, "goals", request(OWN, points=["heavy"]))
+    assert one == respond(OWN, "goals", request(OWN))
+
+
+def test_a_saved_file_is_read_back_and_replaces_no_other(tmp_path):
+    odd = SystemBench(SYSTEM, "my file.py:build", 6.0, RANGES, {'he"a\nvy': {}}, about={"source": "surctl"})
+    values = {"k_p": 4.123456789, "k_d": 3.0, "k_i": 1.0}
+    path = tmp_path / "gains.toml"
+    for _ in range(2):
+        assert odd.save(values, str(path)).endswith("surctl verify 'my file.py:build' k_p=4.123456789 k_d=3.0 k_i=1.0")
+    assert odd.load(str(path)) == values and "tune --page" in path.read_text()
+    with pytest.raises(InputError, match="is another kind of file"):
+        save_gains(ROBOT.base, str(path))
+    goals = tmp_path / "goals.toml"
+    goals.write_text(FILE)
+    with pytest.raises(InputError, match="is another kind of file"):
+        odd.save(values, str(goals))
+    assert goals.read_text() == FILE
+    for wrong in ("nan", '"fast"', "true"):
+        path.write_text(f'kind = "system-gains"\n[gains]\nk_p = {wrong}\n')
+        with pytest.raises(InputError, match=r"gains\.k_p = .*: is no number"):
+            odd.load(str(path))
 
 
 def test_the_margins_and_goals_on_the_page_are_those_of_python():

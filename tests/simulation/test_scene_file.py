@@ -77,6 +77,20 @@ def test_the_scene_has_what_is_in_the_water(tmp_path: Path) -> None:
     assert ("OM1" in gone) == ("OM1" not in bodies[-1])
 
 
+def test_an_obstacle_named_hull_is_not_drawn_as_the_hull(tmp_path: Path) -> None:
+    need_module("mcap")
+    with McapFile(tmp_path / "a.mcap") as file:
+        scene = SceneFile(file, run().scenario, run().vehicle)
+        bodies = [replace(run().record.obstacles[0][0], name=name) for name in ("hull", 'the "site"', "site")]
+        scene.moment(0.0, eta=np.zeros(4), nu=np.zeros(4), tau=None, status=None, bodies=bodies)
+        scene.moment(1.0, eta=np.zeros(4), nu=np.zeros(4), tau=None, status=None)
+    read = messages((tmp_path / "a.mcap").read_bytes())
+    ids = [entity["id"] for entity in read["/scene"][0][2]["entities"]]
+    assert ids == ["hull", "site", "obstacle hull", 'the "site"', "obstacle site"]
+    assert {gone["id"] for gone in read["/scene"][1][2]["deletions"]} == set(ids[2:])
+    assert "/thrust" not in read and read["/status"][0][2]["status"] is None
+
+
 def test_foxglove_s_definitions_read_every_message(tmp_path: Path) -> None:
     need_module("foxglove_schemas_protobuf")
     from google.protobuf import json_format

@@ -85,8 +85,17 @@ def test_a_nonlinear_system_runs_as_input_output_response() -> None:
     assert back.dt == 0.1 and back.output(0, np.array([0.5]), np.array([1.0])) == pytest.approx([2.0])
 
 
+def test_greek_letters_become_names() -> None:
+    law = surctl.from_control(control.ss([], [], [], np.eye(2), 0.1, inputs=["θ [rad]", "ψ"], outputs=["τ_1", "τ_2"]))
+    assert [port.name for port in law.inputs] == ["theta", "psi"] and next(iter(law.inputs)).unit == "rad"
+    assert [port.name for port in law.command] == ["tau_1", "tau_2"]
+
+
 def test_mistakes_are_one_line() -> None:
     fails = control.nlsys(lambda t, x, u, p: [x[0] if x[0] > 0 else 0.0], None, states=1, inputs=1, outputs=1)
+    timed = control.nlsys(lambda t, x, u, p: [np.sin(t) - x[0]], None, states=1, inputs=1, outputs=1)
+    two = control.ss(-np.eye(2), np.eye(2), np.eye(2), 0, inputs=["left", "right"], outputs=["a", "b"])
+    crossed = control.ss([], [], [], np.eye(2), 0.1, inputs=["a", "b"], outputs=["right", "lefts"])
     for call, problem in (
         (lambda: surctl.from_control(3.0), "system: is a float"),
         (lambda: plant_from_control(control.tf([1.0, 0.0], [1.0, 1.0])), "passes an input directly to an output"),
@@ -97,6 +106,12 @@ def test_mistakes_are_one_line() -> None:
         (lambda: controller_from_control(control.ss([], [], [], 1, 0.1), dt=0.2), "has the control period 0.1 s"),
         (lambda: system_from_control(PLANT, control.ss([], [], [], [[1, 1]], 0.1)), "has 2 inputs, but the plant 1"),
         (lambda: to_control(3), "part: is a int"),
+        (lambda: plant_from_control(timed), "depends on the time t"),
+        (lambda: plant_from_control(control.ss([[np.inf]], [[1]], [[1]], 0)), "is not finite"),
+        (lambda: controller_from_control(control.tf([1, 1, 1], [1, 0]), dt=0.1), "has no state space"),
+        (lambda: surctl.from_control(PLANT, LEAD, dt="0.02"), "dt = '0.02': is not a positive time"),
+        (lambda: surctl.from_control(PLANT, LEAD, dt=float("nan")), "dt = nan: is not a positive time"),
+        (lambda: system_from_control(two, crossed), "commands right, but not left"),
     ):
         with pytest.raises(InputError) as raised:
             call()

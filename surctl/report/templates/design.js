@@ -118,7 +118,7 @@ $("load").addEventListener("click", async () => {
   try {
     const found = await post("load", { file: $("file").value });
     if (found.error) { message(`error: ${found.error}`, true); return; }
-    values = { ...found.values }; remember(); show(); ask(); message(found.message, false);
+    values = { ...values, ...found.values }; remember(); show(); ask(); message(found.message, false);
   } catch (error) { message(`error: ${error.message}`, true); }
 });
 $("slow")?.addEventListener("click", async () => {

@@ -86,7 +86,7 @@ def products(one: Array, other: Array) -> Array:
     a machine with other load 40 times as much.
     """
     blocks = range(0, len(one), _BLOCK)
-    return np.sum([one[k : k + _BLOCK].T @ other[k : k + _BLOCK] for k in blocks], axis=0)
+    return np.asarray(np.sum([one[k : k + _BLOCK].T @ other[k : k + _BLOCK] for k in blocks], axis=0))
 
 
 def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
