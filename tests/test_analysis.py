@@ -135,6 +135,12 @@ def test_the_study_of_fitted_vehicles_with_coloured_noise() -> None:
     assert {row[1].strip("| ") for row in table(done.stdout) if len(row) == 2 and "held-out" in row[0]} == {"holds"}
 
 
+def test_the_study_of_a_long_log() -> None:
+    done = run(ANALYSIS / "20_identification" / "long.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert [row[0] for row in table(done.stdout) if len(row) == 5][1:] == [*FITTED, "X0", "Y0", "Z0", "N0"]
+
+
 def test_the_study_of_the_widths_of_intervals() -> None:
     done = run(ANALYSIS / "20_identification" / "widths.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

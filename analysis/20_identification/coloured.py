@@ -117,7 +117,7 @@ def log_of(p: Array, start: Vehicle, rng: np.random.Generator, *, share: float =
         level = rng.uniform(-1.0, 1.0, len(changes)) * start.thrust_limit[axis]
         command[:, axis] = level[np.searchsorted(changes, time, side="right") - 1]
     motion = integrated(np.concatenate([np.zeros(8), command[0]]), command, dt, p, 1)[:, :8]
-    motion = motion + NOISE * np.column_stack([_coloured(len(time), rng) for _ in range(8)])
+    motion = motion + NOISE * np.column_stack([slow_and_white(len(time), rng) for _ in range(8)])
     kept = np.ones(len(time), dtype=bool)
     for begin in share * rng.uniform([8.0, 33.0], [25.0, 50.0]):
         kept[(time > begin) & (time < begin + rng.uniform(1.0, 4.0))] = False
@@ -126,8 +126,8 @@ def log_of(p: Array, start: Vehicle, rng: np.random.Generator, *, share: float =
     return fitted, held
 
 
-def _coloured(count: int, rng: np.random.Generator) -> Array:
-    # half white noise, half noise with a correlation over 0.1 to 0.6 s
+def slow_and_white(count: int, rng: np.random.Generator) -> Array:
+    """Return noise (count,) with standard deviation 1: half is white, half has a correlation over 0.1 to 0.6 s."""
     phi = np.exp(-0.02 / rng.uniform(0.1, 0.6))
     slow = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], rng.normal(size=count + 500))[500:]
     return np.sqrt(0.5) * (slow + rng.normal(size=count))

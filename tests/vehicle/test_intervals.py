@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.vehicle.identification.intervals import spread_of
+from surctl.vehicle.identification.solve import products
 
 Array = NDArray[np.float64]
 
@@ -49,3 +50,8 @@ def test_intervals_are_as_wide_as_the_estimates_scatter() -> None:
         ratios.append(np.sqrt(np.diag(spread.covariance)) / scatter)
     assert 0.97 < np.mean(ratios) < 1.04  # 0.92 without what the fit has taken up
     assert np.mean(ratios, axis=0).min() > 0.9 and np.std(ratios) < 0.3
+
+
+def test_products_of_long_matrices_are_those_at_once() -> None:
+    one, other = np.random.default_rng(1).normal(size=(2, 1234, 5))
+    np.testing.assert_allclose(products(one, other[:, :3]), one.T @ other[:, :3], rtol=0.0, atol=1e-10)

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.vehicle.identification.solve import products
+
 __all__ = ["Spread", "spread_of"]
 
 Array = NDArray[np.float64]
@@ -62,7 +64,7 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
     present = [p[:, columns] for p in present]
     split = [_without_initial(slope, size, first) for _, slope in parts]
     slopes = [slope for slope, _ in split]
-    inverse = _inverse(np.diag(prior) + sum(np.einsum("tcp,tcq->pq", s, s) for s in slopes))
+    inverse = _inverse(np.diag(prior) + sum(_over_rows(s, s) for s in slopes))
     root = np.linalg.cholesky(inverse)
     fitted = [np.concatenate([slope @ root, own], axis=-1) for slope, own in split]
     correlation, lag, independent = _correlation([e for e, _ in parts], present, fitted, size)
@@ -148,15 +150,20 @@ def _absorbed(
         * p[:, :, None]
         for directions, p in zip(fitted, present, strict=True)
     ]
-    products = [np.tensordot(d, m, ((0, 1), (0, 1))) for d, m in zip(fitted, moved, strict=True)]
-    common = np.sum([product[:size, :size] for product in products], axis=0)
+    within = [_over_rows(d, m) for d, m in zip(fitted, moved, strict=True)]
+    common = np.sum([product[:size, :size] for product in within], axis=0)
     removed = np.zeros_like(spectrum)
-    for directions, move, product in zip(fitted, moved, products, strict=True):
+    for directions, move, product in zip(fitted, moved, within, strict=True):
         product[:size, :size] = common
         other = np.fft.rfft(move - directions @ (product / 2), count, axis=0)
         half = np.conj(np.fft.rfft(directions, count, axis=0)) @ other.transpose(0, 2, 1)
         removed += half + np.conj(half.transpose(0, 2, 1))
     return np.fft.irfft(removed, count, axis=0)
+
+
+def _over_rows(one: Array, other: Array) -> Array:
+    # (p, q) from (n, c, p) and (n, c, q)
+    return products(one.reshape(-1, one.shape[-1]), other.reshape(-1, other.shape[-1]))
 
 
 def _end(correlation: Array, number: float) -> int:

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.vehicle.identification.model import Model, Section
 
-__all__ = ["beginning", "minimise", "simulable"]
+__all__ = ["beginning", "minimise", "products", "simulable"]
 
 Array = NDArray[np.float64]
 
 _CONVERGED, _NEAR = 1e-6, 1e-3  # relative change of the cost at which a fit and a first fit have converged
 _TRIES = 40
+_BLOCK = 500  # rows that are multiplied at a time
 _FIRST_ROWS, _FIRST_S, _LONGER = 20, 4.0, 3  # first fit: rows and [s] of each piece, growth per fit
 _MOST_STEPS, _LEAST_STEPS = 6000, 5  # integration steps of a first fit, and of a piece of it
 _DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-9, 1e8
@@ -73,9 +74,19 @@ def _normal(model: Model, theta: Array, noise: Array, sections: tuple[Section, .
     for k, (left, slope) in enumerate(model.slopes(theta, noise, sections)):
         flat = slope.reshape(-1, size + model.local)
         places = np.concatenate([np.arange(size), size + model.local * k + np.arange(model.local)])
-        information[np.ix_(places, places)] += flat.T @ flat
+        information[np.ix_(places, places)] += products(flat, flat)
         gradient[places] += flat.T @ left.reshape(-1)
     return information, gradient
+
+
+def products(one: Array, other: Array) -> Array:
+    """Return oneᵀ other of (n, p) and (n, q), summed over blocks of rows.
+
+    For a whole section, the linear algebra library starts threads. For so few columns they cost more than they gain, on
+    a machine with other load 40 times as much.
+    """
+    blocks = range(0, len(one), _BLOCK)
+    return np.asarray(np.sum([one[k : k + _BLOCK].T @ other[k : k + _BLOCK] for k in blocks], axis=0))
 
 
 def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
