@@ -1,4 +1,4 @@
-"""The inputs of the law in each control period, from what the bridge has heard.
+"""The inputs of the law in each control period, from what the bridge has received.
 
 Every measurement carries the time at which it was made. Pose and position are moved on to the present by the measured
 velocity; a flag of arrival is 1 once for each measurement, and an old measurement never counts as a new one.
@@ -154,7 +154,7 @@ class Inputs:
         self._tracks.pop(system, None)
 
     def silent(self, now: float, *, longest: float) -> str:
-        """Return the name of a moving obstacle that was not heard for longer than `longest` [s]; empty if none."""
+        """Return the name of a moving obstacle that sent nothing for longer than `longest` [s]; empty if none."""
         for system, track in sorted(self._tracks.items()):
             if now - track.received > longest:
                 return f"of system {system}"

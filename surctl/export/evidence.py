@@ -93,11 +93,11 @@ def _lines(evidence: Mapping[str, Any]) -> list[str]:
     failure, own = run.get("failure"), "system" in run
     result = ("" if own else "arrived without contact") if failure is None else f"FAILED: {failure}"
     if own:
-        flown = run["text"] + (f": {result}" if result else "")
+        simulated = run["text"] + (f": {result}" if result else "")
     else:
-        flown = f"{run['scenario']} by {run['vehicle']}, {run['sensing']}, seed {run['seed']}: {result}"
+        simulated = f"{run['scenario']} by {run['vehicle']}, {run['sensing']}, seed {run['seed']}: {result}"
     lines = [
-        f"- Simulated run: {flown}.",
+        f"- Simulated run: {simulated}.",
         f"- The compiled C over {sil['steps']} steps of this run, against Python: largest difference of the "
         f"{'commands' if own else 'thrust'} "
         f"{sil['tau']:.1e}, {sil['status_mismatches']} other statuses; {sil['fault_cases']} bad inputs, "

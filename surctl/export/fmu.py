@@ -52,6 +52,7 @@ _PLATFORMS: Mapping[int, Mapping[tuple[str, str], tuple[str, str]]] = MappingPro
 )
 _WINDOWS = "x86_64-w64-mingw32-gcc"
 _REPRODUCIBLE = ("-shared", "-fvisibility=hidden", "-s")
+_PE = ("-Wl,--no-insert-timestamp", "-Wl,--image-base,0x180000000")  # the default base depends on the library's path
 _DATE = (1980, 1, 1, 0, 0, 0)  # fixed date: the same bundle gives the same bytes on every day
 
 
@@ -132,7 +133,7 @@ def _compiled(name: str, sources: Mapping[str, str], machine: tuple[str, str], *
     windows = shutil.which(_WINDOWS)
     if windows is not None:
         place, ending = _PLATFORMS[fmi]["Windows", "AMD64"]
-        builds.append((place, ending, windows, (*_REPRODUCIBLE, "-static-libgcc", "-Wl,--no-insert-timestamp")))
+        builds.append((place, ending, windows, (*_REPRODUCIBLE, "-static-libgcc", *_PE)))
     libraries = {}
     with tempfile.TemporaryDirectory(prefix="surctl-fmu-") as scratch:
         for file, text in sources.items():

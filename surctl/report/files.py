@@ -236,7 +236,8 @@ def _command() -> dict[str, str]:
     program = Path(sys.argv[0])
     if program.name not in ("surctl", "__main__.py"):
         return {}
-    return {"Description": shlex.join(["surctl", *sys.argv[1:]])}
+    words = shlex.join(["surctl", *sys.argv[1:]])
+    return {"Description": words.encode("ascii", "backslashreplace").decode()}  # a name may be any bytes
 
 
 def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:

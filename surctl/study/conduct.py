@@ -102,7 +102,7 @@ class Study:
             ],
             "export": {
                 "files": [str(f.path) for f in self.files],
-                "sha256": {f.path.name: f.sha256 for f in self.files},
+                "sha256": {f.path.relative_to(self.files[0].path.parent).as_posix(): f.sha256 for f in self.files},
                 "sensing": _sensing(self.plan),
                 "sil": [
                     {"scenario": run.scenario.name, "vehicle": run.vehicle.name, **report.to_dict()}

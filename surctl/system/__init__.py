@@ -14,7 +14,6 @@ from surctl.system.from_control import (
     from_control,
     plant_from_control,
     system_from_control,
-    to_control,
 )
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
 from surctl.system.linear_loop import LinearLoop, LoopNames
@@ -25,6 +24,7 @@ from surctl.system.plant_linear import linearise_plant
 from surctl.system.record import Record, run_system
 from surctl.system.record_file import save_record
 from surctl.system.runs import ENDED, LOST, Runs, periods, simulate_system
+from surctl.system.to_control import to_control
 from surctl.system.values import every_combination
 
 __all__ = [

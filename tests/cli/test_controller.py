@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import socket
 import subprocess
@@ -176,9 +177,7 @@ def test_check_tells_whether_a_certificate_is_about_a_bundle(bundle: Path, tmp_p
     manifest = json.loads((bundle / "manifest.json").read_text())
     manifest["claims"]["v1-corrected"] = "0" * 64
     other = tmp_path / "other"
-    other.mkdir()
-    for path in bundle.iterdir():
-        (other / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(bundle, other)
     (other / "manifest.json").write_text(json.dumps(manifest))
     told = surctl("check", "proofs/v1-corrected.json", "--bundle", other, "--json", cwd=tmp_path)
     assert told.status == 1 and told.json["accepted"] and not told.json["bundle"]["belongs"]

@@ -28,7 +28,7 @@ from tests.tools import need, need_compiler, need_make
 def test_the_wiring_states_the_pitch_of_the_sonars() -> None:
     origin = origin_of(build_law("closed_form"), load_vehicle("sur400"))
     for pitch, words in ((-0.3, "75° wide, its axis 17.2° below the horizontal."), (0.0, "75° wide. No echo")):
-        assert words in " ".join(_sonars(SonarArray(pitch=pitch), origin))
+        assert words in " ".join(_sonars(Equipment(array=SonarArray(pitch=pitch)), origin))
 
 
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")

@@ -282,7 +282,7 @@ def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
 def test_a_law_of_ones_own_is_linear_about_its_run():
     need_compiler()
     scenario = load_scenario(str(FILES / "wall.toml"))
-    goal = Goal("g", "loop_goal", "1", 1.0, loop=Settling(name="g", source="x", end="x", at_most=30.0))
+    goal = Goal("g", "loop_goal", "1", 1.0, loop=Settling(name="g", source="y", end="y", at_most=30.0))
     bench = Bench(
         load_vehicle(scenario.vehicle), scenario, load_gains("default"), (goal,), law=f"{FILES / 'wall_law.py'}:wall"
     )

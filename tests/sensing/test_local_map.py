@@ -523,7 +523,7 @@ def same_bits(found, expected):
 
 @settings(derandomize=True, deadline=None, max_examples=12)
 @given(
-    st.sampled_from(sorted(CHARTS)),
+    st.sampled_from(sorted(set(CHARTS) - {"specular"})),  # `plain_map` has no directions; `numbers` has
     st.integers(0, 10_000),
     st.sampled_from([np.float64, np.float32]),
     st.sampled_from([OPEN, (0.1, 2.9, -2.75, 30.0), (-0.4, 30.0, -30.0, -1.5)]),
