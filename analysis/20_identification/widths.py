@@ -58,7 +58,7 @@ def _times(seed: int) -> list[float]:
     import coloured
 
     times: list[float] = []
-    original = coloured._coloured
+    original = coloured.slow_and_white
 
     def noted(count: int, rng: np.random.Generator) -> Array:
         state = rng.bit_generator.state
@@ -66,12 +66,12 @@ def _times(seed: int) -> list[float]:
         rng.bit_generator.state = state
         return original(count, rng)
 
-    coloured._coloured = noted
+    coloured.slow_and_white = noted
     try:
         rng, start = np.random.default_rng([SEED, seed]), nominal()
         log_of(drawn(start, rng), start, rng)
     finally:
-        coloured._coloured = original
+        coloured.slow_and_white = original
     return times
 
 
