@@ -128,9 +128,10 @@ def main(words: list[str]) -> int:
             row("vehicle at its worst", name, flown(name, Sensors(), size["seeds"], WORST))
     held = [collisions <= bars["collisions"]]
     print(f"\n- collisions where a bar is set: {collisions}, bar {bars['collisions']}: {_word(held[-1])}")
-    times = speed(1 if options.quick else max(size["seeds"], 8))
-    held.append(times >= bars["real_time"])
-    print(f"- compiled loop, one thread: {times:.0f} times real time, bar {bars['real_time']}: {_word(held[-1])}")
+    if not options.quick:  # a busy machine decides nothing
+        times = speed(max(size["seeds"], 8))
+        held.append(times >= bars["real_time"])
+        print(f"- compiled loop, one thread: {times:.0f} times real time, bar {bars['real_time']}: {_word(held[-1])}")
     law = build_law(sonar=True)
     assert law.perception is not None
     operations = law.perception.block.operations

@@ -3,12 +3,12 @@
 The analysed program (`proof.c`) sets every state, input, gain and last accepted input to an arbitrary number in its
 range, sets an arbitrary sample number, and calls the step once. If Eva reports no alarm, then in every such step no
 uninitialised value is read, no array index is out of bounds, no conversion overflows, and each thrust is a number
-within its limit. For a law in closed form with bounded state, inputs and gains, Eva also shows that no NaN or infinity
-is computed and nothing is divided by zero. This is not proved for a law that loops over velocity constraints `n·v ≤ b`
-with possibly infinite bounds b, or with an unbounded state, input or gain. IEEE 754 defines the operations of such a
-law on infinities and NaN, and the exported step checks every result of the law. The analysis uses the ranges of the
-guard (input check), which rejects all numbers outside before the law reads them. The proof therefore covers every step
-on the robot.
+within its limit. For a law in closed form with bounded memory and with ranges of its inputs, Eva also shows that no NaN
+or infinity is computed and nothing is divided by zero. This is not proved for a law that loops over velocity
+constraints `n·v ≤ b` with possibly infinite bounds b, whose state is unbounded, or that has no ranges at all. IEEE 754
+defines the operations of such a law on infinities and NaN, and the exported step checks every result of the law. The
+analysis uses the ranges of the guard (input check), which rejects all numbers outside before the law reads them. The
+proof therefore covers every step on the robot.
 """
 
 from __future__ import annotations
@@ -200,8 +200,8 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector | None = None) -
 def _options(law: Exportable, bundle: Bundle) -> tuple[str, ...]:
     # options of Eva, with or without the proof that all numbers are finite (see the module docstring)
     within = bundle.envelope or anywhere(law)
-    bounds = np.vstack([within.state, within.inputs, within.gains])
-    if (np.abs(bounds) < _ANY).all() and isinstance(law.block, Program):
+    bounded = np.abs(np.vstack([within.state, within.inputs, within.gains])) < _ANY
+    if bounded[: len(within.state)].all() and bounded.any() and isinstance(law.block, Program):
         return _BOUNDED
     turns = [loop.count for loop in _loops(law.block) if loop.until is None]  # loops with `until` fill no rows
     return (*_UNBOUNDED, str(max(_LEAST_UNROLLED, *turns, 0)))
