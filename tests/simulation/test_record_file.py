@@ -141,5 +141,5 @@ def test_a_number_that_is_none_is_written(tmp_path: Path) -> None:
 def test_mistakes(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--save.*'xls'"):
         save_record(_run(), tmp_path, kind="xls")
-    with pytest.raises(InputError, match=r"--frame.*'nde'.*'ned'"):
+    with pytest.raises(InputError, match=r"--frame.*'nde'.*ned"):
         record_columns(_run(), frame="nde")
