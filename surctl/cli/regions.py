@@ -10,18 +10,26 @@ from surctl.cli.output import progress, refusal_line
 
 if TYPE_CHECKING:
     from surctl.control import Gains
+    from surctl.vehicle import Vehicle
     from surctl.verification.region import RegionStatement
 
 __all__ = ["Regions", "is_region", "prove_regions", "region_of"]
 
 
 class Regions(NamedTuple):
-    """The result of the region claims: plain data, lines to print, certificate files, whether all claims are proved."""
+    """The result of the region claims.
+
+    Attributes:
+        claims: plain data of each claim.
+        lines: lines to print.
+        files: certificate files.
+        instead: name of a claim that applies to the vehicle, if one that was asked for does not; "" if there is none.
+    """
 
     claims: list[dict[str, Any]]
     lines: list[str]
     files: list[Path]
-    passed: bool
+    instead: str
 
 
 def is_region(word: str) -> bool:
@@ -103,4 +111,18 @@ def prove_regions(
     lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
     lines += [refusal_line(one) for one in refused.values()]
     data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
-    return Regions(data, lines, files, not refused and all(p.verdict == "proved" for p in proofs))
+    known = {statement.name for statement in stated.values()}
+    instead = _applicable(known, robot, values, cruise=cruise, cap=cap) if refused else ""
+    return Regions(data, lines, files, instead)
+
+
+def _applicable(known: set[str], vehicle: Vehicle, gains: Gains, *, cruise: float, cap: float) -> str:
+    """Return the first claim about any masses that is not among `known` and applies to the vehicle, or ""."""
+    from surctl.verification.region import refused_regions, region_statement
+
+    refused = {name for _, names in refused_regions(vehicle, gains, cruise=cruise, cap=cap) for name in names}
+    for name in ("region-turning-20", "region-steered-20"):
+        steers = region_statement(name).loop == "steered"
+        if name not in known | refused and steers == (vehicle["Fv_max"] == 0):
+            return name
+    return ""

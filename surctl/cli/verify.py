@@ -130,7 +130,7 @@ def verify(
     from surctl.cli.next_export import export_command
     from surctl.cli.regions import is_region, prove_regions, region_of
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import CASCADE, PATH_FOLLOWING, build_law, check_forces, law_source
+    from surctl.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.files import prepare_folder
     from surctl.own_code import label
     from surctl.simulation import load_scenario
@@ -167,8 +167,6 @@ def verify(
     if about is not None and any(is_region(name) or is_braking(name) for name in claims):
         name = next(name for name in claims if is_region(name) or is_braking(name))
         raise InputError(f"does not concern the law {about}", key="claim", value=name, remedy="drop it")
-    if any(is_braking(name) or (is_region(name) and region_of(name).loop != "steered") for name in claims):
-        check_forces("guarded", robot, key="claim")
     dt = build_law().dt
     options = {"dt": dt, "uncertainty": uncertainty}
     cascaded = CASCADE in source.parts
@@ -257,6 +255,9 @@ def verify(
                 if cascaded
                 else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )
+    if regions.instead:
+        words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
+        then.insert(0, shlex.join([*words, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
 
 

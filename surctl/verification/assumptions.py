@@ -8,7 +8,7 @@ from surctl.control import Gains
 from surctl.errors import NotApplicable
 from surctl.vehicle import PARAMETERS, Vehicle, check_equation_3
 
-__all__ = ["check_alike", "check_no_integral"]
+__all__ = ["check_alike", "check_no_integral", "check_sway_force"]
 
 _ALIKE: Mapping[str, tuple[str, str]] = {
     "mass": ("m11", "m22"),
@@ -18,13 +18,14 @@ _ALIKE: Mapping[str, tuple[str, str]] = {
 
 
 def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = False) -> None:
-    """Raise NotApplicable unless surge and sway have equal mass and equal drag, without terms beyond equation (3).
+    """Raise NotApplicable unless surge and sway have a force and equal mass and drag, without terms beyond equation (3).
 
     Args:
         vehicle: the vehicle for which the claim is to be checked.
         mass_alone: whether to compare only the masses, so that surge and sway may have different drag.
         ranges: whether to require equal parameter ranges too, because the claim uses the ranges of surge for both axes.
     """
+    check_sway_force(vehicle)
     check_equation_3(vehicle)
     for what, (surge, sway) in list(_ALIKE.items())[: 1 if mass_alone else None]:
         unit = "" if PARAMETERS[surge].unit == "1" else f" {PARAMETERS[surge].unit}"
@@ -37,6 +38,14 @@ def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = Fa
                 f"the ranges of {surge} and {sway} differ ({stated[0]} and {stated[1]}{unit}) and the claim assumes "
                 f"equal {what} in surge and sway"
             )
+
+
+def check_sway_force(vehicle: Vehicle) -> None:
+    """Raise NotApplicable for a vehicle that cannot push sideways: the claimed laws move in any direction."""
+    if not vehicle["Fv_max"] > 0:
+        raise NotApplicable(
+            f"{vehicle.name} has no sway force (Fv_max = 0), and the claim commands velocities in any direction"
+        )
 
 
 def check_no_integral(gains: Gains) -> None:

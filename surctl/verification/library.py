@@ -10,6 +10,7 @@ from surctl.verification import avoidance_claims as avoidance
 from surctl.verification import braking_claims as braking
 from surctl.verification import course_claims as course
 from surctl.verification import tracking_claims as tracking
+from surctl.verification.assumptions import check_sway_force
 from surctl.verification.claim import Claim
 from surctl.verification.setting import Setting, setting_from
 
@@ -95,14 +96,9 @@ def applicable_claims(
     for name in known if names is None else names:
         if name not in known:
             raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, known))
-        if vehicle is not None and not vehicle["Fv_max"] > 0:
-            # all of these claims let the robot move in any direction, whatever its heading
-            because = (
-                f"{vehicle.name} has no sway force (Fv_max = 0), and the claim commands velocities in any direction"
-            )
-            refused[name] = NotApplicable(because, key=name)
-            continue
         try:
+            if vehicle is not None:
+                check_sway_force(vehicle)
             applicable.append(
                 _BUILDERS[name](setting)
                 if name in _BUILDERS

@@ -1,4 +1,5 @@
 import json
+import re
 
 import pytest
 
@@ -19,7 +20,7 @@ def test_a_proved_region_leaves_a_certificate_that_is_accepted(tmp_path, monkeyp
     found = regions.prove_regions(
         [name], vehicle="sur540-flooded", gains="default", speeds=(0.15, 0.22), out=tmp_path / "proofs"
     )
-    assert found.passed and found.lines[0].startswith("ok   region-cruise-20-soft")
+    assert not found.instead and found.lines[0].startswith("ok   region-cruise-20-soft")
     assert check_file(tmp_path / "proofs" / f"{name}.json").accepted
     json.dumps(found.claims)
 
@@ -29,7 +30,7 @@ def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypa
     fast = REGION_CLAIMS[name].model_copy(update={"attempts": 2, "rate_per_s": 5.0})
     monkeypatch.setitem(REGION_CLAIMS, name, fast)
     found = regions.prove_regions([name], vehicle="sur540-flooded", gains="default", speeds=(0.15, 0.22), out=tmp_path)
-    assert not found.passed and found.claims[0]["verdict"] == "unknown" and "FAIL" in found.lines[0]
+    assert found.claims[0]["verdict"] == "unknown" and "FAIL" in found.lines[0]
     assert not list(tmp_path.iterdir())
 
 
@@ -100,3 +101,14 @@ def test_lint_reads_claims_and_names_the_kinds(tmp_path) -> None:
 
 def test_a_braking_claim_has_no_file(tmp_path) -> None:
     assert "has no claim file" in surctl("verify", "braking-rule-20", "--show", cwd=tmp_path).complaint
+
+
+@pytest.mark.parametrize(("m22", "sway", "instead"), [("60 kg", "5 N", "turning"), ("50 kg", "0 N", "steered")])
+def test_a_region_for_another_kind_of_vehicle_names_the_one_that_applies(tmp_path, m22, sway, instead) -> None:
+    assert surctl("new", "vehicle", "hull", cwd=tmp_path).status == 0
+    text = re.sub(r"(?m)^m22 = .*", f'm22 = "{m22}"', (tmp_path / "hull.toml").read_text())
+    (tmp_path / "hull.toml").write_text(re.sub(r"(?m)^Fv_max = .*", f'Fv_max = "{sway}"', text))
+    done = surctl("verify", "region-cruise-20", "braking-rule-20", "--vehicle", "hull.toml", "--json", cwd=tmp_path)
+    assert done.status == 1
+    assert [one["verdict"] for one in done.json["claims"]] == ["not applicable"] * 2
+    assert f"surctl verify region-{instead}-20 --vehicle hull.toml --cruise 0.15 --cap 0.22" in done.json["next"]

@@ -11,7 +11,7 @@ from surctl.certcheck.turning_claim import TurningClaim as Stated
 from surctl.control import Gains, build_law
 from surctl.errors import InputError, NotApplicable
 from surctl.vehicle import Vehicle
-from surctl.verification.assumptions import check_no_integral
+from surctl.verification.assumptions import check_no_integral, check_sway_force
 
 __all__ = ["TurningClaim", "turning_claim"]
 
@@ -200,8 +200,7 @@ def turning_claim(
 def _check_form(vehicle: Vehicle) -> None:
     """Raise NotApplicable for a vehicle whose motion the claim does not describe."""
     form = vehicle.form
-    if vehicle["Fv_max"] == 0:
-        raise NotApplicable("it has no sway force, and the claim is about a law that moves in any direction")
+    check_sway_force(vehicle)
     if form.tilts:
         raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
     by_surge = [name for axis, name in form.ahead() if axis == 1]
