@@ -18,7 +18,7 @@ _ALIKE: Mapping[str, tuple[str, str]] = {
 
 
 def check_alike(vehicle: Vehicle, *, mass_alone: bool = False, ranges: bool = False) -> None:
-    """Raise NotApplicable unless surge and sway have a force and equal mass and drag, without terms beyond equation (3).
+    """Raise NotApplicable unless surge and sway have force, equal mass and equal drag, and nothing beyond equation (3).
 
     Args:
         vehicle: the vehicle for which the claim is to be checked.
