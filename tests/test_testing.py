@@ -19,7 +19,6 @@ from surctl.tasks import (
     RateLimit,
     SetTask,
     Task,
-    ThrustLimit,
     VelocityBox,
     clearance_task,
     depth_task,
@@ -32,7 +31,7 @@ from surctl.tasks import (
 from surctl.testing import BACKEND_FAMILIES, CheckFailed, check_backend, check_limit, check_task, measure_backend
 from surctl.testing.backends import _compared
 from surctl.testing.known import Known, draw_known
-from surctl.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters
+from surctl.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
 
 ETA = ca.SX.sym("eta", 4)
 NU = ca.SX.sym("nu", 4)
@@ -156,11 +155,11 @@ NUMBERS = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur540-flooded"
         (VelocityBox([-1] * 4, [1, 1, 1, math.inf]), []),
         (HalfPlane("wall", ECHO[[0, 1, 0, 1]], 0.3), [(ECHO, -1, 1)]),
         (AccelerationLimit(NU, [0.1] * 4, dt=0.05), WIDE),
-        (ThrustLimit.of_plant(NU, NUMBERS, dt=0.05), WIDE),
+        (plant_thrust_limit(NU, NUMBERS, dt=0.05), WIDE),
         (
             ActuatorLimits(
                 VelocityBox([-0.1] * 4, [0.1] * 4),
-                ThrustLimit.of_plant(NU, NUMBERS, dt=0.05),
+                plant_thrust_limit(NU, NUMBERS, dt=0.05),
                 AccelerationLimit(NU, [0.1] * 4, dt=0.05),
             ),
             [(NU, -3, 3)],

@@ -206,6 +206,6 @@ def _goal(dead_end: DeadEnd, mission: Mission) -> float:
 
 
 def _stops(distance: float, mission: Mission) -> float:
-    # speed [m/s]; see `guidance.allowed_closing_speed`
+    # speed [m/s]; see `tasks.allowed_closing_speed`
     at = mission.acceleration * mission.reaction
     return sqrt(at * at + 2 * mission.acceleration * max(distance, 0.0)) - at

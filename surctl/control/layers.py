@@ -20,8 +20,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from surctl.guidance import allowed_closing_speed
 from surctl.ir import Layout, Port, Program, lower
+from surctl.tasks import allowed_closing_speed
 from surctl.vehicle import planar_rotation
 
 __all__ = ["LAYER_PORTS", "aimed_depth", "forgetting", "layers_next"]

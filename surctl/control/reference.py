@@ -11,7 +11,6 @@ from surctl.control.steering import Steering
 from surctl.guidance import (
     AT_CORNER,
     Guidance,
-    allowed_closing_speed,
     along_command,
     crosstrack_next,
     crosstrack_shift,
@@ -23,6 +22,7 @@ from surctl.guidance import (
     tracking_velocity,
     wheel_over,
 )
+from surctl.tasks import allowed_closing_speed
 from surctl.vehicle import planar_rotation
 
 _RETURNS = 0.5  # share of LOS cross-track speed above which the robot counts as returning

@@ -8,9 +8,9 @@ from typing import Literal, TypeAlias, get_args
 
 import casadi as ca
 
-from surctl.guidance import allowed_closing_speed
 from surctl.guidance.braking_symbols import BrakeSymbols, closing_bound
 from surctl.ir import fold, tabulated
+from surctl.tasks import allowed_closing_speed
 
 __all__ = ["BARRIERS", "BARRIER_NAMES", "BRAKE", "HARD", "MOVERS", "Barrier", "Bounds", "Movers", "Stop", "braked"]
 

@@ -1,6 +1,6 @@
 """Guidance of the robot: path tracking, obstacle avoidance, and the choice of a course past several obstacles."""
 
-from surctl.guidance.avoidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
+from surctl.guidance.avoidance import FORMS, AvoidanceForm, avoidance_course, encounter_side
 from surctl.guidance.cones import Cone, collision_cone, inside
 from surctl.guidance.contacts import (
     FAR,
@@ -53,7 +53,6 @@ __all__ = [
     "Path",
     "Sector",
     "Window",
-    "allowed_closing_speed",
     "along_command",
     "avoidance_course",
     "check_guidance",

@@ -1,4 +1,4 @@
-"""Avoidance law (equations (17)–(20) of the paper) in three forms; closing speed that the braking distance allows.
+"""Avoidance law (equations (17)–(20) of the paper) in three forms.
 
 φ is the bearing from the robot to the obstacle, positive counter-clockwise (erratum E1). The sign λ2 selects the side:
 with λ2 = +1 the robot passes with the obstacle on its right, with λ2 = −1 on its left (erratum E10).
@@ -16,7 +16,6 @@ from surctl.errors import InputError, nearest
 __all__ = [
     "FORMS",
     "AvoidanceForm",
-    "allowed_closing_speed",
     "avoidance_course",
     "clearance_rate",
     "encounter_side",
@@ -120,27 +119,3 @@ def clearance_rate(course: ca.SX, phi: ca.SX, *, speed: ca.SX, closing: ca.SX) -
     the component v_o·n (`closing`) of the obstacle's velocity along the direction from robot to obstacle.
     """
     return closing - speed * ca.cos(course - phi)
-
-
-def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.SX) -> ca.SX:
-    """Return the largest closing speed [m/s] from which the robot can still stop within a distance d [m].
-
-    At a closing speed s, the braking distance is s²/(2a) + s t. For d ≥ 0, the function returns the s whose braking
-    distance is d: −a t + √((a t)² + 2 a d). For d < 0, the robot is inside the stand-off distance, and the function
-    returns the negative speed d/t, so the robot must retreat.
-
-    Args:
-        distance: d, clearance minus stand-off distance [m], of any sign.
-        deceleration: a > 0 [m/s²], with the thrust available for braking and the largest mass.
-        reaction: reaction time t > 0 [s], the sum of thrust lag, control period and delay of the velocity loop.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.guidance import allowed_closing_speed
-        >>> speed = allowed_closing_speed(ca.SX(0.5), deceleration=ca.SX(0.05), reaction=ca.SX(0.8))
-        >>> round(float(speed), 3)  # m/s, half a metre off
-        0.187
-    """
-    at = deceleration * reaction
-    inside = ca.sqrt(at * at + 2 * deceleration * ca.fmax(distance, 0)) - at
-    return ca.if_else(distance >= 0, inside, distance / reaction)

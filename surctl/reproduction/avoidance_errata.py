@@ -10,8 +10,8 @@ import numpy as np
 from surctl.guidance.avoidance import avoidance_course, clearance_rate, encounter_side, printed_side
 from surctl.reproduction.motion import Vector, numeric, trajectory, value
 from surctl.reproduction.row import Result, agrees, unreadable, wrong_in_print
+from surctl.tasks.kinematics import planar_rotation
 from surctl.vehicle import load_vehicle
-from surctl.vehicle.kinematics import planar_rotation
 from surctl.verification import claims, evaluate
 from surctl.verification.avoidance_claims import settling_intrusion
 from surctl.verification.setting import Setting

@@ -9,7 +9,7 @@ from surctl.guidance.tracking import along_command, tracking_rate
 from surctl.reproduction.motion import numeric, trajectory, value
 from surctl.reproduction.row import Result, agrees, unreadable, wrong_in_print
 from surctl.simulation.metrics import path_error
-from surctl.vehicle.kinematics import planar_rotation
+from surctl.tasks.kinematics import planar_rotation
 from surctl.verification import claims, evaluate
 from surctl.verification.setting import Setting
 from surctl.verification.tracking_claims import cap_limit

@@ -5,7 +5,7 @@ from __future__ import annotations
 from surctl.tasks.acceleration import AccelerationLimit
 from surctl.tasks.actuators import ActuatorLimits
 from surctl.tasks.barrier import Barrier
-from surctl.tasks.braking import BrakingBarrier
+from surctl.tasks.braking import BrakingBarrier, allowed_closing_speed
 from surctl.tasks.library import (
     clearance_task,
     depth_task,
@@ -37,6 +37,7 @@ __all__ = [
     "Task",
     "ThrustLimit",
     "VelocityBox",
+    "allowed_closing_speed",
     "clearance_task",
     "depth_task",
     "distance_task",

@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 
 from surctl.errors import InputError
+from surctl.tasks.kinematics import jacobian as kinematics
 from surctl.tasks.rows import Kind, LimitRow, checked_column, checked_kind, checked_name, checked_positive
 from surctl.tasks.task import Expression
-from surctl.vehicle.kinematics import jacobian as kinematics
 
 __all__ = ["Alpha", "Barrier", "closing_row"]
 

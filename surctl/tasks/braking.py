@@ -7,12 +7,11 @@ from dataclasses import KW_ONLY, dataclass
 
 import casadi as ca
 
-from surctl.guidance.avoidance import allowed_closing_speed
 from surctl.tasks.barrier import closing_row
 from surctl.tasks.rows import Kind, LimitRow, checked_column, checked_kind, checked_name, checked_positive
 from surctl.tasks.task import Expression
 
-__all__ = ["BrakingBarrier"]
+__all__ = ["BrakingBarrier", "allowed_closing_speed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,3 +81,27 @@ class BrakingBarrier:
         """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [m/s]."""
         a = closing_row(self.name, self.eta, self.h)
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), self.allowed() + ca.SX(self.drift)),)
+
+
+def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.SX) -> ca.SX:
+    """Return the largest closing speed [m/s] from which the robot can still stop within a distance d [m].
+
+    At a closing speed s, the braking distance is s²/(2a) + s t. For d ≥ 0, the function returns the s whose braking
+    distance is d: −a t + √((a t)² + 2 a d). For d < 0, the robot is inside the stand-off distance, and the function
+    returns the negative speed d/t, so the robot must retreat.
+
+    Args:
+        distance: d, clearance minus stand-off distance [m], of any sign.
+        deceleration: a > 0 [m/s²], with the thrust available for braking and the largest mass.
+        reaction: reaction time t > 0 [s], the sum of thrust lag, control period and delay of the velocity loop.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import allowed_closing_speed
+        >>> speed = allowed_closing_speed(ca.SX(0.5), deceleration=ca.SX(0.05), reaction=ca.SX(0.8))
+        >>> round(float(speed), 3)  # m/s, half a metre off
+        0.187
+    """
+    at = deceleration * reaction
+    inside = ca.sqrt(at * at + 2 * deceleration * ca.fmax(distance, 0)) - at
+    return ca.if_else(distance >= 0, inside, distance / reaction)

@@ -11,7 +11,7 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.tasks.angle import wrap
-from surctl.vehicle.kinematics import jacobian as kinematics
+from surctl.tasks.kinematics import jacobian as kinematics
 
 __all__ = ["Expression", "Task", "as_column", "as_expression", "sigma_column", "sized_column"]
 

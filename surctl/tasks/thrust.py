@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError
 from surctl.tasks.rows import (
     Kind,
     LimitRow,
@@ -20,12 +19,10 @@ from surctl.tasks.rows import (
     checked_positive,
 )
 from surctl.tasks.task import Expression, as_expression
-from surctl.vehicle.dynamics import coriolis_force, damping_force
 
 __all__ = ["ThrustLimit"]
 
 _FORCES = ("Fu", "Fv", "Fw", "Fr")
-_NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,45 +65,6 @@ class ThrustLimit:
         object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
         for i, force in enumerate(_FORCES):
             checked_order(f"{self.name}.{force}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
-
-    @staticmethod
-    def of_plant(
-        nu: Expression,
-        parameters: Mapping[str, Expression],
-        *,
-        dt: Expression,
-        water: Expression = (0.0, 0.0, 0.0),
-        force: Expression = (0.0, 0.0, 0.0, 0.0),
-        name: str = "thrust",
-    ) -> ThrustLimit:
-        """Return the thrust limit for the Coriolis and drag forces of the vehicle model in `surctl.vehicle`.
-
-        Args:
-            nu: (4,) present velocity over ground in the body frame {B} [m/s, rad/s].
-            parameters: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit`, each (4,), as numbers or SX; see
-                `PLANT_PARAMETERS`. Other parameters are ignored.
-            dt: time in which the vehicle is to reach v [s].
-            water: (3,) velocity of the water in {B} [m/s], that is, the current rotated from the earth frame to {B}.
-                Forces depend on the velocity relative to the water, and the water's velocity rotates in {B} at the
-                negative yaw rate.
-            force: (4,) known force on the vehicle in {B} [N, N m].
-            name: name of the limit.
-
-        Raises:
-            InputError: a parameter is missing, or `ThrustLimit` rejects a value.
-        """
-        for key in _NEEDED:
-            if key not in parameters:
-                raise InputError("is missing", key=f"limit {name}: {key}", remedy=nearest(key, parameters))
-        p = {key: checked_column(name, key, parameters[key], 4, finite=True) for key in _NEEDED}
-        velocity = checked_column(name, "nu", nu, 4, finite=True)
-        current = checked_column(name, "water", water, 3, finite=True)
-        relative = velocity - ca.vertcat(current, 0)
-        turning = ca.vertcat(velocity[3] * current[1], -velocity[3] * current[0], 0, 0)
-        load = coriolis_force(relative, p) + damping_force(relative, p) - p["mass"] * turning
-        load -= checked_column(name, "force", force, 4, finite=True)
-        most = p["thrust_limit"]
-        return ThrustLimit(velocity, p["mass"], load=load, lower=-most, upper=most, dt=dt, name=name)
 
     def needed(self, v: ca.SX) -> ca.SX:
         """Return the thrust (4,) [N, N m] that changes the velocity from ν to v (4,) [m/s, rad/s] within dt."""

@@ -1,5 +1,6 @@
 """The vehicle: parameters, equations (1)–(3) of the paper (kinematics, dynamics), linearisation, identification."""
 
+from surctl.tasks.kinematics import jacobian, planar_rotation
 from surctl.vehicle.attainable import Attainable, attainable
 from surctl.vehicle.buoyancy import GRAVITY, WATER, floating_depth, missing_buoyancy
 from surctl.vehicle.dynamics import (
@@ -25,12 +26,12 @@ from surctl.vehicle.identification.identify import identify
 from surctl.vehicle.identification.prediction import Prediction, predict, predict_with
 from surctl.vehicle.identification.result import Identified
 from surctl.vehicle.iosystem import plant_system
-from surctl.vehicle.kinematics import jacobian, planar_rotation
 from surctl.vehicle.linearise import linearise, plant_jacobians
 from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
 from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog, in_sequence, read_motion_log
 from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
 from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+from surctl.vehicle.thrust_limit import plant_thrust_limit
 from surctl.vehicle.thruster_file import axis_ends, axis_limits
 from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Fin, Swivel, Thruster
 from surctl.vehicle.vehicle_file import write_vehicle
@@ -91,6 +92,7 @@ __all__ = [
     "plant_parameters",
     "plant_state",
     "plant_system",
+    "plant_thrust_limit",
     "predict",
     "predict_with",
     "read_mapped_log",

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import NotApplicable
 from surctl.ir import Layout, Port
-from surctl.vehicle.kinematics import jacobian, planar_rotation
+from surctl.tasks.kinematics import jacobian, planar_rotation
 from surctl.vehicle.parameters import Vehicle
 from surctl.vehicle.specs import PlantForm
 from surctl.vehicle.tilt import TILT_STATE, hull_load, tilted_rate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from surctl.vehicle.kinematics import planar_rotation
+from surctl.tasks.kinematics import planar_rotation
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.setting import Setting
 

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.guidance import FORMS, AvoidanceForm, allowed_closing_speed, avoidance_course, encounter_side
+from surctl.guidance import FORMS, AvoidanceForm, avoidance_course, encounter_side
 from surctl.guidance.avoidance import clearance_rate
+from surctl.tasks import allowed_closing_speed
 
 R, K3, KAPPA = 0.5, 1.0, 0.3
 bearings = st.floats(-3.1, 3.1)

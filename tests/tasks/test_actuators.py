@@ -19,6 +19,7 @@ from surctl.vehicle import (
     build_plant,
     load_vehicle,
     plant_parameters,
+    plant_thrust_limit,
 )
 from tests.tasks.numbers import function, missed, rows_at
 
@@ -72,7 +73,7 @@ def test_a_thrust_on_its_bound_reaches_what_the_row_says(vehicle):
         tau = numbers["thrust_limit"] * rng.choice([-1, 1], 4)
         errors = []
         for dt in (2e-4, 1e-4):
-            rows = rows_at(ThrustLimit.of_plant(nu, numbers, dt=dt, water=water, force=force))
+            rows = rows_at(plant_thrust_limit(nu, numbers, dt=dt, water=water, force=force))
             assert [r.name for r in rows] == ["thrust.Fu", "thrust.Fv", "thrust.Fw", "thrust.Fr"]
             bound = [r.upper if t > 0 else r.lower for r, t in zip(rows, tau, strict=True)]
             predicted = np.linalg.solve(np.array([r.a for r in rows]), bound)
@@ -84,7 +85,7 @@ def test_a_thrust_on_its_bound_reaches_what_the_row_says(vehicle):
 def test_needed_thrust_holds_the_velocity():
     p, numbers = parameters_of("sur540-flooded")
     nu = np.array([0.1, -0.1, 0.05, 0.3])
-    tau = np.array(ca.DM(ThrustLimit.of_plant(nu, numbers, dt=DT).needed(ca.SX(nu)))).reshape(-1)
+    tau = np.array(ca.DM(plant_thrust_limit(nu, numbers, dt=DT).needed(ca.SX(nu)))).reshape(-1)
     x = PLANT_STATE.pack({"nu": nu})
     assert np.abs(np.array(build_plant().ode(x, tau, PLANT_DISTURBANCE.pack(), p))[4:8]).max() < 1e-12
 
@@ -156,7 +157,7 @@ def test_the_widened_limits_bring_a_runaway_vehicle_back():
     p, numbers = parameters_of("sur540-flooded")
     nu = ca.SX.sym("nu", 4)
     box = VelocityBox([-0.3, -0.3, -0.1, -0.4], [0.3, 0.3, 0.1, 0.4])
-    made = ActuatorLimits(box, ThrustLimit.of_plant(nu, numbers, dt=DT), AccelerationLimit(nu, [0.5] * 4, dt=DT))
+    made = ActuatorLimits(box, plant_thrust_limit(nu, numbers, dt=DT), AccelerationLimit(nu, [0.5] * 4, dt=DT))
     v = ca.SX.sym("v", 4)
     thrust_for = function(made.thrust.needed(v), nu, v)
     x = PLANT_STATE.pack({"nu": [1.0, -0.8, 0.5, 1.5]})
@@ -186,7 +187,7 @@ def test_the_widened_limits_bring_a_runaway_vehicle_back():
         (lambda: thrust(mass=[1, 1, 1]), "thrust: mass"),
         (lambda: thrust(load=[1, 1, 1, math.inf]), "thrust: load"),
         (lambda: thrust(name="two words"), "is not a limit name"),
-        (lambda: ThrustLimit.of_plant([0] * 4, {"mass": [1] * 4}, dt=0.1), "thrust: linear_drag: is missing"),
+        (lambda: plant_thrust_limit([0] * 4, {"mass": [1] * 4}, dt=0.1), "thrust: linear_drag: is missing"),
         (
             lambda: ActuatorLimits(BOX, thrust(), AccelerationLimit([0, 0, 0, 1], [1] * 4, dt=0.1)),
             "acceleration: has another nu than limit thrust",

@@ -16,13 +16,13 @@ from surctl.tasks import (
     VelocityBox,
     position_task,
 )
-from surctl.vehicle import PLANT_PARAMETERS
+from surctl.vehicle import PLANT_PARAMETERS, plant_thrust_limit
 
 ETA, NU, MASS = ca.SX.sym("eta", 4), ca.SX.sym("nu", 4), ca.SX.sym("M", 4, 4)
 FLAT, PARTS = PLANT_PARAMETERS.symbols("p")
 DISC = ca.norm_2(ETA[:2]) - 1
 FULL = ThrustLimit(NU, MASS, load=[0] * 4, lower=[-1] * 4, upper=[1] * 4, dt=0.05)
-PLAIN = ThrustLimit.of_plant(NU, PARTS, dt=0.05)
+PLAIN = plant_thrust_limit(NU, PARTS, dt=0.05)
 
 
 @pytest.mark.parametrize(
