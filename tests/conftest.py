@@ -47,7 +47,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection(session: pytest.Session) -> None:
-    """Two processes that read the same files at once would each rewrite every assertion: one begins at the other end."""
+    """Processes that read the same files at once would each rewrite all assertions: one begins at the other end."""
     if int(getattr(session.config, "workerinput", {}).get("workerid", "gw0")[2:]) % 2 and not sys.dont_write_bytecode:
         for path in sorted(HERE.rglob("test_*.py"), reverse=True):
             importlib.import_module(".".join(path.relative_to(HERE.parent).with_suffix("").parts))
