@@ -3,6 +3,7 @@
 Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O.
 """
 
+import importlib
 import importlib.util
 import os
 import subprocess
@@ -43,6 +44,13 @@ def pytest_configure(config: pytest.Config) -> None:
     if several and not first.is_file() and not sys.dont_write_bytecode:
         loaded = f"import compileall, {', '.join(processes.LOADED)}; compileall.compile_dir('surctl', quiet=2)"
         subprocess.run([sys.executable, "-c", loaded], cwd=HERE.parent, check=True)
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """Processes that read the same files at once would each rewrite all assertions: one begins at the other end."""
+    if int(getattr(session.config, "workerinput", {}).get("workerid", "gw0")[2:]) % 2 and not sys.dont_write_bytecode:
+        for path in sorted(HERE.rglob("test_*.py"), reverse=True):
+            importlib.import_module(".".join(path.relative_to(HERE.parent).with_suffix("").parts))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
