@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
-from surctl.sos.polynomial import Monomial, Polynomial, joined
+from surctl.sos.polynomial import Monomial, Polynomial
 
 __all__ = ["Gram", "pruned", "restricted"]
+
+_BITS = 16  # of the exponent of one variable in the number of a monomial
 
 
 @dataclass(frozen=True)
@@ -76,20 +78,22 @@ def pruned(
         grams: the blocks.
         free: relations with the monomials of their unknown multipliers, which have any sign.
     """
-    fixed = set(target.terms)
+    code = _coded
+    fixed = {code(m) for m in target.terms}
     for relation, some in free:
-        fixed |= {joined(m, n) for m in some for n in relation.terms}
+        fixed |= {code(m) + code(n) for m in some for n in relation.terms}
     blocks = list(grams)
     while True:
-        signed: dict[Monomial, set[tuple[int, Monomial, bool]]] = {}
+        signed: dict[int, set[tuple[int, Monomial, bool]]] = {}
         mixed = set(fixed)
         for block, gram in enumerate(blocks):
-            for i, m in enumerate(gram.basis):
-                for n in gram.basis[:i]:
-                    product = joined(m, n)
-                    mixed.update(joined(product, w) for w in gram.weight.terms)
-                for w, c in gram.weight.terms.items():
-                    signed.setdefault(joined(joined(m, m), w), set()).add((block, m, c > 0))
+            basis = [code(m) for m in gram.basis]
+            products = {m + n for i, m in enumerate(basis) for n in basis[:i]}
+            for w, c in gram.weight.terms.items():
+                offset = code(w)
+                mixed.update([product + offset for product in products])
+                for m, own in zip(gram.basis, basis, strict=True):
+                    signed.setdefault(2 * own + offset, set()).add((block, m, c > 0))
         gone: set[tuple[int, Monomial]] = set()
         for product, entries in signed.items():
             if product not in mixed and len({sign for _, _, sign in entries}) == 1:
@@ -100,3 +104,8 @@ def pruned(
             replace(gram, basis=tuple(m for m in gram.basis if (block, m) not in gone))
             for block, gram in enumerate(blocks)
         ]
+
+
+def _coded(m: Monomial) -> int:
+    """Return a number of a monomial; the number of a product is the sum, which is much faster to form."""
+    return sum(e << (_BITS * k) for k, e in m)
