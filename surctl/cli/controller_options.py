@@ -119,6 +119,15 @@ class ControllerOptions:
             line.patience = line.patience if self.timeout is None else self.timeout
             yield line
 
+    @property
+    def compiled(self) -> type[CompiledLaw] | None:
+        """What computes each step by the law's C in this process, if it is requested."""
+        if self.controller != "c":
+            return None
+        from surctl.export import CompiledLaw
+
+        return CompiledLaw
+
     def linked(
         self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
     ) -> LinkedLaw | CompiledLaw | None:
@@ -127,10 +136,8 @@ class ControllerOptions:
         Raises:
             InputError: the connected controller is not the controller of this run.
         """
-        if self.controller == "c":
-            from surctl.export import CompiledLaw
-
-            return CompiledLaw(law)
+        if self.compiled is not None:
+            return self.compiled(law)
         if line is None:
             return None
         from surctl.export import LinkedLaw, operating_envelope

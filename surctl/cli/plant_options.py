@@ -87,9 +87,11 @@ class PlantOptions:
 
         mujoco_library()
         if self.film is not None:
+            from surctl.engine.pictures import check_pictures
             from surctl.files import prepare_folder
             from surctl.report import check_film
 
+            check_pictures()
             prepare_folder(check_film(self.film).parent, key="--film")
         if self.view:
             from surctl.engine.viewer import check_screen
@@ -118,19 +120,20 @@ class PlantOptions:
         fallback: str,
         faults: tuple[ThrusterFault, ...],
         linked: Callable[..., LinkedLaw | CompiledLaw | None],
+        compiled: type[CompiledLaw] | None,
     ) -> Iterator[tuple[Run, Any]]:
-        """Yield each run with what computed its control steps in place of the law, or None."""
+        """Yield each run with the report of what computed its control steps in place of the law, or None."""
         from surctl.simulation import OwnPhysics, simulate
 
         physics: Any = OwnPhysics
         if options is not None:
-            from surctl.engine import BatchCase, mujoco_physics, simulate_seeds
+            from surctl.engine import BatchCase, mujoco_physics
+            from surctl.engine.batch import simulate_with_steppers
 
             physics = mujoco_physics(options)
             if self.threads not in (None, 1):
-                batch_case = BatchCase(case, physics, fallback, faults)
-                for run in simulate_seeds(batch_case, list(seeds), processes=self.threads or 1):
-                    yield run, None
+                batch_case = BatchCase(case, physics, fallback, faults, compiled)
+                yield from simulate_with_steppers(batch_case, list(seeds), processes=self.threads or 1)
                 return
             if self.view:
                 from surctl.engine.viewer import watched
@@ -149,7 +152,7 @@ class PlantOptions:
                 thruster_faults=faults,
                 physics=physics,
             )
-            yield run, stepper
+            yield run, None if stepper is None else stepper.report()
 
     def output(self, run: Run, options: EngineOptions | None, result: dict[str, Any]) -> list[str]:
         """Return lines about the physics of a run, and write its film; add both to `result`."""

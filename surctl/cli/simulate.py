@@ -198,9 +198,10 @@ def simulate(
             with link.opened(built, p, scenario, simulated) as line:
                 stepper = partial(link.linked, built, p, line, scenario, simulated)
                 seeds = range(seed, seed + runs)
-                for run, linked in chosen.runs(
-                    physics, case, built, seeds, fallback=fallback, faults=tuple(broken), linked=stepper
-                ):
+                for run, report in chosen.runs(
+                    physics, case, built, seeds, fallback=fallback, faults=tuple(broken), linked=stepper,
+                    compiled=link.compiled,
+                ):  # fmt: skip
                     results.append(run.to_dict() | {"vehicle_from": choice.origin, "derived_gains": tuned.data})
                     if broken:
                         results[-1]["thruster_faults"] = [fault.to_dict() for fault in broken]
@@ -218,8 +219,7 @@ def simulate(
                     if save is not None and out is not None:
                         results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
                         lines.append(f"  {results[-1]['file']}")
-                    if linked is not None:
-                        report = linked.report()
+                    if report is not None:
                         results[-1]["link"] = report.to_dict()
                         lines.append(f"  {report.line()}")
                         if report.gone_s is not None:

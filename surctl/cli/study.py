@@ -32,9 +32,12 @@ __all__ = ["study"]
     "--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Processes of the sweep (default 2)."
 )
 @click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; too large a vehicle gets own missions.")
+@click.option("--film", is_flag=True, help="Show the decisive run in MuJoCo's scene, too, beside its plan view.")
 @trust_option
 @as_json
-def study(file: str | None, out: Path, workers: int, vehicle: str | None, trust: bool, as_json: bool) -> None:
+def study(
+    file: str | None, out: Path, workers: int, vehicle: str | None, film: bool, trust: bool, as_json: bool
+) -> None:
     """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
 
     FILE is a study file or a vehicle file; without FILE, the built-in study runs. A vehicle that cannot sway, or fits
@@ -45,10 +48,14 @@ def study(file: str | None, out: Path, workers: int, vehicle: str | None, trust:
     from surctl.study import conduct, load_plan
 
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
-    command = " ".join(["surctl study", *chosen, f"--out {out}"])
+    command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
     plan = load_plan(file, vehicle=vehicle, trust=trust)
+    if film:
+        from surctl.engine.pictures import check_pictures
+
+        check_pictures()
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
-        result = conduct(plan, out, workers=workers, progress=progress, command=command)
+        result = conduct(plan, out, workers=workers, progress=progress, command=command, film=film)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
     lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     marks = {True: "ok  ", False: "FAIL", None: "    "}

@@ -13,9 +13,10 @@ from surctl.errors import InputError
 from surctl.simulation import OwnPhysics, simulate
 
 if TYPE_CHECKING:
+    from surctl.control import Law
     from surctl.simulation import Case, PhysicsMaker, Run, ThrusterFault
 
-__all__ = ["BatchCase", "simulate_seeds"]
+__all__ = ["BatchCase", "simulate_seeds", "simulate_with_steppers"]
 
 
 @dataclass(frozen=True)
@@ -27,12 +28,15 @@ class BatchCase:
         fallback: fallback of the law, as for `build_law`.
         thruster_faults: failures of thrusters.
         physics: makes the physics of a run.
+        stepper: makes what computes the control steps of a run in place of the law, for example
+            `surctl.export.CompiledLaw`; None: the law in Python.
     """
 
     case: Case
     physics: PhysicsMaker = OwnPhysics
     fallback: str = "exact"
     thruster_faults: tuple[ThrusterFault, ...] = ()
+    stepper: Callable[[Law], Any] | None = None
 
 
 _law: Any = None  # of this process
@@ -58,18 +62,28 @@ def simulate_seeds(batch_case: BatchCase, seeds: Sequence[int], *, processes: in
         >>> [(run.seed, run.metrics.reached) for run in runs]
         [(0, True), (1, True)]
     """
+    return (run for run, _ in simulate_with_steppers(batch_case, seeds, processes=processes, compared=False))
+
+
+def simulate_with_steppers(
+    batch_case: BatchCase, seeds: Sequence[int], *, processes: int = 1, compared: bool = True
+) -> Iterator[tuple[Run, Any]]:
+    """Yield the runs as `simulate_seeds` does, each with the report of its stepper.
+
+    The report is None without a stepper; and if not `compared`, because it repeats each step in Python.
+    """
     if processes < 1:
         raise InputError("must be at least 1", key="processes", value=processes, remedy="give 1 or more")
     law = _build(batch_case)
     if processes == 1 or len(seeds) == 1:
         for seed in seeds:
-            yield _simulated(batch_case, law, seed)
+            yield _simulated(batch_case, law, compared, seed)
         return
     # started afresh: a copy of this process would share its threads' locks and its connection to the display
     pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(batch_case,))
     with pool:
-        for run in pool.map(partial(_in_process, batch_case), seeds):
-            yield replace(run, law=law)
+        for run, report in pool.map(partial(_in_process, batch_case, compared), seeds):
+            yield replace(run, law=law), report
 
 
 def _build(batch_case: BatchCase) -> Any:
@@ -91,13 +105,15 @@ def _begin(batch_case: BatchCase) -> None:
     _law = _build(batch_case)
 
 
-def _in_process(batch_case: BatchCase, seed: int) -> Run:
-    return replace(_simulated(batch_case, _law, seed), law=None)  # type: ignore[arg-type]  # a law cannot be sent
+def _in_process(batch_case: BatchCase, compared: bool, seed: int) -> tuple[Run, Any]:
+    run, report = _simulated(batch_case, _law, compared, seed)
+    return replace(run, law=None), report  # type: ignore[arg-type]  # a law cannot be sent
 
 
-def _simulated(batch_case: BatchCase, law: Any, seed: int) -> Run:
+def _simulated(batch_case: BatchCase, law: Law, compared: bool, seed: int) -> tuple[Run, Any]:
     case = batch_case.case
-    return simulate(
+    stepper = None if batch_case.stepper is None else batch_case.stepper(law)
+    run = simulate(
         case.scenario,
         case.vehicle,
         gains=case.gains,
@@ -105,6 +121,8 @@ def _simulated(batch_case: BatchCase, law: Any, seed: int) -> Run:
         sensing=case.sensing,
         seed=seed,
         model=case.model,
+        stepper=stepper,
         thruster_faults=batch_case.thruster_faults,
         physics=batch_case.physics,
     )
+    return run, stepper.report() if stepper is not None and compared else None

@@ -53,6 +53,19 @@ class Moment:
     beams: Sequence[tuple[float, float, float, float, float, bool]] = ()
 
 
+def check_pictures() -> None:
+    """Raise ToolMissing if MuJoCo, or a library that renders without a screen, is not installed."""
+    _renderer(mujoco_library().MjModel.from_xml_string("<mujoco/>"), (8, 8)).close()
+
+
+def _renderer(model: Any, size: tuple[int, int]) -> Any:
+    width, height = size
+    try:
+        return mujoco_library().Renderer(model, height, width)
+    except Exception as error:  # MuJoCo and PyOpenGL raise errors of many classes
+        raise no_renderer(str(error)) from None
+
+
 class Scene:
     """The scene of a scenario, which can be rendered; use it in a `with` statement.
 
@@ -91,11 +104,7 @@ class Scene:
         self.data = self._mujoco.MjData(self.model)
         self._mocap = {o.name: int(self.model.body(OBSTACLE + o.name).mocapid[0]) for o in scenario.obstacles}
         self._heights = {name: float(self.data.mocap_pos[k, 2]) for name, k in self._mocap.items()}
-        width, height = size
-        try:
-            self._renderer = self._mujoco.Renderer(self.model, height, width)
-        except Exception as error:  # MuJoCo and PyOpenGL raise errors of many classes
-            raise no_renderer(str(error)) from None
+        self._renderer = _renderer(self.model, size)
         flags = self._renderer.scene.flags
         kinds = self._mujoco.mjtRndFlag
         flags[kinds.mjRND_SHADOW] = flags[kinds.mjRND_REFLECTION] = 0

@@ -17,7 +17,7 @@ from surctl.report.files import (
     save_sonar_replay,
     save_tuning,
 )
-from surctl.report.film import check_film, film_frames, moment_of, save_film
+from surctl.report.film import check_film, film_frames, film_pictures, moment_of, save_film
 from surctl.report.goals import GoalBars, GoalView, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
@@ -53,6 +53,7 @@ __all__ = [
     "check_film",
     "darkened",
     "film_frames",
+    "film_pictures",
     "goal_bars",
     "goal_view",
     "loop_responses",

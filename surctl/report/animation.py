@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterator
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
-from shutil import which
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,9 +18,10 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image
 
-from surctl.errors import InputError, ToolMissing
+from surctl.errors import InputError
 from surctl.files import write_file
 from surctl.report.beams import INSTANT, beam_patch, beams_at
+from surctl.report.mp4 import check_mp4, mp4
 from surctl.report.plan_view import body_outline, describe, draw_ends, draw_site
 from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure
 from surctl.report.words import number
@@ -44,7 +42,7 @@ def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
 
     Raises:
         InputError: the name does not end in .gif or .mp4, or the path is a folder.
-        ToolMissing: the name ends in .mp4, and ffmpeg is not installed.
+        ToolMissing: the name ends in .mp4, and neither ffmpeg nor PyAV is installed.
 
     Example:
         >>> from surctl.report import check_animation
@@ -59,9 +57,8 @@ def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
         raise InputError("is not the name of an animation", key=key, value=str(path), remedy=remedy)
     if path.is_dir():
         raise InputError("is a folder", key=key, value=str(path), remedy="name a file")
-    if path.suffix.lower() == ".mp4" and which("ffmpeg") is None:
-        remedy = "install ffmpeg, or end the name in .gif"
-        raise ToolMissing("ffmpeg is not installed", key=key, value=str(path), remedy=remedy)
+    if path.suffix.lower() == ".mp4":
+        check_mp4(path, key=key)
     return path
 
 
@@ -79,7 +76,7 @@ def playback_speed(run: Run) -> int:
 
 
 def save_animation(run: Run, path: Path | str) -> Path:
-    """Write a run as a GIF, or as an MP4 with ffmpeg, according to the suffix of the path; return the path.
+    """Write a run as a GIF, or as an MP4, according to the suffix of the path; return the path.
 
     The animation plays at `RATE` frames per second. A long run plays faster than real time, and the animation shows
     the factor. Equal runs give GIF files with equal bytes.
@@ -101,7 +98,9 @@ def save_animation(run: Run, path: Path | str) -> Path:
     """
     path = check_animation(path)
     pictures = frames(run)
-    return write_file(path, _gif(pictures) if path.suffix.lower() == ".gif" else mp4(pictures))
+    return write_file(
+        path, _gif(pictures) if path.suffix.lower() == ".gif" else mp4(pictures, rate=RATE, key="--animate")
+    )
 
 
 def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
@@ -232,19 +231,3 @@ def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Im
     image = Image.fromarray(indices)
     image.putpalette(colours.tobytes())  # converts it to an image of palette indices
     return image
-
-
-def mp4(pictures: Iterator[NDArray[np.uint8]], *, key: str = "--animate") -> bytes:
-    """Return a film of the pictures (height, width, 3) as MP4, by ffmpeg; `key` is the option that asks for it."""
-    first = next(pictures)
-    size = f"{first.shape[1]}x{first.shape[0]}"
-    raw = ["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", size, "-framerate", str(RATE), "-i", "-"]
-    with TemporaryDirectory() as folder:
-        target = Path(folder) / "run.mp4"
-        command = ["ffmpeg", "-loglevel", "error", *raw, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)]
-        sent = b"".join([first.tobytes(), *(p.tobytes() for p in pictures)])
-        done = subprocess.run(command, input=sent, capture_output=True, check=False)
-        if done.returncode or not target.exists():
-            said = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
-            raise InputError(f"ffmpeg failed ({said[-1]})", key=key, remedy="end the name in .gif")
-        return target.read_bytes()

@@ -73,6 +73,7 @@ class ReportData:
         summary: lines of the summary, each with True (holds), False (fails) or None (does not count towards the
             result); see `Check`.
         gains_file: name of the gain file with these gains, for the option `--gains`; empty if there is none.
+        film: whether MuJoCo's pictures of the scene are shown beside the plan view of the decisive run.
 
     Raises:
         InputError: `deciding` and `runs` differ in length.
@@ -98,6 +99,7 @@ class ReportData:
     seconds: Mapping[str, float] = field(default_factory=dict)
     summary: tuple[Check | tuple[bool | None, str], ...] = ()
     gains_file: str = ""
+    film: bool = False
 
     def __post_init__(self) -> None:
         if self.deciding is not None and len(self.deciding) != len(self.runs):

@@ -142,11 +142,13 @@ class Player:
         frames: input of `player.js`, as JSON without any `<`.
         still: the whole run in one picture.
         label: description of the animation for screen readers.
+        film: pictures of the scene as data URIs, which the frames date; may be empty.
     """
 
     frames: str
     still: Picture
     label: str
+    film: tuple[str, ...] = ()
     kind: ClassVar[str] = "player"
 
     @property

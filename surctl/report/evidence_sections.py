@@ -138,7 +138,7 @@ def decisive_section(data: ReportData) -> Section | None:
         return None
     place, run = played
     plan = _plan_picture(run, _simulate_command(data, run))
-    blocks = (*_outcome(run, decides=True, lead=f"{describe(run)}. "), player(run, plan))
+    blocks = (*_outcome(run, decides=True, lead=f"{describe(run)}. "), player(run, plan, film=data.film))
     return Section(f"runs-{place}", "Decisive run", blocks)
 
 

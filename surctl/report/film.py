@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -12,18 +13,20 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from surctl.files import write_file
-from surctl.report.animation import RATE, check_animation, frame_steps, mp4, playback_speed
+from surctl.report.animation import RATE, check_animation, frame_steps, playback_speed
 from surctl.report.beams import beams_at
+from surctl.report.mp4 import mp4
 from surctl.simulation import Run
 
 if TYPE_CHECKING:
     from surctl.engine import EngineOptions, Moment
 
-__all__ = ["check_film", "film_frames", "moment_of", "save_film"]
+__all__ = ["check_film", "film_frames", "film_pictures", "moment_of", "save_film"]
 
 Picture = NDArray[np.uint8]
 
-_WIDE, _SMALL = (640, 360), (320, 180)
+_WIDTH = 640  # [pixels]
+_PAGE_WIDTH, _PAGE_FRAMES = 480, 80  # of the film in a report, which has about 0.5 MB
 
 
 def check_film(path: Path | str) -> Path:
@@ -40,7 +43,7 @@ def check_film(path: Path | str) -> Path:
 
 
 def save_film(run: Run, path: Path | str, *, options: EngineOptions | None = None) -> Path:
-    """Write a film of the run as a GIF, or as an MP4 with ffmpeg, by the suffix of the path; return the path.
+    """Write a film of the run as a GIF, or as an MP4, by the suffix of the path; return the path.
 
     Raises:
         InputError: see `check_film`; or the file cannot be written.
@@ -59,11 +62,47 @@ def save_film(run: Run, path: Path | str, *, options: EngineOptions | None = Non
     """
     path = check_film(path)
     frames = film_frames(run, options=options)
-    return write_file(path, _gif(list(frames)) if path.suffix.lower() == ".gif" else mp4(frames, key="--film"))
+    gif = path.suffix.lower() == ".gif"
+    return write_file(path, _gif(list(frames)) if gif else mp4(frames, rate=RATE, key="--film"))
 
 
-def film_frames(run: Run, *, options: EngineOptions | None = None) -> Iterator[Picture]:
+def film_pictures(run: Run) -> tuple[list[int], tuple[str, ...]]:
+    """Return the film of a report: the control steps that it shows, and for each a picture as a data URI (WebP).
+
+    Raises:
+        ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.report import film_pictures
+        >>> from surctl.simulation import load_scenario, simulate
+        >>> from surctl.vehicle import load_vehicle
+        >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=0.2), load_gains("default")
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("closed_form"))
+        >>> steps, pictures = film_pictures(run)
+        >>> steps, pictures[0][:23]
+        ([0, 2, 3], 'data:image/webp;base64,')
+    """
+    apart = max(0.1, float(run.record.time[-1]) / _PAGE_FRAMES)
+    pictures = []
+    for frame in film_frames(run, apart=apart, width=_PAGE_WIDTH):
+        out = BytesIO()
+        Image.fromarray(frame).save(out, "WEBP", quality=60)
+        pictures.append("data:image/webp;base64," + b64encode(out.getvalue()).decode())
+    return frame_steps(run, apart=apart), tuple(pictures)
+
+
+def film_frames(
+    run: Run, *, options: EngineOptions | None = None, apart: float | None = None, width: int = _WIDTH
+) -> Iterator[Picture]:
     """Yield the frames (height, width, 3) of the film in order: the view from above, below it those of side and nose.
+
+    Args:
+        run: the run.
+        options: the options of MuJoCo.
+        apart: time between two frames [s]; None: such that the film lasts at most about 15 s.
+        width: width of the frames [pixels], a multiple of 32.
 
     Example:
         >>> from dataclasses import replace
@@ -78,15 +117,16 @@ def film_frames(run: Run, *, options: EngineOptions | None = None) -> Iterator[P
     """
     from surctl.engine import Scene
 
-    speed = playback_speed(run)
+    speed = playback_speed(run) if apart is None else 1
+    wide, small = ((side, side * 9 // 16) for side in (width, width // 2))
     with (
-        Scene(run.scenario, run.vehicle, options=options, size=_WIDE) as wide,
-        Scene(run.scenario, run.vehicle, options=options, size=_SMALL) as small,
+        Scene(run.scenario, run.vehicle, options=options, size=wide) as large,
+        Scene(run.scenario, run.vehicle, options=options, size=small) as little,
     ):
-        for step in frame_steps(run, apart=speed / RATE):
+        for step in frame_steps(run, apart=speed / RATE if apart is None else apart):
             moment = moment_of(run, step)
-            below = np.hstack([small.picture(camera, moment) for camera in ("side", "nose")])
-            yield _labelled(np.vstack([wide.picture("above", moment), below]), run, step, speed)
+            below = np.hstack([little.picture(camera, moment) for camera in ("side", "nose")])
+            yield _labelled(np.vstack([large.picture("above", moment), below]), run, step, speed)
 
 
 def moment_of(run: Run, step: int) -> Moment:
@@ -117,8 +157,8 @@ def _labelled(picture: Picture, run: Run, step: int, speed: int) -> Picture:
     time, clear = run.record.time[step], run.record.clearance[step]
     texts = {
         (8, 6): f"{run.scenario.name}   {run.plant}   {time:.1f} s   clearance {clear:.3f} m{fast}",
-        (8, _WIDE[1] + 4): "from the side",
-        (_SMALL[0] + 8, _WIDE[1] + 4): "from the nose",
+        (8, picture.shape[0] * 2 // 3 + 4): "from the side",
+        (picture.shape[1] // 2 + 8, picture.shape[0] * 2 // 3 + 4): "from the nose",
     }
     for (x, y), text in texts.items():
         pen.text((x + 1, y + 1), text, fill=(0, 25, 35))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.report.animation import frame_steps
 from surctl.report.document import Picture, Player
+from surctl.report.film import film_pictures
 from surctl.report.plan_view import body_middle, box_corners
 from surctl.simulation import Body, Run
 from surctl.world import Box
@@ -23,23 +24,37 @@ _LARGEST = 150_000  # [byte] largest size of the frames
 _STILL = 5e-4  # [m] an obstacle that moves less has one position
 
 
-def player(run: Run, still: Picture) -> Player:
-    """Return the run as a `Player` of the report; `still` is the picture shown on paper and without scripts."""
-    apart, frames = _APART, player_frames(run)
+def player(run: Run, still: Picture, *, film: bool = False) -> Player:
+    """Return the run as a `Player` of the report; `still` is the picture shown on paper and without scripts.
+
+    Args:
+        run: the run.
+        still: picture of the whole run.
+        film: whether MuJoCo's pictures of the scene are shown beside the plan view.
+
+    Raises:
+        ToolMissing: `film`, but MuJoCo, or a library that renders without a screen, is not installed.
+    """
+    steps, pictures = film_pictures(run) if film else ([], ())
+    apart, frames = _APART, player_frames(run, filmed=steps)
     while len(frames) > _LARGEST:
         apart *= 1.05 * len(frames) / _LARGEST
-        frames = player_frames(run, apart=apart)
+        frames = player_frames(run, apart=apart, filmed=steps)
     grid = _grid(run)
     words = f"Animation with a grid of {grid:g} m; below it, clearance over time. The arrow keys move the slider."
-    return Player(frames, replace(still, caption=f"{still.caption} {words}"), f"Animation. {still.alt}")
+    if film:
+        words += " Beside it, the scene from above, from the side and from the robot's nose (MuJoCo)."
+    return Player(frames, replace(still, caption=f"{still.caption} {words}"), f"Animation. {still.alt}", pictures)
 
 
 def _grid(run: Run) -> float:
     return 1.0 if max(run.scenario.site[:2]) <= 25 else 10.0
 
 
-def player_frames(run: Run, *, apart: float = _APART) -> str:
+def player_frames(run: Run, *, apart: float = _APART, filmed: Sequence[int] = ()) -> str:
     """Return the frames, at least `apart` [s] from each other, as one JSON text without any `<`.
+
+    `filmed` are the control steps of which the report has a picture of the scene.
 
     Lengths are in m, angles in rad, times in s, and positions in the world frame {E} unless stated otherwise; values
     that are not finite are null. The `length` of a beam is negative if the sonar reads its maximum range.
@@ -60,6 +75,8 @@ def player_frames(run: Run, *, apart: float = _APART) -> str:
         "obstacles": _obstacles([record.obstacles[k] for k in steps]),
         "beams": _beams(run, steps),
     }
+    if filmed:
+        frames["filmed"] = _rounded(record.time[list(filmed)], 2)
     # only a "<" could end the script element that contains the text
     return json.dumps(frames, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 

@@ -115,7 +115,13 @@ class Study:
 
 
 def conduct(
-    plan: Plan, out: Path, *, workers: int = 2, progress: Progress = lambda _: None, command: str = ""
+    plan: Plan,
+    out: Path,
+    *,
+    workers: int = 2,
+    progress: Progress = lambda _: None,
+    command: str = "",
+    film: bool = False,
 ) -> Study:
     """Conduct all parts of the study that the plan contains and return the finished study.
 
@@ -125,6 +131,7 @@ def conduct(
         workers: number of processes that compute the sweep.
         progress: function that receives one line of text at each step of the work.
         command: the command line that the report shows.
+        film: whether the report shows MuJoCo's pictures of the scene beside the plan view of the decisive run.
 
     Raises:
         InputError: the plan has no sweep, the folder cannot be written, there is no compiler, or the law cannot use the
@@ -204,6 +211,7 @@ def conduct(
                 runs=runs,
                 deciding=deciding,
                 sweep=swept,
+                film=film,
             )
             section = runs_section(data)
         with clock("software in the loop"):

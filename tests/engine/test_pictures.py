@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import builtins
 import sys
+from base64 import b64decode
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,11 +21,12 @@ from surctl.control import build_law, load_gains
 from surctl.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant
 from surctl.engine.library import mujoco_library
 from surctl.errors import InputError, ToolMissing
-from surctl.report import film_frames, save_film
+from surctl.report import film_frames, film_pictures, render_page, save_film
 from surctl.reproduction import Simulations
 from surctl.reproduction.scenarios import _arrivals
 from surctl.simulation import build_world, load_scenario, simulate
 from tests.engine.tools import load_vehicle
+from tests.report.test_page import bare
 from tests.tools import _without
 
 POOL = load_scenario("pool-behind")
@@ -60,6 +63,18 @@ def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path) -> None:
         assert film.size == (640, 540) and getattr(film, "n_frames", 1) == 3
     first, again = (next(film_frames(run)) for _ in range(2))
     assert first.tobytes() == again.tobytes()
+
+
+def test_the_report_shows_the_scene_beside_the_plan_view() -> None:
+    scene().close()
+    short = replace(POOL, time_limit=0.2)
+    run = simulate(short, BOAT, gains=load_gains("default"), law=build_law("closed_form"))
+    steps, pictures = film_pictures(run)
+    with Image.open(BytesIO(b64decode(pictures[0].partition(",")[2]))) as first:
+        assert first.size == (480, 405) and steps == [0, 2, 3]
+    page = render_page(replace(bare(runs=(run,)), film=True))
+    assert all(page.count(f'<img src="{uri}"') == 1 for uri in pictures)
+    assert '"filmed":[0.0,0.1,0.15]' in page and "filmed" not in render_page(bare(runs=(run,))).split("<script>")[0]
 
 
 def invoke(*words: str) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from dataclasses import replace
 from functools import cache
 from io import BytesIO
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from surctl.report.theme import ROBOT
 from surctl.simulation import Run
 from tests.report.data import run
 from tests.report.test_plots import first_tick
+from tests.tools import need_module
 
 
 def flight(sensing: str = "truth") -> Run:
@@ -109,10 +112,31 @@ def test_a_name_that_is_no_moving_picture_is_told(tmp_path: Path, name: str) -> 
         check_animation(tmp_path / name)
 
 
-def test_mp4_without_ffmpeg_is_told_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mp4_without_ffmpeg_and_pyav_is_told_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ToolMissing, match=r"ffmpeg is not installed; .*\.gif"):
+    monkeypatch.setattr("surctl.report.mp4.find_spec", lambda name: None)
+    with pytest.raises(ToolMissing, match=r"neither is installed; pip install 'surctl\[film\]'.*\.gif"):
         check_animation("run.mp4")
+
+
+def test_without_ffmpeg_pyav_writes_the_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_module("av")
+    import av
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with av.open(str(save_animation(first_tick(flight()), tmp_path / "run.mp4"))) as film:
+        assert film.streams.video[0].codec_context.name == "h264" and film.streams.video[0].average_rate == 10
+        (shown,) = [frame.to_ndarray(format="rgb24").astype(int) for frame in film.decode(video=0)]
+    drawn = next(frames(first_tick(flight()))).astype(int)
+    assert shown.shape == drawn.shape and np.abs(shown - drawn).mean() < 6
+
+
+def test_a_broken_pyav_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr("surctl.report.mp4.find_spec", lambda name: object())
+    monkeypatch.setitem(sys.modules, "av", ModuleType("av"))
+    with pytest.raises(InputError, match=r"--animate: PyAV failed \(.*; end the name in .gif"):
+        save_animation(first_tick(flight()), tmp_path / "run.mp4")
 
 
 def put_ffmpeg(folder: Path, monkeypatch: pytest.MonkeyPatch, script: str) -> None:

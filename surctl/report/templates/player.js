@@ -10,7 +10,8 @@
     const plan = find("plan"), strip = find("strip"), play = find("play"), scrub = find("scrub");
     const pace = find("pace"), readout = find("readout");
     const last = data.time.length - 1, end = data.time[last];
-    let now = 0, clock = null;
+    const film = root.querySelectorAll(".film img");
+    let now = 0, clock = null, shown = 0;
 
     function draw(parent, tag, name, attributes) {
       const element = document.createElementNS(plan.namespaceURI, tag);
@@ -99,6 +100,13 @@
         set(beams[n], { d: `M${x} ${y}L${end(axis - b.half)}${arc}Z`, class: b.length[k] < 0 ? "beam silent" : "beam" });
       });
       set(cursor, { x1: across(now), x2: across(now) });
+      if (film.length > 0) {
+        let scene = 0;
+        while (scene + 1 < film.length && data.filmed[scene + 1] <= now + 1e-9) scene += 1;
+        film[shown].hidden = true;
+        film[scene].hidden = false;
+        shown = scene;
+      }
       const clear = data.clearance[k];
       plan.dataset.time = now.toFixed(2);
       const words = [`${now.toFixed(1)} of ${end.toFixed(1)} s`];
