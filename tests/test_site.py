@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import surctl
 from tests.browser import Opened, open_page
 from tests.processes import run_python
 from tests.tools import need_compiler, need_module
@@ -59,18 +60,30 @@ _CONTRAST = """() => {
 }"""
 
 
+_ENVIRONMENT = {"SURCTL_SITE": "quick", "SURCTL_SITE_VERSIONS": "1", "NO_MKDOCS_2_WARNING": "1"}
+
+
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site without docstrings and without running the gallery; the build is strict about links and anchors."""
+def site(tools: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site without docstrings and without running the gallery; the build is strict about links and anchors.
+
+    It lies in a folder of versions, as `publish.py` builds it, beside an older one with a single page.
+    """
     need_module("material")
-    folder = tmp_path_factory.mktemp("site")
+    folder = tmp_path_factory.mktemp("site") / surctl.__version__
+    folder.mkdir()
     words = ["-m", "mkdocs", "build", "-q", "-f", str(ROOT / "notebooks" / "mkdocs.yml"), "-d", str(folder)]
-    done = run_python(words, cwd=folder, environment={**os.environ, "SURCTL_SITE": "quick", "NO_MKDOCS_2_WARNING": "1"})
+    done = run_python(words, cwd=folder, environment={**os.environ, **_ENVIRONMENT})
     assert done.returncode == 0 and "WARNING" not in done.stderr, done.stderr
+    (folder.parent / "0.1" / "search").mkdir(parents=True)
+    (folder.parent / "0.1" / "index.html").write_text("<title>old</title>", encoding="utf-8")
+    from publish import list_versions
+
+    assert list_versions(folder.parent) == [surctl.__version__, "0.1"]
     return folder
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def tools() -> Iterator[None]:
     """The modules of the build can be imported."""
     sys.path.insert(0, str(TOOLS))
@@ -102,6 +115,22 @@ def test_formulas_commands_keys_and_terms_are_set(site: Path) -> None:
     assert "<code>lookahead</code>" in text["reference/files/gains"]
     found = json.loads((site / "search" / "search_index.json").read_text(encoding="utf-8"))["docs"]
     assert any("sonar-replay" in entry["title"] for entry in found)
+
+
+@pytest.mark.usefixtures("tools")
+def test_formulas_of_docstrings_are_set_and_words_are_not() -> None:
+    from formulas import as_mathml
+    from prose_math import mark_formulas
+
+    said = (
+        "<p>Return c &gt; 0 [1/s], so that V̇ ≤ −a V, V = ξᵀPξ; a (n, 4) array [m/s²] for <code>x = 1</code> (12).</p>"
+    )
+    shown = mark_formulas(said, lambda formula: f"[[{formula}]]")
+    assert shown == said.replace("c &gt; 0", "[[c > 0]]").replace("V̇ ≤ −a V, V = ξᵀPξ", "[[V̇ ≤ −a V]], [[V = ξᵀPξ]]")
+    shown = as_mathml("q = √(y_e² + Δ²)/‖ẋ‖")
+    assert "<msqrt>" in shown and "<msubsup>" in shown and 'accent="true"' in shown
+    with pytest.raises(ValueError, match="frac"):
+        as_mathml(r"\frac{1}")
 
 
 @pytest.mark.usefixtures("tools")
@@ -147,6 +176,8 @@ def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
                 for width in (1280, 400):
                     assert opened.overflow(width) <= 0, (name, width)
         search(opened, "pendulum")
+        opened.page.select_option("select.versions", "0.1")  # which has no such page
+        opened.page.wait_for_url((site.parent / "0.1" / "index.html").as_uri())
         assert opened.errors == [] and opened.outside == []
 
 

@@ -1,4 +1,7 @@
-r"""Formulas as MathML: `$…$` and `$$…$$` of a page become elements that browsers draw without script or network."""
+r"""Formulas as MathML: `$…$` and `$$…$$` of a page become elements that browsers draw without script or network.
+
+Pages of the guides state formulas in TeX, docstrings with Unicode characters, which `help()` shows as they are.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,9 @@ from html.entities import html5
 from xml.etree import ElementTree
 
 from docutils.utils.math.latex2mathml import tex2mathml
+from unicode_math import as_tex
 
-__all__ = ["equation_links", "with_mathml"]
+__all__ = ["as_mathml", "equation_links", "with_mathml"]
 
 _INLINE = re.compile(r'<span class="arithmatex">\\\((.*?)\\\)</span>', re.DOTALL)
 _BLOCK = re.compile(r'<div class="arithmatex">\\\[(.*?)\\\]</div>', re.DOTALL)
@@ -22,13 +26,14 @@ LAST = 20  # equations of the paper
 
 def with_mathml(html: str) -> str:
     """Return the page with MathML in place of TeX; ValueError names a formula that cannot be converted."""
-    html = _BLOCK.sub(lambda found: _mathml(found[1], block=True), html)
-    return _INLINE.sub(lambda found: _mathml(found[1], block=False), html)
+    html = _BLOCK.sub(lambda found: as_mathml(found[1], block=True), html)
+    return _INLINE.sub(lambda found: as_mathml(found[1]), html)
 
 
-def _mathml(tex: str, *, block: bool) -> str:
+def as_mathml(tex: str, *, block: bool = False) -> str:
+    """Return a formula, in TeX or with Unicode characters, as MathML; ValueError names one that cannot be converted."""
     try:
-        return _accents(str(tex2mathml(unescape(tex).strip(), as_block=block)))
+        return _accents(str(tex2mathml(as_tex(unescape(tex).strip()), as_block=block)))
     except Exception as error:
         raise ValueError(f"formula {tex!r}: {error}") from error
 

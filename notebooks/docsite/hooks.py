@@ -20,14 +20,16 @@ import command_pages  # noqa: E402
 import file_pages  # noqa: E402
 import gallery  # noqa: E402
 import repository  # noqa: E402
-from formulas import equation_links, with_mathml  # noqa: E402
+from formulas import as_mathml, equation_links, with_mathml  # noqa: E402
 from glossary import link_terms, terms_of  # noqa: E402
 from mkdocs.structure.files import File, Files  # noqa: E402
 from notebook_pages import notebook_pages  # noqa: E402
+from prose_math import mark_formulas  # noqa: E402
 
 import surctl  # noqa: E402
 
 QUICK = os.environ.get("SURCTL_SITE") == "quick"
+VERSIONED = "SURCTL_SITE_VERSIONS" in os.environ  # set by publish.py
 _SOURCES: dict[str, Path] = {}  # page of the site → file of the repository that it shows
 _TERMS: dict[str, str] = {}
 
@@ -136,7 +138,18 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
+        html = mark_formulas(html, as_mathml)
         html = equation_links(html, f"{up}reference/equations.html")
     if not uri.startswith(("reference/python/", "studies/", "glossary", "changelog")):
         html = link_terms(html, _TERMS, f"{up}glossary.html")
     return html
+
+
+def on_post_page(output: str, page: Any, config: Any) -> str:
+    """Add the selector of the version to a page of a published site."""
+    if not VERSIONED:
+        return output
+    up = "../" * page.file.src_uri.count("/")
+    about = f'data-version="{surctl.__version__}" data-page="{page.file.dest_uri}" data-root="{up}"'
+    scripts = f'<script src="{up}../versions.js"></script><script src="{up}assets/versions.js" {about}></script>'
+    return output.replace("</body>", f"{scripts}</body>")
