@@ -73,6 +73,30 @@ def test_imports_go_one_way(tmp_path: Path) -> None:
     assert f"{len(contracts)} kept, 0 broken" in out
 
 
+def _storeys() -> tuple[list[str], list[str]]:
+    """Core and application: the two lists of the contract that the core knows no robot."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    [border] = [contract for contract in contracts if contract["name"].startswith("the core knows no robot")]
+    return border["source_modules"], border["forbidden_modules"]
+
+
+def _in(name: str, storey: list[str]) -> list[str]:
+    """Entries of a list that stand for this module; NAME.** are all modules below NAME."""
+    return [e for e in storey if e == name or (e.endswith(".**") and name.startswith(e.removesuffix("**")))]
+
+
+def test_every_module_is_of_the_core_or_of_the_application() -> None:
+    core, application = _storeys()
+    modules = [*_modules(), "surctl.__main__"]
+    assert {m: n for m in modules if (n := len(_in(m, core) + _in(m, application))) != 1} == {}
+    assert [e for e in core + application if not any(_in(m, [e]) for m in modules)] == []
+    packages = {m for m in modules if m.count(".") == 1}
+    robot = {"vehicle", "sensing", "guidance", "control", "simulation", "world", "allocation", "engine", "bridge"}
+    assert {p for p in packages if _in(p, core)} & {f"surctl.{r}" for r in (*robot, "study", "reproduction")} == set()
+
+
 def _imports(name: str, package: bool, text: str, modules: set[str]) -> set[str]:
     """Those of the modules that a module imports anywhere: inside functions and for type checking alone as well."""
     found = set()

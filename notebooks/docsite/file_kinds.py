@@ -11,7 +11,7 @@ from surctl.control.gains import _GainFile
 from surctl.lyapunov.problem import _ProblemTable
 from surctl.simulation.scenario import _ScenarioFile
 from surctl.study.plan import _StudyFile
-from surctl.tuning.goals import GoalsFile
+from surctl.tuning.goal_file import GoalsFile
 from surctl.vehicle.logs.log_map import LogMap
 from surctl.vehicle.parameters import _VehicleFile
 from surctl.vehicle.thruster_file import _AllocationTable, _ThrusterTable

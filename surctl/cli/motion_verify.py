@@ -117,8 +117,8 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     """Write the certificate, if there is one, and the picture of a region; return the files."""
     from surctl.files import write_file
     from surctl.lyapunov import Safety
-    from surctl.report import plot_motion
-    from surctl.report.files import save_figure
+    from surctl.report.motion_plots import plot_motion
+    from surctl.report.pictures import save_figure
 
     if solution.decision is None or not solution.document:
         return []

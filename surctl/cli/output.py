@@ -16,15 +16,12 @@ import click
 from surctl.cli.streams import is_utf8
 
 if TYPE_CHECKING:
-    from surctl.simulation import Scenario
-    from surctl.vehicle import Vehicle
-    from surctl.verification import Inapplicable
+    from surctl.verification.verdict import Inapplicable
 
 __all__ = [
     "FiniteRange",
     "Stopped",
     "as_json",
-    "at_hand",
     "finish",
     "finite",
     "out_folder",
@@ -115,18 +112,6 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
             sys.stdout.write("\n".join(lines) + "\n")
             sys.stdout.flush()
         raise Stopped(message) from None
-
-
-def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
-    """Return the command-line options that select the given mission, vehicle and gain file."""
-    from surctl.simulation import LIBRARY as SCENARIOS
-    from surctl.vehicle import LIBRARY as VEHICLES
-
-    def word(source: str, library: Path) -> str:
-        return Path(source).stem if Path(source).parent == library else source
-
-    mission, robot = word(scenario.source, SCENARIOS) or scenario.name, word(vehicle.source, VEHICLES) or vehicle.name
-    return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
 
 
 def refusal_line(refused: Inapplicable) -> str:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from surctl.cli.law_option import law_words, trust_option
-from surctl.cli.output import as_json, at_hand, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.vehicle_choice import at_hand
 from surctl.cli.verify import claim_line
 
 if TYPE_CHECKING:

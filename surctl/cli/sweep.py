@@ -11,10 +11,11 @@ import click
 
 from surctl.cli.gains_choice import choose_shared
 from surctl.cli.law_option import choose_law, law_option, law_words
-from surctl.cli.output import as_json, at_hand, finish, progress, same_command, stoppable
+from surctl.cli.output import as_json, finish, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_sweep import sweep_system
+from surctl.cli.vehicle_choice import at_hand
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -37,23 +37,16 @@ def export_system(words: Sequence[str], options: SystemExport, *, seconds: float
         InputError: an option is not available, or `--check` is missing.
     """
     from surctl.errors import InputError, nearest
-    from surctl.export import (
-        REALS,
-        STEPS,
-        as_records,
-        build_bundle,
-        build_controller,
-        check_builds,
-        check_folder,
-        chosen_targets,
-        compare_runs,
-        evidence_of,
-        prove_bundle,
-        with_evidence,
-        with_proof,
-        write_bundle,
-        write_fmu,
-    )
+    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.check import STEPS, check_builds
+    from surctl.export.evidence import evidence_of, with_evidence
+    from surctl.export.fmu import write_fmu
+    from surctl.export.precision import REALS
+    from surctl.export.process import build_controller
+    from surctl.export.prove import prove_bundle, with_proof
+    from surctl.export.records import as_records
+    from surctl.export.sil import compare_runs
+    from surctl.export.targets import chosen_targets
     from surctl.ir import find_compiler
     from surctl.system import LOST, run_system
 

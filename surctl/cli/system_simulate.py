@@ -70,7 +70,7 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
-    from surctl.report import save_record_plot
+    from surctl.report.system_plot import save_record_plot
     from surctl.system import save_record
 
     name = f"{own.system.plant.name}-{own.system.controller.name}"

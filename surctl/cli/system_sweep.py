@@ -12,7 +12,7 @@ from surctl.cli.system_option import OwnSystem, command_line, load_system
 
 if TYPE_CHECKING:
     from surctl.system import Runs
-    from surctl.tuning import Design
+    from surctl.tuning.design import Design
 
 __all__ = ["sweep_system"]
 
@@ -29,7 +29,8 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     from surctl.recorded_write import write_csv
     from surctl.system import LOST, simulate_system
     from surctl.system.values import check_scalar
-    from surctl.tuning import make_design, parse_axis
+    from surctl.tuning.axes import parse_axis
+    from surctl.tuning.design import make_design
 
     own = load_system(words)
     duration = own.seconds(seconds)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from surctl.tuning import SystemTuning
+    from surctl.tuning.systems import SystemTuning
 
 __all__ = ["ranges_of", "tune_own_system"]
 
@@ -35,8 +35,8 @@ def tune_own_system(
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
-    from surctl.tuning import load_loop_goals, tune_system
-    from surctl.tuning.systems import check_tuning
+    from surctl.tuning.system_goals import load_loop_goals
+    from surctl.tuning.systems import check_tuning, tune_system
 
     own = load_system(words)
     about_loop, points = ((), {}) if goals is None else load_loop_goals(goals)
@@ -80,7 +80,7 @@ def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) 
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
     from surctl.system import entry_labels
-    from surctl.tuning.space import default_range
+    from surctl.tuning.axes import default_range
 
     gains = own.system.controller.gains
     nominal = dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))

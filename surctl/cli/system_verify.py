@@ -14,8 +14,8 @@ from surctl.cli.system_option import assigned, command_line, load_system
 if TYPE_CHECKING:
     from surctl.ir import Layout
     from surctl.system import Operating, System
-    from surctl.verification import LoopMargins
-    from surctl.verification.linear import DiskMargin
+    from surctl.verification.linear.disk import DiskMargin
+    from surctl.verification.margins import LoopMargins
 
 __all__ = ["verify_system"]
 
@@ -31,7 +31,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.files import prepare_folder
     from surctl.lyapunov import solve
     from surctl.system import find_equilibrium, linearise
-    from surctl.verification import system_disk_margin, system_margins
+    from surctl.verification.sampled_margins import system_disk_margin, system_margins
 
     own = load_system(words)
     others, region = region_words(own.settings)

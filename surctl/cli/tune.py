@@ -12,10 +12,11 @@ import click
 
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.next_export import export_command
-from surctl.cli.output import as_json, at_hand, finish, finite, progress, same_command, stoppable
+from surctl.cli.output import as_json, finish, finite, progress, same_command, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_tune import tune_own_system
+from surctl.cli.vehicle_choice import at_hand
 
 if TYPE_CHECKING:
     from surctl.simulation import Case

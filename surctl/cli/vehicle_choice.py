@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-__all__ = ["DEFAULT_VEHICLE", "VehicleChoice", "choose_vehicle"]
+if TYPE_CHECKING:
+    from surctl.simulation import Scenario
+    from surctl.vehicle import Vehicle
+
+__all__ = ["DEFAULT_VEHICLE", "VehicleChoice", "at_hand", "choose_vehicle"]
 
 DEFAULT_VEHICLE = "sur540-flooded"
 """The vehicle of a command without `--vehicle` and without a scenario."""
@@ -36,3 +41,15 @@ def choose_vehicle(
     if scenario is not None:
         return VehicleChoice(scenario[1], f"scenario {scenario[0]}")
     return VehicleChoice(default, "default")
+
+
+def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
+    """Return the command-line options that select the given mission, vehicle and gain file."""
+    from surctl.simulation import LIBRARY as SCENARIOS
+    from surctl.vehicle import LIBRARY as VEHICLES
+
+    def word(source: str, library: Path) -> str:
+        return Path(source).stem if Path(source).parent == library else source
+
+    mission, robot = word(scenario.source, SCENARIOS) or scenario.name, word(vehicle.source, VEHICLES) or vehicle.name
+    return ["--scenario", mission, "--vehicle", robot, "--gains", gains]

@@ -1,6 +1,6 @@
 """Export of a control law as a C99 bundle, and checks by execution that C and Python compute the same numbers."""
 
-from surctl.export.bundle import Bundle, ExportedFile, build_bundle, check_folder, write_bundle
+from surctl.export.bundle import Bundle, ExportedFile, check_folder, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
 from surctl.export.closed import ClosedForm, closed_form
 from surctl.export.compiled_law import CompiledLaw
@@ -18,7 +18,9 @@ from surctl.export.precision import REALS
 from surctl.export.process import Controller, build_controller
 from surctl.export.prove import Alarm, ProofReport, gain_box, prove_bundle, with_proof
 from surctl.export.records import Records, as_records
+from surctl.export.robot_bundle import build_bundle
 from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop, software_in_the_loop_runs
+from surctl.export.supplement import Supplement
 from surctl.export.targets import TARGETS, Target, chosen_targets
 
 __all__ = [
@@ -51,6 +53,7 @@ __all__ = [
     "Records",
     "Reply",
     "SilReport",
+    "Supplement",
     "Target",
     "as_records",
     "build_bundle",

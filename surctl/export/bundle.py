@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from surctl import __version__
 from surctl.certcheck.bundle import numbers_sha256
 from surctl.errors import InputError
-from surctl.export.contract import FILES, Exportable, checked_name, commands, is_robot_law
+from surctl.export.contract import DATA, FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere
+from surctl.export.gain_store import gains_id
 from surctl.export.guard_text import range_text
-from surctl.export.missions import DATA
-from surctl.export.origin import Origin, check_belonging, manifest_entries
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
+from surctl.export.supplement import Supplement
 from surctl.export.vectors import self_test_vectors
 from surctl.ir import Layout, Real
 
@@ -56,6 +56,7 @@ class Bundle:
         real: precision of every number in the C text.
         envelope: ranges and rates of change that the input check (guard) of the exported C accepts.
         binaries: bytes of further files by name, such as an FMU.
+        fed: gains that code of the bundle writes itself while it runs, such as the waypoints of its mission.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Bundle:
     real: Real = "float64"
     envelope: Envelope | None = None
     binaries: Mapping[str, bytes] = field(default_factory=dict)
+    fed: tuple[str, ...] = ()
 
     @property
     def selftest(self) -> str:
@@ -107,8 +109,7 @@ def build_bundle(
     name: str | None = None,
     real: Real = "float64",
     envelope: Envelope | None = None,
-    origin: Origin | None = None,
-    mission: Vector | None = None,
+    supplement: Supplement | None = None,
 ) -> Bundle:
     """Return the C bundle of a control law with tuned gains.
 
@@ -118,13 +119,12 @@ def build_bundle(
         name: prefix of file names and C symbols; by default the name of the law.
         real: "float32" for a processor with a single-precision unit; every number in the C text is then a float.
         envelope: ranges that the input check of the exported C accepts; None accepts any finite number.
-        origin: vehicle and certificates to record in the bundle.
-        mission: waypoints (n, 5) of a mission for the file `mission_data.h`, see `guidance.Path.table`; None: no file.
+        supplement: what an application adds to the bundle; None: nothing.
 
     Raises:
         InputError: a name is not a valid C identifier, a gain is unknown or not finite, the sizes that the law declares
-            differ from those of its code, a certificate is about another controller, or a float32 law calls functions
-            of the C library such as sin.
+            differ from those of its code, an addition does not belong to this controller, or a float32 law calls
+            functions of the C library such as sin.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -145,19 +145,17 @@ def build_bundle(
             remedy="replace these functions by exact operations (surctl.ir.without_libm)",
         )
     p = gain_vector(law.gains, gains)
+    added = supplement or Supplement()
     within = (envelope or anywhere(law)).fitted(law, real)
     identity = law_id(law, p, real=real)
     tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
-    files = render_files(
-        law, p, within, name=prefix, identity=identity, tests=tests, real=real, mission=mission, origin=origin
-    )
-    files |= {} if origin is None else origin.files
+    files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real, supplement=added)
+    files |= added.files
     _check_gains(law, rounded(p, real), within)
-    table = _manifest(law, prefix, identity, real, within) | manifest_entries(law, p, origin, real=real)
-    if origin is not None:
-        check_belonging(table | {"sha256": {}, "proof": {}}, origin)
+    table = _manifest(law, prefix, identity, real, within) | law_entries(law, p, real=real) | added.entries(law, p)
+    added.check(table | {"sha256": {}, "proof": {}})
     files["manifest.json"] = manifest_with(table, files, proof={"status": "not tried"})
-    return Bundle(prefix, identity, MappingProxyType(files), real, within)
+    return Bundle(prefix, identity, MappingProxyType(files), real, within, fed=added.fed(law))
 
 
 def _check_gains(law: Exportable, p: Vector, within: Envelope) -> None:
@@ -200,6 +198,29 @@ def law_id(law: Exportable, gains: Vector, *, real: Real = "float64") -> str:
     parts = (numbers_sha256(numbers.tolist()) for numbers in (gains, law.initial_state()))
     lines = [law.block.digest(), float(law.dt).hex(), real, *parts]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def gain_rows(law: Exportable, p: Vector) -> list[dict[str, Any]]:
+    """Return name and values of each gain, as the manifest states them."""
+    return [{"name": port.name, "values": p[law.gains.slice(port.name)].tolist()} for port in law.gains]
+
+
+def law_entry(law: Exportable, ground_truth: str) -> dict[str, str]:
+    """Return the manifest's entry of a law; `ground_truth` is the digest of the law that certificates are about."""
+    return {
+        "sha256": law.block.digest(),
+        "ground_truth_sha256": ground_truth,
+        "initial_state_sha256": numbers_sha256(law.initial_state().tolist()),
+    }
+
+
+def law_entries(law: Exportable, p: Vector, *, real: Real = "float64") -> dict[str, Any]:
+    """Return the manifest's entries of law and gains."""
+    rows = gain_rows(law, p)
+    return {
+        "law": law_entry(law, law.block.digest()),
+        "gains": {"values": rows, "sha256": numbers_sha256(p.tolist()), "id": gains_id(law, p, real)},
+    }
 
 
 def _manifest(law: Exportable, name: str, identity: str, real: Real, within: Envelope) -> dict[str, Any]:

@@ -12,6 +12,8 @@ from surctl.ir import Layout, Port, identifier
 from surctl.system import Controller, SampledController, command_ports
 
 __all__ = [
+    "DATA",
+    "MISSION_FILES",
     "SATURATED",
     "STATUS",
     "Around",
@@ -61,6 +63,12 @@ FILES = (
     "proof",
 )
 """Names of the bundle's C files, without ending, that are not part of the controller."""
+
+MISSION_FILES = ("mission.h", "mission.c")
+"""Files of a bundle that feed the law with a mission of any length; a robot without such missions leaves them out."""
+
+DATA = "mission_data.h"
+"""File of a bundle with the waypoints of one mission."""
 _HEADERS_OF_C = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic "
     "stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string tgmath threads time uchar wchar wctype"

@@ -21,12 +21,10 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import FED
 from surctl.errors import InputError
 from surctl.export.bundle import Bundle, ExportedFile
-from surctl.export.contract import Exportable
+from surctl.export.contract import DATA, MISSION_FILES, Exportable
 from surctl.export.fmu_description import build_description, description_2, description_3
-from surctl.export.missions import DATA, MISSION_FILES
 from surctl.export.rendering import render_unit
 from surctl.ir import compile_program
 
@@ -99,7 +97,7 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
             value=" ".join(machine),
             remedy="export c99 here, or export the FMU on Linux and compile its sources for this machine",
         )
-    fed = FED if bundle.mission_rows else ()
+    fed = bundle.fed if bundle.mission_rows else ()
     sources = unit_sources(law, bundle, fmi=fmi)
     compiled = [file for file in sources if file.endswith(".c")]
     if fmi == 3:

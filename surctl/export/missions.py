@@ -15,13 +15,7 @@ from surctl.guidance import AT_CORNER, MAX_WAYPOINTS, ROW
 from surctl.guidance.window import SHORTEST
 from surctl.ir import Real, c_literal
 
-__all__ = ["DATA", "MISSION_FILES", "data_rows", "is_fed", "mission_values"]
-
-MISSION_FILES = ("mission.h", "mission.c")
-"""Files of a bundle that feed the law with a mission of any length; a robot without such missions leaves them out."""
-
-DATA = "mission_data.h"
-"""File of a bundle with the waypoints of one mission."""
+__all__ = ["data_rows", "is_fed", "mission_values"]
 
 
 def is_fed(law: Exportable) -> bool:

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import PATIENCE, check_document
 from surctl.certcheck.belonging import compare
-from surctl.certcheck.bundle import numbers_sha256, read_manifest, stated_sha256
+from surctl.certcheck.bundle import read_manifest, stated_sha256
 from surctl.certcheck.document import Rejected, read
 from surctl.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
 from surctl.errors import InputError, UnsupportedOperation
+from surctl.export.bundle import gain_rows, law_entries, law_entry
 from surctl.export.contract import Exportable
-from surctl.export.gain_store import gains_id
 from surctl.guidance import AvoidanceForm
 from surctl.ir import Real
 from surctl.sensing import Equipment
@@ -142,34 +142,22 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
 
 def manifest_entries(law: Exportable, p: Vector, origin: Origin | None, *, real: Real = "float64") -> dict[str, Any]:
     """Return the manifest's entries for law and gains and, if `origin` is given, for vehicle and claims."""
-    own = law.block.digest()
-    digest = own if origin is None else origin.ground_truth.block.digest()
-    rows = [{"name": port.name, "values": p[law.gains.slice(port.name)].tolist()} for port in law.gains]
+    return law_entries(law, p, real=real) | ({} if origin is None else origin_entries(law, p, origin))
+
+
+def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]:
+    """Return the manifest's entries for vehicle, claims and sensors, and the entry of a law with its ground truth."""
+    rows = gain_rows(law, p)
+    vehicle = origin.vehicle
+    values = {name: parameter.value for name, parameter in vehicle.parameters.items()}
+    ranges = {name: list(p.range) for name, p in vehicle.parameters.items() if p.range is not None}
     entries: dict[str, Any] = {
-        "law": {
-            "sha256": own,
-            "ground_truth_sha256": digest,
-            "initial_state_sha256": numbers_sha256(law.initial_state().tolist()),
-        },
-        "gains": {
-            "values": rows,
-            "sha256": numbers_sha256(p.tolist()),
-            "id": gains_id(law, p, real),
-        },
+        "law": law_entry(law, origin.ground_truth.block.digest()),
+        "vehicle": {"name": vehicle.name, "values": values, "ranges": ranges, "sha256": vehicle.digest()},
+        "claims": _claims(rows, origin),
     }
-    if origin is not None:
-        vehicle = origin.vehicle
-        values = {name: parameter.value for name, parameter in vehicle.parameters.items()}
-        ranges = {name: list(p.range) for name, p in vehicle.parameters.items() if p.range is not None}
-        entries["vehicle"] = {
-            "name": vehicle.name,
-            "values": values,
-            "ranges": ranges,
-            "sha256": vehicle.digest(),
-        }
-        entries["claims"] = _claims(rows, origin)
-        if origin.equipment is not None:
-            entries["sensors"] = {"surface_model": origin.equipment.surface_model}
+    if origin.equipment is not None:
+        entries["sensors"] = {"surface_model": origin.equipment.surface_model}
     return entries
 
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import LawStep
 from surctl.export.contract import Around, Exportable, command_size
 from surctl.export.elapsed import aged
 from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope
 from surctl.export.records import Records
 from surctl.export.rows import Rows
 from surctl.ir import Block, Layout, Real, replay
+from surctl.system.controller import ControllerStep
 
 __all__ = ["REALS", "Guarded", "Rounded", "Rows", "evaluated", "in_precision", "plain", "replayed", "rounded"]
 
@@ -55,10 +55,10 @@ class Rounded(_Same):
         """Return the controller state before the first step (nx,)."""
         return rounded(self.law.initial_state(), self.real)
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Run one guarded step; a number that is not finite gives tau = 0, x_next = x and status NONFINITE."""
         rows = self.steps(*(np.atleast_2d(v) for v in (x, u, p)))
-        return LawStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
+        return ControllerStep(rows.tau[0], rows.state[0], int(rows.status[0]), rows.telemetry[0])
 
     def steps(self, X: Vector, U: Vector, P: Vector) -> Rows:
         """Run one step from each row of X (T, nx), U (T, nu), P (T, np)."""
@@ -109,18 +109,18 @@ class Guarded(_Same):
         """Return the controller state before the first step (nx,)."""
         return self.law.initial_state()
 
-    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
+    def step(self, x: Vector, u: Vector, p: Vector) -> ControllerStep:
         """Run one step without a check of rates; a number out of range gives tau = 0, x_next = x, negative status."""
         x, u, p = (rounded(np.asarray(v, dtype=float), self.real) for v in (x, u, p))
         refused = int(self.envelope.refusals(Records(*(v[None] for v in (x, u, p))))[0])
         if refused == RANGE:  # the law itself refuses numbers that are not finite
             size = command_size(self.law)
-            return LawStep(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
+            return ControllerStep(np.zeros(size), np.array(x, dtype=float), refused, np.zeros(self.outputs.size - size))
         step = self.law.step(x, u, p)
         row = self.envelope.limited(
             Rows(np.array([step.status]), *(v[None] for v in (step.tau, step.x_next, step.telemetry)))
         )
-        return LawStep(row.tau[0], step.x_next, int(row.status[0]), step.telemetry)
+        return ControllerStep(row.tau[0], step.x_next, int(row.status[0]), step.telemetry)
 
 
 def in_precision(law: Exportable, real: Real, envelope: Envelope | None = None) -> Exportable:

@@ -40,9 +40,8 @@ from surctl.export.guard_text import (
     order_lines,
     range_text,
 )
-from surctl.export.missions import DATA, MISSION_FILES, data_rows, is_fed, mission_values
-from surctl.export.origin import Origin
 from surctl.export.own_names import with_own_names
+from surctl.export.supplement import Supplement
 from surctl.export.texts import cell, comment
 from surctl.export.vectors import TOLERANCE, SelfTest
 from surctl.export.wiring import wiring_values
@@ -64,8 +63,7 @@ def render_files(
     identity: str,
     tests: SelfTest,
     real: Real = "float64",
-    mission: Vector | None = None,
-    origin: Origin | None = None,
+    supplement: Supplement,
 ) -> dict[str, str]:
     """Return the text of every file except the manifest, by file name.
 
@@ -77,8 +75,7 @@ def render_files(
         identity: id of the law (see `law_id`).
         tests: inputs and expected results of the built-in self-test.
         real: precision of every number.
-        mission: waypoints (n, 5) of a mission to add as C data, see `guidance.Path.table`.
-        origin: vehicle and sensors, for the wiring section of the README.
+        supplement: what an application adds.
     """
     block = law.block
     parts = (
@@ -88,10 +85,12 @@ def render_files(
     )
     values = _values(law, gains, within, name, identity, tests, real) | {"prototypes": parts.prototypes}
     of_law = _law_files(name, parts)
-    values |= {"law_files": [(file, about) for file, about, _ in of_law], "fed": is_fed(law)}
-    values |= mission_values(law, real) if is_fed(law) else {}
-    values |= {"rows": data_rows(law, mission, real) if mission is not None else []}
-    values |= wiring_values(law, origin) | example_values(law, within, name=name, arrays=values["ram"]["arrays"])
+    values |= {"law_files": [(file, about) for file, about, _ in of_law]}
+    values |= (
+        wiring_values(law)
+        | supplement.values(law, real)
+        | example_values(law, within, name=name, arrays=values["ram"]["arrays"])
+    )
     code = [f"{name}.c", *([f"{name}_gains.c"] if law.gains.size else []), *(file for file, _, _ in of_law)]
     headers = [f"{name}.h", *([f"{name}_gains.h"] if law.gains.size else []), f"{name}_internal.h"]
     values |= {"headers": " ".join(headers), "sources": " ".join(code), "arrivals": _arrivals(law)}
@@ -119,8 +118,7 @@ def render_files(
         "arduino_example.ino": "arduino_example.ino.j2",
         "LICENSE": "LICENSE.j2",
         "README.md": "README.md.j2",
-        **({file: f"{file}.j2" for file in MISSION_FILES} if is_fed(law) else {}),
-        **({DATA: f"{DATA}.j2"} if mission is not None else {}),
+        **supplement.templates(law),
     }
     environment = _environment()
     own = {file: {"about": about, "text": text} for file, about, text in of_law}

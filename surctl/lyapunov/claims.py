@@ -15,7 +15,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.lyapunov.dynamics import Dynamics, Range, exact
-from surctl.verification import Claim, Variable
+from surctl.verification.claim import Claim, Variable
 from surctl.verification.formula import Node, number, parse, power, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 

@@ -17,7 +17,7 @@ from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.falsified import least_level
 from surctl.lyapunov.stationary import stationary_state
-from surctl.verification import Claim
+from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
 from surctl.verification.formula import ordered, text_of

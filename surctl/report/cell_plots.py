@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.report.theme import BAD, INK, dress, legend_above, new_axes
-from surctl.verification import Claim, Variable, Verdict
+from surctl.verification.claim import Claim, Variable
 from surctl.verification.proving.cells import Cells, cells_of
+from surctl.verification.verdict import Verdict
 
 __all__ = ["plot_cells", "plot_open_boxes"]
 

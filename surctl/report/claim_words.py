@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from surctl.verification import Claim
+from surctl.verification.claim import Claim
 
 __all__ = ["ClaimWords", "claim_words"]
 

@@ -22,7 +22,7 @@ from surctl.lyapunov import Problem, solve
 from surctl.report.motion_plots import plot_motion
 from surctl.report.panel import Curve, Panel
 from surctl.system import LinearLoop, Record, System, entry_labels, entry_units, linearise, run_system
-from surctl.tuning import LoopGoal
+from surctl.tuning.loop_goals import LoopGoal
 
 __all__ = ["DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activity", "gain_file", "replaceable"]
 

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.report.theme import AVOIDING, INK, ROBOT, curve, dress, legend_above, new_axes
-from surctl.verification import Claim, Counterexample, Replay, Variable, Verdict, replay
+from surctl.verification.claim import Claim, Variable
+from surctl.verification.counterexample import Counterexample, Replay, replay
 from surctl.verification.oracle import Oracle, build_oracle
+from surctl.verification.verdict import Verdict
 
 __all__ = ["MarginSlice", "margin_slice", "plot_counterexample", "plot_replay", "plot_slice"]
 

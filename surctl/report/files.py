@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import re
-import shlex
-import sys
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
-from surctl.files import write_file
 from surctl.report.calibration_plots import plot_calibration
 from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
+from surctl.report.pictures import save_figure
 from surctl.report.plan_view import plot_run
 from surctl.report.priority_plot import plot_priority
 from surctl.report.replay_plots import plot_sonar_replay
@@ -29,7 +23,6 @@ from surctl.verification import Locus
 
 __all__ = [
     "save_calibrations",
-    "save_figure",
     "save_heat_map",
     "save_locus",
     "save_parallel",
@@ -229,24 +222,3 @@ def save_sonar_replay(replayed: Replay, folder: Path | str, *, title: str = "") 
         'sonar-replay.png'
     """
     return save_figure(plot_sonar_replay(replayed, title=title), Path(folder), ("sonar-replay",))
-
-
-def _command() -> dict[str, str]:
-    # the command that draws the picture, as text in the file
-    program = Path(sys.argv[0])
-    if program.name not in ("surctl", "__main__.py"):
-        return {}
-    words = shlex.join(["surctl", *sys.argv[1:]])
-    return {"Description": words.encode("ascii", "backslashreplace").decode()}  # a name may be any bytes
-
-
-def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
-    """Write a figure as a PNG in the folder, named after its contents; return its path.
-
-    The text `Description` in the file is the command that wrote it.
-    """
-    # names can come from input files: replace characters that could lead out of the folder
-    name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None, **_command()})
-    return write_file(Path(folder) / f"{name}.png", buffer.getvalue())

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from surctl.report.panel import Curve, Panel, Shade, draw_panels
 from surctl.system import LinearLoop
-from surctl.tuning import LoopScores, LoopView, Score
+from surctl.tuning.loop_goals import LoopView
 from surctl.tuning.loop_responses import frequencies, rates, response, stable, step_series
+from surctl.tuning.loop_scores import LoopScores, Score
 
 __all__ = ["goal_panels", "loop_panels", "plot_loop", "plot_loop_goals", "plot_loops"]
 

@@ -19,7 +19,7 @@ from surctl.report.design_bench import DesignBench, Slider
 from surctl.report.loop_views import default_step, goal_panels, locus_panel, loop_panels
 from surctl.report.panel import panel_svg
 from surctl.system import LinearLoop
-from surctl.tuning import judge_loops
+from surctl.tuning.loop_scores import judge_loops
 from surctl.verification.sampled_margins import quick_margins
 
 __all__ = ["page", "respond"]

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from surctl.report.files import save_figure
+from surctl.report.pictures import save_figure
 from surctl.report.theme import AVOIDING, INK, MUTED, ROBOT, dress, head, new_figure
 from surctl.vehicle import LOG_MOTION, Prediction
 

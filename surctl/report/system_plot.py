@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from surctl.ir import Layout
-from surctl.report.files import save_figure
+from surctl.report.pictures import save_figure
 from surctl.report.theme import BAD, curve, dress, head, legend_above, new_figure
 from surctl.system import Record, entry_labels, entry_units
 

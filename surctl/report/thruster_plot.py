@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 
 from surctl.allocation import working_flags
 from surctl.errors import InputError
-from surctl.report.files import save_figure
+from surctl.report.pictures import save_figure
 from surctl.report.theme import CYCLE, INK, dress, legend_below, new_axes
 from surctl.vehicle import Actuators, Vehicle, attainable
 from surctl.vehicle.linearise import command_range

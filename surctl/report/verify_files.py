@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from surctl.errors import InputError
 from surctl.report.cell_plots import plot_cells, plot_open_boxes
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
-from surctl.report.files import save_figure
 from surctl.report.loops import loop_responses, plot_nyquist
 from surctl.report.margin_plots import plot_disk_margins, plot_marked_bode, plot_s_and_t, sensitivities
+from surctl.report.pictures import save_figure
 from surctl.report.region_plots import plot_region
 from surctl.vehicle import Vehicle
 from surctl.verification import Verdict, build_cascade, loop_margins

@@ -25,7 +25,8 @@ from surctl.tuning.evaluation import (
     scope,
 )
 from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
-from surctl.tuning.goals import LIBRARY, Goal, GoalTable, goals_at, goals_from_tables, load_goals
+from surctl.tuning.goal_file import LIBRARY, GoalTable
+from surctl.tuning.goals import Goal, goals_at, goals_from_tables, load_goals
 from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
 from surctl.tuning.law_goals import case_loop
 from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking

@@ -13,7 +13,9 @@ import numpy as np
 
 from surctl.errors import InputError
 
-__all__ = ["MOST_POINTS", "SEED", "Axis", "Span", "parse_axis"]
+__all__ = ["MOST_POINTS", "SEED", "Axis", "Span", "default_range", "parse_axis"]
+
+_SPREAD = 4.0
 
 MOST_POINTS = 10_000_000
 """Largest number of points of a sweep: the points and one column of the table must fit in memory."""
@@ -147,3 +149,8 @@ def _unreadable(text: str) -> InputError:
 def _check_seeds(name: str, values: tuple[float, ...]) -> None:
     if name == SEED and any(not 0 <= v <= 2**53 or v != int(v) for v in values):
         raise InputError("must be whole numbers, at least 0", key="axis seed", value=values, remedy="write 0,1,2,...")
+
+
+def default_range(value: float) -> tuple[float, float]:
+    """Return the default search range of a gain: from a quarter of a value to four times this value, in order."""
+    return min(value / _SPREAD, value * _SPREAD), max(value / _SPREAD, value * _SPREAD)

@@ -9,7 +9,10 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.verification import Verdict, claims, evaluate, falsify
+from surctl.verification.counterexample import evaluate
+from surctl.verification.falsifier import falsify
+from surctl.verification.library import claims
+from surctl.verification.verdict import Verdict
 
 __all__ = ["ClaimPoint", "excess", "expected_to_hold", "refuted_claims"]
 

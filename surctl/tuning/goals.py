@@ -13,36 +13,27 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, Strict, load_model, pick
+from surctl.files import Quantity, load_model, pick
 from surctl.simulation import METRICS, MetricSpec
-from surctl.tuning.loop_goal_file import LoopGoalTable, PointTable, loop_goal
+from surctl.tuning.goal_file import LIBRARY, GoalsFile, GoalTable, Over, Plants
+from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.verification import LINEAR_METRICS, cruise_speeds, worst_place
 
 __all__ = [
-    "LIBRARY",
     "LOOP_METRIC",
     "Goal",
-    "GoalTable",
-    "GoalsFile",
     "Kind",
-    "Over",
-    "Plants",
     "Sense",
     "goals_at",
     "goals_from_tables",
     "load_goals",
 ]
 
-LIBRARY = Path(__file__).parent / "library"
-
 Kind = Literal["hard", "soft"]
 Sense = Literal["at most", "at least"]
-Over = Literal["worst", "mean"]
-Plants = Literal["all", "nominal"]
 
 LOOP_METRIC = "loop_goal"
 """Name of the metric of goals about the loop: the normalised value of the `LoopGoal`."""
@@ -174,41 +165,6 @@ class Goal:
         over = {"over": self.over, "cases": list(self.cases), "plants": self.plants}
         about = {} if self.loop is None else {"loop": self.loop.to_dict()}
         return {"name": self.name, **bound, "kind": self.kind, **over, "cruise_m_per_s": list(self.cruise), **about}
-
-
-class GoalTable(LoopGoalTable):
-    """Content of a `[[goals]]` table in a goals file or a study file; with `type`, a goal about the loop."""
-
-    type: str | None = None  # type: ignore[assignment]
-    metric: str | None = None
-    at_least: Quantity | None = None
-    over: Over = "worst"
-    cases: tuple[str, ...] = ()
-    plants: Plants = "all"
-    cruise_m_per_s: tuple[float, ...] | None = None
-
-    def loop(self) -> LoopGoalTable:
-        """Return the table of a goal about the loop.
-
-        Raises:
-            InputError: it has a key of a goal about a metric.
-        """
-        for name in ("metric", "at_least", "over", "cases"):
-            if name in self.model_fields_set:
-                problem = f"is no key of a goal of type {self.type}"
-                raise InputError(problem, key=f"goals.{self.name}.{name}", remedy="leave it out, or drop type")
-        left = self.model_dump(by_alias=True, exclude_unset=True)
-        return LoopGoalTable.model_validate({k: v for k, v in left.items() if k not in ("plants", "cruise_m_per_s")})
-
-
-class GoalsFile(Strict):
-    """Content of a goals file."""
-
-    kind: Literal["goals"]
-    name: str = Field(min_length=1)
-    note: str = ""
-    points: tuple[PointTable, ...] = ()
-    goals: tuple[GoalTable, ...] = Field(min_length=1)
 
 
 def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:

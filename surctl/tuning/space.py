@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 
 from surctl.control import Gains
 from surctl.errors import InputError, nearest
+from surctl.tuning.axes import default_range
 
-__all__ = ["TUNED", "GainRange", "default_range", "default_tuned", "gain_ranges"]
+__all__ = ["TUNED", "GainRange", "default_tuned", "gain_ranges"]
 
 TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
 """Gains that are tuned if no gain is named: they shape the motion and do not describe the sensors."""
-
-_SPREAD = 4.0
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,3 @@ def _default(name: str, base: Gains) -> tuple[float, float]:
         raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
     low, high = default_range(value)
     return low, min(high, base.specs[name].below)
-
-
-def default_range(value: float) -> tuple[float, float]:
-    """Return the default search range of a gain: from a quarter of a value to four times this value, in order."""
-    return min(value / _SPREAD, value * _SPREAD), max(value / _SPREAD, value * _SPREAD)

@@ -7,7 +7,7 @@ from typing import Any
 
 from surctl.errors import InputError
 from surctl.files import load_model, pick
-from surctl.tuning.goals import LIBRARY, GoalsFile
+from surctl.tuning.goal_file import LIBRARY, GoalsFile
 from surctl.tuning.loop_goal_file import PointTable, check_points, loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 

@@ -15,8 +15,8 @@ from surctl.system.values import check_scalar, run_numbers
 from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores
-from surctl.verification import system_disk_margin
-from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.linear.disk import LEAST_DISK_MARGIN
+from surctl.verification.sampled_margins import system_disk_margin
 
 __all__ = ["SystemTuning", "tune_system"]
 

@@ -5,6 +5,7 @@ The package also computes the stability margins of the linearised loops.
 
 from surctl.verification.avoidance_claims import settling_intrusion
 from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascade
+from surctl.verification.cascade_margins import closed_loop_poles, loop_margins, worst_margins
 from surctl.verification.claim import Claim, Motion, Variable, VerdictWord
 from surctl.verification.claim_file import load_claim, write_claim
 from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
@@ -15,7 +16,7 @@ from surctl.verification.law_loop import LawLoop, law_loop
 from surctl.verification.library import applicable_claims, claims
 from surctl.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
 from surctl.verification.locus import Locus, sweep_locus
-from surctl.verification.margins import LoopMargins, closed_loop_poles, loop_margins, margins_of, worst_margins
+from surctl.verification.margins import LoopMargins, margins_of
 from surctl.verification.operating_point import OperatingPoint, steady_motion
 from surctl.verification.proving import Proof, prove
 from surctl.verification.sampled_margins import system_disk_margin, system_margins

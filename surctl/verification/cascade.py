@@ -24,8 +24,20 @@ from surctl.ir import Layout
 from surctl.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.vehicle.dynamics import PAPER
 from surctl.vehicle.linearise import check_cruise, dynamic_states
+from surctl.verification.loops import Loop, state_blocks
 
-__all__ = ["CASCADE_GAINS", "Cascade", "build_cascade", "build_cascades", "check_positive", "has_cascade"]
+__all__ = [
+    "CASCADE_GAINS",
+    "LOOP_NAMES",
+    "Cascade",
+    "broken_loops",
+    "build_cascade",
+    "build_cascades",
+    "check_positive",
+    "has_cascade",
+]
+
+LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
 
 CASCADE_GAINS = ("k1", "k2", "k_psi", "k_r", "k_v", "lookahead")
 _OUTPUTS = 8  # x, y, z, ψ, u, v, w, r: the first states of the plant
@@ -206,6 +218,21 @@ def build_cascades(
         model_values["linear_drag"] = model_values["linear_drag"] + np.eye(4)[axis] * forward[:, None]
     proportional = Cascade(A, B, C, _controller(model_values, k, nu))
     return _with_integral(proportional, model_values["mass"], k, k_i) if k_i[0] > 0 else proportional
+
+
+def broken_loops(cascade: Cascade) -> list[Loop]:
+    """Return the eight loops of `LOOP_NAMES` for a batch of cascades."""
+    closed = cascade.closed
+    blocks = state_blocks(closed)
+    poles = [np.linalg.eigvals(closed[:, block[:, None], block]).astype(complex) for block in blocks]
+    places = [cascade.at_thrust(k) for k in range(4)] + [cascade.at_output(k) for k in range(4)]
+    loops = []
+    for A, b, _ in places:
+        # the set of states on which this loop acts
+        where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
+        block = blocks[where]
+        loops.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
+    return loops
 
 
 def check_positive(values: Mapping[str, NDArray[np.float64]]) -> None:

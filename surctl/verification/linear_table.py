@@ -19,8 +19,8 @@ from surctl.simulation import MetricSpec
 from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, TERMS, PlantForm, Vehicle, plant_parameters
 from surctl.vehicle.dynamics import PAPER, trim_function
 from surctl.vehicle.linearise import can_hold
-from surctl.verification.cascade import CASCADE_GAINS, Cascade, build_cascades, check_positive
-from surctl.verification.loops import LOOP_NAMES, broken_loops, crossings_of, shape_of
+from surctl.verification.cascade import CASCADE_GAINS, LOOP_NAMES, Cascade, broken_loops, build_cascades, check_positive
+from surctl.verification.loops import crossings_of, shape_of
 from surctl.verification.steps import STEP_NAMES, step_figures
 
 __all__ = ["LINEAR_METRICS", "LINEAR_PARAMETERS", "Points", "cascades_by_order", "linear_table", "read_points"]

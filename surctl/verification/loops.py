@@ -1,4 +1,4 @@
-"""Frequency responses and margins of the loops of many cascades at once; they are computed from eigenvalues.
+"""Frequency responses and margins of one loop of many systems at once; they are computed from eigenvalues.
 
 Let A_o be the system matrix with a loop open and A_c the matrix with this loop closed. The loop transfer function is
 l(s) = det(sI − A_c)/det(sI − A_o) − 1. Its frequency response is therefore a product over poles, and no linear system
@@ -14,20 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.verification.cascade import Cascade
-
 __all__ = [
-    "LOOP_NAMES",
     "Crossings",
     "Loop",
     "Shape",
-    "broken_loops",
     "crossings_of",
     "shape_of",
     "state_blocks",
 ]
 
-LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading")
 _LOWEST = 1e-4  # [rad/s]
 _POINTS = 800
 _SPURIOUS = 1e-6  # a crossing with |L| or 1/|L| below this value belongs to ω → ∞ or ω → 0
@@ -90,21 +85,6 @@ class Shape:
     sensitivity_peak: NDArray[np.float64]
     rejection_rad_per_s: NDArray[np.float64]
     crossover_rad_per_s: NDArray[np.float64]
-
-
-def broken_loops(cascade: Cascade) -> list[Loop]:
-    """Return the eight loops of `LOOP_NAMES` for a batch of cascades."""
-    closed = cascade.closed
-    blocks = state_blocks(closed)
-    poles = [np.linalg.eigvals(closed[:, block[:, None], block]).astype(complex) for block in blocks]
-    places = [cascade.at_thrust(k) for k in range(4)] + [cascade.at_output(k) for k in range(4)]
-    loops = []
-    for A, b, _ in places:
-        # the set of states on which this loop acts
-        where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
-        block = blocks[where]
-        loops.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
-    return loops
 
 
 def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surctl.system import LinearLoop
 from surctl.verification.linear.disk import DiskMargin, disk_margin
-from surctl.verification.linear.places import OpenLoop
+from surctl.verification.linear.open_loop import OpenLoop
 from surctl.verification.margins import LoopMargins
 
 Array = NDArray[np.float64]

@@ -9,9 +9,8 @@ import pytest
 
 from surctl.cli.linear_part import linear_part as linear_side_of
 from surctl.cli.next_export import export_command
-from surctl.cli.output import at_hand
 from surctl.cli.single_run import failure, linear_part
-from surctl.cli.vehicle_choice import DEFAULT_VEHICLE, choose_vehicle
+from surctl.cli.vehicle_choice import DEFAULT_VEHICLE, at_hand, choose_vehicle
 from surctl.cli.verify import _speeds
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError

@@ -16,7 +16,8 @@ import pytest
 from surctl.control import build_law
 from surctl.export import Bundle, build_bundle, origin_of, write_bundle
 from surctl.export.contract import STATUS
-from surctl.export.wiring import DEMANDS, _sonars
+from surctl.export.robot_wiring import _sonars
+from surctl.export.wiring import DEMANDS
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import load_scenario
 from surctl.vehicle import load_vehicle

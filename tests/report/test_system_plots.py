@@ -16,7 +16,7 @@ import surctl
 from surctl.errors import InputError
 from surctl.plotted import Plotted
 from surctl.report import darkened, plot_dependence, plot_fan, plot_phase_plane, plot_record
-from surctl.report.files import save_figure
+from surctl.report.pictures import save_figure
 from surctl.report.theme import new_axes
 from surctl.system import Runs, run_system
 from tests.system.examples import pendulum

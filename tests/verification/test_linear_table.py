@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
 from surctl.verification import LINEAR_METRICS, LINEAR_PARAMETERS, build_cascade, linear_table, loop_margins
-from surctl.verification.loops import LOOP_NAMES
+from surctl.verification.cascade import LOOP_NAMES
 from surctl.verification.steps import STEP_NAMES, step_system
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}

@@ -25,11 +25,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.verification.linear.places import OpenLoop
+from surctl.verification.linear.open_loop import OpenLoop
 
-__all__ = ["DiskMargin", "disk_margin", "disk_profile", "screened_peaks", "structured_bounds"]
+__all__ = ["LEAST_DISK_MARGIN", "DiskMargin", "disk_margin", "disk_profile", "screened_peaks", "structured_bounds"]
 
 Array = NDArray[np.float64]
+
+LEAST_DISK_MARGIN = 0.3
+"""Disk margin that `surctl verify` requires at every corner: all gains off by 26 %, or all phases off by 17 deg."""
 Complex = NDArray[np.complex128]
 
 _LOWEST, _HIGHEST = 1e-4, 1e3  # [rad/s]

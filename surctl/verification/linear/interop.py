@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.vehicle import Vehicle
 from surctl.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled, state_names
-from surctl.verification.cascade import Cascade, build_cascade
+from surctl.verification.cascade import LOOP_NAMES, Cascade, build_cascade
 from surctl.verification.linear.places import open_loop
 from surctl.verification.linear.sampled import check_delay, open_transition
-from surctl.verification.loops import LOOP_NAMES, state_blocks
+from surctl.verification.loops import state_blocks
 
 __all__ = ["closed_system", "loop_system", "open_system", "sampled_loop_system"]
 

@@ -8,14 +8,11 @@ import numpy as np
 
 from surctl.vehicle import Vehicle
 from surctl.verification.linear.corners import Corners
-from surctl.verification.linear.disk import screened_peaks
+from surctl.verification.linear.disk import LEAST_DISK_MARGIN, screened_peaks
 from surctl.verification.linear.places import DISK_PLACES, open_loop
 from surctl.verification.linear.side import alike_in_states, built, can_cruise
 
-__all__ = ["LEAST_DISK_MARGIN", "margin_speed"]
-
-LEAST_DISK_MARGIN = 0.3
-"""Disk margin that `surctl verify` requires at every corner: all gains off by 26 %, or all phases off by 17 deg."""
+__all__ = ["margin_speed"]
 
 _STEPS, _HALVINGS = 12, 6
 

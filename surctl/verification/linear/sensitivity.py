@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.verification.linear.places import OpenLoop
+from surctl.verification.linear.open_loop import OpenLoop
 
 __all__ = ["Sensitivity", "sensitivity_of"]
 

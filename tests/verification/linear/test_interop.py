@@ -13,7 +13,7 @@ from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.vehicle import Vehicle, load_vehicle
 from surctl.verification import closed_loop_poles, loop_margins
-from surctl.verification.cascade import build_cascade
+from surctl.verification.cascade import LOOP_NAMES, build_cascade
 from surctl.verification.linear import (
     DISK_PLACES,
     closed_system,
@@ -25,7 +25,6 @@ from surctl.verification.linear import (
     sampled_loop_system,
     sampled_poles,
 )
-from surctl.verification.loops import LOOP_NAMES
 
 CRUISE, DT = 0.15, 0.05
 

@@ -1,0 +1,146 @@
+"""Wiring of an exported law of the robot: sonars, fixes, messages, thrusters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import cos, degrees, sin
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from surctl.export.contract import Exportable
+from surctl.export.origin import Origin
+from surctl.export.wiring import UNKNOWN, step_line
+from surctl.sensing import Equipment, SonarArray
+from surctl.sensing.localisation.own_state import LONGEST_AGE, LONGEST_LATENCY
+from surctl.vehicle import Actuators
+
+__all__ = ["robot_wiring"]
+
+_PLAIN: Mapping[str, str] = MappingProxyType(
+    {
+        "eta": "Pose of the hull's centre at this instant, from an estimator. Angles may include whole turns.",
+        "nu": "Velocity over ground (not through the water) in the body frame, and yaw rate, from the same estimator.",
+        "contacts": "One row per obstacle; an unused row is all zeros (valid = 0). Order and number may change.",
+        "contacts_fresh": "1 in the one step after a message arrived, else 0. The rows may keep their old numbers.",
+        "fix": "The last position of the hull's centre that arrived. Before the first one: any numbers in range, such "
+        "as those of the start, with `fix_fresh` = 0. The range is checked in every step, whatever the flag is.",
+        "fix_fresh": "1 in the one step after a fix arrived, else 0. Never 1 twice for one fix.",
+        "yaw": "The IMU's heading at this instant, in radians. Its zero is the x axis of the world frame, not north. "
+        "The range leaves room for whole turns, so that it does not find degrees.",
+        "yaw_rate": "The IMU's yaw rate at this instant, rad/s, counter-clockwise seen from above.",
+        "fresh": "1 for a sonar whose firing is complete since the last step, else 0. Never 1 twice for one firing.",
+        "working": "1 for each thruster that works, in the order of the table below; 0 for one that is known to fail.",
+        "column": "Water above and below the hull from echo sounders that look up and down; 0 if there are none.",
+    }
+)
+
+
+def robot_wiring(law: Exportable, origin: Origin | None) -> dict[str, Any]:
+    """Return what is known of the wiring of a law of the robot, beyond `wiring_values`."""
+    equipment = None if origin is None else origin.equipment
+    array = None if equipment is None else equipment.array
+    return {
+        "wires": [(port.name, _source(port.name, array)) for port in law.inputs],
+        "sonar_lines": _sonars(equipment, origin) if equipment and origin and "samples" in law.inputs else [],
+        **({} if equipment is None else {"rate_lines": _rates(law, equipment)}),
+        "thruster_rows": _thrusters(origin) if "working" in law.inputs else [],
+        "own_age": "own_age" in law.state,
+        "oldest_fix": f"{LONGEST_LATENCY:g}",
+        "never_fixed": f"{LONGEST_AGE:g}",
+        "arriving": "progress" in law.state,
+    }
+
+
+def _source(name: str, array: SonarArray | None) -> str:
+    if name == "samples":
+        count = "all columns" if array is None else f"all {array.samples} columns"
+        return (
+            f"One row per sonar. A row is one echo: {count} are conversions of the same firing. A module that gives "
+            "one number per firing is best exported with `samples = 1`; else it fills all columns. Without an echo, "
+            f"every column is {'the longest range' if array is None else f'{array.maximum:g}'}, not 0 and not −1."
+        )
+    return _PLAIN.get(name, UNKNOWN)
+
+
+def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
+    array = equipment.array
+    radius = origin.vehicle["radius"]
+    places = array.mounts or [(radius * cos(a), radius * sin(a)) for a in array.azimuths]
+    apex = "; ".join(
+        f"{k}: ({x + 0.0:.3g}, {y + 0.0:.3g}) m, axis {degrees(a):.4g}°"
+        for k, ((x, y), a) in enumerate(zip(np.round(places, 6), array.azimuths, strict=True))
+    )
+    echo = (
+        "every face in the beam answers, however oblique, with the range of its nearest point in the beam. Faces that "
+        "answer only near their normal (smooth walls: within about 30°) are not covered: the robot collides with them"
+        if array.incidence_limit is None
+        else f"a face answers within {degrees(array.incidence_limit):.3g}° of its normal, and is silent otherwise"
+    )
+    walls = (
+        "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
+        "that the beam meets within 3° of its normal. "
+        + (
+            "A mark is cleared only by silence from directions from which it was heard"
+            if equipment.surface_model == "specular"
+            else "Silence clears the marks of obstacles, which must answer from every direction"
+        )
+        if equipment.surface_model != "diffuse"
+        else "a known wall always answers, so a reading beyond the wall counts as a fault"
+    )
+    tilt = f", its axis {abs(degrees(array.pitch)):.3g}° {'above' if array.pitch > 0 else 'below'} the horizontal"
+    tilt = tilt if array.pitch else ""
+    step = f"{1000 * array.resolution:.4g} mm"
+    samples = f"{array.samples} {'sample' if array.samples == 1 else 'samples'} a firing"
+    return [
+        f"Origin of the ranges: the sonar's place on the hull (x forward, y left of the hull's centre; axis "
+        f"counter-clockwise from forward), by row: {apex}. A module that measures from elsewhere: convert its ranges. "
+        "Ranges from the centre are too long by these distances, and the robot then passes too close or collides.",
+        f"Echoes: {echo}. Surface model `{equipment.surface_model}`: {walls}. Water surface and floor are not in the "
+        "model: mount the sonars, or drop echoes, so that they give none; an echo of theirs counts as an obstacle.",
+        f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
+        f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
+        f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
+        f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
+        f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm, bias {1000 * array.bias:.3g} mm, "
+        f"{samples}. A row that repeats exactly from firing to firing is taken as a stuck sensor. A quiet module in "
+        "front of a robot at rest repeats too, and reads unhealthy: export with the true `step_m` and `samples` of the "
+        "module (`step_m = 0.01`, `samples = 1` for whole centimetres, one number), which allows for such repeats.",
+        f"Speed of sound {array.speed:.0f} m/s ({array.medium}, {array.temperature:g} °C); readings are "
+        f"{array.scale:.4g} times the true range.",
+    ]
+
+
+def _rates(law: Exportable, equipment: Equipment) -> list[str]:
+    lines = [step_line(law)]
+    if "fix" in law.inputs and equipment.own is not None:
+        own, fixes = equipment.own, equipment.own.fixes
+        lines.append(f"Fixes: every {fixes.period:g} s, {fixes.latency:g} s old when they arrive (`fix_fresh` = 1).")
+        lines.append(
+            f"Noise that the law is designed for (standard deviation, white): fix {1000 * own.position_sd:g} mm on "
+            f"each axis, yaw {own.yaw_sd:g} rad, yaw rate {own.rate_sd:g} rad/s. Larger noise is not covered. The "
+            "noise of the fixes decides whether the robot keeps its distances: measure it before the first flight."
+        )
+    if "contacts_fresh" in law.inputs:
+        messages = equipment.station.messages
+        lines.append(f"Messages with moving obstacles: every {messages.period:g} s, {messages.latency:g} s old.")
+    if "fresh" in law.inputs:
+        lines.append("Firings: complete within the period before the step in which their flag is 1.")
+    return lines
+
+
+def _thrusters(origin: Origin | None) -> Sequence[tuple[str, ...]]:
+    actuators: Actuators | None = None if origin is None else origin.vehicle.actuators
+    if actuators is None:
+        return []
+    return [
+        (
+            t.name,
+            ", ".join(f"{v:.3g}" for v in t.at),
+            ", ".join(f"{v:.3g}" for v in t.direction),
+            f"{t.forward:.4g}",
+            f"{t.reverse:.4g}",
+        )
+        for t in actuators.thrusters
+    ]

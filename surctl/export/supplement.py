@@ -1,0 +1,48 @@
+"""What an application adds to the bundle of its controller: files, texts, entries of the manifest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.export.contract import Exportable
+from surctl.ir import Real
+
+__all__ = ["Supplement"]
+
+Vector = NDArray[np.float64]
+
+
+class Supplement:
+    """Additions to a bundle. This class adds nothing; an application derives a class and overrides what it adds."""
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Return the texts of further files by name, such as certificates."""
+        return {}
+
+    def fed(self, law: Exportable) -> tuple[str, ...]:
+        """Return the names of gains that code of the bundle writes itself while it runs."""
+        del law
+        return ()
+
+    def templates(self, law: Exportable) -> dict[str, str]:
+        """Return the templates of further C files by file name; they are in `export/templates`."""
+        del law
+        return {}
+
+    def values(self, law: Exportable, real: Real) -> dict[str, Any]:
+        """Return values of the templates; they replace those of the core, see `wiring_values`."""
+        del law, real
+        return {}
+
+    def entries(self, law: Exportable, p: Vector) -> dict[str, Any]:
+        """Return further entries of the manifest; p (np,) are the gains."""
+        del law, p
+        return {}
+
+    def check(self, manifest: Mapping[str, Any]) -> None:
+        """Raise InputError if an addition does not belong to the controller of this manifest."""

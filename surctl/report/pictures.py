@@ -1,0 +1,36 @@
+"""A figure as a PNG file that says which command drew it."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import sys
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from surctl.files import write_file
+
+__all__ = ["save_figure"]
+
+
+def _command() -> dict[str, str]:
+    # the command that draws the picture, as text in the file
+    program = Path(sys.argv[0])
+    if program.name not in ("surctl", "__main__.py"):
+        return {}
+    words = shlex.join(["surctl", *sys.argv[1:]])
+    return {"Description": words.encode("ascii", "backslashreplace").decode()}  # a name may be any bytes
+
+
+def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
+    """Write a figure as a PNG in the folder, named after its contents; return its path.
+
+    The text `Description` in the file is the command that wrote it.
+    """
+    # names can come from input files: replace characters that could lead out of the folder
+    name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None, **_command()})
+    return write_file(Path(folder) / f"{name}.png", buffer.getvalue())
