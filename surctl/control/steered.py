@@ -17,28 +17,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import casadi as ca
-import numpy as np
 
-from surctl.control.baselines.situation import NEVER, Situation, length
+from surctl.control.baselines.situation import Situation, length
 from surctl.control.closing import thrust_bounds
+from surctl.control.courses import CLEAR, INADMISSIBLE, best_course, sided
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GainSpec
 from surctl.control.steering import (
     FIN_STEERAGE,
     SLOWEST,
-    Moving,
     Steering,
     drifted,
-    moved,
     planned_yaw_rate,
     steerage,
     yaw_moment,
 )
-from surctl.guidance import FAR, MAX_WAYPOINTS
-from surctl.ir import Port, fold, repeat, tabulated
+from surctl.ir import Port
 from surctl.tasks import depth_task
 
-__all__ = ["COURSES", "SPEEDS", "STEERED_GAINS", "STEERED_PORTS", "STEPS", "steered_law", "steered_thrust"]
+__all__ = ["STEERED_GAINS", "STEERED_PORTS", "steered_law", "steered_thrust"]
 
 STEERED_GAINS: Mapping[str, GainSpec] = {
     "sideslip": GainSpec("rad", "largest drift angle in a planned turn", default=0.2, range=(0.1, 0.3)),
@@ -61,31 +58,8 @@ STEERED_PORTS = (
     Port("away", (1,), "1", "1 while a craft with fins goes away from a point at rest to turn back to it"),
 )
 
-COURSES = tuple(
-    np.radians([0, *(s * a for a in (10, 20, 30, 45, 60, 80, 100, 125, 150) for s in (1, -1)), 180]).tolist()
-)
-"""Candidate courses [rad] relative to the desired course.
-
-Of two equally good candidates the law chooses the first, so the craft passes a head-on obstacle with the obstacle on
-its right (erratum E10).
-"""
-
-SPEEDS = (1.0, 0.4)
-"""Candidate speeds as shares of the desired speed; at a lower speed the craft turns on a smaller circle."""
-
-STEPS = 16
-"""Number of steps of the prediction (*chosen*)."""
-
-_HIT, _SLOW, _OTHER_SIDE, _OTHER_COURSE = 4.0, 0.5, 2.5, 0.1  # weights of the cost
-_DEAD_END = 4.0  # of a contact before the end of the path, for a craft that cannot turn at rest
-_INADMISSIBLE = 1e3
-_BLUR = 0.2  # share of the hull radius added to the margin, because the prediction has few steps
 _RUN_IN = 2.0  # distance in turning radii to which such a craft goes before it turns back (*chosen*)
 _INSIDE = 0.95  # share of the turning radius within which a point at rest is out of reach for a craft with fins
-_CLEAR = _HIT / STEPS  # cost below which the desired course and speed have no contact in the prediction
-_NOWHERE = 1e6  # [m]
-_BACK = 3.0  # [rad] offset above which a course leads back
-_BETTER = 1e-9  # least difference of cost by which a later candidate replaces an earlier one
 _OUTRUN = 3.0  # least speed at a point at rest over the current from aside (*chosen*): the crab angle is 18 degrees
 _TIGHTER = 0.8  # radius of the planned arc to a point at rest over that which just reaches it (*chosen*)
 _CHANGED = 1e-3  # [m/s] difference above which a velocity counts as different from the desired velocity
@@ -104,8 +78,8 @@ def steered_law(s: Situation) -> Decision:
     away = _leaves(s, hull, s.steering)
     course = ca.if_else(away, _turned(hull, crab), course)  # over ground: along the hull, the drift of a turn goes on
     water = _through_water(s)
-    offset, share, cost = _chosen(s, course, desired_speed, hull, water, s.steering)
-    blocked, clear = cost >= _INADMISSIBLE, cost < _CLEAR
+    offset, share, cost = best_course(s, course, desired_speed, hull, water, s.steering)
+    blocked, clear = cost >= INADMISSIBLE, cost < CLEAR
     course, speed = _turned(course, offset), ca.if_else(blocked, 0, share * desired_speed)
 
     heading = _turned(course, -crab)
@@ -122,7 +96,7 @@ def steered_law(s: Situation) -> Decision:
     sway = drifted(s.x["sway"], water, s.nu[3], p, s.dt)
 
     velocity = speed * course
-    side = ca.if_else(clear, 0, ca.if_else(_sided(offset), ca.if_else(offset > 0, 1, -1), s.x["side"]))
+    side = ca.if_else(clear, 0, ca.if_else(sided(offset), ca.if_else(offset > 0, 1, -1), s.x["side"]))
     heaves = p["thrust_limit"][2] > 0
     depth = TaskLevel.of(depth_task(s.eta, p["depth"], gain=p["k2"]))
     return Decision(
@@ -217,132 +191,9 @@ def _yaw_rate(error: ca.SX, speed: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     return ca.fmin(ca.fmax(p["k_psi"] * error, -most), most)
 
 
-def _sided(offset: ca.SX) -> ca.SX:
-    # straight on and back belong to no side
-    return ca.logic_and(offset != 0, offset < _BACK)
-
-
 def _turned(unit: ca.SX, angle: ca.SX) -> ca.SX:
     c, s = ca.cos(angle), ca.sin(angle)
     return ca.vertcat(unit[0] * c - unit[1] * s, unit[0] * s + unit[1] * c)
-
-
-def _chosen(
-    s: Situation, course: ca.SX, speed: ca.SX, hull: ca.SX, water: ca.SX, steering: Steering
-) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return the offset from the desired course [rad], the share of the desired speed, and the cost of both."""
-    p = s.p
-    stopping = p["cruise"] ** 2 / (2 * steering.deceleration) + p["cruise"] * p["reaction"]
-    distance = p["foresight"] * steering.radius + stopping
-    step = distance / (p["cruise"] * STEPS)
-    aside = s.nu[1] - s.x["sway"]
-    stream = ca.vertcat(-hull[1] * aside, hull[0] * aside)
-    start = Moving(ca.SX.zeros(2), hull, ca.vertcat(s.nu[0], s.x["sway"], s.nu[3]), ca.SX(0), s.nu[0] - water)
-    contacts = _contacts(s)
-    side, to_end = s.x["side"], length(p["waypoints"][MAX_WAYPOINTS - 1, :].T - s.eta[:2])
-    last = s.x["last_velocity"] / ca.fmax(length(s.x["last_velocity"]), 1e-6)
-
-    def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:
-        offset, share, turned = candidate[0], candidate[1], candidate[2:4]
-        towards = ca.vertcat(
-            course[0] * turned[0] - course[1] * turned[1], course[0] * turned[1] + course[1] * turned[0]
-        )
-        floor = 1 - turned[0] + _SLOW * (1 - share)
-        floor += _OTHER_SIDE * ca.logic_and(_sided(offset), offset * side < 0)
-        # only while the craft passes an obstacle: otherwise the desired course decides alone
-        floor += _OTHER_COURSE * ca.logic_not(side == 0) * (1 - ca.dot(towards, last))
-        # a candidate that cannot be the best even without a contact is not predicted
-        hopeless = floor >= least - _BETTER
-        # every candidate is predicted over the same distance
-        longer = step / share
-        gain = ca.fmin(p["k_psi"], 0.5 / longer)
-        hit, travelled = _first_hit(
-            start, towards, share * speed, contacts, p, step=longer, gain=gain, stream=stream, skip=hopeless
-        )
-        stop = speed * share * (speed * share / (2 * steering.deceleration) + p["reaction"])
-        # the craft stops at the end of the path, so what is behind it does not count on the desired course
-        met = ca.logic_and(hit < NEVER, ca.logic_or(offset != 0, travelled < ca.fmax(to_end, stop)))
-        # a turn takes time, so the distance counts too
-        near = 1 - ca.fmin(hit / STEPS, travelled / distance)
-        cost = floor + ca.if_else(met, _HIT * near, 0)
-        cost += _DEAD_END * p["fin_share"] * ca.logic_and(met, travelled < to_end)
-        cost += _INADMISSIBLE * ca.logic_and(met, travelled < stop)
-        better = ca.logic_and(ca.logic_not(hopeless), cost < least - _BETTER)
-        return [ca.if_else(better, candidate[:2], best), ca.if_else(better, cost, least)]
-
-    rows = [(offset, share, np.cos(offset), np.sin(offset)) for share in SPEEDS for offset in COURSES]
-    best, least = fold("courses", judged, [ca.SX.zeros(2), ca.SX(2 * _INADMISSIBLE)], tabulated(rows, 4))
-    return best[0], best[1], least
-
-
-def _contacts(s: Situation) -> tuple[ca.SX, ca.SX]:
-    """Return a table with one row per moving or resting body, and one with one row per wall.
-
-    A row contains, relative to the craft, the outward normal of a half-plane and its distance beyond the least allowed
-    one; a body adds centre and squared least distance of a disc, and its velocity. Of half-plane and disc, the one that
-    does not apply is out of reach.
-    """
-    bodies, walls = [], []
-    for flat, contacts in ((False, [*s.perceived.known, *s.perceived.echoes]), (True, s.perceived.walls)):
-        for c in contacts:
-            # a contact that is nearer than the margin must not come nearer; an empty slot is nowhere
-            margin = ca.fmin(s.p["margin"] + _BLUR * s.p["hull"], c.clearance - 1e-3)
-            margin = ca.if_else(ca.fabs(c.clearance - FAR) < 1e-9, -_NOWHERE, margin)
-            if flat:
-                walls.append((c.normal, c.clearance - margin))
-                continue
-            half_plane = c.combined_radius <= s.p["hull"] + 1e-6
-            centre, least = c.normal * (c.clearance + c.combined_radius), c.combined_radius + margin
-            squared = ca.if_else(ca.logic_or(half_plane, least < 0), -1, least * least)
-            gap = ca.if_else(half_plane, c.clearance - margin, _NOWHERE)
-            bodies.append((c.normal, gap, centre, squared, c.velocity))
-    return tabulated(bodies, 8), tabulated(walls, 3)
-
-
-def _first_hit(
-    start: Moving,
-    course: ca.SX,
-    speed: ca.SX,
-    contacts: tuple[ca.SX, ca.SX],
-    p: Mapping[str, ca.SX],
-    *,
-    step: ca.SX,
-    gain: ca.SX,
-    stream: ca.SX,
-    skip: ca.SX,
-) -> tuple[ca.SX, ca.SX]:
-    """Return the step of the prediction with the first contact (or `NEVER`), and the distance travelled until then.
-
-    If `skip` is 1, nothing is predicted.
-    """
-
-    bodies, walls = contacts
-
-    def ahead(
-        place: ca.SX, hull: ca.SX, nu: ca.SX, so_far: ca.SX, k: ca.SX, *_: ca.SX
-    ) -> tuple[list[ca.SX], list[ca.SX]]:
-        before = Moving(place, hull, nu, so_far, start.along)
-        now = moved(before, course, speed, p, step=step, gain=gain, stream=stream)
-        time = step * (k + 1)
-
-        def touches(met: ca.SX, row: ca.SX) -> ca.SX:
-            moving = row[6:8] * time - now.place
-            centre = row[3:5] + moving
-            flat = row[2] + ca.dot(row[:2], moving) < 0
-            return ca.logic_or(met, ca.logic_or(flat, ca.dot(centre, centre) < row[5]))
-
-        def beyond(met: ca.SX, row: ca.SX) -> ca.SX:
-            return ca.logic_or(met, ca.dot(row[:2], now.place) > row[2])
-
-        met = fold("touches", touches, ca.SX(0), bodies) if bodies.shape[0] else ca.SX(0)
-        met = fold("beyond", beyond, met, walls)
-        after = [now.place, now.hull, now.nu, now.travelled, k + 1]
-        return [*after, ca.if_else(met, k, NEVER), ca.if_else(met, so_far, 0), met], []
-
-    state = [start.place, start.hull, start.nu, start.travelled, *(ca.SX(n) for n in (0, NEVER, 0)), skip]
-    # the prediction ends at the first contact
-    after, _ = repeat("ahead", ahead, state, count=STEPS, until=7)
-    return after[5], after[6]
 
 
 def steered_thrust(

@@ -25,7 +25,7 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 from surctl.ir.sources import source_digest
 from surctl.ir.stored import read_block, write_block
 from surctl.ir.symbolic import on_vectors, to_casadi
-from surctl.ir.tracing import Recording, each, fold, only_if, repeat, tabulated
+from surctl.ir.tracing import Recording, each, fold, only_if, picked, repeat, tabulated
 
 __all__ = [
     "C_TYPE",
@@ -76,6 +76,7 @@ __all__ = [
     "nearby_angles",
     "on_vectors",
     "only_if",
+    "picked",
     "read_block",
     "reads",
     "repeat",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from surctl.ir.numbering import Numbering
 from surctl.ir.program import Program, drop_dead
 from surctl.ir.regions import Key, Regions, Traced, postorder
-from surctl.ir.routine import Block, Call, Loop, Routine, Step
+from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 
 __all__ = ["routine"]
 
@@ -52,11 +52,12 @@ class _Emitter:
         self.regions, self.name, self.outputs = regions, name, outputs
         self.atoms = {i.args: v for v, i in enumerate(regions.code) if i.op == "input"}
         self.arguments: list[_Arguments] = []
-        self.blocks: list[Block] = []
+        self.blocks: dict[int, Block] = {}
         self._known: dict[str, Block] = {}
         for k, loop in enumerate(regions.loops):
             self.arguments.append(_Arguments(loop.state, loop.tables, tuple(self._fixed(k))))
-            self.blocks.append(self._body(k))
+            if loop.count:
+                self.blocks[k] = self._body(k)
 
     def root(self) -> Block:
         """Return the program or routine of the whole instruction list."""
@@ -156,7 +157,7 @@ class _Body:
                 self.sizes[array] = len(key)
                 self.known.setdefault(key, array)
             self.place |= {value: (f"later{at}", entry) for entry, value in enumerate(later)}
-            steps += [self._loop(k) for k in loops]
+            steps += [self._step(k) for k in loops]
         inputs = tuple((name, self.sizes[name]) for name, _ in self.inputs)
         return Routine(self.name, inputs, tuple(steps), tuple(f"out_{name}" for name in self.outputs))
 
@@ -224,7 +225,7 @@ class _Body:
             and self.whole.entries(first.args[0]) == key
         )
 
-    def _loop(self, k: int) -> Loop:
+    def _step(self, k: int) -> Loop | Gather:
         loop, arguments = self.regions.loops[k], self.whole.arguments[k]
         held = len(loop.state)
         which = [*range(held), *(held + at for at in self.whole.stacked(k))]
@@ -241,6 +242,8 @@ class _Body:
         state, tables, fixed = (
             tuple(self.known[key] for key in keys) for keys in (arguments.state, arguments.tables, arguments.fixed)
         )
+        if not loop.count:
+            return Gather(tables[0], state[0], self.sizes[results[0]], results[0])
         return Loop(self.whole.blocks[k], loop.count, state, tuple(results), tables, fixed, until=loop.until)
 
     def _program(self, name: str, stage: int, outputs: Mapping[str, Key]) -> Program:

@@ -29,7 +29,7 @@ class Traced:
     Attributes:
         name: name of the loop body.
         depth: nesting depth when the loop was traced; 1 for an outermost loop.
-        count: number of iterations.
+        count: number of iterations; 0 for a table row that is picked: the state is its index, and the result the row.
         own: inputs of the list that represent the loop's state, then those for the table rows of the present iteration.
         results: inputs of the list that represent the final state of the loop, then those for its stacked arrays.
         state, tables: initial state of the loop, and tables that the loop reads row by row.

@@ -175,9 +175,12 @@ def _plain(source: ca.MX, width: int, lanes: int) -> ca.MX:
 
 
 def _piece(source: ca.MX, index: ca.MX, width: int) -> ca.MX:
-    last = source.numel() // width - 1
-    inside = ca.if_else(index >= 1, ca.if_else(index < last, ca.floor(index), last), 0)
-    return source[inside * width + ca.DM(range(width))]
+    # a chain of choices, which CasADi can expand to SX
+    table, at = ca.SX.sym("table", width, source.numel() // width), ca.SX.sym("at")
+    piece = table[:, 0]
+    for k in range(1, table.shape[1]):
+        piece = ca.if_else(at >= k, table[:, k], piece)
+    return _called(ca.Function("piece", [ca.vec(table), at], [piece]), [source, index])[0]
 
 
 def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]]:

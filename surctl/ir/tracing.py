@@ -2,9 +2,9 @@
 
 CasADi's SX has no loops: a Python loop that builds expressions is unrolled, so the generated code grows with the number
 of iterations. While a `Recording` is open, `repeat`, `fold`, `each` and `only_if` call the loop body once, on new
-symbols, and return symbols for the results of the loop. `Recording.block` converts expressions in such symbols to a
-routine. Without a recording, these functions unroll the loop, so that the expressions can be evaluated or
-differentiated directly.
+symbols, and return symbols for the results of the loop; `picked` returns symbols for the row of a table.
+`Recording.block` converts expressions in such symbols to a routine. Without a recording, these functions unroll the
+loop, so that the expressions can be evaluated or differentiated directly.
 
 A loop body may use any expression from outside the body. A value that does not depend on the table rows or the state of
 a loop is computed once, before the loop. A value that only a conditional (`only_if`) needs is computed inside the
@@ -27,7 +27,7 @@ from surctl.ir.nesting import routine
 from surctl.ir.regions import Traced
 from surctl.ir.routine import Block
 
-__all__ = ["Recording", "each", "fold", "only_if", "repeat", "tabulated"]
+__all__ = ["Recording", "each", "fold", "only_if", "picked", "repeat", "tabulated"]
 
 Vectors: TypeAlias = Sequence[ca.SX]
 
@@ -36,7 +36,10 @@ _open: ContextVar[Recording | None] = ContextVar("recording", default=None)
 
 @dataclass(frozen=True)
 class _Loop:
-    """One traced loop, with its values as expressions (in `regions.Traced`, values are list positions)."""
+    """One traced loop, with its values as expressions (in `regions.Traced`, values are list positions).
+
+    A row that `picked` reads is a loop of no iteration: its state is the index, its result the row.
+    """
 
     name: str
     depth: int
@@ -158,6 +161,14 @@ class Recording:
         )
         self._loops.append(loop)
         return results, [ca.reshape(s, part.numel(), count).T for s, part in zip(stacked, collected, strict=True)]
+
+    def pick(self, name: str, table: ca.SX, index: ca.SX) -> ca.SX:
+        """Record that a table row is read, and return the row."""
+        row = ca.SX.sym("r", table.shape[1])
+        self._loops.append(
+            _Loop(name, self._depth + 1, 0, (), (row,), (ca.densify(index),), (ca.vec(table.T),), (), (), None)
+        )
+        return row
 
     def _reached(self, outputs: Vectors) -> list[_Loop]:
         # in the order in which the loops were traced
@@ -290,6 +301,37 @@ def only_if(name: str, condition: ca.SX, body: Callable[[], Vectors], otherwise:
         name, lambda *_: ((ca.SX(1), *body()), ()), [ca.logic_not(condition), *alternatives], count=1, until=0
     )
     return values
+
+
+def picked(name: str, table: ca.SX, index: ca.SX) -> ca.SX:
+    """Return row number `index` of a table, as a column; the first row has the number 0.
+
+    The index is rounded down; outside the table the nearest row is read, and for a NaN the first row.
+
+    Args:
+        name: C identifier of the array for the row.
+        table: (rows, width), at least one row.
+        index: (1, 1), may change in each iteration of a loop.
+
+    Raises:
+        InputError: the table has no rows.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import picked
+        >>> ca.DM(picked("second", ca.SX([[1, 2], [3, 4], [5, 6]]), ca.SX(1))).full().ravel().tolist()
+        [3.0, 4.0]
+    """
+    table = ca.densify(ca.SX(table))
+    if not table.shape[0]:
+        raise InputError("reads a row of an empty table", key=name, remedy="use a table with at least one row")
+    recording = _open.get()
+    if recording is not None:
+        return recording.pick(name, table, index)
+    row = table[0, :].T
+    for k in range(1, table.shape[0]):
+        row = ca.if_else(index >= k, table[k, :].T, row)
+    return row
 
 
 def tabulated(rows: Iterable[Iterable[ca.SX | float]], width: int = 0) -> ca.SX:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import degrees
+from math import degrees, pi
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
     """
     if vehicle.actuators is None:
         return []
-    results = _odd(vehicle)
+    results = [*_odd(vehicle), *_not_simulated(vehicle)]
     for axis, (name, word) in enumerate(_LIMITS.items()):
         reverse, unit = name.replace("_max", "_reverse"), vehicle.parameters[name].unit
         low, high = axis_ends(vehicle.actuators, vehicle.speed)[axis].tolist()
@@ -78,6 +78,32 @@ def _odd(vehicle: Vehicle) -> list[Finding]:
             limit = degrees(one.fin.limit)
             text = f"{one.name} deflects by {limit:.4g}° only, which looks like radians: {degrees(limit):.3g}°?"
             results.append(Finding("warning", f"thruster.{one.name}.fin.limit_deg", text))
+    return results
+
+
+def _not_simulated(vehicle: Vehicle) -> list[Finding]:
+    # what the file states or implies, and the plant does not contain
+    assert vehicle.actuators is not None
+    results, worst, worst_name = [], 0.0, ""
+    point = np.array([vehicle[name] if name in vehicle.parameters else 0.0 for name in ("xt", "yt", "zt")])
+    for one in vehicle.actuators.thrusters:
+        rate = None if one.swivel is None else one.swivel.rate
+        if rate is not None and pi / 2 > rate * vehicle["thrust_lag"]:
+            text = (
+                f"a quarter turn of {one.name} takes {pi / 2 / rate:.3g} s, but simulation and margins turn joints at "
+                f"once, with the lag of {vehicle['thrust_lag']:.3g} s: use a faster joint, or state a longer thrust_lag"
+            )
+            results.append(Finding("warning", f"thruster.{one.name}.swivel.rate_deg_per_s", text))
+        arm = (one.columns[3:5] - np.cross(point, one.directions, axisb=0).T[:2]) @ one.corners.T
+        most = float(np.linalg.norm(arm, axis=0).max())
+        if vehicle.form.tilts and most > worst + _SLACK:
+            worst, worst_name = most, one.name
+    if worst:
+        text = (
+            f"the roll and pitch moment of {worst_name} is not simulated: {worst:.3g} N m beside that of its force at "
+            "(xt, yt, zt); only the total force and the yaw moment of the thrusters move the vehicle"
+        )
+        results.append(Finding("warning", f"thruster.{worst_name}.at_m", text))
     return results
 
 

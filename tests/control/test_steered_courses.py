@@ -1,37 +1,43 @@
-"""The steered law predicts only candidates that can still be the best one; its choice is that of all candidates."""
+"""The steered law predicts candidates in the order of their least cost, within a fixed number of steps."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from surctl.control import LAWS, build_law_of, law_parameters, load_gains, steered
+from surctl.control import DEGRADED, LAWS, Law, build_law_of, courses, law_parameters, load_gains, steered
 from surctl.guidance import Path
 from tests.craft import CRUISE, craft
 
 SITE = (0.0, 60.0, 0.0, 60.0)
 
 
-def test_a_candidate_that_is_not_predicted_would_not_be_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
-    law, predict = build_law_of(LAWS["steered"]), steered._first_hit
+def rebuilt() -> Law:
+    return build_law_of(replace(LAWS["steered"], decide=steered.steered_law))
 
-    def every(*arguments: Any, skip: ca.SX, **others: Any) -> tuple[ca.SX, ca.SX]:
-        return predict(*arguments, skip=ca.SX(0), **others)
 
-    monkeypatch.setattr(steered, "_first_hit", every)
-    whole = build_law_of(replace(LAWS["steered"], decide=steered.steered_law))
+def numbers(**changed: float) -> NDArray[np.float64]:
+    gains, path = (
+        load_gains("default", own=LAWS["steered"].gains).with_values(changed),
+        Path(np.array([[10.0, 30.0], [50.0, 30.0]])),
+    )
+    return law_parameters(gains, craft("otter"), path=path, depth=0.0, cruise=CRUISE["otter"], cap=1.0, walls=SITE)
+
+
+def test_the_choice_is_that_of_a_search_through_all_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
+    law, ordered = rebuilt(), courses._ordered
+    assert law.block.operations < 40_000
+    # no candidate ends the search but the last, and there are steps for all of them
+    unending = lambda side: ((*row[:5], -1.0 if row[5] < 1e3 else row[5]) for row in ordered(side))  # noqa: E731
+    monkeypatch.setattr(courses, "_ordered", unending)
+    monkeypatch.setattr(courses, "BUDGET", len(courses.COURSES) * len(courses.SPEEDS) * courses.STEPS)
+    whole, p = rebuilt(), numbers()
     assert law.block.digest() != whole.block.digest()
-    gains = load_gains("default", own=LAWS["steered"].gains)
-    p = law_parameters(
-        gains, craft("otter"), path=Path(np.array([[10.0, 30.0], [50.0, 30.0]])), depth=0.0, cruise=CRUISE["otter"],
-        cap=1.0, walls=SITE,
-    )  # fmt: skip
     rng, turned = np.random.default_rng(3), 0
-    for _ in range(40):
+    for _ in range(60):
         x = law.initial_state()
         x[law.state.slice("progress")] = 15.0
         x[law.state.slice("side")] = rng.choice([-1.0, 0.0, 1.0])
@@ -48,3 +54,16 @@ def test_a_candidate_that_is_not_predicted_would_not_be_chosen(monkeypatch: pyte
         assert one.x_next == pytest.approx(other.x_next, abs=1e-9)
         turned += bool(one.telemetry[law.telemetry_slice("avoiding")][0])
     assert turned > 10
+
+
+@pytest.mark.parametrize(("budget", "stops"), [(1, True), (courses.STEPS, False)])
+def test_a_course_counts_as_clear_only_as_far_as_it_was_predicted(
+    monkeypatch: pytest.MonkeyPatch, budget: int, *, stops: bool
+) -> None:
+    monkeypatch.setattr(courses, "BUDGET", budget)
+    # a stopping distance of several steps
+    law, p = rebuilt(), numbers(brake=0.1)
+    x = law.initial_state()
+    x[law.state.slice("progress")] = 15.0
+    u = law.inputs.pack({"eta": [12.0, 30.0, 0.0, 0.0], "nu": [0.77, 0.0, 0.0, 0.0], "contacts": np.zeros((8, 6))})
+    assert bool(law.step(x, u, p).status & DEGRADED) == stops

@@ -20,6 +20,7 @@ from surctl.ir import (
     fold,
     lower,
     only_if,
+    picked,
     repeat,
     replay,
     tabulated,
@@ -102,7 +103,7 @@ class Maker:
 
     def loop(self, pool: list[ca.SX], tables: list[ca.SX], depth: int) -> None:
         """One more loop; its body is the same whenever it is called."""
-        seed, kind = int(self.rng.integers(1 << 30)), self.rng.integers(3)
+        seed, kind = int(self.rng.integers(1 << 30)), self.rng.integers(4)
         start = [self.value(pool) for _ in range(self.rng.integers(1, 3))]
         before, around = list(pool), list(tables)
 
@@ -120,6 +121,8 @@ class Maker:
             pool += only_if(name, self.value(pool) < self.value(pool), lambda: inside(len(start)), start)
         elif kind == 1:
             pool += fold(name, body, start, self.table(pool, tables))
+        elif kind == 2:
+            pool += ca.vertsplit(picked(name, self.table(pool, tables), 2 * self.value(pool)))
         else:
             rows = self.table(pool, tables)
             tables += each(name, lambda row: [ca.vertcat(*inside(2, *ca.vertsplit(row)))], rows)
@@ -237,6 +240,8 @@ def test_mistakes_are_named() -> None:
         fold("sums", lambda s, a, b: s, ca.SX(0), ca.SX(2, 1), ca.SX(3, 1))
     with pytest.raises(InputError, match=r"sums: has a state of \[1\] numbers at first, then of \[2\]"):
         fold("sums", lambda s, a: ca.vertcat(s, s), ca.SX(0), row)
+    with pytest.raises(InputError, match="first: reads a row of an empty table"):
+        picked("first", ca.SX(0, 2), ca.SX(0))
     with pytest.raises(InputError, match="needs a flag of one number"):
         repeat("ends", lambda s, a: ([s], []), [ca.SX([0, 0])], [row], until=0)
     with Recording() as recording:

@@ -278,6 +278,22 @@ def test_numbers_in_another_unit_are_found(tmp_path: Path) -> None:
     assert radians.key == "thruster.rudder.fin.limit_deg" and "looks like radians: 30°?" in radians.text
 
 
+def test_what_the_plant_leaves_out_is_said() -> None:
+    jets, heavy = load_vehicle("sur540-jets"), load_vehicle("bluerov2-heavy")
+    assert jets.actuators is not None
+    for rate, count in ((1.0, 4), (6.0, 0)):  # a quarter turn in 1.6 s and in 0.26 s, and a lag of 0.3 s
+        slowed = tuple(
+            replace(one, swivel=replace(one.swivel, rate=rate)) for one in jets.actuators.thrusters if one.swivel
+        )
+        slow = thruster_findings(replace(jets, actuators=replace(jets.actuators, thrusters=slowed)))
+        assert len(slow) == count
+    tilting = load_vehicle("sur540-tilting")
+    added = {name: value for name, value in tilting.parameters.items() if name not in heavy.parameters}
+    (moment,) = thruster_findings(replace(heavy, parameters={**heavy.parameters, **added}))
+    assert moment.level == "warning" and "roll and pitch moment of T" in moment.text
+    assert thruster_findings(heavy) == []
+
+
 @pytest.mark.parametrize("name", [r"two\nlines", r"a\tb"])
 def test_a_vehicle_s_name_has_no_control_characters(name: str, tmp_path: Path) -> None:
     old = f'name = "{load_vehicle("bluerov2-vonbenzon").name}"'
