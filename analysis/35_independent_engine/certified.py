@@ -47,7 +47,7 @@ def confronted(gains: Gains, starts: int) -> tuple[str, bool]:
             for s, (low, high) in zip(share, (claim.mass, claim.linear, claim.quadratic), strict=True)
         )
         values = {"m11": mass, "m22": mass, "m33": mass, "Xu": linear, "Yv": linear, "Xuu": quadratic, "Yvv": quadratic}
-        aside, tilted = _run(scenario, _with(tilting, values), law, native, p, offset)
+        aside, tilted = _run(scenario, with_parameters(tilting, values), law, native, p, offset)
         largest[k], last[k], tilt = float(aside.max()), float(aside[-1]), max(tilt, tilted)
     left = int(np.sum(largest > proof.extent))
     outside = int(np.sum(last > bound))
@@ -61,7 +61,8 @@ does not cover, from starts in this range (half of them at its ends), with mass 
     return text, left == 0 and outside == 0
 
 
-def _with(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
+def with_parameters(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
+    """Return the vehicle with other values, whatever their ranges."""
     known = dict(vehicle.parameters)
     known |= {name: Parameter(float(value), known[name].unit, None, "study") for name, value in values.items()}
     return replace(vehicle, parameters=known)

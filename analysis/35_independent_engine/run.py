@@ -16,9 +16,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from braking import braked
 from campaign import good as arrived
 from campaign import stored_runs
-from certified import confronted
+from certified import confronted, with_parameters
 
 from surctl.control import build_law, load_gains
 from surctl.engine import BatchCase, EngineOptions, mujoco_physics, simulate_seeds
@@ -35,7 +36,6 @@ from surctl.simulation import (
     simulate_batch,
 )
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.vehicle.parameters import Parameter
 
 HERE = Path(__file__).parent
 SCENARIOS = tuple(sorted(path.stem for path in LIBRARY.glob("*.toml")))
@@ -156,13 +156,6 @@ arrive without contact, and {touched} have a contact.
     return text, total == seeds * len(names)
 
 
-def with_values(vehicle: Vehicle, **values: float) -> Vehicle:
-    """Return the vehicle with other values, whatever their ranges."""
-    known = dict(vehicle.parameters)
-    known |= {name: Parameter(value, known[name].unit, None, "study") for name, value in values.items()}
-    return replace(vehicle, parameters=known)
-
-
 def models(names: tuple[str, ...], seeds: int) -> Part:
     """Tilt, buoyancy, drag and echoes."""
     scenario = load_scenario("tank-static")
@@ -170,7 +163,7 @@ def models(names: tuple[str, ...], seeds: int) -> Part:
     dry = 7.9 / (usual["weight"] / 9.81)  # share of the weight that is not water
 
     def centres(down: float, arm: float) -> Vehicle:
-        return with_values(usual, zg=-down * dry, zt=-arm)
+        return with_parameters(usual, {"zg": -down * dry, "zt": -arm})
 
     cases: list[tuple[str, Vehicle, EngineOptions, str]] = [
         ("centre of gravity 5 cm, jets 5 cm below the centre", usual, EngineOptions(), "truth"),
@@ -279,6 +272,11 @@ def certified(names: tuple[str, ...], seeds: int) -> Part:
     return confronted(GAINS, 50 * seeds)
 
 
+def braking(names: tuple[str, ...], seeds: int) -> Part:
+    """Runs towards an obstacle under the rule of a braking claim."""
+    return braked(GAINS, 50 * seeds)
+
+
 def repeats(name: str) -> bool:
     """Return whether two runs by sonar, in two processes, have the same bytes."""
     scenario = replace(load_scenario(name), time_limit=20.0)
@@ -312,6 +310,7 @@ PARTS: dict[str, Callable[[tuple[str, ...], int], Part]] = {
     "speed": speed,
     "pictures": pictures,
     "certified": certified,
+    "braking": braking,
 }
 
 

@@ -35,7 +35,8 @@ _TEXT = """/* The force of the water on {vehicle} in {scenario}, for the MuJoCo 
 static const double parameters[] = {{{parameters}}};
 
 /* current (3) [m/s]; outer force (3) [N] in the world and yaw moment [N m]; hull radius [m]; share of the missing
- * buoyancy; z at which the hull is ballasted to float [m]; mass [kg] and moments of inertia [kg m^2] of the model */
+ * buoyancy; z at which the hull is ballasted to float [m]; mass [kg] and moments of inertia [kg m^2] of the
+ * model; length, width and height [m] of a hull that is a box, else 0 */
 double surctl_environment[] = {{{environment}}};
 
 /* index of a name in a table of the model; it calls no function of MuJoCo, so that the library needs no linking */

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from math import pi
+from math import pi, sqrt
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Body", "body_of", "environment", "fluid_program"]
 
+_GAUSS = ((-sqrt(0.15), 5 / 18), (0.0, 8 / 18), (sqrt(0.15), 5 / 18))  # places and weights on (-1/2, 1/2)
 _TILTING = set("KMpq")
 _LINEAR, _ANGULAR = [0, 1, 2], [4, 5, 3]  # places of (u, v, w) and (p, q, r) in (u, v, w, r, p, q)
 
@@ -88,34 +89,36 @@ def body_of(vehicle: Vehicle, options: EngineOptions) -> Body:
 
 
 def environment(body: Body, scenario: Scenario, hull: float) -> NDArray[np.float64]:
-    """Return the input `e` (14,) of `fluid_program` without an outer force, for a hull with this radius [m]."""
+    """Return the input `e` (17,) of `fluid_program` without an outer force, for a hull with this radius [m]."""
     options = body.options
-    ballast = scenario.depth if options.ballast == "path" else -2 * hull
+    ballast = scenario.depth if options.ballast == "path" else -2 * max(hull, *(options.box or (0,)))
     current = scenario.disturbance.current_m_per_s
-    return np.array([*current, 0, 0, 0, 0, 0, hull, options.surface, ballast, body.mass, *body.inertia])
+    box = options.box or (0.0, 0.0, 0.0)
+    return np.array([*current, 0, 0, 0, 0, 0, hull, options.surface, ballast, body.mass, *body.inertia, *box])
 
 
 def fluid_program(body: Body) -> Program:
     """Return the instruction list of the force of the water on a hull, in MuJoCo's generalised coordinates.
 
     Its inputs are `q` and `v` (positions and velocities of MuJoCo), `thrust` (4,) after the lag, the vehicle's
-    parameters `p`, and `e` (14,): current (3,) [m/s], outer force (3,) in {E} and yaw moment, hull radius, share of the
-    missing buoyancy, depth to which the hull is ballasted, mass and moments of inertia of the rigid body.
+    parameters `p`, and `e` (17,): current (3,) [m/s], outer force (3,) in {E} and yaw moment, hull radius, share of the
+    missing buoyancy, depth to which the hull is ballasted, mass and moments of inertia of the rigid body, and the sides
+    of a hull that is a box.
 
     Example:
         >>> from surctl.engine import EngineOptions, body_of, fluid_program
         >>> from surctl.vehicle import load_vehicle
         >>> program = fluid_program(body_of(load_vehicle("sur400"), EngineOptions()))
         >>> [(name, size) for name, size in program.inputs]
-        [('q', 4), ('v', 4), ('thrust', 4), ('p', 17), ('e', 14)]
+        [('q', 4), ('v', 4), ('thrust', 4), ('p', 17), ('e', 17)]
     """
-    return _program(body.form, body.options.dof, body.options.drag, body.coupled)
+    return _program(body.form, body.options.dof, body.options.drag, body.coupled, body.options.box is not None)
 
 
 @cache
-def _program(form: PlantForm, dof: int, drag: str, coupled: bool) -> Program:
+def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool) -> Program:
     q, v = ca.SX.sym("q", 7 if dof == 6 else 4), ca.SX.sym("v", dof)
-    thrust, e = ca.SX.sym("thrust", 4), ca.SX.sym("e", 14)
+    thrust, e = ca.SX.sym("thrust", 4), ca.SX.sym("e", 17)
     flat, p = plant_layout(form).symbols("p")
     terms = {name: p["terms"][k] for k, name in enumerate(form.terms)}
     current, outer, yaw = e[:3], e[3:6], e[6]
@@ -131,10 +134,15 @@ def _program(form: PlantForm, dof: int, drag: str, coupled: bool) -> Program:
         forces[axis] += terms[name]
     ahead = ca.vertcat(ca.horzcat(level[0], -level[1]), ca.horzcat(level[1], level[0])) @ forces[:2]
     lift = terms.get("buoyancy", ca.SX(0)) - terms.get("weight", ca.SX(0))
-    missing = share * WATER * GRAVITY * (_emerged(q[2], radius) - _emerged(ballast, radius))
-    world = outer + ca.vertcat(ahead, forces[2]) + ca.vertcat(0, 0, lift - missing)
     up = rotation[2, :].T
-    moment = (yaw + forces[3]) * up
+    density = share * WATER * GRAVITY
+    if boxed:
+        volume, arm = _emerged_box(q[2], up, e[14:])
+        afloat, _ = _emerged_box(ballast, ca.SX([0, 0, 1]), e[14:])
+    else:
+        volume, arm, afloat = _emerged(q[2], radius), ca.SX.zeros(3), _emerged(ballast, radius)
+    world = outer + ca.vertcat(ahead, forces[2]) + ca.vertcat(0, 0, lift - density * (volume - afloat))
+    moment = (yaw + forces[3]) * up - density * ca.cross(arm, up)
     arm_moment = ca.SX.zeros(3)  # moment of the thrust about the origin
     if dof == 6:
         points = {name: ca.vertcat(*(terms.get(f"{axis}{name}", ca.SX(0)) for axis in "xyz")) for name in "gbt"}
@@ -191,6 +199,25 @@ def _drag(nu: ca.SX, p: dict[str, ca.SX], terms: dict[str, ca.SX], form: PlantFo
 def _emerged(z: ca.SX, radius: ca.SX) -> ca.SX:
     height = ca.fmin(ca.fmax(z + radius, 0), 2 * radius)
     return pi * height * height * (3 * radius - height) / 3
+
+
+def _emerged_box(z: ca.SX, up: ca.SX, sides: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the volume above the water of a box about the origin, and its first moment (3,) in the frame of the hull.
+
+    Nine columns along the box's height at the points of Gauss's rule: exact while the water line crosses the four
+    sides alone. `up` is the vertical in the frame of the hull; beyond 84 degrees of tilt it counts as 84 degrees.
+    """
+    volume, first = ca.SX(0), ca.SX.zeros(3)
+    rising = ca.fmax(up[2], 0.1)
+    for a, share_a in _GAUSS:
+        for b, share_b in _GAUSS:
+            x, y = a * sides[0], b * sides[1]
+            top = z + up[0] * x + up[1] * y + rising * sides[2] / 2
+            height = ca.fmin(ca.fmax(top / rising, 0), sides[2])
+            part = share_a * share_b * sides[0] * sides[1] * height
+            volume += part
+            first += part * ca.vertcat(x, y, (sides[2] - height) / 2)
+    return volume, first
 
 
 def _about_z(angle: ca.SX) -> ca.SX:

@@ -12,6 +12,7 @@ __all__ = ["EngineOptions", "parse_plant"]
 
 PLANTS = ("own", "mujoco")
 _FORM = "write --plant mujoco or --plant mujoco:KEY=VALUE,..."
+_BOX = "write LENGTHxWIDTHxHEIGHT in m, such as 1.2x0.6x0.4"
 _WORDS = {"drag": ("axis", "speed", "ellipsoid"), "rays": ("cone", "fan"), "ballast": ("path", "none")}
 _SWITCHES = ("floor", "surface_echo")
 
@@ -28,6 +29,9 @@ class EngineOptions:
         surface: share in [0, 1] of the displacement of the part of the hull above the water that is missing as
             buoyancy: 1 if the hull keeps its water, the dry mass over the displaced mass if it drains, 0 without a
             surface.
+        box: length, width and height [m] of a hull that is a box about its centre; None: a sphere with the radius of
+            the file. It decides the missing buoyancy and, with six degrees of freedom, the righting moment of the
+            water surface; contacts remain those of the sphere.
         ballast: `path`: the vehicle is ballasted to float at the depth of the path; `none`: it is not.
         rays: `cone`: rays in a cone in space, which rolls and pitches with the hull; `fan`: rays in a horizontal fan.
         count: number of rays of a sonar.
@@ -43,6 +47,7 @@ class EngineOptions:
     dof: int = 0
     drag: str = "axis"
     surface: float = 0.0
+    box: tuple[float, float, float] | None = None
     ballast: str = "path"
     rays: str = "cone"
     count: int = 200
@@ -64,6 +69,12 @@ class EngineOptions:
                 raise InputError(
                     "is not possible", key=key, value=getattr(self, key), remedy=f"give {low:g} to {high:g}"
                 )
+
+        if self.box is not None and (len(self.box) != 3 or not all(1e-3 <= side <= 1e3 for side in self.box)):
+            raise InputError("is not a box", key="box", value=_written(self.box), remedy=_BOX)
+        if self.box is not None and self.surface == 0:
+            remedy = "add surface=1.0, or drop box"
+            raise InputError("needs a water surface", key="box", value=_written(self.box), remedy=remedy)
 
     def of(self, vehicle: Vehicle) -> EngineOptions:
         """Return the options for a vehicle, with its degrees of freedom.
@@ -92,6 +103,8 @@ class EngineOptions:
 
 
 def _written(value: Any) -> str:
+    if isinstance(value, tuple):
+        return "x".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
@@ -134,6 +147,11 @@ def parse_plant(text: str) -> EngineOptions | None:
 def _value(key: str, text: str) -> Any:
     if key in _WORDS:
         return text
+    if key == "box":
+        try:
+            return tuple(map(float, text.split("x")))
+        except ValueError:
+            raise InputError("is not a box", key=f"--plant mujoco:{key}", value=text, remedy=_BOX) from None
     if key in _SWITCHES:
         if text not in ("true", "false"):
             raise InputError("is neither true nor false", key=f"--plant mujoco:{key}", value=text, remedy="use true")

@@ -135,6 +135,39 @@ def test_emerged_sphere_floats_by_archimedes() -> None:
     assert missing_buoyancy(0.27, -0.15) == pytest.approx(102.1, abs=0.05)
 
 
+def boxed(height: float, **values: float) -> MujocoPhysics:
+    """A box of 0.8 m × 0.5 m × 0.4 m that is as heavy as the water that it displaces where it floats at z = height."""
+    scenario = replace(STILL, depth=height)
+    vehicle = with_values(LOOSE, {"xb": 0.0, "yb": 0.0, "zb": 0.0, **values})
+    array, options = scenario.sensors.array_on(vehicle["radius"]), EngineOptions(surface=1.0, box=(0.8, 0.5, 0.4))
+    return MujocoPhysics(build_world(scenario, vehicle, seed=0), vehicle, array, options)
+
+
+def test_emerged_box_floats_by_archimedes() -> None:
+    """Heave period at the water line: T = 2π √(m / (ρ g L B)), as long as the sides stay in the water."""
+    system = boxed(-0.15)
+    system.state = STATE.pack({"eta": [200, 200, -0.12, 0.3]})
+    period = 2 * pi * sqrt(LOOSE["m33"] / (1000 * 9.81 * 0.8 * 0.5))
+    assert period_of(system, 2, -0.15, about=period) == pytest.approx(period, rel=1e-4)
+
+
+@pytest.mark.parametrize(("axis", "length", "width"), [(0, 0.8, 0.5), (1, 0.5, 0.8)])
+def test_emerged_box_rolls_by_its_metacentre(axis: int, length: float, width: float) -> None:
+    """T = 2π √(I / K) with K = ρ g (L B³ / 12 − e V / 2) + W |z_g| for the part that is out of the water.
+
+    The emerged volume V = L B e with e = 0.05 m has its centre at 0.2 − e/2 = 0.175 m above the origin, and lifts less.
+    """
+    system = boxed(-0.15, zg=-0.05)
+    tilt = [0.0] * 4
+    tilt[axis] = 1e-3
+    system.state = STATE.pack({"eta": [200, 200, -0.15, 0.3], "tilt": tilt})
+    emerged = 0.05
+    water = 1000 * 9.81 * (length * width**3 / 12 - length * width * emerged * (0.2 - emerged / 2))
+    stiffness = water + LOOSE["weight"] * 0.05
+    period = 2 * pi * sqrt(LOOSE["mpp"] / stiffness)
+    assert period_of(system, 12 + axis, 0.0, about=period) == pytest.approx(period, rel=1e-4)
+
+
 def test_coupled_vehicle_moves_as_in_the_own_plant() -> None:
     """Two derivations of the same equations: MuJoCo's frames and quaternion, and the plant's Euler angles."""
     vehicle = with_values(TILTING, COUPLED | {"Yr": 3.0, "Kvp": 1.0, "Z0": -2.0, "xb": 0.001})

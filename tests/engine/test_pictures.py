@@ -99,6 +99,9 @@ def invoke(*words: str) -> str:
         ("--plant mujoco:floor=yes", "use true"),
         ("--plant mujoco:surface", "write --plant"),
         ("--plant mujoco:surface=2", "give 0 to 1"),
+        ("--plant mujoco:box=1x2", "mujoco:box = '1.0x2.0': is not a box"),
+        ("--plant mujoco:box=1x2x0.3", "add surface=1.0"),
+        ("--plant mujoco:surface=1,box=axb", "such as 1.2x0.6x0.4"),
         ("--plant mujoco:dof=6", "add [attitude]"),
         ("--plant mujoco --monte-carlo", "--runs N with --threads N"),
         ("--plant mujoco --runs 2 --film run.gif", "shows one run, not 2"),
@@ -162,7 +165,7 @@ def test_a_renderer_or_an_installation_that_fails(monkeypatch: pytest.MonkeyPatc
 
 
 def test_the_options_are_written_as_they_are_read() -> None:
-    options = EngineOptions(dof=4, surface=0.5, floor=True, drag="speed")
+    options = EngineOptions(dof=4, surface=0.5, floor=True, drag="speed", box=(1.2, 0.6, 0.4))
     assert parse_plant(f"mujoco:{options.text()}") == options
 
 
