@@ -96,6 +96,9 @@ def _serve() -> None:
     for name in LOADED:
         importlib.import_module(name)
     in_unit(1.0, "cm", "m")  # reads the definitions of all units
+    templates = importlib.import_module("surctl.export.rendering").templates()
+    for name in templates.list_templates(extensions=["j2"]):
+        templates.get_template(name)
     collect_seldom()  # a collection would write to every page, and so copy it
     with os.fdopen(os.dup(1), "w") as answers:
         os.dup2(2, 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from surctl.export.contract import Exportable, commands, telemetry_ports
 from surctl.export.fields import entries
 from surctl.ir import C_TYPE, Parts, Program, Real
-from surctl.ir.c99_folded import folded_lines, helpers
+from surctl.ir.c99_folded import folded_lines, inline_helpers, own_helpers
 
 __all__ = ["changing", "direct_law", "results"]
 
@@ -53,8 +53,8 @@ def direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
         *body,
         "}",
     ]
-    text = "\n".join([line for line in (helpers([block], real), *lines) if line]) + "\n"
-    return Parts({"": text}, ("\n".join(head) + ";",))
+    text = "\n".join([*own_helpers([block], real), *lines]) + "\n"
+    return Parts({"": text}, (*inline_helpers([block], real), "\n".join(head) + ";"))
 
 
 def changing(block: Program) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import cache, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -49,7 +49,7 @@ from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emi
 from surctl.ir.c99_folded import PRAGMA
 from surctl.ir.compiler import FLAGS
 
-__all__ = ["render_files", "render_unit"]
+__all__ = ["render_files", "render_unit", "templates"]
 
 Vector = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def render_files(
     code = [f"{name}.c", *([f"{name}_gains.c"] if law.gains.size else []), *(file for file, _, _ in of_law)]
     headers = [f"{name}.h", *([f"{name}_gains.h"] if law.gains.size else []), f"{name}_internal.h"]
     values |= {"headers": " ".join(headers), "sources": " ".join(code), "arrivals": _arrivals(law)}
-    templates = {
+    sources = {
         f"{name}.h": "law.h.j2",
         f"{name}_internal.h": "internal.h.j2",
         f"{name}.c": "law.c.j2",
@@ -120,9 +120,8 @@ def render_files(
         "README.md": "README.md.j2",
         **supplement.templates(law),
     }
-    environment = _environment()
     own = {file: {"about": about, "text": text} for file, about, text in of_law}
-    texts = {file: environment.get_template(t).render(values, **own.get(file, {})) for file, t in templates.items()}
+    texts = {file: templates().get_template(t).render(values, **own.get(file, {})) for file, t in sources.items()}
     joined = (
         *(file for file in texts if file.startswith(name) and file.endswith(".c")),
         "link.c",
@@ -184,10 +183,12 @@ def render_unit(
         **fmi3_values(),
         **_words(real),
     }
-    return {file: _environment().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
+    return {file: templates().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
 
 
-def _environment() -> Environment:
+@cache
+def templates() -> Environment:
+    """Return the templates; each is compiled once in a process."""
     environment = Environment(
         loader=PackageLoader("surctl.export"),
         undefined=StrictUndefined,

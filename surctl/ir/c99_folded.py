@@ -19,15 +19,15 @@ from surctl.ir.moves import Move, move_lines, remaining
 from surctl.ir.ops import LEAVES
 from surctl.ir.program import Instruction, Program
 
-__all__ = ["PRAGMA", "emit_folded", "folded_lines", "helpers", "preamble"]
+__all__ = ["PRAGMA", "emit_folded", "folded_lines", "inline_helpers", "own_helpers", "preamble"]
 
 _COMPARE = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _LOGIC = {"and": "&&", "or": "||"}
 _BINARY = {"add": ("+", 6), "sub": ("-", 6), "mul": ("*", 7), "div": ("/", 7)}
 _HELPERS = {
-    "fmin": "min_of({0} a, {0} b) {{ return (b < a) ? b : a; }}",
-    "fmax": "max_of({0} a, {0} b) {{ return (a < b) ? b : a; }}",
-    "sq": "square_of({0} a) {{ return a * a; }}",
+    "fmin": "({0} a, {0} b) {{ return (b < a) ? b : a; }}",
+    "fmax": "({0} a, {0} b) {{ return (a < b) ? b : a; }}",
+    "sq": "({0} a) {{ return a * a; }}",
 }
 # Used on processors without a floor instruction, whose library function is long. The bytes equal those of floor, also
 # for the sign of a zero. Comparisons guard the cast against values that no int has; Frama-C can follow them.
@@ -42,11 +42,14 @@ static float floor_of(float a)
     return (whole == a) ? a : ((whole > a) ? whole - 1.0f : whole);
 }"""
 PRAGMA = "#if !defined(__GNUC__) || defined(__clang__)\n#pragma STDC FP_CONTRACT OFF\n#endif"
-_CALLS = {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"}
+_CALLS = {
+    "float64": {"fmin": "min_of", "fmax": "max_of", "sq": "square_of"},
+    "float32": {"fmin": "float_min_of", "fmax": "float_max_of", "sq": "float_square_of"},
+}
 
 _ATOM, _SIGNED, _TEST, _CHOICE = 9, 8, 5, 2
 _OPERAND = 6  # from this rank on, an operand of a comparison, a choice or a logical operation needs no parentheses
-_LONGEST = 90  # largest number of characters of an expression that is inlined
+_LONGEST = 120  # largest number of characters of an expression that is inlined
 _SHORT = 8  # up to this many characters, an expression is inlined at more than one use
 _LONG_LITERAL = 12  # a constant with more characters that is used twice gets a name
 
@@ -60,16 +63,31 @@ class _Text:
 
 def preamble(programs: Iterable[Program], real: Real = "float64") -> str:
     """Return the C text that must precede these programs: the pragma and the small functions that they call."""
-    return f"{PRAGMA}\n{helpers(programs, real)}"
+    programs = tuple(programs)
+    return "".join(f"{text}\n" for text in (PRAGMA, *inline_helpers(programs, real), *own_helpers(programs, real)))
 
 
-def helpers(programs: Iterable[Program], real: Real = "float64") -> str:
-    """Return the C text of the small functions that these programs call."""
-    used = {i.op for program in programs for i in program.instructions}
+def inline_helpers(programs: Iterable[Program], real: Real = "float64") -> list[str]:
+    """Return the C text of each small inline function that these programs call.
+
+    Files of several controllers that form one compilation unit share these functions: a macro marks each.
+    """
+    used = _operations(programs)
     kind = C_TYPE[real]
-    called = [f"static inline {kind} {text.format(kind)}" for op, text in _HELPERS.items() if op in used]
-    floor = [_FLOOR] if real == "float32" and "floor" in used else []
-    return "".join(f"{text}\n" for text in (*called, *floor))
+    called = [(_CALLS[real][op], text.format(kind)) for op, text in _HELPERS.items() if op in used]
+    return [
+        f"#ifndef SURCTL_{name.upper()}\n#define SURCTL_{name.upper()}\nstatic inline {kind} {name}{text}\n#endif"
+        for name, text in called
+    ]
+
+
+def own_helpers(programs: Iterable[Program], real: Real = "float64") -> list[str]:
+    """Return the C text of each small function that every file with these programs defines for itself."""
+    return [_FLOOR] if real == "float32" and "floor" in _operations(programs) else []
+
+
+def _operations(programs: Iterable[Program]) -> set[str]:
+    return {i.op for program in programs for i in program.instructions}
 
 
 def emit_folded(
@@ -161,7 +179,8 @@ class _Folder:
         stored = [ref for _, ref in stores]
         self.uses = Counter(stored)
         self.uses.update(arg for i in instructions if i.op not in LEAVES for arg in i.args)
-        self.named = set() if apart else set(stored)  # all values are computed before the first store
+        # all values are computed before the first store, which may hold the expression of its own value
+        self.named = set() if apart else {ref for ref in stored if ref != stored[0] or self.uses[ref] > 1}
         self.texts: list[_Text] = []
         self.locals: list[tuple[bool, str]] = []  # (whether a truth value, "name = expression")
 
@@ -241,7 +260,7 @@ class _Folder:
         name = (
             "floor_of"
             if op == "floor" and self.real == "float32"
-            else _CALLS.get(op) or (op if self.real == "float64" else f"{op}f")
+            else _CALLS[self.real].get(op) or (op if self.real == "float64" else f"{op}f")
         )
         return _Text(f"{name}({', '.join(g.text for g in operands)})")
 

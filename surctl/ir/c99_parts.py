@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from surctl.ir.c99 import Real, identifier
-from surctl.ir.c99_folded import helpers
+from surctl.ir.c99_folded import inline_helpers, own_helpers
 from surctl.ir.c99_routine import Writer, free_name, key_of
 from surctl.ir.ops import LEAVES
 from surctl.ir.places import inlined
@@ -26,7 +26,8 @@ class Parts:
     Attributes:
         files: C text of each file, by the name of the file's main function; the file of the last function has the name
             "".
-        prototypes: C prototypes of the functions that are called from another file.
+        prototypes: C text that every file needs before its own: prototypes of the functions that are called from
+            another file, and small inline functions.
     """
 
     files: Mapping[str, str]
@@ -36,7 +37,7 @@ class Parts:
 def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
     """Return the folded C99 of `emit_block`, divided into files: one for each large function and its own callees.
 
-    A function that is called from another file has a name that begins with `symbol`; all other functions are static.
+    All names begin with `symbol`; functions that no other file calls are static.
     Each file must begin with <math.h>, the pragma FP_CONTRACT and the prototypes.
 
     Args:
@@ -61,13 +62,14 @@ def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
     nodes = _nodes(block)
     files = _parted(nodes, block.digest())
     shared = {key for at, node in nodes.items() for key in node.calls if files.get(key, "") != files.get(at, "")}
-    writer = Writer(identifier(symbol), real, True, inner="law", files=files, shared={*shared, block.digest()})
+    writer = Writer(identifier(symbol), real, True, files=files, shared={*shared, block.digest()})
     writer.write(block)
     texts = {
-        name: "\n".join([text for text in (helpers(part.programs, real), *part.chunks) if text])
+        name: "\n".join([text for text in (*own_helpers(part.programs, real), *part.chunks) if text])
         for name, part in writer.parts.items()
     }
-    return Parts(MappingProxyType(dict(sorted(texts.items()))), tuple(writer.prototypes))
+    programs = [program for part in writer.parts.values() for program in part.programs]
+    return Parts(MappingProxyType(dict(sorted(texts.items()))), (*inline_helpers(programs, real), *writer.prototypes))
 
 
 @dataclass(frozen=True)

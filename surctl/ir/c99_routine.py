@@ -73,7 +73,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
         static void dive(const double in0[1], const double in1[1], double out0[1])
         {
             out0[0] = in0[0];
-            for (int i = 0; (i < 5); ++i) {
+            for (int i = 0; i < 5; ++i) {
                 dive_sink(out0, in1, out0);
             }
         }
@@ -120,14 +120,12 @@ class Writer:
     """Collects the C functions of a program or routine by file, and the name of each function by its key (`key_of`).
 
     Args:
-        symbol: name of the last function.
+        symbol: name of the last function, and prefix of all others.
         real: type of the numbers.
         folded: see `emit_block`.
-        inner: prefix of the names of all functions except the last; if empty, the prefix is `symbol`.
         files: name of the file of each function, by the function's key; a function without an entry is written to file
             "".
-        shared: keys of the functions that are called from another file; these are not static, and have the prefix
-            `symbol`.
+        shared: keys of the functions that are called from another file; these are not static.
     """
 
     def __init__(
@@ -136,12 +134,11 @@ class Writer:
         real: Real,
         folded: bool,
         *,
-        inner: str = "",
         files: Mapping[str, str] = MappingProxyType({}),
         shared: Collection[str] = (),
     ) -> None:
         self.symbol, self.real, self.kind, self.folded = symbol, real, C_TYPE[real], folded
-        self.inner, self.files, self.shared = inner or symbol, files, shared
+        self.files, self.shared = files, shared
         self.overlapping: Overlaps = {}
         self.named: dict[str, str] = {}
         self.parts: dict[str, Part] = {}
@@ -171,7 +168,7 @@ class Writer:
             self._add(key, _routine(block, name, self))
 
     def _name(self, key: str, name: str) -> str:
-        return free_name(f"{self.symbol if key in self.shared else self.inner}_{name}", self.named)
+        return free_name(f"{self.symbol}_{name}", self.named)
 
     def _add(self, key: str, text: str, program: Program | None = None) -> None:
         part = self.parts.setdefault(self.files.get(key, ""), Part())
@@ -375,7 +372,8 @@ def _loop(
         chosen = f"{next(iter(now.values()))}_runs"
         lines += [f"    const int {chosen} = {runs};", f"    /*@ split {chosen}; */"]
         runs = chosen
-    lines.append(f"    for (int i = 0; (i < {loop.count}){f' && {runs}' if runs else ''}; ++i) {{")
+    within = f"(i < {loop.count}) && {runs}" if runs else f"i < {loop.count}"
+    lines.append(f"    for (int i = 0; {within}; ++i) {{")
     if loop.index:
         first = f"({writer.kind})i" if loop.lanes == 1 else f"({writer.kind})({loop.lanes} * i)"
         ranks = [first if k == 0 else f"{first} + {c_literal(float(k), writer.real)}" for k in range(loop.lanes)]

@@ -86,7 +86,7 @@ def test_a_law_that_searches_and_remembers_is_proved_as_a_whole() -> None:
         (r" \|\| !\(tau\[0\] == tau\[0\]\)", "", "assertion"),  # a thrust that is no number gets out
         (r"\w+min_of\((\w+)max_of\((v\d+), -5\.0f\), 5\.0f\)", r"\1max_of(\2, -5.0f)", "assertion"),
         (r"piece = (in\d+) \+ 4U \* at;", r"piece = \1 + 4U * (at + 1U);", "mem_access"),  # a row beyond the last
-        (r"for \(int i = 0; \(i < 9\); \+\+i\) \{", "for (int i = 0; (i < 8); ++i) {", "initialization"),
+        (r"for \(int i = 0; i < 9; \+\+i\) \{", "for (int i = 0; i < 8; ++i) {", "initialization"),
     ],
 )
 def test_what_is_wrong_in_a_law_that_searches_is_told(pattern: str, new: str, kind: str) -> None:

@@ -96,6 +96,7 @@ def test_single_steps_far_from_any_flight_agree_to_the_last_bit(flown: tuple[Run
 def in_float(text: str) -> str:
     """The text around the law with float for double."""
     text = re.sub(r"\bdouble\b", "float", text).replace("DBL_MAX", "FLT_MAX").replace("fabs(", "fabsf(")
+    text = re.sub(r"\b(?=(min|max|square)_of\()", "float_", text)
     return re.sub(r"(?<![\w.])(\d+\.\d+(?:e[-+]?\d+)?)(?![\w.])", r"\1f", text)
 
 

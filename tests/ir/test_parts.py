@@ -67,7 +67,7 @@ def test_what_one_function_alone_calls_stands_with_it_and_what_two_call_with_the
     parts = emit_parts(Routine("law", (("x", 1),), steps, ("c",)), symbol="robot_law")
     assert list(parts.files) == ["", "cells"]
     assert re.findall(r"^(.*?void \w+)\(", parts.files["cells"], flags=re.MULTILINE) == [
-        "static void law_draw",
+        "static void robot_law_draw",
         "void robot_law_cells",
     ]
     assert [re.findall(r"\w+(?=\()", text)[0] for text in parts.prototypes] == [
@@ -75,7 +75,7 @@ def test_what_one_function_alone_calls_stands_with_it_and_what_two_call_with_the
         "robot_law_cells",
         "robot_law",
     ]
-    assert "static void law_steer(" in parts.files[""] and "\nvoid robot_law_shared(" in parts.files[""]
+    assert "static void robot_law_steer(" in parts.files[""] and "\nvoid robot_law_shared(" in parts.files[""]
 
 
 def test_a_small_block_stays_whole_and_is_that_of_emit_block() -> None:
