@@ -40,7 +40,7 @@ TOOLS = {  # beside a C compiler
 
 
 MCAP = ("simulation.SceneFile", "simulation.save_scene")
-MUJOCO = ("report.film_frames", "report.moment_of", "report.save_film")
+MUJOCO = ("report.film_frames", "report.film_pictures", "report.moment_of", "report.save_film")
 
 
 @pytest.mark.parametrize("name", EXPORTED)

@@ -7,7 +7,9 @@ measurements are from the claim's ranges; half of the runs are at the worst ends
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
+from pathlib import Path as FilePath
 
 import numpy as np
 from certified import with_parameters
@@ -21,6 +23,7 @@ from surctl.verification.braking.episodes import Rule, rule_of
 
 CLAIMS = ("braking-rule-20", "braking-rule-ranges", "braking-inertia-20", "braking-inertia-20-movers")
 SECONDS, HALF = 14.0, 0.025
+FIELDS = ("claim", "run", "clearance_m", "tilt_deg", "fastest_m_per_s")
 HEADS = (
     "claim", "obstacle towards the hull [m/s]", "runs", "contacts", "smallest clearance [m]", "within 0.1 m",
     "largest speed [m/s]", "largest tilt [deg]",
@@ -28,24 +31,34 @@ HEADS = (
 START = 25.0  # [m] x and y of the hull's start
 
 
-def braked(gains: Gains, runs: int) -> tuple[str, bool]:
-    """Return a text about the runs, and whether none touched its obstacle."""
+def braked(gains: Gains, runs: int, file: FilePath) -> tuple[str, bool]:
+    """Return a text about the runs, and whether none touched its obstacle; the runs are stored one by one in a file."""
+    if not file.exists():
+        file.write_text(",".join(FIELDS) + "\n")
+    known = {(row["claim"], row["run"]): row for row in csv.DictReader(file.read_text().splitlines())}
+    claims = [braking_claim_named(name, load_vehicle("sur540-flooded"), gains) for name in CLAIMS]
+    assert all(prove_braking(claim).verdict == "proved" for claim in claims)
+    rules = {(claim.name, speed): rule_of(claim, obstacle=speed) for claim in claims for speed in claim.obstacles}
+    for k in range(runs // len(CLAIMS)):
+        for claim in claims:
+            if (claim.name, str(k)) in known:
+                continue
+            speed = claim.obstacles[k % len(claim.obstacles)]
+            seed = [36, k, CLAIMS.index(claim.name)]
+            clear, tilt, fastest = _episode(claim, rules[claim.name, speed], speed, np.random.default_rng(seed))
+            row = dict(zip(FIELDS, (claim.name, str(k), f"{clear:.5f}", f"{tilt:.2f}", f"{fastest:.4f}"), strict=True))
+            known[claim.name, str(k)] = row
+            with file.open("a", newline="") as out:
+                csv.DictWriter(out, FIELDS, lineterminator="\n").writerow(row)
     rows, touched, total = [], 0, 0
-    rng = np.random.default_rng(36)
-    for name in CLAIMS:
-        claim = braking_claim_named(name, load_vehicle("sur540-flooded"), gains)
-        assert prove_braking(claim).verdict == "proved"
-        each = runs // len(CLAIMS) // len(claim.obstacles)
-        found = []
-        for speed in claim.obstacles:
-            rule = rule_of(claim, obstacle=speed)
-            found += [_episode(claim, rule, speed, rng) for _ in range(each)]
-        least, tilt, fastest = (np.array(column) for column in zip(*found, strict=True))
+    for claim in claims:
+        found = [row for (name, _), row in known.items() if name == claim.name]
+        least, tilt, fastest = (np.array([float(row[name]) for row in found]) for name in FIELDS[2:])
         hits = int(np.sum(least <= 0))
         touched, total = touched + hits, total + len(found)
         speeds = ", ".join(f"{speed:g}" for speed in claim.obstacles)
         numbers = [f"{least.min():.3f}", f"{np.mean(least < 0.1):.0%}", f"{fastest.max():.2f}", f"{tilt.max():.1f}"]
-        rows.append(f"| `{name}` | {speeds} | {len(found)} | {hits} | {' | '.join(numbers)} |")
+        rows.append(f"| `{claim.name}` | {speeds} | {len(found)} | {hits} | {' | '.join(numbers)} |")
     text = f"""## Braking
 {total} runs of {SECONDS:g} s in MuJoCo with six degrees of freedom towards an obstacle, with full thrust whenever the
 claim's rule allows it: {touched} touch it. Mass, drag, lag, braking force, and age and errors of the measurements are

@@ -19,7 +19,7 @@ Row = dict[str, str]
 def stored_runs(
     file: Path, cases: Sequence[Case], physics: PhysicsMaker, seeds: int, *, stepper: type | None
 ) -> Iterator[list[Row]]:
-    """Yield the rows of each case with the first seeds; each row is appended to the file once its run ends."""
+    """Yield all rows of each case, which are at least those of the first seeds; a row is stored once its run ends."""
     header = ",".join(FIELDS)
     if not file.exists():
         file.write_text(header + "\n")
@@ -32,7 +32,7 @@ def stored_runs(
             known[name, run.seed] = row = _row(name, run)
             with file.open("a", newline="") as out:
                 csv.DictWriter(out, FIELDS, lineterminator="\n").writerow(row)
-        yield [known[name, seed] for seed in range(seeds)]
+        yield [row for (scenario, _), row in sorted(known.items()) if scenario == name]
 
 
 def good(row: Row) -> bool:

@@ -18,9 +18,10 @@ from PIL import Image
 
 from surctl.cli.app import app
 from surctl.control import build_law, load_gains
-from surctl.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant
+from surctl.engine import CAMERAS, EngineOptions, Moment, Scene, batch, mujoco_physics, parse_plant
 from surctl.engine.library import mujoco_library
 from surctl.errors import InputError, ToolMissing
+from surctl.export import CompiledLaw
 from surctl.report import film_frames, film_pictures, render_page, save_film
 from surctl.reproduction import Simulations
 from surctl.reproduction.scenarios import _arrivals
@@ -162,6 +163,16 @@ def test_a_renderer_or_an_installation_that_fails(monkeypatch: pytest.MonkeyPatc
         assert said in invoke("--plant", "mujoco")
     finally:
         mujoco_library.cache_clear()
+
+
+def test_the_controller_of_the_options_is_that_of_every_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    requested = []
+    monkeypatch.setattr(batch, "simulate_with_steppers", lambda case, *_, **__: requested.append(case.stepper) or [])
+    for words in ([], ["--controller", "c"]):
+        CliRunner().invoke(
+            app, ["simulate", "pool-behind", "--law", "closed_form", "--plant", "mujoco", "--threads", "2", *words]
+        )
+    assert requested == [None, CompiledLaw]
 
 
 def test_the_options_are_written_as_they_are_read() -> None:

@@ -13,8 +13,9 @@ import pytest
 
 from surctl.control import LawStep, build_law, load_gains
 from surctl.engine import BatchCase, EngineOptions, MujocoPhysics, mujoco_physics, simulate_seeds, write_mjcf
+from surctl.engine.batch import simulate_with_steppers
 from surctl.errors import InputError
-from surctl.export import LinkedLaw, build_bundle, connect, write_bundle
+from surctl.export import CompiledLaw, LinkedLaw, build_bundle, connect, write_bundle
 from surctl.ir import compile_program
 from surctl.simulation import LINK_LOST, Case, OwnPhysics, build_world, law_numbers, load_scenario, simulate
 from surctl.vehicle import plant_state
@@ -41,12 +42,18 @@ def test_a_run_agrees_with_the_own_plant(vehicle: str, dof: int) -> None:
     assert runs[1].to_dict()["plant"] == runs[1].plant
 
 
-def test_runs_in_other_processes_have_the_same_bytes() -> None:
+def test_runs_in_other_processes_by_the_law_as_c_have_the_same_bytes() -> None:
     case = Case(
         replace(load_scenario("pool-static"), time_limit=2.0), load_vehicle("sur400-tilting"), GAINS, "closed_form"
     )
-    batch_case = BatchCase(case, mujoco_physics())
-    apart, here = (list(simulate_seeds(batch_case, [3, 4], processes=count)) for count in (2, 1))
+    need_compiler()
+    by_c = simulate_with_steppers(BatchCase(case, mujoco_physics(), stepper=CompiledLaw), [3, 4], processes=2)
+    apart, reports = zip(*by_c, strict=True)
+    assert [(run.replaced, report.answered, report.differing) for run, report in zip(apart, reports, strict=True)] == [
+        (True, 40, 0),
+        (True, 40, 0),
+    ]
+    here = list(simulate_seeds(BatchCase(case, mujoco_physics()), [3, 4]))
     for one, other in zip(apart, here, strict=True):
         assert one.seed == other.seed and one.record.eta.tobytes() == other.record.eta.tobytes()
         assert one.record.law_input.tobytes() == other.record.law_input.tobytes()
