@@ -76,9 +76,7 @@ def test_i686_has_the_same_bytes_with_sse_and_says_so_without(tmp_path: Path, re
         ("sse", ("-msse2", "-mfpmath=sse"), " ok\n"),
         ("x87", (), "ok, but not to the last bit: operations are merged or wider\n"),
     ):
-        said = self_test(
-            bundle, tmp_path / name, "-static", "-ffp-contract=off", *flags, compiler="i686-linux-gnu-gcc"
-        )
+        said = self_test(bundle, tmp_path / name, "-static", "-ffp-contract=off", *flags, compiler="i686-linux-gnu-gcc")
         assert said.endswith(ending)
 
 
