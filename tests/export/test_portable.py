@@ -53,10 +53,10 @@ def test_headers_are_strict_cpp11(tmp_path: Path, real: Real) -> None:
     run(compiler, "-std=c++11", "-pedantic-errors", *STRICT, "-c", "use.cpp", cwd=tmp_path)
 
 
-def self_test(bundle: Bundle, folder: Path, *flags: str) -> str:
+def self_test(bundle: Bundle, folder: Path, *flags: str, compiler: str = "gcc") -> str:
     write_bundle(bundle, folder)
     files = ["sil_main.c", *bundle.sources, bundle.selftest]
-    run(need("gcc"), "-std=c99", "-O1", *flags, *files, "-o", "sil", "-lm", cwd=folder)
+    run(need(compiler), "-std=c99", "-O1", *flags, *files, "-o", "sil", "-lm", cwd=folder)
     return run(folder / "sil", "--selftest", cwd=folder).stdout
 
 
@@ -67,6 +67,17 @@ def test_arithmetic_of_80_bits_passes_the_self_test_and_says_so(tmp_path: Path, 
         assert self_test(bundle, tmp_path / name, "-ffp-contract=off").endswith(" ok\n")
         wide = self_test(bundle, tmp_path / f"{name}-wide", "-ffp-contract=off", "-mfpmath=387")
         assert wide.endswith("ok, but not to the last bit: operations are merged or wider\n")
+
+
+@pytest.mark.parametrize("real", ["float32", "float64"])
+def test_i686_has_the_same_bytes_with_sse_and_says_so_without(tmp_path: Path, real: Real) -> None:
+    bundle = guarded(real)[1]
+    for name, flags, ending in (
+        ("sse", ("-msse2", "-mfpmath=sse"), " ok\n"),
+        ("x87", (), "ok, but not to the last bit: operations are merged or wider\n"),
+    ):
+        said = self_test(bundle, tmp_path / name, "-static", "-ffp-contract=off", *flags, compiler="i686-linux-gnu-gcc")
+        assert said.endswith(ending)
 
 
 def test_merged_operations_are_reported(tmp_path: Path) -> None:
