@@ -72,8 +72,9 @@ def guarded_law(
     The braking distance to each obstacle limits the closing speed. With sonars, the robot turns continuously, and its
     speed is limited so that it can stop before unknown space.
 
-    With `calm`, the control period [s], a law with sonars changes its velocity reference gradually (`calm.eased`), and
-    only the velocity loop brakes before unknown space. The output `stopped` stays that of the decision before this.
+    With `calm`, the control period [s], a law with sonars (not one with true positions) changes its velocity reference
+    gradually (`calm.eased`), and only the velocity loop brakes before unknown space. The output `stopped` is that of
+    the decision without this.
     """
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0

@@ -87,7 +87,6 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
             _calm,
             gains=CALM_GAINS,
             state=CALM_PORTS,
-            sensing=("sonar",),
             options=frozenset({"barrier", "movers", "depths"}),
             gives_up=True,
             model_noise=MODEL_NOISE,

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from surctl.control import build_law, load_gains
 from surctl.control.calm import CALM_GAINS, calmed, eased
-from surctl.errors import InputError
 
 Array = NDArray[np.float64]
 LIMIT, MASS, STILL, DT = np.array([5.0, 5.0, 5.0, 0.5]), np.array([95.0, 95.0, 95.0, 1.5]), 0.006, 0.05
@@ -64,10 +63,8 @@ def test_the_reference_is_slow_where_it_may_and_within_the_bounds_always(seed: i
         assert shares[0] == pytest.approx(0.025)
 
 
-def test_the_law_has_its_gains_and_needs_sonars() -> None:
+def test_the_law_has_its_gains_and_others_have_no_band() -> None:
     law = build_law("calm", sonar=True)
     assert "held" in law.state and set(CALM_GAINS) <= {port.name for port in law.gains}
     assert "held" not in build_law(sonar=True).state
     assert load_gains("default").with_own(CALM_GAINS)["settle"] == 2.0
-    with pytest.raises(InputError, match=r"supports only sonar.*set --sensing sonar"):
-        build_law("calm")
