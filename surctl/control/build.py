@@ -86,8 +86,8 @@ def build_law(
     """Build a law, or load it from the cache; the values of its gains are inputs of the law, not part of it.
 
     Args:
-        law: `guarded`, `steered`, the paper's law `paper`, `closed_form`, or a textbook law: `apf`, `dwa`, `vo`, `cbf`;
-            or a law of the user's own, FILE.py:FUNCTION (see `law_ref`).
+        law: `guarded`, `calm` (`guarded` by sonar with smoothed commands), `steered`, the paper's law `paper`,
+            `closed_form`, a textbook law (`apf`, `dwa`, `vo`, `cbf`), or FILE.py:FUNCTION (see `law_ref`).
         avoidance: form of the avoidance velocity, equation (20) of the paper; all laws except `paper` accept only
             `corrected`.
         mode: priority mode: `nsb` ignores limits; `filter`, `projected` and `lexicographic` respect them.
@@ -238,7 +238,8 @@ def _built(c: _Configuration) -> Law:
     decision_inputs = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
     inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
     return _with_perception(
-        _decide(source, c, decision_inputs), build_perception(c.equipment, inputs, decision_inputs, dt=c.dt)
+        _decide(source, c, decision_inputs),
+        build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, model_noise=source.model_noise),
     )
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
+from surctl.control.calm import calmed
 from surctl.control.law import DEGRADED, SATURATED, TRAPPED
 from surctl.control.ports import YAW_SHARE
 from surctl.control.velocity import velocity_control
@@ -89,7 +91,10 @@ class Closing:
         `stage` says which fallback of the priority solver computed `nu_reference`; 0 if the solver did not run.
         """
         carried = self.state.split(memory.carried)
-        tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"])
+        held = carried.get("held")
+        tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"], held)
+        if held is not None:
+            carried = {**carried, "held": tau}
         opened = ca.logic_and(stage >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
         status = memory.flags + SATURATED * saturated + DEGRADED * opened
         return {
@@ -99,7 +104,7 @@ class Closing:
             "telemetry": ca.vertcat(clamped, memory.reported),
         }
 
-    def _thrust(self, nu_reference: ca.SX, integral: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    def _thrust(self, nu_reference: ca.SX, integral: ca.SX, held: ca.SX | None) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         p = self.p
         speed = ca.sqrt(ca.sumsqr(nu_reference[:2]))
         horizontal = nu_reference[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
@@ -114,7 +119,8 @@ class Closing:
             least, most = thrust_bounds(p)
             tau = ca.fmin(ca.fmax(free, least), most)
             return tau, following, ca.mmax(ca.fabs(free - tau) > _CLIPPED), clamped
+        calm = None if held is None else partial(calmed, held=held, p=p, dt=self.dt)
         tau, integral, saturated = velocity_control(
-            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt
+            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt, calm=calm
         )
         return tau, integral, saturated, clamped

@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
+from surctl.control.calm import EVADE, eased
 from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
@@ -64,11 +65,16 @@ def guarded_law(
     stop: Stop,
     scan: Scan | None = None,
     moving: bool = True,
+    calm: float | None = None,
 ) -> Decision:
     """Return the decision: of all velocities that no obstacle forbids, the one nearest to the desired velocity.
 
     The braking distance to each obstacle limits the closing speed. With sonars, the robot turns continuously, and its
     speed is limited so that it can stop before unknown space.
+
+    With `calm`, the control period [s], a law with sonars (not one with true positions) changes its velocity reference
+    gradually (`calm.eased`), and only the velocity loop brakes before unknown space. The output `stopped` is that of
+    the decision without this.
     """
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0
@@ -99,7 +105,7 @@ def guarded_law(
         acceleration=p["brake"] * weakest_acceleration(p),
         slower=slower,
     )
-    velocity, stopped = choice.velocity, ca.SX(0)
+    velocity, stopped, kept = choice.velocity, ca.SX(0), {}
     bounds = [(sector.normal, sector.bound) for sector in sectors]
     named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
     if scan is None:
@@ -124,15 +130,23 @@ def guarded_law(
         chased = fold("met_soon", met, chased, tabulated(cones, 17))
         velocity = ca.if_else(chased, velocity, cautious)
         blind = ca.sum1(scan.sonars[:, 2]) < 0.5
-        calm = ca.logic_not(chased)
-        velocity = braked(velocity, over_ground, bounds[:marks], calm=calm)
-        velocity = braked(velocity, over_ground, [*bounds[marks:], *caution], calm=calm)
+        lost = ca.logic_or(blind, ca.logic_not(scan.placed))
+        decided, firm = velocity, caution
+        if calm is not None:
+            fastest = ca.if_else(chased, _NO_BOUND, p["ramp"] * weakest_acceleration(p))
+            time = ca.if_else(chased, EVADE, p["ease"])
+            wanted = ca.if_else(lost, 0, velocity)
+            velocity = eased(wanted, x["eased"], bounds, time=time, fastest=fastest, dt=calm)
+            firm, kept = [], {"eased": velocity}
+        freely = ca.logic_not(chased)
+        velocity = braked(velocity, over_ground, bounds[:marks], calm=freely)
+        velocity = braked(velocity, over_ground, [*bounds[marks:], *firm], calm=freely)
         # the walls' normals are at right angles, so one projection after the other is exact
         for sector in sectors[-len(perceived.walls) :]:
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
-        lost = ca.logic_or(blind, ca.logic_not(scan.placed))
         velocity = ca.if_else(lost, 0, velocity)
-        crawling = ca.logic_and(ca.sumsqr(velocity) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
+        slow = velocity if calm is None else decided
+        crawling = ca.logic_and(ca.sumsqr(slow) < _CRAWL**2, ca.sumsqr(choice.velocity) > (2 * _CRAWL) ** 2)
         stopped = ca.logic_or(lost, crawling)
         named += [(f"unknown_{k}", normal, bound) for k, (normal, bound) in enumerate(caution)]
     to_body = planar_rotation(eta[3]).T
@@ -145,7 +159,7 @@ def guarded_law(
         velocity,
         choice.blocked,
         choice.violation > 0.02,
-        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity},
+        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity, **kept},
         stopped,
     )
 

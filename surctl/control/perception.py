@@ -76,7 +76,9 @@ def _after_gap(port: Port) -> Port:
     return port if port.name in _LASTING else replace(port, gap="anew")
 
 
-def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float) -> PerceptionStage:
+def build_perception(
+    equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float, model_noise: float = 0.3
+) -> PerceptionStage:
     """Assemble the perception of a law for its sensors.
 
     Args:
@@ -84,11 +86,12 @@ def build_perception(equipment: Equipment, inputs: Layout, outputs: Layout, *, d
         inputs: see `ports.sonar_inputs`.
         outputs: see `ports.scan_inputs`.
         dt: control period [s].
+        model_noise: see `OwnStateFilter`.
 
     Raises:
         InputError: the hull divides the beam of a sonar into two parts.
     """
-    return _Builder(equipment, inputs, outputs, dt).build()
+    return _Builder(equipment, inputs, outputs, dt, model_noise).build()
 
 
 @dataclass(frozen=True)
@@ -97,6 +100,7 @@ class _Builder:
     inputs: Layout
     outputs: Layout
     dt: float
+    model_noise: float = 0.3
 
     def build(self) -> PerceptionStage:
         array = self.equipment.array
@@ -153,6 +157,7 @@ class _Builder:
             position_sd=max(own.position_sd, 1e-4),
             yaw_sd=max(own.yaw_sd, 1e-4),
             rate_sd=max(own.rate_sd, 1e-4),
+            model_noise=self.model_noise,
         )
 
     @cached_property

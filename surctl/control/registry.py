@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from surctl.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
+from surctl.control.calm import CALM_GAINS, CALM_PORTS, MODEL_NOISE
 from surctl.control.closed_form import CLOSED_FORM_PORTS, DAMPING, closed_form_law, known_obstacle
 from surctl.control.decision import Decision
 from surctl.control.guarded import guarded_law
@@ -22,10 +23,14 @@ from surctl.vehicle import Vehicle
 __all__ = ["LAWS", "LAW_NAMES", "SONARLESS", "check_forces", "default_law", "law_ref", "law_source"]
 
 
-def _guarded(s: Situation) -> Decision:
+def _guarded(s: Situation, calm: float | None = None) -> Decision:
     stop = BARRIERS[s.barrier](s.p, s.dt)
     moving = s.moving and s.movers == "predict"
-    return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, s.p, stop=stop, scan=s.scan, moving=moving)
+    return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, s.p, stop=stop, scan=s.scan, moving=moving, calm=calm)
+
+
+def _calm(s: Situation) -> Decision:
+    return _guarded(s, s.dt)
 
 
 def _paper(s: Situation) -> Decision:
@@ -76,6 +81,16 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
             thrust=steered_thrust,
             sensing=("truth",),
             steering=steering_of,
+        ),
+        "calm": LawSource(
+            "surctl_calm",
+            _calm,
+            gains=CALM_GAINS,
+            state=CALM_PORTS,
+            options=frozenset({"barrier", "movers", "depths"}),
+            gives_up=True,
+            model_noise=MODEL_NOISE,
+            parts=_FOLLOWS,
         ),
     }
 )

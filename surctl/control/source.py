@@ -59,6 +59,7 @@ class LawSource:
         damping: damping of the closed-form null-space projection, equation (16) of the paper.
         steering: for a law that needs no sway force, the function from its parameters to the abilities of a craft
             steered by heading and speed; None: the law moves in any direction, so it needs a sway force.
+        model_noise: error of the vehicle model that the own-state filter assumes [s^0.5], see `OwnStateFilter`.
         parts: parts of the law for which the library has claims and linear models; empty if there are none.
 
     Raises:
@@ -89,6 +90,7 @@ class LawSource:
     perceive: Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Perception] | None = None
     damping: float = 0.0
     steering: Callable[[Mapping[str, ca.SX]], Steering] | None = None
+    model_noise: float = 0.3
     parts: frozenset[str] = frozenset()
 
     @property

@@ -8,7 +8,7 @@ loop can be proved. The feedback uses the velocity over ground, so a constant cu
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import casadi as ca
 
@@ -25,6 +25,7 @@ def velocity_control(
     k_r: ca.SX,
     k_i: ca.SX,
     dt: float,
+    calm: Callable[[ca.SX], ca.SX] | None = None,
 ) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the limited thrust, the next integral ξ, and whether a limit is reached.
 
@@ -40,6 +41,7 @@ def velocity_control(
         k_i: integral gain [1/s²]; the integral of an axis does not change while the thrust of this axis is saturated
             (conditional anti-windup).
         dt: control period [s].
+        calm: function that keeps measurement noise out of the thrust before its limits (`control.calm`), or None.
 
     Returns:
         The thrust (4, 1) [N, N m] within the limits, the next integral (4, 1), and 1 if the thrust of an axis is
@@ -50,6 +52,8 @@ def velocity_control(
     gain = ca.vertcat(k_v, k_v, k_v, k_r)
     drag = model["linear_drag"] * nu_reference + model["quadratic_drag"] * nu_reference * ca.fabs(nu_reference)
     free = drag + model["mass"] * (gain * error + integral)
+    if calm is not None:
+        free = calm(free)
     limit = model["thrust_limit"]
     thrust = ca.fmin(ca.fmax(free, -limit), limit)
     clipped = ca.fabs(free - thrust) > 1e-9

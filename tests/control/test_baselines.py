@@ -81,7 +81,7 @@ def _disc(x: float, y: float, radius: float = 0.3, vx: float = 0.0, vy: float = 
 
 
 def test_every_law_of_the_registry_is_built_and_every_mode_is() -> None:
-    assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES, "steered")
+    assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES, "steered", "calm")
     for k, name in enumerate(BASELINES):  # each law in two modes and each mode by two laws or more
         for mode in (MODES[k % len(MODES)], MODES[(k + 1) % len(MODES)]):
             assert build_law(name, mode=mode).name == f"surctl_{name}"

@@ -1,0 +1,112 @@
+"""Calm commands for a law with sonars: measurement noise, and short changes of the map, do not reach the thrusters.
+
+Noise of the estimated velocity enters the thrust through the velocity loop: an error e becomes m k_v e, which is 1 N
+for 95 kg, 1.5 1/s and 0.7 cm/s. `calmed` follows the demanded thrust through a band (hysteresis, or "play"): the
+command changes at once only as far as the demand leaves the band, and slowly within the band. So the command differs
+from the demand by at most the half width of the band, and not for long.
+
+`eased` lets the velocity reference follow the decision with a time constant and a limited acceleration, unless the
+speed bound of an obstacle requires more. Short-lived decisions then do not reverse the thrust.
+
+The gains are chosen by a design of experiments on the compiled loop (`analysis/12_sonar_loop`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+
+from surctl.control.gains import GainSpec
+from surctl.control.stopping import Bounds
+from surctl.ir import Port, fold, tabulated
+
+__all__ = ["CALM_GAINS", "CALM_PORTS", "EVADE", "MODEL_NOISE", "calmed", "eased"]
+
+EVADE = 0.1
+"""Time constant [s] of the velocity reference while the robot evades a moving obstacle (*chosen*)."""
+
+MODEL_NOISE = 0.05
+"""Error of the vehicle model that the own-state filter of a calm law assumes [s^0.5] (*chosen*)."""
+
+_WIDEST = 0.3  # share of the thrust limit: largest half width of the band
+
+CALM_PORTS = (
+    Port("eased", (2,), "m/s", "velocity reference of the step before, without braking, in {E}", gap="anew"),
+    Port("held", (4,), "N, N m", "thrust command of the step before", gap="anew"),
+)
+
+CALM_GAINS: Mapping[str, GainSpec] = {
+    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.5, range=(0.0, 1.0)),
+    "ramp": GainSpec(
+        "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=0.9,
+        range=(0.5, 2.0),
+    ),
+    "still": GainSpec(
+        "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.012, range=(0.0, 0.015)
+    ),
+    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=2.0, range=(0.2, 5.0)),
+}  # fmt: skip
+"""Gains of law `calm` in addition to those of law `guarded`."""
+
+
+def calmed(free: ca.SX, held: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:
+    """Return the thrust (4, 1) that follows the demand slowly within a band, and at once where it leaves the band.
+
+    The yaw moment is the demand. The half width of the band is at most 30 % of the thrust limit.
+
+    Args:
+        free: demanded thrust (4, 1) before the limits [N, N m].
+        held: thrust command of the step before (4, 1) [N, N m].
+        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `still`, `settle`.
+        dt: control period [s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control.calm import calmed
+        >>> p = {"mass": ca.DM([95, 95, 95, 1.5]), "thrust_limit": ca.DM([5, 5, 5, 0.5])}
+        >>> p |= {"k_v": 1.5, "still": 0.007, "settle": 0.95}
+        >>> near, far = (calmed(ca.DM([f, 0, 0, 0]), ca.DM.zeros(4), p=p, dt=0.05)[0] for f in (0.8, 3.0))
+        >>> round(float(near), 2), round(float(far), 2)  # the band is 1 N wide on either side
+        (0.04, 2.0)
+    """
+    width = ca.fmin(p["mass"][:3] * p["k_v"] * p["still"], _WIDEST * p["thrust_limit"][:3])
+    width = ca.vertcat(width, 0)
+    slow = held + dt / (dt + p["settle"]) * (free - held)
+    return ca.fmin(ca.fmax(slow, free - width), free + width)
+
+
+def eased(
+    velocity: ca.SX, before: ca.SX, bounds: Bounds, *, time: ca.SX | float, fastest: ca.SX | float, dt: float
+) -> ca.SX:
+    """Return a velocity between the reference of the step before and the desired one, within the bounds.
+
+    Where the reference would exceed a speed bound that the desired velocity respects, it follows faster, as far as the
+    bound requires.
+
+    Args:
+        velocity: desired velocity (2, 1) in {E} [m/s].
+        before: velocity reference of the step before (2, 1) in {E} [m/s].
+        bounds: speed bounds.
+        time: time constant [s].
+        fastest: largest acceleration of the reference [m/s²].
+        dt: control period [s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control.calm import eased
+        >>> slow, still, how = ca.DM([0.2, 0.0]), ca.DM([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
+        >>> free = eased(still, slow, [(ca.DM([0.0, 1.0]), ca.DM(1.0))], **how)
+        >>> wall = eased(still, slow, [(ca.DM([1.0, 0.0]), ca.DM(0.05))], **how)
+        >>> ca.DM(free).full().ravel().round(3).tolist(), ca.DM(wall).full().ravel().round(3).tolist()
+        ([0.18, 0.0], [0.05, 0.0])
+    """
+    step = velocity - before
+
+    def further(share: ca.SX, row: ca.SX) -> ca.SX:
+        along, excess = ca.dot(row[:2], step), ca.dot(row[:2], before) - row[2]
+        needed = ca.fmin(excess / ca.fmax(-along, 1e-9), 1)
+        return ca.if_else(ca.logic_and(excess > 0, along < 0), ca.fmax(share, needed), share)
+
+    share = ca.fmin(dt / (dt + time), fastest * dt / ca.fmax(ca.sqrt(ca.sumsqr(step)), 1e-9))
+    return before + fold("eased", further, share, tabulated(bounds, 3)) * step

@@ -1,0 +1,70 @@
+"""Law `calm`: the band around the demanded thrust, and the eased velocity reference."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from surctl.control import build_law, load_gains
+from surctl.control.calm import CALM_GAINS, calmed, eased
+
+Array = NDArray[np.float64]
+LIMIT, MASS, STILL, DT = np.array([5.0, 5.0, 5.0, 0.5]), np.array([95.0, 95.0, 95.0, 1.5]), 0.006, 0.05
+HALF = np.array([1.5 * 95.0 * STILL] * 3 + [0.0])  # mass times gain times velocity error; the yaw moment is the demand
+
+
+def _follow(demand: Array, still: float = STILL) -> Array:
+    model = {"mass": ca.DM(MASS), "thrust_limit": ca.DM(LIMIT), "k_v": 1.5, "still": still, "settle": 2.0}
+    held, out = ca.DM.zeros(4), []
+    for free in demand:
+        held = calmed(ca.DM(free), held, p=model, dt=DT)
+        out.append(held.full().ravel())
+    return np.array(out)
+
+
+def test_noise_moves_the_thrust_little_and_a_manoeuvre_moves_it_at_once() -> None:
+    rng = np.random.default_rng(3)
+    noisy = np.array([2.0, -1.0, 0.0, 0.1]) + 0.8 * HALF * rng.uniform(-1, 1, (300, 4))
+    command = _follow(noisy)
+    varied, demanded = (np.abs(np.diff(one[50:, :3], axis=0)).sum() for one in (command, noisy))
+    assert varied < 0.06 * demanded
+    moving = np.outer(np.sin(np.linspace(0, 6, 120)), LIMIT)
+    assert np.all(np.abs(_follow(moving) - moving) <= HALF + 1e-12)
+
+
+def test_a_steady_error_settles_with_the_time_constant() -> None:
+    demand = np.tile([0.5, 0.0, 0.0, 0.0], (80, 1))  # 4 s within the band
+    left = 0.5 - _follow(demand)[:, 0]
+    assert left[39] / 0.5 == pytest.approx((2.0 / (2.0 + DT)) ** 40) and left[79] < 0.08
+
+
+def test_no_band_is_the_demand_and_the_widest_leaves_most_of_the_thrust() -> None:
+    demand = np.outer(np.sin(np.linspace(0, 6, 40)), LIMIT)
+    assert np.allclose(_follow(demand, 0.0), demand, atol=1e-15)
+    assert _follow(3 * LIMIT[None], 1.0)[0, :3] == pytest.approx(2.7 * LIMIT[:3])  # the limits follow after the band
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_reference_is_slow_where_it_may_and_within_the_bounds_always(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    before, desired = rng.normal(0, 0.2, 2), rng.normal(0, 0.1, 2)
+    angles = rng.uniform(-np.pi, np.pi, 6)
+    normals = np.column_stack([np.cos(angles), np.sin(angles)])
+    limits = normals @ desired + rng.uniform(0.0, 0.1, 6)  # the desired velocity respects all of them
+    bounds = [(ca.SX(n), ca.SX(b)) for n, b in zip(normals, limits, strict=True)]
+    fastest = 0.5 * float(np.linalg.norm(desired - before))  # binds: a share of 0.5 dt, less than dt / (dt + time)
+    reference = ca.evalf(eased(ca.SX(desired), ca.SX(before), bounds, time=0.45, fastest=fastest, dt=DT)).full().ravel()
+    assert np.all(normals @ reference <= limits + 1e-12)
+    shares = (reference - before) / (desired - before)
+    assert shares[0] == pytest.approx(shares[1]) and 0.025 - 1e-12 <= shares[0] <= 1 + 1e-12
+    if np.all(normals @ (before + 0.025 * (desired - before)) <= limits):
+        assert shares[0] == pytest.approx(0.025)
+
+
+def test_the_law_has_its_gains_and_others_have_no_band() -> None:
+    law = build_law("calm", sonar=True)
+    assert "held" in law.state and set(CALM_GAINS) <= {port.name for port in law.gains}
+    assert "held" not in build_law(sonar=True).state
+    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 2.0
