@@ -160,6 +160,13 @@ def test_the_study_of_import_times() -> None:
     assert rows["import surctl"] == rows["surctl --help"] == "none" and rows["surctl list"] == "casadi", done.stderr
 
 
+def test_the_study_of_the_design_page() -> None:
+    study = runpy.run_path(str(ANALYSIS / "39_design_page" / "run.py"))
+    taken = study["measured"](study["cart_pole"](), 1)  # times are no matter of the suite: its machines have other work
+    assert {kind: len(times) for kind, times in taken.items()} == {"linear": 1, "goals": 1, "details": 1, "run": 1}
+    assert all(times[0] > 0 for times in taken.values())
+
+
 def test_the_study_of_mutants() -> None:
     done = run(ANALYSIS / "23_mutants" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

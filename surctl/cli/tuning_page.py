@@ -56,7 +56,8 @@ def serve_page(
     check_held(cruise or (), vehicle, cap=mission.cap, key="--cruise")
     reference = plan.law if law is None else law_ref(law, key="--law")
     others = tuple(load_vehicle(name) for name in vehicles[1:])
-    bench = Bench(vehicle, mission, start, chosen, tuple(cruise or plan.cruise), reference, others)
+    named = (vehicles[0] if vehicles else "", scenario or "")
+    bench = Bench(vehicle, mission, start, chosen, tuple(cruise or plan.cruise), reference, others, named)
     progress("compiling the closed loop; the next start uses the compiled file")
     values = {one.name: one.value for one in bench.sliders}
     bench.simulate(values)

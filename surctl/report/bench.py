@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from surctl.control import Gains, law_source, load_gains, write_gains
-from surctl.errors import InputError
+from surctl.errors import InputError, NotApplicable
 from surctl.files import write_file
 from surctl.own_code import is_own, label
 from surctl.report.design_bench import RunView, Slider, SlowView, activity, gain_file, replaceable
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.report.plan_view import plot_run
+from surctl.report.region_plots import plot_region
 from surctl.simulation import METRICS, Case, Run, Scenario, simulate
 from surctl.system import LinearLoop
 from surctl.tuning import (
@@ -43,9 +45,12 @@ from surctl.verification import (
     decide,
     steady_motion,
 )
+from surctl.verification.region import RegionProof, prove_statement, region_statement
 
 __all__ = ["Bench", "save_gains"]
 
+_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")  # from the strongest assumption on
+_STARTS = 16  # start values of the search: some seconds of work
 _PATIENCE = 10.0  # [s] time limit of each proof
 _RUN_FIGURES = (
     "time_s",
@@ -72,6 +77,7 @@ class Bench:
             the goals.
         law: reference of the law; empty: the default of the vehicle.
         others: further vehicles, whose loops at the scenario's speed are shown too.
+        named: names or files of vehicle and scenario, for the commands that the page states; empty: their own names.
     """
 
     vehicle: Vehicle
@@ -81,6 +87,7 @@ class Bench:
     cruise: tuple[float, ...] = ()
     law: str = ""
     others: tuple[Vehicle, ...] = ()
+    named: tuple[str, str] = ("", "")
     _motions: dict[Any, OperatingPoint] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -250,17 +257,49 @@ class Bench:
         decided = [decide(c, time_limit=_PATIENCE) for c in claims]
         return (*decided, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
 
+    def region(self, values: Mapping[str, float]) -> RegionProof | NotApplicable:
+        """Return the proof of the region claim that suits the vehicle, or the reason why none does."""
+        reasons = []
+        for name in _REGIONS:
+            statement = region_statement(name)
+            if "attempts" in statement.model_fields_set:  # other claims search without start values
+                statement = statement.model_copy(update={"attempts": min(statement.attempts, _STARTS)})
+            cruise, cap = self.scenario.cruise, self.scenario.cap
+            try:
+                return prove_statement(statement, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
+            except NotApplicable as refused:
+                reasons.append(refused)
+        return reasons[0]
+
     def decide(self, values: Mapping[str, float]) -> SlowView:
-        """Return the verdicts on the claims as lines."""
+        """Return the verdicts on the claims as lines, and the certified region with the least falsified level."""
         marks = {"proved": "good", "refuted": "bad"}
-        return SlowView(
-            [
-                (f"{v.claim}: {v.sentence}", "none")
-                if isinstance(v, Inapplicable)
-                else (f"{v.claim.name}: {v.verdict}", marks.get(v.verdict, "none"))
-                for v in self.verdicts(values)
-            ]
-        )
+        lines = [
+            (f"{v.claim}: {v.sentence}", "none")
+            if isinstance(v, Inapplicable)
+            else (f"{v.claim.name}: {v.verdict}", marks.get(v.verdict, "none"))
+            for v in self.verdicts(values)
+        ]
+        region = self.region(values)
+        if isinstance(region, NotApplicable):
+            return SlowView([*lines, (f"region of attraction: {region}", "none")])
+        lines.append((f"{region.claim.name}: {region.sentence}", marks.get(region.verdict, "none")))
+        if region.verdict != "proved":
+            return SlowView(lines)
+        ratio = 0.0 if region.ratios is None else region.ratios.falsifier
+        figure = plot_region(region.certificate(), falsified=1 / ratio if ratio > 0 else None)
+        return SlowView(lines, (figure, f"Region of {region.claim.name}: certified level, and least falsified level"))
+
+    def command(self, values: Mapping[str, float], view: Literal["loop", "run"]) -> str:
+        """Return the command that gives the same results, once the gains are saved."""
+        craft, mission = self.named
+        options = ["--vehicle", craft or self.vehicle.name, "--gains", "gains.toml", "--law", self.case.law]
+        options += ["--out", "pictures"]
+        if view == "run":
+            words = ["simulate", mission or self.scenario.name, "--sensing", "truth"]
+        else:
+            words = ["verify", "--cruise", f"{self.scenario.cruise:g}"]
+        return shlex.join(["surctl", *words, *options])
 
     def save(self, values: Mapping[str, float], file: str) -> str:
         """Write a gain file; return what to do with it."""

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -101,6 +101,9 @@ class DesignBench(Protocol):
 
     def decide(self, values: Values) -> SlowView:
         """Return what takes seconds."""
+
+    def command(self, values: Values, view: Literal["loop", "run"]) -> str:
+        """Return the command that gives the same results as a view."""
 
     def save(self, values: Values, file: str) -> str:
         """Write the gains to a file; return what to do with it."""
@@ -203,6 +206,18 @@ class SystemBench:
             lines.append((f"{share:.1f} % of the least level with a counterexample, {solution.falsified:.4g}", ""))
         figure = plot_motion(claim.dynamics, claim.function, level=level, falsified=solution.falsified)
         return SlowView(lines, (figure, "Region of attraction: certified level, and the least level that is falsified"))
+
+    def command(self, values: Values, view: Literal["loop", "run"]) -> str:
+        """Return the command that gives the same results at the first operating point."""
+        numbers = next(iter(self.places.values()))
+        words = [
+            f"{name}={np.asarray(value, dtype=float).item():g}"
+            for name, value in numbers.items()
+            if np.ndim(value) == 0
+        ]
+        words += [f"{name}={value:.6g}" for name, value in values.items()]
+        options = ["--seconds", f"{self.seconds:g}", "--out", "pictures"] if view == "run" else []
+        return shlex.join(["surctl", "simulate" if view == "run" else "verify", self.label, *words, *options])
 
     def save(self, values: Values, file: str) -> str:
         """Write the gains with their origin; return the command that uses them."""

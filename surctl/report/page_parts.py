@@ -9,7 +9,7 @@ from functools import lru_cache
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -134,7 +134,7 @@ def _linear(bench: DesignBench, request: Request) -> dict[str, Any]:
     loops, compared = _both(bench, request)
     assert loops is not None
     panels = loop_panels(loops, request["opening"], source=request["source"], end=request["end"], compared=compared)
-    return {"html": "".join(map(panel_svg, panels))}
+    return {"html": "".join(map(panel_svg, panels)) + _command(bench, request, "loop")}
 
 
 def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
@@ -144,7 +144,8 @@ def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
     scores, others = (None if one is None else judge_loops(bench.goals, one) for one in (loops, compared))
     assert scores is not None
     worst = max((score.judgement.normalised for score in scores.scores), default=0.0)
-    return {"html": "".join(map(panel_svg, goal_panels(scores, compared=others))), "worst": _number(worst)}
+    panels = "".join(map(panel_svg, goal_panels(scores, compared=others)))
+    return {"html": panels + _command(bench, request, "loop"), "worst": _number(worst)}
 
 
 def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
@@ -179,14 +180,19 @@ def _run(bench: DesignBench, request: Request) -> dict[str, Any]:
         f'<thead><tr><th scope="col">figure</th><th scope="col">value</th></tr></thead><tbody>{cells}</tbody>'
         "</table></div>"
     )
-    html = "".join(map(panel_svg, view.panels)) + _picture(view.picture)
+    html = "".join(map(panel_svg, view.panels)) + _picture(view.picture) + _command(bench, request, "run")
     return {"table": table, "html": html, "moved": getattr(bench, "version", 0) != before}
 
 
 def _slow(bench: DesignBench, request: Request) -> dict[str, Any]:
     view = bench.decide(_values(bench, request["values"]))
     lines = "".join(f'<li class="{mark}">{escape(text)}</li>' for text, mark in view.lines)
-    return {"html": f'<ul class="lines">{lines}</ul>{_picture(view.picture)}'}
+    return {"html": f'<ul class="lines">{lines}</ul>{_picture(view.picture)}{_command(bench, request, "loop")}'}
+
+
+def _command(bench: DesignBench, request: Request, view: Literal["loop", "run"]) -> str:
+    words = bench.command(_values(bench, request["values"]), view)
+    return f'<p class="note command">On the command line: <code>{escape(words)}</code></p>'
 
 
 def _slider(one: Slider) -> dict[str, Any]:

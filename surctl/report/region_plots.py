@@ -25,11 +25,17 @@ _LABELS = {
     "steering": ("across the path, y_e [m]", "heading against the path, ψ [rad]"),
 }
 _STILL = ("place", "steering")  # planes of positions: the velocities are 0 in them, so there is no flow
+_EXTENT = 1.9  # half-width of the picture, in half-axes of the ellipse V = 1
+_MOST_LEVEL = 16.0  # a higher level would make the certified one too small
 _ARROWS = 15  # number of flow arrows along each side of the plot
 
 
-def plot_region(document: Mapping[str, Any]) -> Figure:
+def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) -> Figure:
     """Plot phase portraits of a region certificate in all its planes, side by side.
+
+    Args:
+        document: the certificate, in which V = 1 is the certified level.
+        falsified: the least level of V with a counterexample, which is drawn too; None for none.
 
     Raises:
         InputError: the certificate is not a region certificate.
@@ -45,11 +51,20 @@ def plot_region(document: Mapping[str, Any]) -> Figure:
         >>> [ax.get_ylabel() for ax in figure.axes]
         ['velocity along it [m/s]', 'velocity across it [m/s]', 'across the path, y_e [m]']
     """
-    portraits = [portrait(document, plane) for plane in planes_of(document)]
+    shown = falsified is not None and falsified <= _MOST_LEVEL
+    extent = max(_EXTENT, 1.1 * np.sqrt(falsified)) if falsified is not None and shown else _EXTENT
+    portraits = [portrait(document, plane, extent=extent) for plane in planes_of(document)]
     figure = new_figure(4.4 * len(portraits), 4.9)
     for ax, one in zip(figure.subplots(1, len(portraits)), portraits, strict=True):
         plot_portrait(one, ax)
-    figure.legend(handles=_handles(portraits[0]), loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+        if shown:
+            ax.contour(one.x, one.y, one.level, levels=[falsified], colors=[AVOIDING], linewidths=1.6, linestyles=":")
+    handles = _handles(portraits[0])
+    if falsified is not None:
+        where = "" if shown else ", outside of the picture"
+        label = f"least level with a counterexample: V = {falsified:.3g}{where}"
+        handles.insert(1, Line2D([], [], color=AVOIDING, linewidth=1.6, linestyle=":", label=label))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
     return figure
 
 

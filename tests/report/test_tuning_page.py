@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import surctl.report.bench as bench_module
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
@@ -253,6 +254,7 @@ def test_a_region_is_proved_and_drawn_on_request():
     bench = SystemBench(system, "mine.py:build", 1.0, {"k": (0.5, 2.0)}, {"nominal": {}}, (), problem)
     assert bench.slow.startswith("Prove")
     found = respond(bench, "slow", request(bench))
+    assert "surctl verify mine.py:build k=1</code>" in found["html"]
     assert (
         "proved" in found["html"] and "least level with a counterexample" in found["html"] and "<img" in found["html"]
     )
@@ -271,12 +273,28 @@ def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
     assert all(panel.x == "time [s]" and not panel.log_x for panel in view.panels)
     thrust = next(panel for panel in view.panels if "thrust surge" in panel.title)
     assert thrust.shades[0].y[0] == ROBOT.vehicle.thrust_limit[0]
+    assert ROBOT.command(values, "run").startswith("surctl simulate pool-behind --sensing truth --vehicle sur")
     path = tmp_path / "gains.toml"
     assert ROBOT.save({**values, "k_v": 1.1}, str(path)).startswith("saved")
     assert load_gains(str(path))["k_v"] == 1.1 and "tuning page" in load_gains(str(path)).provenance
     assert ROBOT.load(str(path))["k_v"] == 1.1
     with pytest.raises(InputError, match=r"end the path in \.toml"):
         save_gains(ROBOT.base, "gains.txt")
+
+
+def test_the_page_of_the_robot_draws_the_certified_region_and_the_falsified_level(monkeypatch):
+    monkeypatch.setattr(bench_module, "_STARTS", 4)
+    monkeypatch.setattr(Bench, "verdicts", lambda self, values: ())  # claims have tests of their own
+    values = {one.name: one.value for one in ROBOT.sliders}
+    view = ROBOT.decide(values)
+    figure, _ = view.picture
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    level = float(next(text for text in labels if "counterexample" in text).split("V = ")[1].split(",")[0])
+    share = float(re.search(r"certified level: (\d+)%", view.lines[-1][0])[1]) / 100
+    assert view.lines[-1][1] == "good" and labels[0].startswith("certified") and abs(level * share - 1) < 0.1
+    monkeypatch.setattr(bench_module, "_REGIONS", ("region-steered-20",))  # about craft without sway force
+    refused = ROBOT.decide(values)
+    assert refused.picture is None and "not applicable" in refused.lines[-1][0]
 
 
 def test_a_law_of_ones_own_is_linear_about_its_run():
