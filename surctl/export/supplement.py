@@ -17,7 +17,24 @@ Vector = NDArray[np.float64]
 
 
 class Supplement:
-    """Additions to a bundle. This class adds nothing; an application derives a class and overrides what it adds."""
+    """Additions to a bundle. This class adds nothing; an application derives a class and overrides what it adds.
+
+    Example:
+        >>> from surctl.export import Supplement
+        >>> from surctl.export.bundle import build_bundle
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Action, Controller
+        >>> class Licence(Supplement):
+        ...     @property
+        ...     def files(self):
+        ...         return {"NOTICE.txt": "Pump controller of plant 7.\\n"}
+        >>> level = Layout((Port("level", (1,), "m", "measured"),))
+        >>> drive = Layout((Port("drive", (1,), "V", "of the pump"),))
+        >>> pump = Controller("pump", 0.1, level, drive, lambda x, u, p: Action(-2.0 * u["level"]))
+        >>> bundle = build_bundle(pump, {}, supplement=Licence())
+        >>> bundle.files["NOTICE.txt"]
+        'Pump controller of plant 7.\\n'
+    """
 
     @property
     def files(self) -> dict[str, str]:

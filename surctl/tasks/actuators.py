@@ -48,6 +48,9 @@ class ActuatorLimits:
 
     def __post_init__(self) -> None:
         """Check that thrust and acceleration limit have equal ν and dt, and that all limits have different names."""
+        sizes = {ca.SX(v).numel() for v in (self.box.lower, self.thrust.nu)}
+        if len(sizes) > 1:
+            raise InputError("has another number of velocities than the box", key=f"limit {self.thrust.name}")
         names = [limit.name for limit in (self.box, self.thrust, self.acceleration) if limit is not None]
         for name in names:
             if names.count(name) > 1:
@@ -63,7 +66,7 @@ class ActuatorLimits:
                 )
 
     def reachable(self) -> ca.SX:
-        """Return the velocity (4,) [m/s, rad/s] that the widened boxes contain: the point p of the class docstring."""
+        """Return the velocity (n,) that the widened boxes contain: the point p of the class docstring."""
         # For a diagonal mass matrix the axes are independent, T is a box, and p is the point of T nearest to q.
         # Intervals that intersect in pairs have a common point. The point of an interval I nearest to x lies in every
         # interval that contains x and intersects I. Hence B' = B if A, B and T intersect. Otherwise B' is the smallest

@@ -11,9 +11,8 @@ import casadi as ca
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.tasks.kinematics import jacobian as kinematics
 from surctl.tasks.rows import Kind, LimitRow, checked_column, checked_kind, checked_name, checked_positive
-from surctl.tasks.task import Expression
+from surctl.tasks.task import Expression, is_symbol, kinematics_of
 
 __all__ = ["Alpha", "Barrier", "closing_row"]
 
@@ -38,7 +37,7 @@ class Barrier:
 
     Attributes:
         name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
-        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E}, and heading ψ [rad].
+        eta, kinematics: configuration (m, 1), a pose if m = 4, and S(η) of η̇ = S(η) v, as in `Task`.
         h: SX scalar expression of eta. If h contains other symbols, the derivative of h treats them as constant.
         alpha: a number γ > 0 [1/s] for α(h) = γh, or a function α of an SX scalar (Python function or ca.Function). The
             class checks at sample points in [−10, 10] that α(0) = 0, that α(s) has the sign of s, and that α never
@@ -58,13 +57,14 @@ class Barrier:
     alpha: Alpha = 1.0
     drift: Expression = 0.0
     kind: Kind = "barrier"
+    kinematics: Expression | None = None
 
     def __post_init__(self) -> None:
         """Check the barrier's attributes and convert numbers to expressions."""
         checked_kind(checked_name(self.name), self.kind)
         object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
         object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
-        closing_row(self.name, self.eta, self.h)
+        closing_row(self.name, self.eta, self.h, self.kinematics)
         if callable(self.alpha):
             _check_class_k(self.name, self.alpha)
         else:
@@ -73,17 +73,17 @@ class Barrier:
     def rows(self) -> tuple[LimitRow, ...]:
         """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [unit of h per s]."""
         allowed = self.alpha(self.h) if callable(self.alpha) else ca.SX(self.alpha) * self.h
-        a = closing_row(self.name, self.eta, self.h)
+        a = closing_row(self.name, self.eta, self.h, self.kinematics)
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), allowed + ca.SX(self.drift)),)
 
 
-def closing_row(name: str, eta: ca.SX, h: ca.SX) -> ca.SX:
-    """Return −(∂h/∂η) J(ψ), (1, 4), which maps the velocity to −ḣ; raise InputError if no velocity changes h."""
-    if not isinstance(eta, ca.SX) or eta.shape != (4, 1) or not eta.is_valid_input():
+def closing_row(name: str, eta: ca.SX, h: ca.SX, kinematics: Expression | None = None) -> ca.SX:
+    """Return −(∂h/∂η) S(η), (1, n), which maps the velocity to −ḣ; raise InputError if no velocity changes h."""
+    if not is_symbol(eta):
         raise InputError(
-            "is not an SX symbol of shape (4, 1)", key=f"limit {name}: eta", remedy='write eta = ca.SX.sym("eta", 4)'
+            "is not an SX symbol of shape (m, 1)", key=f"limit {name}: eta", remedy='write eta = ca.SX.sym("eta", 4)'
         )
-    row = ca.simplify(-(ca.jacobian(h, eta) @ kinematics(eta[3])))
+    row = ca.simplify(-(ca.jacobian(h, eta) @ kinematics_of(f"limit {name}", eta, kinematics)))
     if ca.sparsify(row).nnz() == 0:
         raise InputError(
             "does not depend on eta, so no velocity changes it",

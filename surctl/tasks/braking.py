@@ -32,7 +32,7 @@ class BrakingBarrier:
 
     Attributes:
         name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
-        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E}, and heading ψ [rad].
+        eta, kinematics: configuration (m, 1), a pose if m = 4, and S(η) of η̇ = S(η) v, as in `Task`.
         h: SX scalar expression of eta and other symbols [m].
         deceleration: a > 0 [m/s²], in the direction of the gradient of h.
         reaction: reaction time T > 0 [s].
@@ -54,13 +54,14 @@ class BrakingBarrier:
     retreat: Expression | None = None
     drift: Expression = 0.0
     kind: Kind = "barrier"
+    kinematics: Expression | None = None
 
     def __post_init__(self) -> None:
         """Check the barrier's attributes and convert numbers to expressions."""
         checked_kind(checked_name(self.name), self.kind)
         object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
         object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
-        closing_row(self.name, self.eta, self.h)
+        closing_row(self.name, self.eta, self.h, self.kinematics)
         for field in ("deceleration", "reaction"):
             object.__setattr__(self, field, checked_positive(self.name, field, getattr(self, field)))
         if self.retreat is not None:
@@ -79,7 +80,7 @@ class BrakingBarrier:
 
     def rows(self) -> tuple[LimitRow, ...]:
         """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [m/s]."""
-        a = closing_row(self.name, self.eta, self.h)
+        a = closing_row(self.name, self.eta, self.h, self.kinematics)
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), self.allowed() + ca.SX(self.drift)),)
 
 

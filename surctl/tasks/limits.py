@@ -7,7 +7,17 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from surctl.tasks.rows import AXES, Kind, Limit, LimitRow, checked_column, checked_kind, checked_name, checked_order
+from surctl.tasks.rows import (
+    Kind,
+    Limit,
+    LimitRow,
+    axis_names,
+    checked_column,
+    checked_kind,
+    checked_name,
+    checked_order,
+    width,
+)
 from surctl.tasks.task import Expression
 
 __all__ = ["HalfPlane", "Kind", "Limit", "LimitRow", "VelocityBox"]
@@ -15,13 +25,14 @@ __all__ = ["HalfPlane", "Kind", "Limit", "LimitRow", "VelocityBox"]
 
 @dataclass(frozen=True, eq=False)
 class VelocityBox:
-    """The limit lower ≤ v ≤ upper on the velocity on each axis of the body frame, bounds (4,) [m/s, m/s, m/s, rad/s].
+    """The limit lower ≤ v ≤ upper on each of the n velocities.
 
-    The bounds are numbers or SX expressions.
+    The bounds (n,) are numbers or SX expressions. For n = 4, they are the bounds of the velocities u, v, w [m/s] and r
+    [rad/s] in the body frame.
 
     Raises:
-        InputError: a bound does not have 4 entries, a number is NaN, or lower > upper on an axis. The message names the
-            axis.
+        InputError: the bounds have different numbers of entries, a number is NaN, or lower > upper on an axis. The
+            message names the axis.
     """
 
     lower: Expression
@@ -32,33 +43,35 @@ class VelocityBox:
     def __post_init__(self) -> None:
         """Check the limit's name and kind, the shapes of the bounds, and lower ≤ upper."""
         checked_kind(checked_name(self.name), self.kind)
+        n = width(self.name, "lower", self.lower)
         for field in ("lower", "upper"):
-            object.__setattr__(self, field, checked_column(self.name, field, getattr(self, field), 4))
-        for i, axis in enumerate(AXES):
+            object.__setattr__(self, field, checked_column(self.name, field, getattr(self, field), n))
+        for i, axis in enumerate(axis_names(n)):
             checked_order(f"{self.name}.{axis}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
 
     def rows(self) -> tuple[LimitRow, ...]:
-        """Return four limit rows lower ≤ a·v ≤ upper (one per axis), named NAME.u, NAME.v, NAME.w, NAME.r."""
-        eye = ca.SX.eye(4)
+        """Return one limit row per velocity: NAME.u, NAME.v, NAME.w, NAME.r for n = 4, otherwise NAME.0, NAME.1, …"""
+        n = int(ca.SX(self.lower).numel())
+        eye = ca.SX.eye(n)
         return tuple(
             LimitRow(
                 f"{self.name}.{axis}", self.kind, ca.densify(eye[i, :]), ca.SX(self.lower)[i], ca.SX(self.upper)[i]
             )
-            for i, axis in enumerate(AXES)
+            for i, axis in enumerate(axis_names(n))
         )
 
     def holding(self, point: ca.SX) -> VelocityBox:
-        """Return the smallest velocity box that contains this box and the velocity `point` (4,)."""
+        """Return the smallest velocity box that contains this box and the velocity `point` (n,)."""
         return VelocityBox(ca.fmin(ca.SX(self.lower), point), ca.fmax(ca.SX(self.upper), point), self.name, self.kind)
 
     def nearest(self, point: ca.SX) -> ca.SX:
-        """Return the velocity (4,) in the box that is nearest to the velocity `point` (4,)."""
+        """Return the velocity (n,) in the box that is nearest to the velocity `point` (n,)."""
         return ca.fmin(ca.fmax(point, ca.SX(self.lower)), ca.SX(self.upper))
 
 
 @dataclass(frozen=True, eq=False)
 class HalfPlane:
-    """The limit normal · v ≤ bound on the velocity v in the body frame; normal (4,) and bound are numbers or SX.
+    """The limit normal · v ≤ bound on the velocity v; normal (n,) and bound are numbers or SX.
 
     For example, a control barrier ḣ + α(h) ≥ 0 with ḣ = ∇h·v is the half-plane −∇h·v ≤ α(h).
 
@@ -74,7 +87,8 @@ class HalfPlane:
     def __post_init__(self) -> None:
         """Check the limit's name and kind, and the shapes of normal and bound."""
         checked_kind(checked_name(self.name), self.kind)
-        object.__setattr__(self, "normal", checked_column(self.name, "normal", self.normal, 4))
+        n = width(self.name, "normal", self.normal)
+        object.__setattr__(self, "normal", checked_column(self.name, "normal", self.normal, n))
         object.__setattr__(self, "bound", checked_column(self.name, "bound", self.bound, 1))
         checked_order(self.name, ca.SX(-math.inf), ca.SX(self.bound))
 

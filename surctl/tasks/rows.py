@@ -10,18 +10,20 @@ from typing import Literal, Protocol, TypeAlias, get_args
 import casadi as ca
 
 from surctl.errors import InputError, nearest
-from surctl.tasks.task import Expression, sized_column
+from surctl.tasks.task import Expression, as_column, sized_column
 
 __all__ = [
     "AXES",
     "Kind",
     "Limit",
     "LimitRow",
+    "axis_names",
     "checked_column",
     "checked_kind",
     "checked_name",
     "checked_order",
     "checked_positive",
+    "width",
 ]
 
 Kind: TypeAlias = Literal["actuator", "barrier", "set"]
@@ -32,18 +34,21 @@ little as possible. Limits of set-based tasks are violated before barrier limits
 """
 
 AXES = ("u", "v", "w", "r")
+"""Names of the velocities of a vehicle that moves in surge, sway, heave and yaw."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_0-9]+)*")
 
 
 @dataclass(frozen=True, eq=False)
 class LimitRow:
-    """One linear constraint lower ≤ a·v ≤ upper on the velocity v = (u, v, w, r) in the body frame {B} [m/s, rad/s].
+    """One linear constraint lower ≤ a·v ≤ upper on the velocity v.
+
+    For a vehicle, v is (u, v, w, r) in the body frame {B} [m/s, rad/s].
 
     Attributes:
         name: name such as "velocity.u", which appears in the text that explains a solution.
         kind: kind of limit; see `Kind`.
-        a: SX (1, 4), the coefficients of the four velocities.
+        a: SX (1, n), the coefficients of the velocities.
         lower, upper: SX scalars; −inf or inf if there is no bound.
     """
 
@@ -90,6 +95,22 @@ def checked_column(name: str, field: str, value: Expression, size: int, *, finit
         remedy = "give finite numbers" if finite else "give numbers, or inf for none"
         raise InputError("is not a number", key=key, value=value, remedy=remedy)
     return column
+
+
+def axis_names(n: int, names: tuple[str, ...] = AXES) -> tuple[str, ...]:
+    """Return the names of n axes: the given names if there are n of them, otherwise 0, 1, …"""
+    return names if n == len(names) else tuple(map(str, range(n)))
+
+
+def width(name: str, field: str, value: Expression) -> int:
+    """Return the number of entries of a field, n ≥ 1; raise InputError if it is not a vector."""
+    try:
+        n = as_column(value).numel()
+    except ValueError:
+        n = 0
+    if n < 1:
+        raise InputError("is not a vector", key=f"limit {name}: {field}", value=value, remedy="give n numbers")
+    return int(n)
 
 
 def checked_positive(name: str, field: str, value: Expression, size: int = 1, *, zero: bool = False) -> ca.SX:

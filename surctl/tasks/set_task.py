@@ -25,7 +25,7 @@ class SetTask:
     bounds on σ̇ change continuously with σ, so the task needs no switching.
 
     Attributes:
-        name, eta, sigma, gain, unit: as in `Task`.
+        name, eta, sigma, gain, unit, kinematics: as in `Task`.
         lower, upper: bounds of the k entries of σ, (k,) or one number for all [unit of σ]; −inf or inf for no bound.
         rate: rate σ̇_set at which both bounds move, (k,) or one number [unit of σ per second].
         angular: σ is an angle [rad], and the allowed values form the arc from lower to upper, shorter than a turn.
@@ -46,6 +46,7 @@ class SetTask:
     gain: Expression = 1.0
     angular: bool = False
     unit: str = ""
+    kinematics: Expression | None = None
     _middle: Task = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -65,9 +66,10 @@ class SetTask:
             gain=self.gain,
             angular=self.angular,
             unit=self.unit,
+            kinematics=self.kinematics,
         )
         object.__setattr__(self, "_middle", middle)
-        for same in ("sigma", "rate", "gain"):
+        for same in ("sigma", "rate", "gain", "kinematics"):
             object.__setattr__(self, same, getattr(middle, same))
 
     @property
@@ -76,12 +78,17 @@ class SetTask:
         return self._middle.size
 
     @property
+    def mapping(self) -> ca.SX:
+        """Return S(η) (m, n) of η̇ = S(η) v."""
+        return self._middle.mapping
+
+    @property
     def rate_unit(self) -> str:
         """Return the unit of σ̇; see `Task.rate_unit`."""
         return self._middle.rate_unit
 
     def jacobian(self) -> ca.SX:
-        """Return the Jacobian J, (k, 4), with σ̇ = J ν for ν = (u, v, w, r) in {B}, equation (13) of the paper."""
+        """Return the Jacobian J, (k, n), with σ̇ = J v; see `Task.jacobian`."""
         return self._middle.jacobian()
 
     def slab(self) -> tuple[ca.SX, ca.SX]:
@@ -115,6 +122,7 @@ class SetTask:
                 gain=ca.SX(self.gain)[i],
                 angular=self.angular,
                 unit=self.unit,
+                kinematics=self.kinematics,
             )
             for i in range(self.size)
         )

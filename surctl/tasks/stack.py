@@ -18,7 +18,8 @@ class Stack:
     """Tasks (with one desired value or set-based) in order of priority, highest priority first.
 
     Raises:
-        InputError: there is no task, two tasks have the same name, or tasks use different symbols for the pose.
+        InputError: there is no task, two tasks have the same name, or tasks have different configurations or numbers
+            of velocities.
     """
 
     tasks: tuple[Task | SetTask, ...]
@@ -44,11 +45,22 @@ class Stack:
                     key=f"task {task.name}",
                     remedy="build all tasks of a stack from one eta",
                 )
+            if task.mapping.shape != self.tasks[0].mapping.shape:
+                raise InputError(
+                    f"has another number of velocities than task {self.tasks[0].name}",
+                    key=f"task {task.name}",
+                    remedy="give all tasks of a stack the same kinematics",
+                )
 
     @property
     def eta(self) -> ca.SX:
-        """Return the pose symbol (4, 1) that all tasks share."""
+        """Return the symbol of the configuration (m, 1) that all tasks share."""
         return self.tasks[0].eta
+
+    @property
+    def velocities(self) -> int:
+        """Return n, the number of velocities."""
+        return int(self.tasks[0].mapping.shape[1])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,7 +68,7 @@ class Stack:
         return tuple(task.name for task in self.tasks)
 
     def levels(self) -> list[tuple[ca.SX, ca.SX]]:
-        """Return the Jacobian J (k, 4) and the reference rate x (k, 1) of each task, highest priority first.
+        """Return the Jacobian J (k, n) and the reference rate x (k, 1) of each task, highest priority first.
 
         Raises:
             InputError: a task is set-based, so it has no reference rate; use `slabs`.
@@ -64,7 +76,7 @@ class Stack:
         return [(task.jacobian(), _equality(task).reference()) for task in self.tasks]
 
     def slabs(self) -> list[tuple[ca.SX, ca.SX, ca.SX]]:
-        """Return the Jacobian J (k, 4) and the lower and upper bound (k, 1) of σ̇ of each task, highest priority first.
+        """Return the Jacobian J (k, n) and the lower and upper bound (k, 1) of σ̇ of each task, highest priority first.
 
         For a `Task` with one desired value, both bounds are the reference rate x, equation (14) of the paper.
         """

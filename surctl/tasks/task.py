@@ -1,4 +1,4 @@
-"""Task of equations (13)–(15) of the paper: a quantity σ of the pose, its desired value, and the convergence gain."""
+"""Task of equations (13)–(15) of the paper: a quantity σ of the configuration, its desired value, and a gain."""
 
 from __future__ import annotations
 
@@ -13,7 +13,16 @@ from surctl.errors import InputError
 from surctl.tasks.angle import wrap
 from surctl.tasks.kinematics import jacobian as kinematics
 
-__all__ = ["Expression", "Task", "as_column", "as_expression", "sigma_column", "sized_column"]
+__all__ = [
+    "Expression",
+    "Task",
+    "as_column",
+    "as_expression",
+    "is_symbol",
+    "kinematics_of",
+    "sigma_column",
+    "sized_column",
+]
 
 Expression: TypeAlias = ca.SX | float | Sequence[float]
 """A CasADi expression, a number, or a list of numbers."""
@@ -21,11 +30,12 @@ Expression: TypeAlias = ca.SX | float | Sequence[float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """A quantity σ of the robot's pose η that converges to a desired value.
+    """A quantity σ of the configuration η that converges to a desired value.
 
     Attributes:
         name: identifier of the task in every message and solution.
-        eta: SX symbol (4, 1), pose: x, y, z [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
+        eta: SX symbol (m, 1), configuration. Unless `kinematics` is given, four entries are the pose of a vehicle:
+            x, y, z [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
         sigma: SX (k, 1), the expression of σ(η). If σ contains other symbols (an echo point, a waypoint), the Jacobian
             treats them as constant; describe the motion of a target by `rate`.
         target: desired value σ_d, (k, 1) or one number for all entries; default 0.
@@ -33,6 +43,8 @@ class Task:
         gain: convergence gain of each entry of σ, (k,) or one number [1/s], greater than 0; default 1.
         angular: σ is an angle [rad]; its error is wrapped to (−π, π].
         unit: unit of σ in messages, such as "m" or "rad"; "" if unknown.
+        kinematics: SX (m, n), the matrix S(η) of η̇ = S(η) v for the n velocities v that the limits and the solution are
+            about; by default that of a pose (see `eta`), and the identity for m ≠ 4.
 
     Raises:
         InputError: the name is not an identifier, σ and another attribute differ in length, a number is not finite, a
@@ -47,12 +59,14 @@ class Task:
     gain: Expression = 1.0
     angular: bool = False
     unit: str = ""
+    kinematics: Expression | None = None
 
     def __post_init__(self) -> None:
         """Check the attributes and convert every number to a column with one entry for each entry of σ."""
         _check_name(self.name)
-        if not isinstance(self.eta, ca.SX) or self.eta.shape != (4, 1) or not self.eta.is_valid_input():
-            raise _wrong(self, "eta", "is not an SX symbol of shape (4, 1)", 'write eta = ca.SX.sym("eta", 4)')
+        if not is_symbol(self.eta):
+            raise _wrong(self, "eta", "is not an SX symbol of shape (m, 1)", 'write eta = ca.SX.sym("eta", 4)')
+        object.__setattr__(self, "kinematics", self.mapping)
         sigma = sigma_column(self.name, self.sigma)
         if not ca.depends_on(sigma, self.eta):
             raise _wrong(self, "sigma", "does not depend on eta", "express it by this task's own eta symbol")
@@ -69,6 +83,11 @@ class Task:
         return int(self.sigma.shape[0])
 
     @property
+    def mapping(self) -> ca.SX:
+        """Return S(η) (m, n) of η̇ = S(η) v."""
+        return kinematics_of(f"task {self.name}", self.eta, self.kinematics)
+
+    @property
     def rate_unit(self) -> str:
         """Return the unit of σ̇, such as "m/s"; "" if the unit of σ is unknown."""
         return f"{self.unit}/s" if self.unit else ""
@@ -78,8 +97,8 @@ class Task:
         return (f"{self.name}.{what}",) if self.size == 1 else tuple(f"{self.name}.{what}{i}" for i in range(self.size))
 
     def jacobian(self) -> ca.SX:
-        """Return the Jacobian J, (k, 4), with σ̇ = J ν for ν = (u, v, w, r) in {B}, equation (13) of the paper."""
-        return ca.densify(ca.jacobian(self.sigma, self.eta) @ kinematics(self.eta[3]))
+        """Return the Jacobian J, (k, n), with σ̇ = J v (13); v is (u, v, w, r) in {B} for a pose."""
+        return ca.densify(ca.jacobian(self.sigma, self.eta) @ self.mapping)
 
     def error(self) -> ca.SX:
         """Return the error σ̃ = σ_d − σ, (k, 1); for an angle, wrapped to (−π, π]."""
@@ -89,6 +108,30 @@ class Task:
     def reference(self) -> ca.SX:
         """Return the reference rate σ̇_d + K (σ_d − σ), (k, 1) [unit of σ per second], equation (14) of the paper."""
         return ca.densify(self.rate + self.gain * self.error())
+
+
+def is_symbol(eta: object) -> bool:
+    """Return whether `eta` is a column of SX symbols."""
+    return isinstance(eta, ca.SX) and eta.shape[1] == 1 and eta.shape[0] >= 1 and eta.is_valid_input()
+
+
+def kinematics_of(key: str, eta: ca.SX, matrix: Expression | None) -> ca.SX:
+    """Return S(η) (m, n) of η̇ = S(η) v; by default that of a pose for m = 4, and otherwise the identity.
+
+    Raise InputError with `key` if the matrix does not have m rows.
+    """
+    m = int(eta.shape[0])
+    if matrix is None:
+        return kinematics(eta[3]) if m == 4 else ca.SX.eye(m)
+    try:
+        S = as_expression(matrix)
+    except ValueError:
+        S = None
+    if S is None or S.shape[0] != m or S.shape[1] < 1:
+        raise InputError(
+            "is not a matrix with a row per entry of eta", key=f"{key}: kinematics", remedy=f"give ({m}, n)"
+        )
+    return S
 
 
 def as_expression(value: Any) -> ca.SX:

@@ -62,7 +62,7 @@ def check_limit(
     """Check the constraint rows of a limit over the ranges of its symbols.
 
     The names of the constraint rows lower ≤ a·v ≤ upper on the velocity v must be unique, consist of identifiers joined
-    by dots, and be the same at every call. The kinds must be known, and the shape of a must be (1, 4). At random points
+    by dots, and be the same at every call. The kinds must be known, and the shape of a must be (1, n). At random points
     and at corners of the ranges, the normal a must be finite, the bounds must not be NaN, and lower ≤ upper must hold.
     If a = 0, the bounds must include 0. For each constraint row, the check then searches for crossing bounds by random
     steps from the points with the smallest upper − lower. Some velocity must satisfy all rows of the kind actuator
@@ -71,7 +71,7 @@ def check_limit(
     Args:
         limit: any object with a method `rows()`.
         parameters: (symbol, lowest, highest) for every symbol in the constraint rows.
-        holds: function that takes a velocity v (4,) and the values of the parameters, and returns whether v satisfies
+        holds: function that takes a velocity v (n,) and the values of the parameters, and returns whether v satisfies
             the limit as intended. The check compares this result with the constraint rows at random velocities and on
             both sides of every bound.
         velocity: largest entry of the random velocities for `holds` [m/s, rad/s].
@@ -132,6 +132,7 @@ def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
     if [row.name for row in rows] != [row.name for row in again]:
         raise CheckFailed("limit", "has different row names at every call")
     names: set[str] = set()
+    n = max(1, int(as_expression(rows[0].a).numel())) if isinstance(rows[0].a, ca.SX) else 4
     for row in rows:
         what = f"limit row {row.name!r}"
         if not isinstance(row.name, str) or not _DOTTED.fullmatch(row.name):
@@ -141,7 +142,7 @@ def _shaped(limit: Limit) -> tuple[LimitRow, ...]:
         names.add(row.name)
         if row.kind not in get_args(Kind):
             raise CheckFailed(what, f"has the unknown kind {row.kind!r}; known: {', '.join(get_args(Kind))}")
-        for field, value, shape in (("a", row.a, (1, 4)), ("lower", row.lower, (1, 1)), ("upper", row.upper, (1, 1))):
+        for field, value, shape in (("a", row.a, (1, n)), ("lower", row.lower, (1, 1)), ("upper", row.upper, (1, 1))):
             try:
                 actual = as_expression(value).shape
             except ValueError:
@@ -206,6 +207,7 @@ class _Check:
     def together(self, point: Array) -> None:
         # t is the smallest distance by which all limits must open so that one velocity satisfies them
         A, lower, upper = self.values(point)
+        n = A.shape[1]
         hard = np.array([row.kind == "actuator" for row in self.rows]) & A.any(axis=1)
         if hard.sum() < 2:
             return
@@ -215,18 +217,18 @@ class _Check:
         above, below = np.isfinite(high), np.isfinite(low)
         sides = np.vstack([G[above], -G[below]])
         result = linprog(
-            [0, 0, 0, 0, 1],
+            [*[0] * n, 1],
             A_ub=np.column_stack([sides, -np.ones(len(sides))]),
             b_ub=np.concatenate([high[above], -low[below]]),
-            bounds=[(None, None)] * 4 + [(0, None)],
+            bounds=[(None, None)] * n + [(0, None)],
         )
-        size = 1.0 + float(np.abs(result.x[:4]).max()) if result.x is not None else 1.0
-        if result.status == 0 and result.x[4] > _EMPTY * size:
+        size = 1.0 + float(np.abs(result.x[:n]).max()) if result.x is not None else 1.0
+        if result.status == 0 and result.x[n] > _EMPTY * size:
             names = np.concatenate([chosen[above], chosen[below]])[np.abs(result.ineqlin.marginals) > _EMPTY]
             guilty = " and ".join(dict.fromkeys(self.rows[i].name for i in names))
             raise CheckFailed(
                 "limit",
-                f"actuator rows {guilty} contradict each other by {result.x[4]:.3g}",
+                f"actuator rows {guilty} contradict each other by {result.x[n]:.3g}",
                 at=self.ranges.text(point),
             )
 
@@ -249,11 +251,11 @@ class _Check:
 
     def _trials(self, A: Array, lower: Array, upper: Array, rng: np.random.Generator, velocity: float) -> list[Array]:
         # velocities on both sides of every bound satisfy all other rows
-        trials = list(rng.uniform(-velocity, velocity, (5, 4)))
+        trials = list(rng.uniform(-velocity, velocity, (5, A.shape[1])))
         for a, *bounds in zip(A, lower, upper, strict=True):
             for bound in bounds:
                 if a.any() and math.isfinite(bound):
-                    v = _toward(A, lower, upper, rng.uniform(-velocity, velocity, 4))
+                    v = _toward(A, lower, upper, rng.uniform(-velocity, velocity, size=(A.shape[1],)))
                     on, normal = v + a * (bound - a @ v) / (a @ a), a / np.linalg.norm(a)
                     trials += [on - _BESIDE * normal, on + _BESIDE * normal]
         return trials

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.tasks import SetTask, Task
+from surctl.tasks.rows import axis_names
 from surctl.testing.finding import CheckFailed
 from surctl.testing.ranges import Parameter, Ranges, Sampled, checked_count, ranges_of
 
@@ -95,11 +96,12 @@ def check_task(
         surctl.testing.finding.CheckFailed: ...the reference changes when the vehicle makes a full turn ...
     """
     checked_count("samples", samples)
-    poses = [_pose(place, pose) for place, pose in enumerate(near)]
     built = task(ca.SX.sym("eta", 4)) if callable(task) else task
     if not isinstance(built, Task | SetTask):
         raise InputError("is neither a Task nor a SetTask", key="task", value=built)
-    box = [extent, extent, extent, math.pi]
+    m, vehicle = int(built.eta.shape[0]), built.eta.shape[0] == 4
+    poses = [_pose(place, pose, m) for place, pose in enumerate(near)]
+    box = [extent, extent, extent, math.pi] if vehicle else [extent] * m
     ranges = ranges_of([(built.eta, [-b for b in box], box), *parameters])
     check = _Check(built, ranges, Sampled(f"task {built.name}", ranges, _expressions(built)))
     rng = np.random.default_rng(seed)
@@ -107,26 +109,31 @@ def check_task(
     for values in ranges.draw(rng, samples):
         _, J, _, _, _ = check.finite(values)
         worst = max(worst, check.derivative(values, J, tol))
-        if full_turn:
+        if full_turn and vehicle:
             check.full_turn(values)
         ranks.append((_rank(J), values))
     for pose in poses:
         for offset in _OFFSETS:
             values = ranges.draw(rng, 1)[0]
-            values[:4] = pose + offset * rng.uniform(-1, 1, 4)
+            values[:m] = pose + offset * rng.uniform(-1, 1, m)
             _, J, _, _, _ = check.finite(values)
             ranks.append((_rank(J), values))
     least = min(ranks, key=lambda entry: entry[0])
     return TaskReport(built.name, built.size, samples, worst, max(r for r, _ in ranks), least[0], ranges.text(least[1]))
 
 
-def _pose(place: int, pose: Sequence[float]) -> Array:
+def _pose(place: int, pose: Sequence[float], m: int) -> Array:
     try:
         values = np.asarray(pose, dtype=float)
     except (TypeError, ValueError):
         values = np.zeros(0)
-    if values.shape != (4,) or not np.isfinite(values).all():
-        raise InputError("is not a pose", key=f"near[{place}]", value=pose, remedy="give x, y, z and psi")
+    if values.shape != (m,) or not np.isfinite(values).all():
+        raise InputError(
+            "is not a pose",
+            key=f"near[{place}]",
+            value=pose,
+            remedy="give x, y, z and psi" if m == 4 else f"give {m} numbers",
+        )
     return values
 
 
@@ -139,7 +146,7 @@ def _expressions(task: Task | SetTask) -> list[ca.SX]:
         lower = upper = task.reference()
         error = task.error()
     for what, expression, shape in (
-        ("J", J, (task.size, 4)),
+        ("J", J, (task.size, task.mapping.shape[1])),
         ("the reference", lower, (task.size, 1)),
         ("the reference", upper, (task.size, 1)),
     ):
@@ -178,7 +185,7 @@ class _Check:
         if not error[row, column] <= tol:
             best = measured[np.argmin(np.abs(measured[:, row, column] - J[row, column])), row, column]
             self._fail(
-                f"row {row} of J is {J[row, column]:.9g} for {'uvwr'[column]}, "
+                f"row {row} of J is {J[row, column]:.9g} for {axis_names(J.shape[1])[column]}, "
                 f"but sigma changes at a rate of {best:.9g}",
                 values,
             )
@@ -193,14 +200,17 @@ class _Check:
                 remedy = "" if self.task.angular else " (is sigma an angle, angular=True?)"
                 self._fail(f"{what} changes when the vehicle makes a full turn{remedy}", values)
 
+    def _motion(self, eta: Array) -> Array:
+        # directions (m, n) of η along each velocity
+        return np.array(ca.Function("S", [self.task.eta], [self.task.mapping])(eta), dtype=np.float64)
+
     def _differences(self, values: Array, step: float) -> Array:
-        # central differences (k, 4) of σ along each velocity
-        c, s = math.cos(values[3]), math.sin(values[3])
-        motion = np.array([[c, s, 0, 0], [-s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=float)
+        # central differences (k, n) of σ along each velocity
+        m = int(self.task.eta.shape[0])
         columns = []
-        for along in motion:
+        for along in self._motion(values[:m]).T:
             move = np.zeros(values.size)
-            move[:4] = step * along
+            move[:m] = step * along
             change = (self.at(values + move)[0] - self.at(values - move)[0]).reshape(-1)
             if self.task.angular:
                 change = np.array([math.remainder(entry, 2.0 * math.pi) for entry in change])

@@ -43,8 +43,8 @@ def plant_thrust_limit(
         InputError: a parameter is missing, or `ThrustLimit` rejects a value.
 
     Example:
-        >>> from surctl.vehicle import load_vehicle, plant_parameters, plant_thrust_limit
-        >>> numbers = plant_parameters(load_vehicle("sur400"))
+        >>> from surctl.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
+        >>> numbers = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur400")))
         >>> limit = plant_thrust_limit([0.1, 0, 0, 0], numbers, dt=0.05)
         >>> [row.name for row in limit.rows()]
         ['thrust.Fu', 'thrust.Fv', 'thrust.Fw', 'thrust.Fr']

@@ -56,9 +56,9 @@ def test_a_half_plane_is_one_barrier_row_and_may_be_symbolic():
     ("make", "says"),
     [
         (lambda: VelocityBox([1, 0, 0, 0], [0, 1, 1, 1]), "velocity.u"),
-        (lambda: VelocityBox([0, 0, 0], [1, 1, 1, 1]), "lower"),
+        (lambda: VelocityBox([0, 0, 0], [1, 1, 1, 1]), "upper"),
         (lambda: VelocityBox([0, 0, 0, math.nan], [1, 1, 1, 1]), "lower"),
-        (lambda: HalfPlane("wall", [1, 0, 0], 1.0), "wall: normal"),
+        (lambda: HalfPlane("wall", [], 1.0), "wall: normal"),
         (lambda: HalfPlane("wall", [1, 0, 0, 0], [1.0, 2.0]), "wall: bound"),
         (lambda: HalfPlane("wall", [1, 0, 0, 0], -math.inf), "wall"),
         (lambda: HalfPlane("wall", [1, 0, 0, 0], 1.0, kind="barier"), "did you mean 'barrier'"),

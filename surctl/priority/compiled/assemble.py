@@ -24,8 +24,6 @@ __all__ = ["AssembledStep", "Assembly", "assemble"]
 
 Array: TypeAlias = NDArray[np.float64]
 
-_N = 4
-
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
@@ -36,9 +34,9 @@ class Assembly:
         sizes: number of entries of each input (such as the pose), by name.
         function: CasADi function of the inputs in the order of `sizes`. The outputs are the inputs of `priority_step`:
             J (K·4,), the Jacobians of all levels with K rows together, row by row; lower (K,) and upper (K,), the
-            bounds of J v for the velocity v; rows (m·7,), the m constraint rows; box (8,), the bounds of v. Without
-            limits, the function returns one constraint row that is always satisfied. The box contains the actuator
-            limits that bound a single velocity for all values of the inputs.
+            bounds of J v for the velocity v; rows (m·(n + 3),), the m constraint rows; box (2n,), the bounds of v.
+            Without limits, the function returns one constraint row that is always satisfied. The box contains the
+            actuator limits that bound a single velocity for all values of the inputs.
     """
 
     stack: Stack
@@ -55,18 +53,18 @@ class Assembly:
         """
         arguments = self._checked(values)
         J, lower, upper, rows, _ = (np.array(part).reshape(-1) for part in self.function.call(arguments))
-        levels, start = [], 0
+        levels, start, n = [], 0, self.stack.velocities
         for task, shape in zip(self.stack.tasks, self.shapes, strict=True):
             end = start + shape.rows
             # an equal pair stays one value, so that a NaN in it is reported as a NaN and not as a set
             high = upper[start:end] if shape.is_set else None
             levels.append(
-                Level(task.name, J[_N * start : _N * end].reshape(-1, _N), lower[start:end], high, task.rate_unit)
+                Level(task.name, J[n * start : n * end].reshape(-1, n), lower[start:end], high, task.rate_unit)
             )
             start = end
-        table = rows.reshape(-1, _N + 3)
+        table = rows.reshape(-1, n + 3)
         limits = [
-            Row(row.name, row.kind, entry[:_N], float(entry[_N]), float(entry[_N + 1]))
+            Row(row.name, row.kind, entry[:n], float(entry[n]), float(entry[n + 1]))
             for row, entry in zip(self.limits, table, strict=False)
         ]
         return build_problem(levels, limits)
@@ -128,12 +126,12 @@ class AssembledStep(PriorityStep):
                     key=f"task {task.name}",
                     remedy="put its split() into the stack",
                 )
-        places = max(1, len(assembly.limits))
+        n, places = assembly.stack.velocities, max(1, len(assembly.limits))
         step = priority_step(
-            mode, n=_N, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, fallback=fallback
+            mode, n=n, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, fallback=fallback
         )
         inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), step))
-        self._take(mode, _N, assembly.shapes, outputs[: len(step.inputs)], outputs[len(step.inputs) :])
+        self._take(mode, n, assembly.shapes, outputs[: len(step.inputs)], outputs[len(step.inputs) :])
         self.level_names = assembly.stack.names
         self.row_names = tuple(row.name for row in assembly.limits)
         self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
@@ -197,7 +195,7 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
         _check_symbols(f"task {task.name}", parts, known)
     for i, row in enumerate(rows):
         _check_symbols(f"limit {row.name}", (row.a, row.lower, row.upper), known)
-        for field, size in (("a", _N), ("lower", 1), ("upper", 1)):
+        for field, size in (("a", stack.velocities), ("lower", 1), ("upper", 1)):
             entries = getattr(row, field).numel()
             if entries != size:
                 raise InputError(f"has {entries} entries, expected {size}", key=f"limit {row.name}: {field}")
@@ -207,7 +205,7 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
             )
         if row.name in (other.name for other in rows[:i]):
             raise InputError("names two limits", key=f"limit {row.name}", remedy="rename one of them")
-    outputs = [*_stacked(slabs), _table(rows), _box(rows)]
+    outputs = [*_stacked(slabs), _table(rows, stack.velocities), _box(rows, stack.velocities)]
     names = ["J", "lower", "upper", "rows", "box"]
     dense = [ca.densify(output) for output in outputs]
     function = ca.Function("assembly", list(inputs.values()), dense, [f"in_{k}" for k in range(len(inputs))], names)
@@ -243,16 +241,16 @@ def _stacked(slabs: Sequence[tuple[ca.SX, ca.SX, ca.SX]]) -> list[ca.SX]:
     ]
 
 
-def _table(rows: Sequence[LimitRow]) -> ca.SX:
+def _table(rows: Sequence[LimitRow], n: int) -> ca.SX:
     lines = [ca.vertcat(ca.vec(row.a), row.lower, row.upper, ca.SX(0 if row.kind == "actuator" else 1)) for row in rows]
-    return ca.vertcat(*lines) if lines else ca.vertcat(ca.SX.zeros(_N), -ca.inf, ca.inf, 0)
+    return ca.vertcat(*lines) if lines else ca.vertcat(ca.SX.zeros(n), -ca.inf, ca.inf, 0)
 
 
-def _box(rows: Sequence[LimitRow]) -> ca.SX:
+def _box(rows: Sequence[LimitRow], n: int) -> ca.SX:
     # if two limits of a velocity conflict, both bounds are their midpoint
-    low, high = [ca.SX(-ca.inf)] * _N, [ca.SX(ca.inf)] * _N
+    low, high = [ca.SX(-ca.inf)] * n, [ca.SX(ca.inf)] * n
     for row in rows:
-        entries = [j for j in range(_N) if not row.a[j].is_zero()]
+        entries = [j for j in range(n) if not row.a[j].is_zero()]
         if row.kind != "actuator" or len(entries) != 1:
             continue
         (j,) = entries

@@ -76,6 +76,9 @@ def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] =
         InputError: bounds have a wrong size, are not finite, or have lower > upper; a parameter is not a symbol, occurs
             twice, or has a name already in use; or a symbol of the stack has no bounds (the message names its task).
     """
+    if stack.eta.shape[0] != 4:
+        problem = f"has a configuration of {stack.eta.shape[0]} entries; a diagnosis is about poses x, y, z, psi"
+        raise InputError(problem, key="stack", remedy="diagnose single problems with solve")
     lower, upper = _corners(region, 4, key="region", names=_AXES)
     symbols, names, low, high = [stack.eta[i] for i in range(4)], list(_AXES), [lower], [upper]
     used = {s.element_hash() for J, x in stack.levels() for s in _symbols(J, x)}
