@@ -552,3 +552,11 @@ def test_the_study_of_stability_problems() -> None:
     verdicts = {row[0].strip("`"): row[4] for row in table(done.stdout) if len(row) == 8}
     assert verdicts["cubic-spring"] == "proved" and verdicts["coutinho-circle"] == "refuted"
     assert verdicts["discrete-linear-rate-true"] == "proved" and verdicts["discrete-linear-rate-false"] == "refuted"
+
+
+def test_the_comparison_of_stability_proofs_with_peers() -> None:
+    peers = ANALYSIS / "28_lyapunov" / "peers.py"
+    done = run(peers, "--quick")
+    [row] = [row for row in table(done.stdout) if row[0] == "`haddad-chellaboina`"]
+    assert done.returncode == 0 and row[2].endswith(": proved"), done.stdout + done.stderr
+    assert run(peers, "no-such-system").returncode == 2

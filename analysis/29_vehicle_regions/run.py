@@ -41,6 +41,7 @@ PAIRS = (
     ("region-turning-20-scale", "sur540-flooded"),
     (CURVED, "sur540-flooded"),
     ("region-turning-20", "bluerov2-heavy"),
+    ("region-turning-20-rest", "bluerov2-heavy"),
     ("region-turning-20", "rexrov"),
     (STEERED, "otter"),
 )

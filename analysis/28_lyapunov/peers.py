@@ -1,0 +1,169 @@
+"""Study 28: the time of an exact certificate beside that of peers, on the same systems, in one run.
+
+    python analysis/28_lyapunov/peers.py [--quick] [--time-limit S] [NAME…]
+
+Every system has a stated V and level. surctl proves the whole claim (V > 0, region in the box, decrease), and its time
+contains the check of the certificate. The peers have less to do:
+
+- Drake: V' ≤ 0 in the region, by sums of squares in floating point (Clarabel); polynomials only;
+- z3: no state of the region outside a small ball with V' ≥ 0, by exact real arithmetic; polynomials only;
+- codac: the same as z3, by contractors and bisection;
+- dReal: the same, with δ = 1e-3.
+
+A peer that is not installed or does not load is named. Prints Markdown; the times are the processor's, of this process.
+Status 0 if surctl proves every claim, else 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from surctl.lyapunov import Stability, decide_motion, load_problem
+from surctl.verification.formula import FUNCTIONS, ordered, text_of
+
+HERE = Path(__file__).parent
+SYSTEMS = (
+    "van-der-pol", "lorenz-subcritical", "haddad-chellaboina", "rigid-body-friction", "papachristodoulou-prajna-6",
+    "cubic-spring", "pendulum-friction", "whirling-pendulum",
+)  # fmt: skip
+QUICK = ("haddad-chellaboina",)
+BALL = 0.05  # radius of the ball that z3, codac and dReal leave out, in widths of the box
+WIDTH = 1e-2  # least width of a box of codac
+DELTA = 1e-3
+
+Peer = Callable[[Stability, float], str]
+
+
+def expression(text: str, symbols: dict[str, Any], functions: dict[str, Any]) -> Any:
+    """Return an expression of the claim's grammar in the symbols of a peer."""
+    return eval(re.sub(r"\^", "**", text), {"__builtins__": {}}, symbols | functions)
+
+
+def drake(claim: Stability, limit: float) -> str:
+    """Search sums of squares s with −V' − s (level − V) ≥ 0."""
+    from pydrake.solvers import ClarabelSolver, MathematicalProgram
+    from pydrake.symbolic import Polynomial, Variables
+
+    d = claim.dynamics
+    program = MathematicalProgram()
+    x = program.NewIndeterminates(len(d.states), "x")
+    symbols = {s.name: x[k] for k, s in enumerate(d.states)}
+    v, change = (expression(text_of(node), symbols, {}) for node in (claim.function, d.change(claim.function)))
+    degree = max(Polynomial(change).TotalDegree() - Polynomial(v).TotalDegree(), 0)
+    s, _ = program.NewSosPolynomial(Variables(x), degree + degree % 2)
+    program.AddSosConstraint(Polynomial(-change - s.ToExpression() * (claim.level - v), Variables(x)))
+    return "feasible" if ClarabelSolver().Solve(program).is_success() else "infeasible"
+
+
+def z3(claim: Stability, limit: float) -> str:
+    """Ask whether a state of the region outside the ball has V' ≥ 0."""
+    import z3
+
+    d = claim.dynamics
+    symbols = {s.name: z3.Real(s.name) for s in d.states}
+    solver = z3.Solver()
+    solver.set("timeout", int(1000 * limit))
+    for s in d.states:
+        solver.add(symbols[s.name] >= s.lower, symbols[s.name] <= s.upper)
+    v, change = (expression(text_of(node), symbols, {}) for node in (claim.function, d.change(claim.function)))
+    solver.add(v < claim.level, change >= 0, distance(claim, symbols) >= BALL**2)
+    return str(solver.check())
+
+
+def distance(claim: Stability, symbols: dict[str, Any]) -> Any:
+    """Return the squared distance to the equilibrium in widths of the box."""
+    return sum(((symbols[s.name] - s.equilibrium) / (s.upper - s.lower)) ** 2 for s in claim.dynamics.states)
+
+
+def codac(claim: Stability, limit: float) -> str:
+    """Pave the states of the region outside the ball with V' ≥ 0."""
+    import codac
+
+    d = claim.dynamics
+    x = codac.VectorVar(len(d.states))
+    symbols = {s.name: x[k] for k, s in enumerate(d.states)}
+    functions = {name: getattr(codac, name) for name in ("sin", "cos", "exp", "sqrt")}
+    v, change = (expression(text_of(node), symbols, functions) for node in (claim.function, d.change(claim.function)))
+    function = codac.AnalyticFunction([x], codac.vec(v, change, distance(claim, symbols)))
+    wanted = codac.IntervalVector([[-codac.oo, claim.level], [0, codac.oo], [BALL**2, codac.oo]])
+    box = codac.IntervalVector([[s.lower, s.upper] for s in d.states])
+    left = codac.pave(box, codac.CtcInverse(function, wanted), WIDTH).boxes(codac.PavingOut.outer)
+    left = [b for b in left if not b.is_empty()]
+    return "empty" if not left else f"{len(left)} boxes open at a width of {WIDTH:g}"
+
+
+def dreal(claim: Stability, limit: float) -> str:
+    """Ask whether a state of the region outside the ball has V' ≥ 0, up to δ."""
+    import dreal
+
+    d = claim.dynamics
+    symbols = {s.name: dreal.Variable(s.name) for s in d.states}
+    functions = {name: getattr(dreal, name) for name in ("sin", "cos", "exp", "sqrt")}
+    v, change = (expression(text_of(node), symbols, functions) for node in (claim.function, d.change(claim.function)))
+    within = [bound for s in d.states for bound in (symbols[s.name] >= s.lower, symbols[s.name] <= s.upper)]
+    outside = distance(claim, symbols) >= BALL**2
+    model = dreal.CheckSatisfiability(dreal.And(*within, v <= claim.level, change >= 0, outside), DELTA)
+    return "unsat" if model is None else "δ-sat"
+
+
+PEERS: dict[str, tuple[Peer, bool]] = {
+    "Drake": (drake, False), "z3": (z3, False), "codac": (codac, True), "dReal": (dreal, True),
+}  # fmt: skip
+"""The peers, and whether each knows functions that are not polynomials."""
+
+
+def cell(peer: Peer, claim: Stability, limit: float, ours: float) -> str:
+    """Return the time of a peer, that time relative to surctl's, and the peer's answer."""
+    began = time.process_time()
+    try:
+        answer = peer(claim, limit)
+    except ImportError as error:
+        return f"does not load: {str(error).splitlines()[0][:60]}"
+    except RuntimeError:  # Drake's answer to a division by a polynomial
+        return "refused: no polynomial"
+    seconds = time.process_time() - began
+    return f"{seconds:.3g} s ({seconds / ours:.2g} x): {answer}"
+
+
+def main() -> int:
+    """Print the table; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--quick", action="store_true", help="one system")
+    parser.add_argument("--time-limit", type=float, default=60.0, help="time for each [s]")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="these systems")
+    asked = parser.parse_args()
+    good = True
+    print("| system | states | surctl, exact | " + " | ".join(PEERS) + " |\n" + "|---" * (3 + len(PEERS)) + "|")
+    known = {path.stem for path in (HERE / "systems").glob("*.toml")}
+    for name in asked.names:
+        if name not in known:
+            print(f"{name}: unknown system", file=sys.stderr)
+            return 2
+    for name in asked.names or (QUICK if asked.quick else SYSTEMS):
+        claim = load_problem(HERE / "systems" / f"{name}.toml").claim
+        if not isinstance(claim, Stability):
+            print(f"{name}: states no V and level, or is no claim about stability", file=sys.stderr)
+            return 2
+        decide_motion(claim, time_limit=asked.time_limit)  # imports and caches
+        began = time.process_time()
+        decision = decide_motion(claim, time_limit=asked.time_limit)
+        ours = time.process_time() - began
+        good = good and decision.verdict == "proved"
+        nodes = ordered(claim.function, claim.dynamics.change(claim.function))
+        polynomial = not any(node.op in FUNCTIONS for node in nodes)
+        cells = [
+            cell(peer, claim, asked.time_limit, ours) if polynomial or every else "–" for peer, every in PEERS.values()
+        ]
+        states = len(claim.dynamics.states)
+        print(f"| `{name}` | {states} | {ours:.3g} s: {decision.verdict} | " + " | ".join(cells) + " |", flush=True)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
