@@ -213,7 +213,7 @@ HIDDEN = ca.sumsqr(ECHO - ca.DM([0.31, -0.62])) - 0.003
         (Rows(row("my row")), "'my row': is not identifiers"),
         (Rows(row("mine.")), "is not identifiers"),
         (Rows(row(kind="soft")), "unknown kind 'soft'; known: actuator, barrier, set"),
-        (Rows(row(a=(1, 0, 0))), "a has shape (1, 3), expected (1, 4)"),
+        (Rows(row(), row("mine.v", a=(1, 0, 0))), "a has shape (1, 3), expected (1, 4)"),
         (Renamed(), "different row names at every call"),
         (Rows(row(upper=ca.log(ECHO[0]))), "'mine.u': a bound is not a number"),
         (Rows(row(a=ca.vertcat(1 / (ECHO[0] - 1), 0, 0, 0))), "'mine.u': a is not finite: [inf"),
