@@ -21,6 +21,7 @@ __all__ = ["StabilityResult", "find_stability"]
 
 _SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 6, 0.4  # index of the share that is tried first; share of the remaining time for one level
+_SIMPLE, _EASY = 3, 1  # the same for the function that is easiest to prove, and when all larger ones failed
 _HALF = 0.4  # share of the remaining time for a function that is not the last
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
@@ -147,17 +148,23 @@ def find_stability(
         return _none("unknown", reason, began)
     simplest = trials[0]
     trials.sort(key=lambda trial: -trial[0].volume * (trial[1].level > 0))
-    # first the function that is easiest to prove, then those with the largest regions
-    trials = [simplest, *(trial for trial in trials[:_TRIED] if trial is not simplest)]
+    # first the function that is easiest to prove, then those with the largest regions, then what was not tried yet
+    largest = [trial for trial in trials[:_TRIED] if trial is not simplest]
+    others = [trial for trial in trials[_TRIED:] if trial is not simplest]
     best = None
-    for k, (candidate, bound) in enumerate(trials):
+    for k, (candidate, bound) in enumerate([simplest, *largest, *others]):
         rest = until - time.process_time()
-        if best is not None and rest <= 0:
+        if best is not None and (rest <= 0 or (k > len(largest) and best.verdict == "proved")):
             break
-        share = rest if k == len(trials) - 1 else _HALF * rest
-        result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress)
+        share = rest if k == len(largest) + len(others) else _HALF * rest
+        first = _FIRST if k else _SIMPLE
+        result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, first=first)
         best = result if best is None or result.volume > best.volume else best
     assert best is not None
+    rest = until - time.process_time()
+    if best.verdict == "unknown" and level is None and rest > 0:
+        result = _proved(d, *simplest, demanded, level, rest, began, seed, progress, first=_EASY)
+        best = result if result.verdict == "proved" else best
     if rate == "largest" and best.verdict == "proved":
         best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
     return replace(best, seconds=time.perf_counter() - began)
@@ -173,6 +180,8 @@ def _proved(
     began: float,
     seed: int,
     progress: Callable[[str], None] | None,
+    *,
+    first: int = _FIRST,
 ) -> StabilityResult:
     """Return the largest level that is proved, of some shares of the least level with a counterexample."""
     until = time.process_time() + seconds
@@ -182,7 +191,7 @@ def _proved(
     levels = [level] if level is not None else [short(share * bound.level, digits=4) for share in _SHARES]
     decision: Decision | None = None
     proved: Decision | None = None
-    low, high, k = -1, len(levels), min(_FIRST, len(levels) - 1)
+    low, high, k = -1, len(levels), min(first, len(levels) - 1)
     while low < k < high and (left := until - time.process_time()) > 0:
         # a proof that fails takes all its time, so each level leaves time for the next one
         share = left if k == 0 and proved is None else _PART * left

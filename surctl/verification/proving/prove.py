@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
-from surctl.verification.formula import text_of
+from surctl.verification.formula import FUNCTIONS, ordered, text_of
 from surctl.verification.proving.forms import Form, forms_of
 from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
 from surctl.verification.proving.squares import prove_by_squares
@@ -32,6 +32,8 @@ _EXACT_ROUNDS = ((100, 0.0), (3_000, 0.0), (10_000_000, 0.0))
 
 _SHORT, _EXACT_SHORT, _SHARE = 3, 1, 0.5
 """Number of rounds before sums of squares are tried, with and without slack; their share of the remaining time."""
+
+_FEW = 3  # variables up to which boxes are tried longer, if the claim is not a polynomial
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -180,6 +182,8 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     if not attempt.slack and case.touching:
         if excluded(case.constraints, case.touching, names, root):
             before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
+        elif len(names) <= _FEW and any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints)):
+            before = _EXACT_SHORT + 1  # sums of squares with sines are large, and few dimensions have few boxes
         usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(rounds):
