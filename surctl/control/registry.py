@@ -90,7 +90,7 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
             options=frozenset({"barrier", "movers", "depths"}),
             gives_up=True,
             model_noise=MODEL_NOISE,
-            parts=_FOLLOWS,
+            # without parts: its reference is not the velocity of equations (8)-(12), which the claims are about
         ),
     }
 )
