@@ -105,7 +105,7 @@ def guarded_law(
         acceleration=p["brake"] * weakest_acceleration(p),
         slower=slower,
     )
-    velocity, stopped, kept = choice.velocity, ca.SX(0), {}
+    velocity, stopped, memory = choice.velocity, ca.SX(0), {}
     bounds = [(sector.normal, sector.bound) for sector in sectors]
     named = [(f"contact_{k}", *bound) for k, bound in enumerate(bounds)]
     if scan is None:
@@ -135,9 +135,9 @@ def guarded_law(
         if calm is not None:
             fastest = ca.if_else(chased, _NO_BOUND, p["ramp"] * weakest_acceleration(p))
             time = ca.if_else(chased, EVADE, p["ease"])
-            wanted = ca.if_else(lost, 0, velocity)
-            velocity = eased(wanted, x["eased"], bounds, time=time, fastest=fastest, dt=calm)
-            firm, kept = [], {"eased": velocity}
+            target = ca.if_else(lost, 0, velocity)
+            velocity = eased(target, x["eased"], bounds, time=time, fastest=fastest, dt=calm)
+            firm, memory = [], {"eased": velocity}
         freely = ca.logic_not(chased)
         velocity = braked(velocity, over_ground, bounds[:marks], calm=freely)
         velocity = braked(velocity, over_ground, [*bounds[marks:], *firm], calm=freely)
@@ -159,7 +159,7 @@ def guarded_law(
         velocity,
         choice.blocked,
         choice.violation > 0.02,
-        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity, **kept},
+        {"side": choice.side, "blocker": choice.blocker, "last_velocity": velocity, **memory},
         stopped,
     )
 

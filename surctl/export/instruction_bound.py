@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from graphlib import TopologicalSorter
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 __all__ = ["InstructionBound", "instruction_bound"]
 
@@ -76,9 +74,9 @@ def _functions(listing: str) -> Iterator[tuple[str, list[_Instruction]]]:
         if head := _FUNCTION.match(line):
             body = []
             yield head[1], body
-        elif found := _LINE.match(line):
-            operands = re.split(r"[;@]", found[3])[0].strip()  # the comment may name places that are no targets
-            body.append(_Instruction(int(found[1], 16), found[2], operands))
+        elif parts := _LINE.match(line):
+            operands = re.split(r"[;@]", parts[3])[0].strip()  # the comment may name places that are no targets
+            body.append(_Instruction(int(parts[1], 16), parts[2], operands))
 
 
 class _Program:
@@ -129,6 +127,9 @@ class _Program:
     def _longest(
         self, cost: Mapping[int, int], after: Mapping[int, list[int]], first: frozenset[int], name: str
     ) -> int:
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         # loops are the strong components; each counts as one node, as often as its entries can be passed
         nodes = sorted(cost)
         at = {k: i for i, k in enumerate(nodes)}

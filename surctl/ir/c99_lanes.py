@@ -81,8 +81,7 @@ def emit_lanes(
         static void coast(const double *in0, const double *in1, double *out0)
         {
             for (int lane = 0; lane < 4; ++lane) {
-                const double v0 = in0[0 + lane] - in0[0 + lane] * in1[0];
-                out0[0 + lane] = v0;
+                out0[0 + lane] = in0[0 + lane] - in0[0 + lane] * in1[0];
             }
         }
     """

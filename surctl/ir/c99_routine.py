@@ -65,8 +65,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
         /* 2 operations; outputs may alias inputs */
         static void dive_sink(const double in0[1], const double in1[1], double out0[1])
         {
-            const double v0 = in0[0] + 0x1.999999999999ap-4 * in1[0];
-            out0[0] = v0;
+            out0[0] = in0[0] + 0x1.999999999999ap-4 * in1[0];
         }
         <BLANKLINE>
         /* in0: depth, in1: rate, out0: last */
