@@ -114,7 +114,7 @@ class Inputs:
             self._turn = measured, psi, rate
 
     def odometry(self, event: Odometry, measured: float) -> None:
-        """Take an odometry of the vehicle that was measured at `measured` [s]."""
+        """Store an odometry message of the vehicle; `measured` is the time of the measurement [s]."""
         w, x, y, z = event.q
         roll = atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
         sine = 2 * (w * y - z * x)

@@ -30,7 +30,9 @@ campaign_options = together(
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N worlds."
     ),
     click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
-    click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads or processes (default 2, 1)."),
+    click.option(
+        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads, or MuJoCo processes (default 2, 1)."
+    ),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
     click.option(
         "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Repeat a run saved in DIR/worst."

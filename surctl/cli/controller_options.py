@@ -35,7 +35,7 @@ controller_options = together(
     click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),
     click.option("--link-compact", is_flag=True, help="Request status and thrust only, for a slow line."),
     click.option(
-        "--link-timeout", type=float, metavar="S", help="Stop after this silence of the link [s] (default 5)."
+        "--link-timeout", type=float, metavar="S", help="Stop if the link is silent for S seconds (default 5)."
     ),
 )
 

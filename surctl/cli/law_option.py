@@ -1,4 +1,4 @@
-"""Options `--law`, the control law of a command, and `--trust`, for files that name a law of the user's own."""
+"""Options `--law`, which selects the control law, and `--trust`, which permits a file to load a law of the user."""
 
 from __future__ import annotations
 

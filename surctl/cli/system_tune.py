@@ -87,7 +87,7 @@ def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) 
     result = {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():
         if name not in nominal:
-            raise InputError("is no gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
+            raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
         if ends is None and nominal[name] == 0:
             raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
         result[name] = default_range(nominal[name]) if ends is None else ends

@@ -194,7 +194,7 @@ def _checked_decision(decision: object, source: LawSource, *, file: object) -> D
     known = {port.name: port for port in source.ports}
     for name, value in decision.state.items():
         if name not in known:
-            raise fail("is no state port of this law", f"state.{name}", f"{nearest(name, known)}")
+            raise fail("is not a state port of this law", f"state.{name}", f"{nearest(name, known)}")
         values["state"][name] = after = _symbolic(value, source, f"state.{name}", file=file)
         if after.numel() != known[name].size:
             raise fail(f"has {after.numel()} numbers", f"state.{name}", f"give {known[name].size}")

@@ -157,7 +157,7 @@ class Line:
                 raise LineDown(f"{self.name} is not a controller of this kind: its reply is not a message of the link")
             if version != VERSION:
                 raise LineDown(
-                    f"{self.name} speaks version {version} of the link, but this program speaks version {VERSION}"
+                    f"{self.name} speaks version {version} of the link protocol, this program version {VERSION}"
                 )
             if got == _REFUSED and size == 4:
                 (why,) = struct.unpack("<I", self._received(4, deadline))

@@ -109,7 +109,9 @@ def stack_from_report(report: str, text: str, entry: str) -> int:
         frames[function] = frames.get(function, 0) + int(size)
     callees = _callees(text)
     if entry not in callees:
-        raise InputError("is not a function in the text", key="entry", value=entry, remedy=nearest(entry, callees))
+        raise InputError(
+            "is not a function of the compiled C", key="entry", value=entry, remedy=nearest(entry, callees)
+        )
     return _deepest(entry, callees, frames, {})
 
 

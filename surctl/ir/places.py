@@ -1,7 +1,7 @@
 """Memory for the arrays of a routine: in the routine's inputs, in its outputs, or in its own memory.
 
 Every array is written once, by one step. So a copy is needed only if a step would overwrite data that is still used. A
-call that only copies pieces of arrays (moves) is not a C function. The rules:
+step that only copies pieces of arrays (a move) becomes no C function. The rules:
 
 - if moves copy a piece of an array to a new array, the new array is a pointer into the old array;
 - if moves join several arrays to one array, these arrays are written directly into the joined array;

@@ -72,7 +72,7 @@ def continuous_dynamics(
     labels, units = entry_labels(plant.state), entry_units(plant.state)
     for label in within:
         if label not in labels:
-            raise InputError("is no state of the plant", key=f"within.{label}", remedy=nearest(label, labels))
+            raise InputError("is not a state of the plant", key=f"within.{label}", remedy=nearest(label, labels))
     missing = [label for label in labels if label not in within]
     if missing:
         raise InputError("is missing", key=f"within.{missing[0]}", remedy="give the lower and upper bound of the state")
@@ -118,6 +118,6 @@ def _identifier(label: str) -> str:
     name = re.sub(r"\W+", "_", label).strip("_")
     if not IDENTIFIER.fullmatch(name):
         raise InputError(
-            "is no name of the claim grammar", key=label, remedy="begin with a letter; at most 40 characters"
+            "is not a name of the claim grammar", key=label, remedy="begin with a letter; at most 40 characters"
         )
     return name

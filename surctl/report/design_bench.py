@@ -236,10 +236,10 @@ class SystemBench:
         table = read_toml(path).get("gains")
         known = {one.name for one in self.sliders}
         if not isinstance(table, dict) or not table.keys() <= known:
-            raise InputError("has no gains of this system", file=path, key="gains", remedy="save it on this page")
+            raise InputError("has no gains for this system", file=path, key="gains", remedy="save it on this page")
         for name, value in table.items():
             if isinstance(value, bool) or not isinstance(value, float | int) or not np.isfinite(value):
-                raise InputError("is no number", file=path, key=f"gains.{name}", value=value, remedy="correct it")
+                raise InputError("is not a number", file=path, key=f"gains.{name}", value=value, remedy="correct it")
         return {name: float(value) for name, value in table.items()}
 
 

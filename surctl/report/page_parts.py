@@ -124,7 +124,7 @@ def _both(bench: DesignBench, request: Request, points: Sequence[str] = ()) -> l
     for point in chosen:
         if point not in bench.points:
             raise InputError(
-                "is no operating point", key="points", value=point, remedy=nearest(str(point), bench.points)
+                "is not an operating point", key="points", value=point, remedy=nearest(str(point), bench.points)
             )
     sets = [request["values"], request.get("compared")]
     return [None if k and one is None else _loops(bench, _values(bench, one), chosen) for k, one in enumerate(sets)]

@@ -210,4 +210,4 @@ def _signal(record: Record, label: str) -> tuple[Array, str]:
             k = labels.index(label)
             return record.signals[name][:, k], entry_units(alone)[k]
         known += labels
-    raise InputError("is no signal of the run", key="signal", value=label, remedy=nearest(label, known))
+    raise InputError("is not a signal of the run", key="signal", value=label, remedy=nearest(label, known))

@@ -130,8 +130,8 @@ class Metrics:
         effort_n: mean magnitude of the horizontal thrust command.
         stopped_because: reason why the run ended, one of `STOPS`, or `LINK_LOST`.
         crab_angle_deg, max_crab_angle_deg, heading_error_deg: as in `attitude_of`, but avoidance intervals do not count
-            for the crab angle, because the robot avoids obstacles by sway. They are NaN if the law has perception,
-            which turns the hull to scan, or if the robot never moves.
+            for the crab angle, because the robot avoids obstacles by sway. They are NaN if the law uses sonars,
+            because it turns the hull to scan, or if the robot never moves.
         wasted_impulse_n_s: ∫ |τ| dt − ∫ D(s) dt ≥ 0, with the horizontal thrust command τ, the surge drag D of the
             law's model, and the speed s ≥ 0 through the water along the path segment. A robot that starts and ends at
             rest, on the path and with the hull along it, needs just the second integral.

@@ -72,7 +72,7 @@ def read_mission(path: Path) -> Mission:
     for k, (latitude, longitude, _) in enumerate(places):
         if not (-90 < latitude < 90 and -180 <= longitude <= 180):
             raise InputError(
-                "is no position",
+                "is not a position",
                 file=shown(path),
                 key=f"waypoint {k + 1}",
                 value=(latitude, longitude),

@@ -146,6 +146,6 @@ class Reflectors:
 
 
 def reflector_name(reflector: Reflector, kinds: Mapping[str, ReflectorTable]) -> str:
-    """Return the name of a reflector in messages."""
+    """Return the name by which messages refer to a reflector."""
     own = {name: table.reflector() for name, table in kinds.items()}
     return next((name for name, known in {**own, **REFLECTORS}.items() if known == reflector), "smooth")

@@ -95,7 +95,7 @@ def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Op
     constant = functions.constant_commands(ends[0])
     saturated = f", and command `{constant[0]}` does not depend on the state there (saturated?)" if constant else ""
     raise InputError(
-        f"no equilibrium is found: `{worst}` still moves{saturated}", key=system.plant.name,
+        f"no equilibrium was found: `{worst}` still moves{saturated}", key=system.plant.name,
         remedy="begin nearer to it with start.…, or check references and disturbances",
     )  # fmt: skip
 

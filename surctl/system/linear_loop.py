@@ -166,7 +166,10 @@ class LinearLoop(Plotted):
         for name in openings:
             if name not in (*commands, *outputs):
                 raise InputError(
-                    "is no signal of the loop", key="opening", value=name, remedy=nearest(name, (*commands, *outputs))
+                    "is not a signal of the loop",
+                    key="opening",
+                    value=name,
+                    remedy=nearest(name, (*commands, *outputs)),
                 )
         if len(set(openings)) < len(openings):
             double = next(name for k, name in enumerate(openings) if name in openings[:k])
@@ -232,7 +235,7 @@ class LinearLoop(Plotted):
             if label in known[kind]:
                 return kind, known[kind].index(label)
         every = [name for kind in kinds for name in (*known[kind], *(f"{kind}.{one}" for one in known[kind]))]
-        raise InputError("is no signal of the loop", key="signal", value=label, remedy=nearest(label, every))
+        raise InputError("is not a signal of the loop", key="signal", value=label, remedy=nearest(label, every))
 
     @cached_property
     def _sampled_plant(self) -> tuple[Array, Array, Array]:

@@ -128,7 +128,7 @@ class System:
 
     def __post_init__(self) -> None:
         if not isinstance(self.substeps, int) or self.substeps < 1:
-            raise InputError("is no number of steps", key="substeps", value=self.substeps, remedy="give 1, 2, …")
+            raise InputError("is not a number of steps", key="substeps", value=self.substeps, remedy="give 1, 2, …")
         for kind, table in (("costs", self.costs), ("stops", self.stops)):
             for name in table:
                 identifier(name)

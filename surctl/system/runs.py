@@ -132,7 +132,10 @@ def periods(system: System, seconds: float) -> int:
     steps = round(seconds / system.dt) if np.isfinite(seconds) else 0
     if steps < 1:
         raise InputError(
-            "is no duration of a run", key="seconds", value=seconds, remedy=f"give at least a period, {system.dt:g} s"
+            "is not a duration of a run",
+            key="seconds",
+            value=seconds,
+            remedy=f"give at least a period, {system.dt:g} s",
         )
     return steps
 

@@ -165,9 +165,9 @@ def _points(
     ports = [port.name for layout in layouts.values() for port in layout]
     for name, ends in ranges.items():
         if name not in ports:
-            raise InputError("is no port", key=f"ranges.{name}", remedy=nearest(name, ports))
+            raise InputError("is not a port", key=f"ranges.{name}", remedy=nearest(name, ports))
         if not (np.isfinite(ends).all() and ends[0] <= ends[1]):
-            raise InputError("is no range", key=f"ranges.{name}", value=ends, remedy="give (lowest, highest)")
+            raise InputError("is not a range", key=f"ranges.{name}", value=ends, remedy="give (lowest, highest)")
     rng = np.random.default_rng(seed)
     points = {}
     for key, layout in layouts.items():

@@ -38,7 +38,7 @@ class GoalTable(LoopGoalTable):
         """
         for name in ("metric", "at_least", "over", "cases"):
             if name in self.model_fields_set:
-                problem = f"is no key of a goal of type {self.type}"
+                problem = f"is not a key of a goal of type {self.type}"
                 raise InputError(problem, key=f"goals.{self.name}.{name}", remedy="leave it out, or drop type")
         left = self.model_dump(by_alias=True, exclude_unset=True)
         return LoopGoalTable.model_validate({k: v for k, v in left.items() if k not in ("plants", "cruise_m_per_s")})

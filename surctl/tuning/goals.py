@@ -253,7 +253,7 @@ def _check_keys(table: GoalTable) -> None:
     own = {"name", "metric", "at_most", "at_least", "kind", "over", "cases", "plants", "cruise_m_per_s"}
     for name in sorted(table.model_fields_set - own):
         remedy = "write type instead of metric, or leave the key out"
-        raise InputError("is no key of a goal with a metric", key=f"goals.{table.name}.{name}", remedy=remedy)
+        raise InputError("is not a valid key of a goal with a metric", key=f"goals.{table.name}.{name}", remedy=remedy)
 
 
 def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:

@@ -52,7 +52,7 @@ class LoopShape(Opened):
     def _check(self, loop: LinearLoop) -> None:
         super()._check(loop)
         if self.side not in _SIDES:
-            raise InputError("is no side", key="side", value=self.side, remedy=f"write one of: {', '.join(_SIDES)}")
+            raise InputError("is not a side", key="side", value=self.side, remedy=f"write one of: {', '.join(_SIDES)}")
 
     def _judged(self, loop: LinearLoop) -> Judgement:
         omega, target = _grid(loop, self.openings, self.target, zeros=self.side != "below")
@@ -186,7 +186,7 @@ class Effort(MaxGain):
         label = self.end.removeprefix("command.")
         if label not in loop.names.commands or (label in loop.names.outputs and label == self.end):
             remedy = f"name one of: {', '.join(f'command.{one}' for one in loop.names.commands)}"
-            raise InputError("is no command", key="to", value=self.end, remedy=remedy)
+            raise InputError("is not a command", key="to", value=self.end, remedy=remedy)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -90,13 +90,13 @@ def loop_goal(table: LoopGoalTable) -> LoopGoal:
     key = f"goals.{table.name}"
     if table.type not in LOOP_GOAL_KEYS:
         remedy = nearest(table.type, LOOP_GOAL_KEYS)
-        raise InputError("is no type of goal", key=f"{key}.type", value=table.type, remedy=remedy)
+        raise InputError("is not a type of goal", key=f"{key}.type", value=table.type, remedy=remedy)
     allowed = LOOP_GOAL_KEYS[table.type]
     shown = {"source": "from", "end": "to"}
     for name in sorted(table.model_fields_set - _COMMON):
         if name not in allowed:
             known = ", ".join(sorted(shown.get(one, one) for one in allowed))
-            problem = f"is no key of a goal of type {table.type}"
+            problem = f"is not a key of a goal of type {table.type}"
             raise InputError(problem, key=f"{key}.{shown.get(name, name)}", remedy=f"it has: {known}")
     for name in ("at", "source", "end"):
         if name in allowed and not getattr(table, name):
@@ -114,7 +114,9 @@ def check_points(goals: tuple[LoopGoal, ...], points: Mapping[str, Any]) -> None
         for name in goal.points:
             if name not in points:
                 remedy = nearest(name, points) if points else "add a [[points]] table"
-                raise InputError("is no operating point", key=f"goals.{goal.name}.points", value=name, remedy=remedy)
+                raise InputError(
+                    "is not an operating point", key=f"goals.{goal.name}.points", value=name, remedy=remedy
+                )
 
 
 def _bound(table: LoopGoalTable, unit: str | None = "1") -> Bound:

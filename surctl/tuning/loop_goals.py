@@ -135,7 +135,7 @@ class LoopGoal(ABC):
             bound = field.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
             number = field.type == "float" and not isinstance(value, Real)
             if bound or number:
-                raise InputError("is no number", key=key, value=value, remedy="correct it")
+                raise InputError("is not a number", key=key, value=value, remedy="correct it")
             unset = value == field.default if isinstance(value, Real) else True
             if not unset and not (np.isfinite(value) and value > 0):
                 raise InputError("must be finite and greater than 0", key=key, value=value, remedy="correct it")

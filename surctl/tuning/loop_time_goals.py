@@ -134,7 +134,7 @@ class StepTracking(Between):
             whole = control.ss(model)
         except (TypeError, ValueError) as error:
             raise InputError(
-                f"is no model with a proper transfer function ({error})", key="model", remedy=remedy
+                f"is not a model with a proper transfer function ({error})", key="model", remedy=remedy
             ) from None
         problems = {
             "is in discrete time": whole.isdtime(strict=True),
@@ -163,7 +163,7 @@ class StepTracking(Between):
 
 @dataclass(frozen=True, kw_only=True)
 class StepRejection(Between):
-    """The response to a step of a disturbance stays below a peak, as `TuningGoal.StepRejection`.
+    """Bound on the response to a step disturbance, like `TuningGoal.StepRejection` in MATLAB.
 
     Attributes:
         at_most: largest magnitude of the response, in units of the end for a step of one unit of the source.

@@ -201,7 +201,7 @@ def _chosen(bodies: Mapping[str, _Body], link: str | None, path: Path) -> str:
         return next(iter(bodies))
     if link not in bodies:
         raise InputError(
-            "is no link with hydrodynamics", file=shown(path), key="--link", value=link, remedy=nearest(link, bodies)
+            "is not a link with hydrodynamics", file=shown(path), key="--link", value=link, remedy=nearest(link, bodies)
         )
     return link
 

@@ -209,7 +209,7 @@ def _thruster(table: _ThrusterTable, *, names: Sequence[str]) -> Thruster:
     forward, reverse = _newtons(table.forward, "forward"), _newtons(table.reverse, "reverse")
     if forward <= 0:
         raise InputError(
-            "pushes nowhere: it must be greater than 0", key="forward", value=forward, remedy="turn `push` round"
+            "gives no thrust: it must be greater than 0", key="forward", value=forward, remedy="turn `push` round"
         )
     if reverse < 0:
         raise InputError(
@@ -237,7 +237,7 @@ def _finned(table: _ThrusterTable, fin: _FinTable, direction: tuple[float, float
         raise InputError(f"must be at most {_LARGEST:g} {_LIFT}", key="fin.lift", value=lift, remedy="correct it")
     if lift <= 0:
         remedy = "give the force per (m/s)^2 and rad, and turn `push` round if it is negative"
-        raise InputError("pushes nowhere: it must be greater than 0", key="fin.lift", value=lift, remedy=remedy)
+        raise InputError("must be greater than 0", key="fin.lift", value=lift, remedy=remedy)
     if not 0 < fin.limit_deg <= _STALL:
         raise InputError(
             f"must be greater than 0 and at most {_STALL:g}",
@@ -267,7 +267,7 @@ def _newtons(quantity: Quantity, key: str) -> float:
 def _unit(vector: tuple[float, float, float], key: str) -> tuple[float, float, float]:
     length = float(np.linalg.norm(vector))
     if abs(length - 1) > _UNIT:
-        problem = "pushes nowhere" if length == 0 and key == "push" else f"has length {length:.4g}, not 1"
+        problem = "has no direction" if length == 0 and key == "push" else f"has length {length:.4g}, not 1"
         raise InputError(problem, key=key, value=list(vector), remedy="give a unit vector (forward, left, up)")
     x, y, z = (np.array(vector) / length).tolist()
     return x, y, z

@@ -242,8 +242,8 @@ MISTAKES = {
     "too many entries": (("verify", "mine.py:build", "start.pose=1,2,3"), "start.pose: has shape"),
     "no folder": (("simulate", "mine.py:build", "--save", "nc", "--seconds", "1"), "--save: needs an output folder"),
     "no duration": (("simulate", "mine.py:build"), "--seconds: is missing"),
-    "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is no duration"),
-    "duration nan": (("sweep", "mine.py:build", "k=1", "--seconds", "nan"), "--seconds = nan: is no duration"),
+    "duration 0": (("simulate", "mine.py:build", "--seconds", "0"), "--seconds = 0.0: is not a duration"),
+    "duration nan": (("sweep", "mine.py:build", "k=1", "--seconds", "nan"), "--seconds = nan: is not a duration"),
     "a century": (("export", "mine.py:build", "--seconds", "3e9"), "give at most 100000 s"),
     "a vector as axis": (
         ("sweep", "mine.py:build", "start.pose=1,2", "--seconds", "1"), "has 2 entries; name one: start.pose[0],",
@@ -345,7 +345,7 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     assert run("export", "loop.py:build", "--seconds", "0.1", "--out", "c").exit_code == 0
     assert run("check", "p/cart.json", "--bundle", "c").exit_code == 0
     for words, says in (
-        (["within.y=-1..1"], "within.y: is no state of the plant"),
+        (["within.y=-1..1"], "within.y: is not a state of the plant"),
         (["within.x=1"], "within.x = '1': is not a range; write within.x=-1..1"),
         (["k=1..2"], "k: asks for a region of attraction, whose box is missing"),
         (["within.x=-1..1", "lyapunov.level=2"], "lyapunov.level: is given without a function"),

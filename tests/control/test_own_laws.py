@@ -184,7 +184,7 @@ BAD = {
     'return LawSource("a", lambda s: hold(s, 1 if s.eta[0] > 0 else 0))': "use casadi.if_else",
     'return LawSource("a", lambda s: hold(s, s.p["dept"]))': "KeyError: 'dept'",
     'return LawSource("a", lambda s: Decision(hold(s).levels, velocity=ca.SX.zeros(3)))': "has shape",
-    'return LawSource("a", lambda s: Decision(hold(s).levels, state={"z": 1}))': "is no state port of this law",
+    'return LawSource("a", lambda s: Decision(hold(s).levels, state={"z": 1}))': "is not a state port of this law",
     'return LawSource("a", lambda s: Decision(hold(s).levels, state={"side": ca.MX.sym("q")}))': "is of type MX",
     'return LawSource("a", hold, state=(Port("z", (-1,), "m", "x"),))': "has no entries",
     'return LawSource("a", hold, thrust=lambda w, nu, z, p, dt: w)': "returned SX; return",

@@ -187,7 +187,7 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
         (b"HTTP/1.1 400 Bad Request\r\n", "is not a controller of this kind"),
         (
             HEAD.pack(b"SURL", 2, 2, 0, 84) + bytes(84),
-            "speaks version 2 of the link, but this program speaks version 1",
+            "speaks version 2 of the link protocol, this program version 1",
         ),
         (HEAD.pack(b"SURL", 1, 4, 0, 0), "a reply that does not fit the request"),
         (HEAD.pack(b"SURL", 1, 7, 0, 4) + struct.pack("<I", 77), "refuses, with code 77"),

@@ -13,7 +13,7 @@ TEXT = "void fill(float *x);\nfloat mean(void) { float x[1000]; fill(x); return 
 
 def test_a_function_that_the_text_does_not_have_is_named() -> None:
     need_compiler()
-    with pytest.raises(InputError, match=r"entry = 'man': is not a function in the text; did you mean 'mean'\?"):
+    with pytest.raises(InputError, match=r"entry = 'man': is not a function of the compiled C; did you mean 'mean'\?"):
         stack_of(TEXT, "man")
 
 

@@ -241,7 +241,7 @@ def test_parallel_coordinates_are_the_points() -> None:
     bad, good, picked = (c for c in ax.collections if isinstance(c, LineCollection))
     np.testing.assert_allclose(picked.get_segments(), [[[0, 1], [1, 1], [2, 0]]])
     np.testing.assert_allclose(good.get_segments(), [[[0, 0], [1, 0], [2, 1]], [[0, 1], [1, 1], [2, 0]]])
-    np.testing.assert_allclose(bad.get_segments()[0], [[0, 0.5], [1, 0.5]])  # a line ends where there is no number
+    np.testing.assert_allclose(bad.get_segments()[0], [[0, 0.5], [1, 0.5]])  # a line ends where there is not a number
     texts = [t.get_text() for t in ax.get_xticklabels()]
     assert texts[0].split() == ["lookahead", "[m]"] and texts[1].split() == ["k_v", "[1/s]"]
     whole = plot_parallel(cube())

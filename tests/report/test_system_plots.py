@@ -50,7 +50,7 @@ def test_a_fan_has_the_percentiles_of_the_runs() -> None:
     assert len(ax.collections) == 2 and ax.get_ylabel() == "angle [rad]"
     short = plot_fan(RUNS, "angle")  # the last run has fallen at once
     assert len(short.lines[0].get_xdata()) == len(RUNS[0].time)
-    with pytest.raises(InputError, match="signal = 'angel': is no signal of the run; did you mean 'angle'"):
+    with pytest.raises(InputError, match="signal = 'angel': is not a signal of the run; did you mean 'angle'"):
         plot_fan(RUNS, "angel")
 
 

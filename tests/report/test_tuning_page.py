@@ -190,7 +190,7 @@ def test_without_the_secret_there_is_no_page(served):
 def test_a_request_that_means_nothing_is_one_line(tmp_path):
     for path, changed in (("linear", {"points": ["none"]}), ("details", {"points": [[1]]}), ("run", {"values": None})):
         with pytest.raises(InputError, match="is not complete") if path == "run" else nullcontext():
-            assert "is no operating point" in respond(OWN, path, request(OWN, **changed))["error"]
+            assert "is not an operating point" in respond(OWN, path, request(OWN, **changed))["error"]
     with pytest.raises(InputError, match="is not complete"):
         respond(OWN, "details", request(OWN, locus="none"))
 
@@ -216,7 +216,7 @@ def test_a_saved_file_is_read_back_and_replaces_no_other(tmp_path):
     assert goals.read_text() == FILE
     for wrong in ("nan", '"fast"', "true"):
         path.write_text(f'kind = "system-gains"\n[gains]\nk_p = {wrong}\n')
-        with pytest.raises(InputError, match=r"gains\.k_p = .*: is no number"):
+        with pytest.raises(InputError, match=r"gains\.k_p = .*: is not a number"):
             odd.load(str(path))
 
 
@@ -235,7 +235,7 @@ def test_the_margins_and_goals_on_the_page_are_those_of_python():
     )
     with pytest.raises(InputError, match="is not known"):
         respond(OWN, "none", request(OWN))
-    assert "is no signal of the loop" in respond(OWN, "linear", request(OWN, opening="none"))["error"]
+    assert "is not a signal of the loop" in respond(OWN, "linear", request(OWN, opening="none"))["error"]
 
 
 def test_a_region_is_proved_and_drawn_on_request():

@@ -65,7 +65,7 @@ def test_a_gpx_track_and_one_that_stands_still(tmp_path: Path) -> None:
         mission_scenario(read_mission(_with(file, "<ele>-1", "<ele>1")), "bay", vehicle="sur400", cruise=0.2)
     with pytest.raises(InputError, match="fewer than two waypoints"):
         read_mission(_with(file, 'lon="', 'lon="5" x="'))
-    with pytest.raises(InputError, match=r"waypoint 1.*is no position"):
+    with pytest.raises(InputError, match=r"waypoint 1.*is not a position"):
         read_mission(_with(file, 'lat="-33', 'lat="-133'))
     with pytest.raises(InputError, match="too far apart"):
         read_mission(_with(file, "179.9999", "17.9999"))

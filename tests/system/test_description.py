@@ -62,7 +62,7 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: System(
             pendulum_plant(), controller(lambda x, u, p: 0, command=Layout((replace(TORQUE, name="force"),)))
         ),
-        r"pendulum\.inputs\.torque: is no command of law_of_mine",
+        r"pendulum\.inputs\.torque: is not a command of law_of_mine",
     ),
     "other unit": (
         lambda: System(pendulum_plant(), controller(lambda x, u, p: 0, command=Layout((replace(TORQUE, unit="N"),)))),
@@ -99,7 +99,7 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
         r"costs\.f: returns 2",
     ),
     "reference": (lambda: replace(level(), reference=lambda t, r: {"target": t, "x": t}), r"reference\.x: is returned"),
-    "substeps": (lambda: replace(level(), substeps=0), r"substeps = 0: is no number of steps"),
+    "substeps": (lambda: replace(level(), substeps=0), r"substeps = 0: is not a number of steps"),
 }
 
 

@@ -24,7 +24,7 @@ def test_an_equilibrium_is_where_a_long_run_ends() -> None:
 
 
 def test_where_nothing_rests_the_moving_state_is_named() -> None:
-    with pytest.raises(InputError, match=r"pendulum: no equilibrium is found: `(angle|rate)` still moves"):
+    with pytest.raises(InputError, match=r"pendulum: no equilibrium was found: `(angle|rate)` still moves"):
         find_equilibrium(pendulum(), {"disturbance.gust": 40.0})
 
 
@@ -121,7 +121,7 @@ def test_the_closed_system_predicts_a_small_step() -> None:
 
 
 def test_mistakes_in_openings_are_named() -> None:
-    with pytest.raises(InputError, match=r"opening = 'torqe': is no signal of the loop; did you mean 'torque'"):
+    with pytest.raises(InputError, match=r"opening = 'torqe': is not a signal of the loop; did you mean 'torque'"):
         linearise(pendulum()).loop("torqe")
     with pytest.raises(InputError, match="opening: is missing"):
         linearise(pendulum()).loop()

@@ -162,7 +162,7 @@ def test_a_flat_vector_for_a_port_of_several_entries_is_refused() -> None:
 
 
 def test_no_time_and_unknown_figures_are_named() -> None:
-    with pytest.raises(InputError, match=r"seconds = 0: is no duration"):
+    with pytest.raises(InputError, match=r"seconds = 0: is not a duration"):
         run_system(pendulum(), 0)
     with pytest.raises(InputError, match=r"no such signal or figure; did you mean 'torque'"):
         run_system(pendulum(), 0.1)["torqe"]

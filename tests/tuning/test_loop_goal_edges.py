@@ -79,14 +79,14 @@ WRONG = {
         "period",
     ),
     "entries": (lambda: SensitivityBound(name="g", at="force", at_most=control.ss(-1, [[1, 1]], 1, 0)), "2 entries"),
-    "text": (lambda: SensitivityBound(name="g", at="force", at_most="2"), "g.at_most = '2': is no number"),
+    "text": (lambda: SensitivityBound(name="g", at="force", at_most="2"), "g.at_most = '2': is not a number"),
     "float32": (lambda: SensitivityBound(name="g", at="force", at_most=np.float32(-2)), "greater than 0"),
-    "side": (lambda: LoopShape(name="g", at="force", target=1.0, side="over"), "g.side = 'over': is no side"),
+    "side": (lambda: LoopShape(name="g", at="force", target=1.0, side="over"), "g.side = 'over': is not a side"),
     "damping": (lambda: Poles(name="g", damping=1.5), "g.damping = 1.5: is greater than 1"),
     **{
         problem: (lambda model=model: StepTracking(name="g", source="target", end="place", model=model), problem)
         for problem, model in {
-            "is no model": 5,
+            "is not a model": 5,
             "is unstable": control.tf([1.0], [1.0, -1.0]),
             "has no state": control.tf([1.0], [1.0]),
             "has 1 inputs and 2": control.ss(-1, 1, [[1], [1]], [[0], [0]]),

@@ -304,8 +304,8 @@ def test_a_file_says_what_python_says(tmp_path: Path) -> None:
 MISTAKES = {
     "no such signal": (('from = "wind"', 'from = "winds"'), "goals.step rejection.signal = 'winds'"),
     "no such opening": (('at = "force"\ngain', 'at = "forces"\ngain'), "goals.margins.opening = 'forces'"),
-    "no such type": (('type = "poles"', 'type = "pole"'), "goals.poles.type = 'pole': is no type of goal"),
-    "a key of another type": (("decay_per_s = 0.1", "response_s = 0.1"), "is no key of a goal of type poles"),
+    "no such type": (('type = "poles"', 'type = "pole"'), "goals.poles.type = 'pole': is not a type of goal"),
+    "a key of another type": (("decay_per_s = 0.1", "response_s = 0.1"), "is not a key of a goal of type poles"),
     "no bound": (('at_most = { value = 2, unit = "1" }', ""), "goals.sensitivity.at_most: needs one bound"),
     "a bound of 0": (("value = 8000", "value = 0"), "goals.settling.at_most = 0"),
     "another unit": (('8000, unit = "ms"', '8000, unit = "m"'), "goals.settling.at_most.unit"),

@@ -224,16 +224,16 @@ def test_angles_are_those_of_scipy() -> None:
 @pytest.mark.parametrize(
     ("change", "fragment"),
     [
-        (("/odom", "/odomm"), r"map.toml: .*topic = '/odomm': is no topic of .*did you mean '/odom'"),
-        (("data[3]", "data[4]"), r"thrust.fields = 'data\[4\]': is no numeric field of topic /wrench"),
+        (("/odom", "/odomm"), r"map.toml: .*topic = '/odomm': is not a topic of .*did you mean '/odom'"),
+        (("data[3]", "data[4]"), r"thrust.fields = 'data\[4\]': is not a numeric field of topic /wrench"),
         (('frame = "ned"', 'frame = "nde"'), "map.toml: log.frame = 'nde'"),
         (('frame = "body"', 'frame = "bodi"'), "velocity.frame = 'bodi'"),
         (('fields = ["twist.twist.angular.z"]', 'fields = ["twist.twist.angular.z"]\nunit = "kg"'), "rates.unit"),
         (("[thrust]", "[thrust]\nmatrix = [[1], [0], [0], [0]]"), "matrix needs 4 numbers"),
         (("[thrust]", "[thrust]\ncommand = [1, 2]\nforce_N = [1, 2]"), "no matrix"),
         (("[rates]", "[rate]"), "rate: unknown key"),
-        (("[log]", '[log]\nstamp = { "/odom" = "twist" }'), "stamp./odom = 'twist': is no time"),
-        (("[log]", '[log]\nshift_s = { "/odo" = 1.0 }'), "'/odo': is no topic of this map"),
+        (("[log]", '[log]\nstamp = { "/odom" = "twist" }'), "stamp./odom = 'twist': is not a time"),
+        (("[log]", '[log]\nshift_s = { "/odo" = 1.0 }'), "'/odo': is not a topic of this map"),
     ],
 )
 def test_a_map_that_cannot_be_used(change: tuple[str, str], fragment: str, tmp_path: Path, bag: Path) -> None:
@@ -319,7 +319,7 @@ def test_a_table_without_a_header_or_time_says_where_to_name_them(tmp_path: Path
     table.write_text("seconds,r,Fr\n0.0,1.0,2.0\n0.1,1.0,2.0\n")
     text = 'kind = "log-map"\n[log]\nframe = "enu"\n[rates]\nfields = ["r"]\n[thrust]\nfields = ["", "", "", "Fr"]\n'
     named.write_text(text)
-    with pytest.raises(InputError, match=r"^\S*map.toml: log.time = 't_s': is no column of \S*run.txt"):
+    with pytest.raises(InputError, match=r"^\S*map.toml: log.time = 't_s': is not a column of \S*run.txt"):
         read_mapped_log(table, named)
 
 
@@ -334,7 +334,7 @@ def _moving(rows: int = 60) -> list[list[float]]:
         (_moving()[::-1], r"velocity \(table\): has a clock that runs back: .*; sort"),
         (_moving(1), r"run.csv: t_s: has one row with a time; give a longer log"),
         ([[t, u, *4 * [math.nan]] for t, u, *_ in _moving()], r"run.csv: thrust \(table\): has no command at any of"),
-        ([[math.nan, *row[1:]] for row in _moving()], r"map.toml: log.time = 't_s': has no times in \S*run.csv"),
+        ([[math.nan, *row[1:]] for row in _moving()], r"map.toml: log.time = 't_s': has no timestamps in \S*run.csv"),
     ],
 )
 def test_rows_that_are_no_log(rows: list[list[float]], fragment: str, tmp_path: Path) -> None:

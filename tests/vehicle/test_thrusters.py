@@ -133,9 +133,9 @@ def _read(tmp_path: Path, *tables: dict[str, str], base: str = BASE, more: str =
 @pytest.mark.parametrize(
     ("changes", "key", "says"),
     [
-        ({"push": "[0.0, 0.0, 0.0]"}, "thruster.0.push", "pushes nowhere"),
+        ({"push": "[0.0, 0.0, 0.0]"}, "thruster.0.push", "has no direction"),
         ({"push": "[1.0, 1.0, 0.0]"}, "thruster.0.push", "has length 1.414"),
-        ({"forward": '"0 N"'}, "thruster.0.forward", "pushes nowhere"),
+        ({"forward": '"0 N"'}, "thruster.0.forward", "gives no thrust"),
         ({"forward": "44.3"}, "thruster.0.forward", "must be a value with its unit"),
         ({"forward": '"4 m"'}, "thruster.0.forward", "N"),
         ({"reverse": '"-3 N"'}, "thruster.0.reverse", "must be at least 0"),

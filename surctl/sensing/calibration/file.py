@@ -253,7 +253,9 @@ def _columns(table: Recorded) -> tuple[str, str, float]:
     there = [unit for unit, pair in zip(_UNITS, _PAIRS, strict=True) if set(pair) <= set(table.columns)]
     if len(there) > 1:
         raise InputError(
-            f"has distances in {' and in '.join(there)}", file=table.name, remedy="give one pair of columns"
+            f"gives the distances twice, in {' and in '.join(there)}",
+            file=table.name,
+            remedy="give one pair of columns",
         )
     if there:
         return f"true_{there[0]}", f"measured_{there[0]}", _UNITS[there[0]]

@@ -57,7 +57,9 @@ def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArr
         [[1.0, 1.0, 2.0, 2.5, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
     """
     if len(faults) > count:
-        raise InputError(f"{len(faults)} are given, but at most {count} fit", key="faults", remedy="give fewer")
+        raise InputError(
+            f"{len(faults)} are given, but at most {count} are possible", key="faults", remedy="give fewer"
+        )
     check_faults(array, faults)
     slots = np.zeros((count, SLOT))
     for k, fault in enumerate(faults):

@@ -67,7 +67,7 @@ def predict(log: MotionLog, vehicle: Vehicle, *, window: float = WINDOW) -> Pred
         window: length of the windows [s].
 
     Raises:
-        InputError: the log has no window with a measured start.
+        InputError: no window of the log begins with a measured state.
 
     Example:
         >>> import numpy as np

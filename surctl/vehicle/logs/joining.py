@@ -136,7 +136,7 @@ class _Sources:
             for topic in names:
                 if topic not in {part.topic for _, part in log_map.sources()}:
                     raise InputError(
-                        "is no topic of this map",
+                        "is not a topic of this map",
                         file=map_name,
                         key=f"log.{key}",
                         value=topic,
@@ -176,7 +176,7 @@ class _Sources:
             if not seconds or not parts:
                 key = f"log.stamp.{part.topic}"
                 remedy = "name a field with sec and nanosec"
-                raise InputError("is no time", file=self.map_name, key=key, value=stamp, remedy=remedy)
+                raise InputError("is not a time", file=self.map_name, key=key, value=stamp, remedy=remedy)
             time = topic.fields[seconds[0]] + 1e-9 * topic.fields[parts[0]]
             back = step_back(time[np.isfinite(time)])
         if back is not None:

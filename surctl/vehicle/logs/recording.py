@@ -61,7 +61,7 @@ class Recording:
         """
         if name not in self.topics:
             remedy = nearest(name, self.topics) if name else f"name one of: {', '.join(sorted(self.topics))}"
-            raise InputError(f"is no topic of {self.source}", key=key, value=name, remedy=remedy)
+            raise InputError(f"is not a topic of {self.source}", key=key, value=name, remedy=remedy)
         return self.topics[name]
 
     def column(self, topic: str, name: str, *, key: str) -> NDArray[np.float64]:
@@ -73,7 +73,7 @@ class Recording:
         fields = self.topic(topic, key=key).fields
         if name not in fields:
             where = f"topic {topic} of {self.source}" if topic else self.source
-            raise InputError(f"is no numeric field of {where}", key=key, value=name, remedy=nearest(name, fields))
+            raise InputError(f"is not a numeric field of {where}", key=key, value=name, remedy=nearest(name, fields))
         return fields[name]
 
 

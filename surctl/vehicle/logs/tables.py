@@ -34,7 +34,7 @@ def read_table(
     table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
     if time not in table.columns:
         raise InputError(
-            f"is no column of {table.name}",
+            f"is not a column of {table.name}",
             file=map_name or table.name,
             key="log.time",
             value=time,
@@ -48,7 +48,7 @@ def read_table(
         raise InputError("has one row with a time", file=table.name, key=time, remedy="give a longer log")
     if not len(order):
         raise InputError(
-            f"has no times in {table.name}",
+            f"has no timestamps in {table.name}",
             file=map_name or table.name,
             key="log.time",
             value=time,

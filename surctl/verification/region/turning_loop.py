@@ -69,7 +69,7 @@ class Vertices:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Number of headings, masses, Coriolis terms, loops of surge, loops of sway, and laws."""
+        """Number of headings, masses, Coriolis terms, surge loops, sway loops, and laws."""
         count = self.loops.shape[2]
         return *self.Q.shape[:3], count, count, len(self.plans)
 
