@@ -1,4 +1,4 @@
-"""What the bridge hears, as plain data: events that `Wire` decodes from MAVLink messages."""
+"""What the bridge receives, as plain data: events that `Wire` decodes from MAVLink messages."""
 
 from __future__ import annotations
 

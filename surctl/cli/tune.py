@@ -151,15 +151,15 @@ def tune(
     minimised. New random runs and the claims then test the result. Exit status: 1 if a hard goal is not met, or fails
     in the test.
 
-    FILE.py:FUNCTION names a system of your own: its first cost is minimised, costs with a bound keep it, and the disk
-    margin stays at least 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal about its loop is minimised.
+    FILE.py:FUNCTION names a system of your own: the first cost is minimised within the bounds of the others, and the
+    disk margin stays at least 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal about its loop is minimised.
 
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
     surctl tune --page --scenario pool-behind; surctl tune my-system.py:build --page --goals my-goals.toml
     """
     ranges = dict(_gain(text) for text in gain)
     if len(ranges) < len(gain):
-        raise click.BadParameter("a gain is named twice", param_hint="--gain")
+        raise click.BadParameter("names a gain twice", param_hint="--gain")
     shown = ("page", "port", "no_browser")
     if is_system(words, "gain", "goals_file", "seconds", "trials", "seed", "workers", "out", "as_json", *shown):
         if page:

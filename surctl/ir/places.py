@@ -65,7 +65,7 @@ def overlapping(block: Block) -> Overlaps:
 
 
 def carried_in_place(routine: Routine, root: Callable[[str], str] = str) -> dict[str, str]:
-    """Return, for each final state array of a loop that can share memory with its initial array, the initial array.
+    """Return the pairs (final state array, initial state array) of loops in which both can share memory.
 
     Args:
         routine: the routine with the loops. Memory is shared if only the loop reads the initial array.
