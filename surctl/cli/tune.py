@@ -152,7 +152,7 @@ def tune(
     in the test.
 
     FILE.py:FUNCTION names a system of your own: the first cost is minimised within the bounds of the others, and the
-    disk margin stays at least 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal about its loop is minimised.
+    disk margin stays at least 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal of the loop is minimised.
 
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
     surctl tune --page --scenario pool-behind; surctl tune my-system.py:build --page --goals my-goals.toml
