@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
 import subprocess
 import tempfile
@@ -19,7 +18,6 @@ from numpy.typing import NDArray
 
 from surctl.errors import SurctlError, ToolMissing
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.export.instruction_bound import instruction_bound
 from surctl.export.precision import Guarded, Rounded, plain, replayed
 from surctl.export.process import Controller, code_bytes, compile_controller
 from surctl.export.records import Records, as_records
@@ -68,7 +66,6 @@ class BuildReport:
         runtime_bytes: size of code and constants without the self-test, None if unknown.
         stack_bytes: stack that one step uses [bytes], on emulated processors only.
         instructions: number of instructions per step, on emulated processors only.
-        instruction_bound: bound of the instructions of a step, on emulated processors whose code has one.
         failure: why the controller could not be built or run for the target, None if it ran.
     """
 
@@ -81,7 +78,6 @@ class BuildReport:
     runtime_bytes: int | None = None
     stack_bytes: int | None = None
     instructions: Instructions | None = None
-    instruction_bound: int | None = None
     failure: str | None = None
 
     @property
@@ -103,7 +99,6 @@ class BuildReport:
             "runtime_bytes": self.runtime_bytes,
             "stack_bytes": self.stack_bytes,
             "instructions": None if counted is None else [counted.least, counted.mean, counted.most],
-            "instruction_bound": self.instruction_bound,
             "failure": self.failure,
         }
 
@@ -272,16 +267,7 @@ def _tried(
         code_bytes(code[:-1], target.size_tool),
         None if target.machine is None else step_stack(bundle, code),  # not measured where memory is plentiful
         instructions(counts, accepted),
-        None if target.machine is None else _bound(bundle, folder / "sil"),
     )
-
-
-def _bound(bundle: Bundle, program: Path) -> int | None:
-    # loops of the exported C end at a constant or at the length of an array, so none turns more often than the largest
-    listed = subprocess.run(["arm-none-eabi-objdump", "-d", str(program)], capture_output=True, text=True, check=False)
-    text = "\n".join(bundle.files[file] for file in (*bundle.headers, *bundle.sources))
-    counted = map(int, re.findall(r"(?:< |\[)(\d+)(?=[;)\]])", text))
-    return instruction_bound(listed.stdout, f"{bundle.name}_step", turns=max(counted), own=bundle.name).most
 
 
 def _same(have: NDArray[np.uint8], want: NDArray[np.uint8], dtype: np.dtype[Any]) -> NDArray[np.bool_]:
