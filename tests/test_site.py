@@ -121,14 +121,16 @@ def test_formulas_commands_keys_and_terms_are_set(site: Path) -> None:
 def test_formulas_of_docstrings_are_set_and_words_are_not() -> None:
     from formulas import as_mathml
     from prose_math import mark_formulas
+    from unicode_math import as_tex
 
     said = (
         "<p>Return c &gt; 0 [1/s], so that V̇ ≤ −a V, V = ξᵀPξ; a (n, 4) array [m/s²] for <code>x = 1</code> (12).</p>"
     )
     shown = mark_formulas(said, lambda formula: f"[[{formula}]]")
     assert shown == said.replace("c &gt; 0", "[[c > 0]]").replace("V̇ ≤ −a V, V = ξᵀPξ", "[[V̇ ≤ −a V]], [[V = ξᵀPξ]]")
-    shown = as_mathml("q = √(y_e² + Δ²)/‖ẋ‖")
+    shown = as_mathml(as_tex("q = √(y_e² + Δ²)/‖ẋ‖"))
     assert "<msqrt>" in shown and "<msubsup>" in shown and 'accent="true"' in shown
+    assert "{" not in as_mathml("R_{OB} e^{-x}")
     with pytest.raises(ValueError, match="frac"):
         as_mathml(r"\frac{1}")
 

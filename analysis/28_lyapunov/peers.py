@@ -6,7 +6,7 @@ Every system has a stated V and level. surctl proves the whole claim (V > 0, reg
 contains the check of the certificate. The peers have less to do:
 
 - Drake: V' ≤ 0 in the region, by sums of squares in floating point (Clarabel); polynomials only;
-- z3: no state of the region outside a small ball with V' ≥ 0, by exact real arithmetic; polynomials only;
+- z3: no state of the region outside a small ball with V' ≥ 0, by exact real arithmetic; no sines;
 - codac: the same as z3, by contractors and bisection;
 - dReal: the same, with δ = 1e-3.
 

@@ -111,6 +111,7 @@ def sessions(count: int) -> Iterator[str]:
             f"| {kind} | {len(mine)} | {len(after)} | {np.median(after):.2f} | {max(after):.2f} | {alone} | "
             f"{sum(one.again for one in rearmed)} of {len(rearmed)} |"
         )
+    yield ""
     yield f"{failures} failures."
 
 
@@ -140,6 +141,7 @@ def flights() -> Iterator[str]:
                 f"| {mode} | {name} | {result.time:.2f} | {direct:.2f} | {result.clearance:.3f} | {clear:.3f} | "
                 f"{result.begun - 1} |"
             )
+    yield ""
     yield f"{failures} failures."
 
 

@@ -11,7 +11,6 @@ from html.entities import html5
 from xml.etree import ElementTree
 
 from docutils.utils.math.latex2mathml import tex2mathml
-from unicode_math import as_tex
 
 __all__ = ["as_mathml", "equation_links", "with_mathml"]
 
@@ -31,9 +30,9 @@ def with_mathml(html: str) -> str:
 
 
 def as_mathml(tex: str, *, block: bool = False) -> str:
-    """Return a formula, in TeX or with Unicode characters, as MathML; ValueError names one that cannot be converted."""
+    """Return a formula in TeX as MathML; ValueError names one that cannot be converted."""
     try:
-        return _accents(str(tex2mathml(as_tex(unescape(tex).strip()), as_block=block)))
+        return _accents(str(tex2mathml(unescape(tex).strip(), as_block=block)))
     except Exception as error:
         raise ValueError(f"formula {tex!r}: {error}") from error
 

@@ -25,6 +25,7 @@ from glossary import link_terms, terms_of  # noqa: E402
 from mkdocs.structure.files import File, Files  # noqa: E402
 from notebook_pages import notebook_pages  # noqa: E402
 from prose_math import mark_formulas  # noqa: E402
+from unicode_math import as_tex  # noqa: E402
 
 import surctl  # noqa: E402
 
@@ -138,7 +139,7 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
     html = re.sub(r"<img (?![^>]*class=)(?=[^>]*\.(?:png|svg))", '<img class="plot" loading="lazy" ', html)
     up = "../" * uri.count("/")
     if uri.startswith("reference/python/"):
-        html = mark_formulas(html, as_mathml)
+        html = mark_formulas(html, lambda formula: as_mathml(as_tex(formula)))
         html = equation_links(html, f"{up}reference/equations.html")
     if not uri.startswith(("reference/python/", "studies/", "glossary", "changelog")):
         html = link_terms(html, _TERMS, f"{up}glossary.html")

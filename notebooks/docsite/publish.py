@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
+
+from packaging.version import Version
 
 __all__ = ["list_versions", "main"]
 
@@ -29,7 +30,7 @@ _HOME = """<!DOCTYPE html>
 def list_versions(folder: Path) -> list[str]:
     """Write the list of the versions in a folder, and return them, the newest first."""
     sites = [path.parent for path in folder.glob("*/search") if (path.parent / "index.html").exists()]
-    newest = sorted(sites, key=lambda path: [int(n) for n in re.findall(r"\d+", path.name)], reverse=True)
+    newest = sorted(sites, key=lambda path: (Version(path.name), path.name), reverse=True)
     pages = {site.name: sorted(page.relative_to(site).as_posix() for page in site.rglob("*.html")) for site in newest}
     (folder / "versions.js").write_text(f"window.surctlVersions = {json.dumps(pages)};\n", encoding="utf-8")
     if newest:

@@ -21,14 +21,12 @@ _NAMES = {"sin", "cos", "tan", "exp", "log", "ln", "min", "max", "det", "dim"}
 
 
 def as_tex(formula: str) -> str:
-    r"""Return a formula in TeX; text that is TeX already is returned as it is.
+    r"""Return a formula of Unicode characters in TeX.
 
     Example:
         >>> as_tex("V̇ ≤ −λ_min ‖e‖²")
         '\\dot{V} \\le  -\\lambda _{\\mathrm{min}} \\Vert e\\Vert ^{2}'
     """
-    if "\\" in formula:
-        return formula
     text = unicodedata.normalize("NFD", formula.replace("≠", "\x00"))
     text = re.sub(r"([{}%#&])", r"\\\1", text)
     text = re.sub(r"_\(([^()]*)\)|_([A-Za-z0-9]+(?:,[a-z0-9]+)*)", lambda m: f"_{{{_index(m[1] or m[2])}}}", text)

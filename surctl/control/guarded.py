@@ -73,8 +73,8 @@ def guarded_law(
     speed is limited so that it can stop before unknown space.
 
     With `calm`, the control period [s], a law with sonars (not one with true positions) changes its velocity reference
-    gradually (`calm.eased`), and only the velocity loop brakes before unknown space. The output `stopped` is that of
-    the decision without this.
+    gradually (`calm.eased`), and only the velocity loop brakes before unknown space. The output `stopped` is
+    then judged by the decision before smoothing and braking.
     """
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0

@@ -47,7 +47,7 @@ class Supplement:
         return ()
 
     def templates(self, law: Exportable) -> dict[str, str]:
-        """Return the templates of further C files by file name; they are in `export/templates`."""
+        """Return the names of templates in `surctl/export/templates`, by the name of the C file that each makes."""
         del law
         return {}
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from surctl.control import Gains, law_source, load_gains, write_gains
 from surctl.errors import InputError, NotApplicable
 from surctl.files import write_file
 from surctl.own_code import is_own, label
-from surctl.report.design_bench import RunView, Slider, SlowView, activity, gain_file, replaceable
+from surctl.report.design_bench import RunView, Slider, SlowView, View, activity, gain_file, replaceable
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.report.plan_view import plot_run
 from surctl.report.region_plots import plot_region
@@ -45,7 +45,7 @@ from surctl.verification import (
     decide,
     steady_motion,
 )
-from surctl.verification.region import RegionProof, prove_statement, region_statement
+from surctl.verification.region import RegionProof, RegionStatement, prove_statement, region_statement
 
 __all__ = ["Bench", "save_gains"]
 
@@ -259,16 +259,23 @@ class Bench:
 
     def region(self, values: Mapping[str, float]) -> RegionProof | NotApplicable:
         """Return the proof of the region claim that suits the vehicle, or the reason why none does."""
+        statement = self._statement(values)
+        if isinstance(statement, NotApplicable):
+            return statement
+        if "attempts" in statement.model_fields_set:  # other claims search without start values
+            statement = statement.model_copy(update={"attempts": min(statement.attempts, _STARTS)})
+        cruise, cap = self.scenario.cruise, self.scenario.cap
+        return prove_statement(statement, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
+
+    def _statement(self, values: Mapping[str, float]) -> RegionStatement | NotApplicable:
         reasons = []
-        for name in _REGIONS:
-            statement = region_statement(name)
-            if "attempts" in statement.model_fields_set:  # other claims search without start values
-                statement = statement.model_copy(update={"attempts": min(statement.attempts, _STARTS)})
-            cruise, cap = self.scenario.cruise, self.scenario.cap
+        for statement in map(region_statement, _REGIONS):
             try:
-                return prove_statement(statement, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
+                statement.claim(self.vehicle, self.gains(values), cruise=self.scenario.cruise, cap=self.scenario.cap)
             except NotApplicable as refused:
                 reasons.append(refused)
+            else:
+                return statement
         return reasons[0]
 
     def decide(self, values: Mapping[str, float]) -> SlowView:
@@ -290,15 +297,18 @@ class Bench:
         figure = plot_region(region.certificate(), falsified=1 / ratio if ratio > 0 else None)
         return SlowView(lines, (figure, f"Region of {region.claim.name}: certified level, and least falsified level"))
 
-    def command(self, values: Mapping[str, float], view: Literal["loop", "run"]) -> str:
-        """Return the command that gives the same results, once the gains are saved."""
+    def command(self, values: Mapping[str, float], view: View) -> str:
+        """Return a command for the same vehicle and gains, once they are saved as `gains.toml`."""
         craft, mission = self.named
         options = ["--vehicle", craft or self.vehicle.name, "--gains", "gains.toml", "--law", self.case.law]
         options += ["--out", "pictures"]
         if view == "run":
             words = ["simulate", mission or self.scenario.name, "--sensing", "truth"]
         else:
-            words = ["verify", "--cruise", f"{self.scenario.cruise:g}"]
+            words = ["verify", "--cruise", f"{self.scenario.cruise:g}", "--cap", f"{self.scenario.cap:g}"]
+            statement = self._statement(values)
+            if view == "decision" and not isinstance(statement, NotApplicable):
+                words.insert(1, statement.name)
         return shlex.join(["surctl", *words, *options])
 
     def save(self, values: Mapping[str, float], file: str) -> str:

@@ -28,6 +28,7 @@ __all__ = ["DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activ
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
+View = Literal["loop", "run", "decision"]
 
 _MOST_TIMES = 1500
 
@@ -102,8 +103,8 @@ class DesignBench(Protocol):
     def decide(self, values: Values) -> SlowView:
         """Return what takes seconds."""
 
-    def command(self, values: Values, view: Literal["loop", "run"]) -> str:
-        """Return the command that gives the same results as a view."""
+    def command(self, values: Values, view: View) -> str:
+        """Return a command for the same vehicle and gains as a view."""
 
     def save(self, values: Values, file: str) -> str:
         """Write the gains to a file; return what to do with it."""
@@ -207,8 +208,8 @@ class SystemBench:
         figure = plot_motion(claim.dynamics, claim.function, level=level, falsified=solution.falsified)
         return SlowView(lines, (figure, "Region of attraction: certified level, and the least level that is falsified"))
 
-    def command(self, values: Values, view: Literal["loop", "run"]) -> str:
-        """Return the command that gives the same results at the first operating point."""
+    def command(self, values: Values, view: View) -> str:
+        """Return a command with the same values at the first operating point."""
         numbers = next(iter(self.places.values()))
         words = [
             f"{name}={np.asarray(value, dtype=float).item():g}"

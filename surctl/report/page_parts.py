@@ -9,13 +9,13 @@ from functools import lru_cache
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from surctl.errors import InputError, SurctlError, nearest
-from surctl.report.design_bench import DesignBench, Slider
+from surctl.report.design_bench import DesignBench, Slider, View
 from surctl.report.loop_views import default_step, goal_panels, locus_panel, loop_panels
 from surctl.report.panel import panel_svg
 from surctl.system import LinearLoop
@@ -145,7 +145,7 @@ def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
     assert scores is not None
     worst = max((score.judgement.normalised for score in scores.scores), default=0.0)
     panels = "".join(map(panel_svg, goal_panels(scores, compared=others)))
-    return {"html": panels + _command(bench, request, "loop"), "worst": _number(worst)}
+    return {"html": panels, "worst": _number(worst)}
 
 
 def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
@@ -187,12 +187,13 @@ def _run(bench: DesignBench, request: Request) -> dict[str, Any]:
 def _slow(bench: DesignBench, request: Request) -> dict[str, Any]:
     view = bench.decide(_values(bench, request["values"]))
     lines = "".join(f'<li class="{mark}">{escape(text)}</li>' for text, mark in view.lines)
-    return {"html": f'<ul class="lines">{lines}</ul>{_picture(view.picture)}{_command(bench, request, "loop")}'}
+    return {"html": f'<ul class="lines">{lines}</ul>{_picture(view.picture)}{_command(bench, request, "decision")}'}
 
 
-def _command(bench: DesignBench, request: Request, view: Literal["loop", "run"]) -> str:
+def _command(bench: DesignBench, request: Request, view: View) -> str:
     words = bench.command(_values(bench, request["values"]), view)
-    return f'<p class="note command">On the command line: <code>{escape(words)}</code></p>'
+    first = " (after the gains are saved in gains.toml)" if "gains.toml" in words else ""
+    return f'<p class="note command">On the command line{first}: <code>{escape(words)}</code></p>'
 
 
 def _slider(one: Slider) -> dict[str, Any]:

@@ -18,8 +18,8 @@ class Stack:
     """Tasks (with one desired value or set-based) in order of priority, highest priority first.
 
     Raises:
-        InputError: there is no task, two tasks have the same name, or tasks have different configurations or numbers
-            of velocities.
+        InputError: there is no task, two tasks have the same name, or tasks have different configurations or
+            kinematics.
     """
 
     tasks: tuple[Task | SetTask, ...]
@@ -45,9 +45,10 @@ class Stack:
                     key=f"task {task.name}",
                     remedy="build all tasks of a stack from one eta",
                 )
-            if task.mapping.shape != self.tasks[0].mapping.shape:
+            first = self.tasks[0].mapping
+            if task.mapping.shape != first.shape or not ca.is_equal(ca.densify(task.mapping), ca.densify(first), 9):
                 raise InputError(
-                    f"has another number of velocities than task {self.tasks[0].name}",
+                    f"has other kinematics than task {self.tasks[0].name}",
                     key=f"task {task.name}",
                     remedy="give all tasks of a stack the same kinematics",
                 )

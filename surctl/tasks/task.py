@@ -18,6 +18,7 @@ __all__ = [
     "Task",
     "as_column",
     "as_expression",
+    "is_pose",
     "is_symbol",
     "kinematics_of",
     "sigma_column",
@@ -113,6 +114,11 @@ class Task:
 def is_symbol(eta: object) -> bool:
     """Return whether `eta` is a column of SX symbols."""
     return isinstance(eta, ca.SX) and eta.shape[1] == 1 and eta.shape[0] >= 1 and eta.is_valid_input()
+
+
+def is_pose(eta: ca.SX, mapping: ca.SX) -> bool:
+    """Return whether η is the pose (x, y, z, ψ) of a vehicle: four entries with the kinematics of equations (1)–(2)."""
+    return bool(eta.shape[0] == 4 and ca.is_equal(ca.densify(mapping), ca.densify(kinematics(eta[3])), 9))
 
 
 def kinematics_of(key: str, eta: ca.SX, matrix: Expression | None) -> ca.SX:

@@ -163,7 +163,7 @@ class _Check:
     at: Sampled
 
     def values(self, point: Array) -> tuple[Array, Array, Array]:
-        # A (m, 4), lower (m,), upper (m,)
+        # A (m, n), lower (m,), upper (m,)
         A, lower, upper = self.at(point)
         return A, lower.reshape(-1), upper.reshape(-1)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.tasks import SetTask, Task
 from surctl.tasks.rows import axis_names
+from surctl.tasks.task import is_pose
 from surctl.testing.finding import CheckFailed
 from surctl.testing.ranges import Parameter, Ranges, Sampled, checked_count, ranges_of
 
@@ -63,17 +64,18 @@ def check_task(
     """Check a task, or the task that a function returns for a symbolic pose eta.
 
     At random poses, the Jacobian J must equal the central differences of the task function σ along the motion due to
-    each velocity. The check has its own implementation of the kinematics, equations (1)–(2) of the paper. σ, J and
+    each velocity. For a pose, the check has its own implementation of equations (1)–(2) of the paper; `kinematics` that
+    the task states are taken as they are. σ, J and
     reference must be finite (a set-based task may have no lower or no upper bound; its bounds must not cross), and an
     angular error must lie in [−π, π]. A full turn of the vehicle must not change J or the reference. At the poses in
     `near`, and close to these poses, all values must be finite.
 
     Args:
-        task: the task, or a function that returns the task for a symbol eta, SX (4, 1).
+        task: the task, or a function that returns the task for the pose eta, SX (4, 1).
         parameters: (symbol, lowest, highest) for every symbol except eta.
-        near: poses (4,) at or near singularities, for example a pose at a waypoint.
+        near: configurations (m,) at or near singularities, for example a pose at a waypoint.
         samples: number of random poses.
-        extent: largest |x|, |y|, |z| of random poses [m]; ψ is in (−π, π).
+        extent: largest |x|, |y|, |z| of random poses [m], ψ is in (−π, π); largest entry of other configurations.
         full_turn: False for a task that counts turns, for example one that unwinds a tether.
         tol: largest accepted error of J, relative to 1 + max |J|.
         seed: seed of numpy's PCG64 generator.
@@ -81,7 +83,7 @@ def check_task(
     Raises:
         CheckFailed: a check fails; the message states the first failure.
         InputError: the object is not a task, or its class raises an error; a symbol has no range or two ranges; there
-            are no samples; a pose in `near` is not four numbers.
+            are no samples; a pose in `near` has a wrong number of entries.
 
     Example:
         >>> import casadi as ca
@@ -99,7 +101,7 @@ def check_task(
     built = task(ca.SX.sym("eta", 4)) if callable(task) else task
     if not isinstance(built, Task | SetTask):
         raise InputError("is neither a Task nor a SetTask", key="task", value=built)
-    m, vehicle = int(built.eta.shape[0]), built.eta.shape[0] == 4
+    m, vehicle = int(built.eta.shape[0]), is_pose(built.eta, built.mapping)
     poses = [_pose(place, pose, m) for place, pose in enumerate(near)]
     box = [extent, extent, extent, math.pi] if vehicle else [extent] * m
     ranges = ranges_of([(built.eta, [-b for b in box], box), *parameters])
@@ -202,6 +204,9 @@ class _Check:
 
     def _motion(self, eta: Array) -> Array:
         # directions (m, n) of η along each velocity
+        if is_pose(self.task.eta, self.task.mapping):
+            c, s = math.cos(eta[3]), math.sin(eta[3])
+            return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], dtype=float)
         return np.array(ca.Function("S", [self.task.eta], [self.task.mapping])(eta), dtype=np.float64)
 
     def _differences(self, values: Array, step: float) -> Array:

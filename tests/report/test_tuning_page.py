@@ -274,6 +274,7 @@ def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
     thrust = next(panel for panel in view.panels if "thrust surge" in panel.title)
     assert thrust.shades[0].y[0] == ROBOT.vehicle.thrust_limit[0]
     assert ROBOT.command(values, "run").startswith("surctl simulate pool-behind --sensing truth --vehicle sur")
+    assert ROBOT.command(values, "decision").startswith("surctl verify region-cruise-20 --cruise 0.15 --cap 0.22 ")
     path = tmp_path / "gains.toml"
     assert ROBOT.save({**values, "k_v": 1.1}, str(path)).startswith("saved")
     assert load_gains(str(path))["k_v"] == 1.1 and "tuning page" in load_gains(str(path)).provenance

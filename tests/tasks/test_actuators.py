@@ -177,7 +177,7 @@ def test_the_widened_limits_bring_a_runaway_vehicle_back():
     ("make", "says"),
     [
         (lambda: AccelerationLimit([0] * 4, [1, 1, -1, 1], dt=0.1), "acceleration: limit = -1.0: must be at least 0"),
-        (lambda: AccelerationLimit([0] * 3, [1] * 4, dt=0.1), "acceleration: nu"),
+        (lambda: AccelerationLimit([0] * 3, [1] * 4, dt=0.1), "acceleration: limit"),
         (lambda: AccelerationLimit([0, 0, 0, math.nan], [1] * 4, dt=0.1), "acceleration: nu"),
         (lambda: AccelerationLimit([0] * 4, [1] * 4, dt=0.0), "acceleration: dt = 0.0: must be greater than 0"),
         (lambda: thrust(lower=[2, 0, 0, 0]), "thrust.Fu"),

@@ -6,6 +6,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.priority import assemble, solve
+from surctl.priority.diagnosis import diagnose
 from surctl.tasks import (
     AccelerationLimit,
     ActuatorLimits,
@@ -17,6 +18,7 @@ from surctl.tasks import (
     VelocityBox,
     heading_task,
 )
+from surctl.testing import check_task
 
 
 @pytest.mark.parametrize("n", [1, 3, 12])
@@ -58,7 +60,14 @@ def test_widths_that_do_not_fit_are_refused() -> None:
         assemble(Stack((arm,)), [VelocityBox([-1, -1], [1, 1])], inputs={"q": q})
     with pytest.raises(InputError, match="task arm: kinematics: is not a matrix with a row per entry of eta"):
         Task(name="arm", eta=q, sigma=q[0], kinematics=np.eye(2))
-    with pytest.raises(InputError, match="task two: has another number of velocities than task arm"):
+    with pytest.raises(InputError, match="task two: has other kinematics than task arm"):
         Stack((arm, Task(name="two", eta=q, sigma=q[1], kinematics=np.ones((3, 2)))))
+    with pytest.raises(InputError, match="task two: has other kinematics than task arm"):
+        Stack((arm, Task(name="two", eta=q, sigma=q[1], kinematics=2 * np.eye(3))))
+    joints = ca.SX.sym("q", 4)
+    turned = Task(name="wrist", eta=joints, sigma=joints[3], target=0.4, kinematics=np.eye(4))
+    assert check_task(turned).rank == 1  # no heading, so a full turn may change its reference
+    with pytest.raises(InputError, match="not the pose x, y, z, psi"):
+        diagnose(Stack((turned,)), ([-1] * 4, [1] * 4))
     with pytest.raises(InputError, match="task heading: eta: is not an SX symbol of shape"):
         heading_task(eta, 0.0)  # entry 3 of a pose in six degrees of freedom is roll

@@ -33,7 +33,7 @@ class Assembly:
         stack: the tasks. limits: the linear constraints of all limits.
         sizes: number of entries of each input (such as the pose), by name.
         function: CasADi function of the inputs in the order of `sizes`. The outputs are the inputs of `priority_step`:
-            J (K·4,), the Jacobians of all levels with K rows together, row by row; lower (K,) and upper (K,), the
+            J (K·n,), the Jacobians of all levels with K rows together, row by row; lower (K,) and upper (K,), the
             bounds of J v for the velocity v; rows (m·(n + 3),), the m constraint rows; box (2n,), the bounds of v.
             Without limits, the function returns one constraint row that is always satisfied. The box contains the
             actuator limits that bound a single velocity for all values of the inputs.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.tasks import Stack
+from surctl.tasks.task import is_pose
 
 __all__ = ["Bounds", "Parameter", "Pose", "Region", "build_region", "pose_text"]
 
@@ -76,8 +77,8 @@ def build_region(stack: Stack, region: Bounds, parameters: Sequence[Parameter] =
         InputError: bounds have a wrong size, are not finite, or have lower > upper; a parameter is not a symbol, occurs
             twice, or has a name already in use; or a symbol of the stack has no bounds (the message names its task).
     """
-    if stack.eta.shape[0] != 4:
-        problem = f"has a configuration of {stack.eta.shape[0]} entries; a diagnosis is about poses x, y, z, psi"
+    if not all(is_pose(task.eta, task.mapping) for task in stack.tasks):
+        problem = "has a configuration that is not the pose x, y, z, psi of a vehicle, which a diagnosis is about"
         raise InputError(problem, key="stack", remedy="diagnose single problems with solve")
     lower, upper = _corners(region, 4, key="region", names=_AXES)
     symbols, names, low, high = [stack.eta[i] for i in range(4)], list(_AXES), [lower], [upper]
