@@ -63,7 +63,7 @@ def pinned(reference: str, *, key: str, folder: Path | None = None) -> str:
     digest = hashlib.sha256(_text(whole, key)).hexdigest()
     if stated and stated != digest:
         raise InputError(
-            "has changed since it was named",
+            "has changed since this program first read it",
             file=whole,
             key=key,
             value=f"{path.name}:{function}",
@@ -160,7 +160,9 @@ def _executed(path: Path, digest: str, key: str) -> dict[str, object]:
     """Run the file as a module of its own."""
     text = _text(path, key)
     if hashlib.sha256(text).hexdigest() != digest:
-        raise InputError("has changed since it was named", file=path, key=key, remedy="start again with its new text")
+        raise InputError(
+            "has changed since this program first read it", file=path, key=key, remedy="start again with its new text"
+        )
     name = f"surctl_own_{path.stem}_{digest[:12]}"
     module = ModuleType(name)
     module.__file__ = str(path)

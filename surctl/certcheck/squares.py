@@ -121,7 +121,9 @@ class _Ring:
         offset = poly.get((), Fraction(0))
         named = [(term, c) for term, c in poly.items() if term]
         if len(named) != 1 or len(named[0][0]) != 1 or named[0][0][0][1] != 1 or named[0][0][0][0] in self._atoms:
-            raise Rejected(f"symbol {at} is not a number times a new variable or function, plus a number")
+            raise Rejected(
+                f"symbol {at} does not have the form a s + b with a variable or function s that no earlier symbol has"
+            )
         (((atom, _),), scale) = named[0]
         self._atoms[atom] = at, 1 / scale, -offset / scale
 

@@ -1,4 +1,4 @@
-"""Braking claims of `surctl verify`; their certificates prove that the barrier accounts for the robot's inertia."""
+"""Braking claims of `surctl verify`: under the barrier, the robot can always brake before it touches an obstacle."""
 
 from __future__ import annotations
 

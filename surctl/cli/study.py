@@ -30,9 +30,13 @@ __all__ = ["study"]
     help="Folder for report, gains and code (default surctl-out).",
 )
 @click.option(
-    "--workers", type=click.IntRange(min=1), default=2, metavar="N", help="Processes of the sweep (default 2)."
+    "--workers",
+    type=click.IntRange(min=1),
+    default=2,
+    metavar="N",
+    help="Number of processes of the sweep (default 2).",
 )
-@click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; too large a vehicle gets own missions.")
+@click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; a large one gets scaled missions.")
 @click.option("--film", is_flag=True, help="Show the decisive run in MuJoCo's scene, too, beside its plan view.")
 @trust_option
 @as_json

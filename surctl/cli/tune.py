@@ -102,7 +102,7 @@ __all__ = ["tune"]
     type=click.IntRange(min=1),
     default=2,
     metavar="N",
-    help="Threads (default 2).",
+    help="Number of threads (default 2).",
 )
 @click.option(
     "--out",

@@ -67,8 +67,9 @@ class Batch:
         for name, array, size in (("state", arrays[0], n), ("parameters", arrays[1], m)):
             if array.shape != (runs, size):
                 raise InputError(f"has shape {array.shape}, expected ({runs}, {size})", key=name)
-        if steps < 0 or threads < 1:
-            raise InputError("must be at least 0 and 1", key="steps, threads", value=(steps, threads))
+        for name, count, least in (("steps", steps, 0), ("threads", threads, 1)):
+            if count < least:
+                raise InputError(f"must be at least {least}", key=name, value=count)
         out = np.empty_like(arrays[0])
         threads = max(1, min(threads, -(-runs // self.lanes)))
         job = _Job(self._library, arrays[0], arrays[1], out, steps, _blocks(runs, threads, self.lanes))

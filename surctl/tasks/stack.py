@@ -48,7 +48,7 @@ class Stack:
             first = self.tasks[0].mapping
             if task.mapping.shape != first.shape or not ca.is_equal(ca.densify(task.mapping), ca.densify(first), 9):
                 raise InputError(
-                    f"has other kinematics than task {self.tasks[0].name}",
+                    f"has different kinematics from task {self.tasks[0].name}",
                     key=f"task {task.name}",
                     remedy="give all tasks of a stack the same kinematics",
                 )

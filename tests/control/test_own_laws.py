@@ -148,7 +148,7 @@ def test_the_command_line_runs_an_own_law(law: str, mission: Path, tmp_path: Pat
     assert "as in the campaign" in surctl("simulate", "--from", worst, "--trust").output
     (tmp_path / "my_law.py").write_text(LAW.replace("0.3, gain", "0.31, gain"))
     changed = surctl("simulate", "--from", worst, "--trust")
-    assert "has changed since it was named" in str(changed.exception)
+    assert "has changed since this program first read it" in str(changed.exception)
 
 
 def test_a_study_file_may_name_an_own_law(law: str, mission: Path, tmp_path: Path) -> None:
@@ -218,7 +218,7 @@ def test_what_is_not_there_is_said(tmp_path: Path, law: str) -> None:
 
 def test_a_changed_file_is_not_run_under_the_old_name(law: str, tmp_path: Path) -> None:
     (tmp_path / "my_law.py").write_text(LAW + "\n")
-    with pytest.raises(InputError, match="has changed since it was named"):
+    with pytest.raises(InputError, match="has changed since this program first read it"):
         law_ref(law)
     assert law_ref("my_law.py:wall", folder=tmp_path) != law
 

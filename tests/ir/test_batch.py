@@ -196,7 +196,7 @@ def test_nonsense_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(InputError, match="expected"):
             batch.run(np.zeros(shapes[0]), np.zeros(shapes[1]), steps=1)
     for steps, threads in ((-1, 1), (1, 0)):
-        with pytest.raises(InputError, match="must be at least 0 and 1"):
+        with pytest.raises(InputError, match=r"must be at least [01]"):
             batch.run(np.zeros((2, 3)), np.zeros((2, 1)), steps=steps, threads=threads)
     monkeypatch.setenv("CC", "no-such-compiler")
     with pytest.raises(ToolMissing):

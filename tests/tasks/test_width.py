@@ -60,9 +60,9 @@ def test_widths_that_do_not_fit_are_refused() -> None:
         assemble(Stack((arm,)), [VelocityBox([-1, -1], [1, 1])], inputs={"q": q})
     with pytest.raises(InputError, match="task arm: kinematics: is not a matrix with a row per entry of eta"):
         Task(name="arm", eta=q, sigma=q[0], kinematics=np.eye(2))
-    with pytest.raises(InputError, match="task two: has other kinematics than task arm"):
+    with pytest.raises(InputError, match="task two: has different kinematics from task arm"):
         Stack((arm, Task(name="two", eta=q, sigma=q[1], kinematics=np.ones((3, 2)))))
-    with pytest.raises(InputError, match="task two: has other kinematics than task arm"):
+    with pytest.raises(InputError, match="task two: has different kinematics from task arm"):
         Stack((arm, Task(name="two", eta=q, sigma=q[1], kinematics=2 * np.eye(3))))
     joints = ca.SX.sym("q", 4)
     turned = Task(name="wrist", eta=joints, sigma=joints[3], target=0.4, kinematics=np.eye(4))

@@ -33,7 +33,7 @@ class Finding:
     """Differences between one solution of the safe step and the optimum; NaN if a difference could not be computed.
 
     Attributes:
-        opening: opening t of the soft rows minus the smallest possible opening.
+        opening: by how much the bounds of the soft rows are widened, minus the least widening that is feasible.
         task: upper bound on the difference between ‖J v − x‖ and the smallest residual that the constraint rows with
             this opening allow, divided by the length of the longest row of J.
         weight: largest sum of the Lagrange multipliers of the linear programme for `task`, which is the sensitivity of
