@@ -31,7 +31,7 @@ campaign_options = together(
     ),
     click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
     click.option(
-        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads, or MuJoCo processes (default 2, 1)."
+        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads (default 2); MuJoCo: processes."
     ),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
     click.option(

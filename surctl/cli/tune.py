@@ -151,8 +151,8 @@ def tune(
     minimised. New random runs and the claims then test the result. Exit status: 1 if a hard goal is not met, or fails
     in the test.
 
-    FILE.py:FUNCTION names a system of your own: the first cost is minimised within the bounds of the others, and the
-    disk margin stays at least 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal of the loop is minimised.
+    FILE.py:FUNCTION names a system of your own: the first cost is minimised within the bounds of the
+    others and a disk margin of 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal is minimised.
 
     Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
     surctl tune --page --scenario pool-behind; surctl tune my-system.py:build --page --goals my-goals.toml
