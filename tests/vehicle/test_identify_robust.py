@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from surctl.vehicle import FITTED, MotionLog, identify
-from surctl.vehicle.identification.model import drift_sections_of
+from surctl.vehicle.identification.model import Model, drift_sections_of, sections_of
 from surctl.vehicle.identification.outliers import outliers
+from surctl.vehicle.identification.solve import minimise
 from tests.vehicle.test_identify import START, TRUE, made_log
 
 MASSES = ("m11", "m22", "m33", "m44")
@@ -82,6 +83,21 @@ def test_a_trim_that_drifts_is_said_and_does_not_change_masses_and_drag() -> Non
         assert found.estimates[name][0] == pytest.approx(TRUE[name], rel=0.02), name
     assert sum(abs(found.estimates[k][0] - TRUE[k]) > found.estimates[k][1] for k in FITTED) <= 3
     assert found.sections == 2 and any("the constant force drifts (X0 from -0." in note for note in found.notes)
+    assert found.vehicle["X0"] == found.estimates["X0"][0] != 0.0  # the mean, although the drift makes it uncertain
+    assert "mean of a force that drifts" in found.vehicle.parameters["X0"].provenance
+    assert not {"X0", "Y0", "Z0", "N0"} & set(found.held)
+
+
+def test_a_heading_that_is_wrong_by_a_whole_turn_is_turned_back() -> None:
+    """With the noise of a heading that is wrong by a turn, nothing but a whole turn at once decreases the cost."""
+    log = replace(made(), time=made().time[:60], motion=made().motion[:60].copy(), thrust=made().thrust[:60])
+    log.motion[3, 3] = np.nan
+    model = Model(log, TRUE, sections_of(log))
+    theta = model.begin(model.sections)
+    theta[model.size + 3] += 2.0 * np.pi
+    noise = np.array([0.003, 0.003, 0.003, 6.0, 0.003, 0.003, 0.003, 0.003])
+    found, converged = minimise(model, theta, noise, model.sections, free=np.zeros(model.size, dtype=bool))
+    assert converged and found[model.size + 3] == pytest.approx(log.motion[0, 3], abs=0.02)
 
 
 def test_a_drift_that_predicts_nothing_is_not_fitted() -> None:

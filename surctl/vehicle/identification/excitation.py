@@ -14,7 +14,7 @@ from surctl.vehicle.identification.trim import Trial
 from surctl.vehicle.motion_log import MotionLog
 from surctl.vehicle.specs import TERMS
 
-__all__ = ["at_rest", "drift_note", "few_thrusts", "ill_excited", "notes_of", "slow_residuals"]
+__all__ = ["at_rest", "drift_note", "few_thrusts", "ill_excited", "measured_forces", "notes_of", "slow_residuals"]
 
 _FEW = 0.1  # smallest share of rows with thrust, or of its changes, that determine a lag
 _LEAST_CHANGES = 8  # changes of thrust that determine a lag
@@ -50,6 +50,11 @@ def at_rest(model: Model, theta: Array, noise: Array) -> frozenset[str]:
     far = (displaced > level) & _placed(present, axes)
     still = ~((fast & present[_RATE[:axes]]) | far)
     return frozenset(np.array(model.masses)[still].tolist())
+
+
+def measured_forces(model: Model) -> frozenset[str]:
+    """Return the names of the constant forces on axes with a measured pose or velocity."""
+    return frozenset(k for k, measured in zip(CONSTANT_FORCE, measured_axes(model), strict=False) if measured)
 
 
 def measured_axes(model: Model) -> NDArray[np.bool_]:
@@ -95,7 +100,7 @@ def ill_excited(
         for k in AXIS_OF
         if k in rest
     ]
-    unknown = {force_of[k] for k in unmeasured if k in force_of}
+    unknown = set(CONSTANT_FORCE) - measured_forces(model)
     names = [k for k in model.names if not axes_of(k) & rest and k not in unknown]
     places = [model.names.index(k) for k in names]
     scale = model.scale[places]

@@ -19,6 +19,7 @@ from surctl.vehicle.identification.excitation import (
     drift_note,
     few_thrusts,
     ill_excited,
+    measured_forces,
     notes_of,
     slow_residuals,
 )
@@ -124,17 +125,24 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
             excluded.add("thrust_lag")
             notes.append(f"thrust_lag is not determined: {reason}")
     identified = tuple(k for k in estimates if k not in excluded and _ratio(model, estimates, k) <= 1.0)
+    # a force that drifts is not at its start value either; the vehicle has its mean
+    drifting = frozenset(measured_forces(model) if model.drift else ())
     # a constant force that does not differ from 0 gets no entry in the vehicle
     small = {
-        k for k in OFFSETS if k in estimates and abs(estimates[k][0]) <= estimates[k][1] and k not in start.parameters
+        k
+        for k in OFFSETS
+        if k in estimates
+        and abs(estimates[k][0]) <= estimates[k][1]
+        and k not in start.parameters
+        and k not in drifting
     }
     # only the ratio of drag to mass shows in a motion, so a mass that is not determined stays as it is
     masses = {k for k in model.masses if k in estimates and k not in identified}
-    theta, held, zeroed = _consistent(full, excluded | small | masses)
+    theta, held, zeroed = _consistent(full, excluded | small | masses, drifting)
     identified = tuple(k for k in identified if k not in held)
     notes += _negative_notes(zeroed, estimates)
     values = model.values(theta)
-    vehicle = _vehicle(start, values, estimates, _Kinds(identified, held, zeroed), log, name)
+    vehicle = _vehicle(start, values, estimates, _Kinds(identified, held, zeroed, drifting), log, name)
     present = model.present
     return Identified(
         vehicle,
@@ -243,19 +251,21 @@ def _ratio(model: Model, estimates: Mapping[str, tuple[float, float]], name: str
     return half / (_NARROW * max(reference, 1e-12))
 
 
-def _consistent(full: _Full, excluded: set[str]) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
+def _consistent(
+    full: _Full, excluded: set[str], drifting: frozenset[str]
+) -> tuple[Array, tuple[str, ...], tuple[str, ...]]:
     """Return θ of one consistent model, the names of its held parameters, and those of its drags fixed at 0.
 
     Parameters that the log does not determine are held at their start values, the worst first, until the others are
-    determined together with them; drags with a negative estimate are fixed at 0. The others are fitted again.
+    determined together with them, except for the forces `drifting`; drags with a negative estimate are fixed at 0. The
+    others are fitted again.
     """
     model, theta = full.model, full.theta.copy()
     held, zeroed = set(excluded), set[str]()
-    covariance = full.spread.covariance
     for _ in range(_REFITS):
         values = model.values(theta)
         wrong = {k for k in MASS_OF if values.get(k, 0.0) < 0.0 and k not in held} - zeroed
-        worse = _to_hold(full, held | zeroed | wrong, covariance, values)
+        worse = _to_hold(full, held | zeroed | wrong, drifting, values)
         if not wrong and not worse and (held | zeroed) == _fixed(model, theta, held, zeroed):
             break
         zeroed |= wrong
@@ -276,9 +286,9 @@ def _fixed(model: Model, theta: Array, held: set[str], zeroed: set[str]) -> set[
     return {k for k in held if at[k] == 0.0} | {k for k in zeroed if at[k] == zero[k]}
 
 
-def _to_hold(full: _Full, fixed: set[str], covariance: Array, values: Mapping[str, float]) -> set[str]:
+def _to_hold(full: _Full, fixed: set[str], drifting: frozenset[str], values: Mapping[str, float]) -> set[str]:
     # parameters to hold at their start values: the worst, then the worst of those left, until all are determined
-    model, worse = full.model, set[str]()
+    model, covariance, worse = full.model, full.spread.covariance, set[str]()
     while True:
         free = [k for k, name in enumerate(model.names) if name not in fixed | worse]
         others = [k for k in range(model.size) if k not in free]
@@ -289,7 +299,7 @@ def _to_hold(full: _Full, fixed: set[str], covariance: Array, values: Mapping[st
         half = full.spread.quantile * np.sqrt(np.maximum(np.diag(part), 0.0)) * model.scale[free]
         estimates = {name: (values[name], 0.0) for name in model.names}
         estimates |= {model.names[k]: (values[model.names[k]], float(h)) for k, h in zip(free, half, strict=True)}
-        ratios = {model.names[k]: _ratio(model, estimates, model.names[k]) for k in free}
+        ratios = {k: _ratio(model, estimates, k) for j in free if (k := model.names[j]) not in drifting}
         worst = max(ratios, key=lambda k: (ratios[k], k not in MASS_OF), default=None)
         if worst is None or ratios[worst] <= 1.0:
             return worse
@@ -315,6 +325,7 @@ class _Kinds:
     identified: tuple[str, ...]
     held: tuple[str, ...]
     zeroed: tuple[str, ...]
+    drifting: frozenset[str]
 
 
 def _vehicle(
@@ -344,6 +355,9 @@ def _vehicle(
             known[key] = Parameter(0.0, spec.unit, None if wrong else bounds, said + "; the model is wrong" * wrong)
         elif key in kinds.identified:
             said = f"identified from {log.source}, {span}; range: 95 % interval"
+            known[key] = Parameter(value, spec.unit, bounds, said)
+        elif key in kinds.drifting:
+            said = f"mean of a force that drifts, fitted to {log.source}, {span}"
             known[key] = Parameter(value, spec.unit, bounds, said)
         else:
             said = f"fitted to {log.source}, {span}, together with the start values of {', '.join(kinds.held)}"

@@ -63,15 +63,16 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
     parts = [(e[:, columns], slope[:, columns]) for e, slope in parts]
     present = [p[:, columns] for p in present]
     split = [_without_initial(slope, size, first) for _, slope in parts]
-    slopes = [slope for slope, _ in split]
-    inverse = _inverse(np.diag(prior) + sum(_over_rows(s, s) for s in slopes))
+    slopes = [slope for slope, _, _ in split]
+    known = np.diag(prior) + np.sum([through for _, _, through in split], axis=0)
+    inverse = _inverse(known + sum(_over_rows(s, s) for s in slopes))
     root = np.linalg.cholesky(inverse)
-    fitted = [np.concatenate([slope @ root, own], axis=-1) for slope, own in split]
+    fitted = [np.concatenate([slope @ root, own], axis=-1) for slope, own, _ in split]
     correlation, lag, independent = _correlation([e for e, _ in parts], present, fitted, size)
     freedom = independent - size - len(first) * len(parts)
     if not lag:
         return Spread(inverse, freedom)
-    coloured = inverse @ (np.diag(prior) + _meat(slopes, correlation)) @ inverse
+    coloured = inverse @ (known + _meat(slopes, correlation)) @ inverse
     rows = sum(len(e) for e, _ in parts)
     freedom = min(freedom, 2.0 * rows / (2.0 * float(np.sum(_window(lag) ** 2)) - 1.0))
     # an estimate of M may be too small; the residuals count as white noise at least
@@ -79,17 +80,23 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
     return Spread(coloured * np.outer(larger, larger), freedom)
 
 
-def _without_initial(slope: Array, size: int, first: Array) -> tuple[Array, Array]:
+def _without_initial(slope: Array, size: int, first: Array) -> tuple[Array, Array, Array]:
     """Return the derivatives (n, c, p) with the best initial state for every value of the parameters, and its own.
 
-    The derivatives (n, c, s) by the initial state are scaled to an orthonormal basis.
+    The derivatives (n, c, s) by the initial state are scaled to an orthonormal basis. The third result (p, p) is the
+    information about the parameters from the prior of the initial state, e.g. from that of a drifting constant force.
     """
     flat = slope.reshape(-1, slope.shape[-1])
     over_p, over_first = flat[:, :size], flat[:, size:]
     inverse = _inverse(over_first.T @ over_first + np.diag(first))
-    reduced = over_p - over_first @ (inverse @ (over_first.T @ over_p))
+    change = inverse @ (over_first.T @ over_p)  # of the best initial state, with the sign reversed
+    reduced = over_p - over_first @ change
     basis = over_first @ np.linalg.cholesky(inverse)
-    return reduced.reshape(*slope.shape[:2], size), basis.reshape(*slope.shape[:2], len(first))
+    return (
+        reduced.reshape(*slope.shape[:2], size),
+        basis.reshape(*slope.shape[:2], len(first)),
+        change.T @ (first[:, None] * change),
+    )
 
 
 def _inverse(matrix: Array) -> Array:

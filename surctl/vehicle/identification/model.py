@@ -34,7 +34,7 @@ _LOOSE = 1e3  # [m, rad, m/s, rad/s] prior standard deviation of the motion at t
 _GAP, _GAP_FACTOR = 0.5, 5.0  # a gap is longer than this [s] and than this many median periods
 _LEAST_ROWS = 20  # rows of a section
 _DRIFT = 0.2  # prior standard deviation of a drifting constant force, as a share of the largest thrust
-_THRUST = slice(8, 12)  # places of the thrust in the state
+_HEADING, _THRUST = 3, slice(8, 12)  # places in the state
 _AT_ONCE = 60_000  # integration steps whose sensitivities are in memory at the same time
 
 Array = NDArray[np.float64]
@@ -197,6 +197,16 @@ class Model:
         present = self.present[section.rows]
         measured = np.where(present, self.motion[section.rows], 0.0)
         return np.where(present, states[section.at][:, self.outputs] - measured, 0.0)
+
+    def turned_back(self, theta: Array, sections: tuple[Section, ...]) -> Array:
+        """Return θ with whole turns added to the headings at the start of sections, so that they fit best."""
+        turned = theta.copy()
+        own = turned[self.size :].reshape(-1, self.local)
+        for k, (section, error) in enumerate(zip(sections, self.misfit(theta, sections), strict=True)):
+            present = self.present[section.rows][:, _HEADING]
+            if present.any():
+                own[k, _HEADING] -= 2.0 * np.pi * np.round(error[present, _HEADING].mean() / (2.0 * np.pi))
+        return turned
 
     def cost(self, theta: Array, noise: Array, sections: tuple[Section, ...]) -> float:
         """Return half the sum of the squared residuals, with the prior.

@@ -31,6 +31,10 @@ def minimise(
 ) -> tuple[Array, bool]:
     """Return the θ of least cost near `theta`, and whether the iteration has converged.
 
+    A heading that is wrong by whole turns over a section changes no other column, so it is a local minimum, in which
+    the noise of the heading counts as several radians. The headings are therefore turned back at the end, and if that
+    changes one, the iteration goes on from there.
+
     Args:
         model: the residuals.
         theta: initial value, with a finite cost.
@@ -39,6 +43,22 @@ def minimise(
         free: (p,) parameters that may change; the initial states always may.
         tolerance: relative change of the cost at which the iteration ends.
     """
+    theta, converged = _descent(model, theta, noise, sections, free=free, tolerance=tolerance)
+    turned = model.turned_back(theta, sections)
+    if np.array_equal(turned, theta):
+        return theta, converged
+    return _descent(model, turned, noise, sections, free=free, tolerance=tolerance)
+
+
+def _descent(
+    model: Model,
+    theta: Array,
+    noise: Array,
+    sections: tuple[Section, ...],
+    *,
+    free: NDArray[np.bool_],
+    tolerance: float,
+) -> tuple[Array, bool]:
     free = np.concatenate([free, np.ones(model.local * len(sections), dtype=bool)])
     low = np.concatenate([model.low, np.full(model.local * len(sections), -np.inf)])
     cost, damping = model.cost(theta, noise, sections), _DAMPING
