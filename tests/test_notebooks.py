@@ -40,11 +40,12 @@ PRINTED = {
         "binding: wall",
     ),
     "03_stability_claims": (
+        "drag-8: proved, checker: left <= right",
+        "drag-9: refuted at",
+        "van-der-pol: proved, accepted: True",
         "v1-printed: refuted",
-        "v1-corrected: proved",
-        "v2-static: proved",
-        "region: proved, accepted: True",
-        "force 0.5 N: proved",
+        "v1-corrected: proved, accepted: True",
+        "force 0.5 N: proved, accepted: True",
     ),
     "04_sweep_and_tune": (
         "picked by a grid sweep: k_v = 2.4375, lookahead = 0.4",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from functools import cache
+from os import PathLike
 from pathlib import Path
 from textwrap import fill
-from typing import Literal
+from typing import IO, Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -60,9 +62,43 @@ _TITLE = 10.5  # [pt] size of titles
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
 
+# the metadata key for the program that wrote a file, by format
+_MAKER = {"png": "Software", "pdf": "Creator", "svg": "Creator", "svgz": "Creator", "ps": "Creator", "eps": "Creator"}
+
+
+class _Figure(Figure):
+    """A figure whose file names the function that plotted it."""
+
+    maker: str = "surctl"
+
+    def savefig(
+        self, fname: str | PathLike[Any] | IO[Any], *, metadata: Mapping[str, Any] | None = None, **options: Any
+    ) -> None:
+        """Save the figure as matplotlib does; metadata of the caller override the name of the function."""
+        ending = Path(fname).suffix[1:] if isinstance(fname, (str, PathLike)) else ""
+        key = _MAKER.get(str(options.get("format") or ending or mpl.rcParams["savefig.format"]).lower())
+        if key is not None:
+            options["metadata"] = {key: self.maker, **(metadata or {})}
+        elif metadata is not None:
+            options["metadata"] = metadata
+        super().savefig(fname, **options)
+
+
+def _plotting_function() -> str:
+    # the innermost public function of surctl that asks for a figure, as MODULE.FUNCTION
+    frame = sys._getframe(1)
+    while (back := frame.f_back) is not None:
+        frame, module, name = back, str(back.f_globals.get("__name__")), back.f_code.co_qualname
+        if module.startswith("surctl.") and module != __name__ and not name.startswith(("_", "<")):
+            return f"{module}.{name.partition('.<locals>')[0]}"
+    return _Figure.maker
+
+
 def new_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of width × height [in] that belongs to no window."""
-    return Figure(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
+    """Return an empty figure of width × height [in] that belongs to no window; its files name the plotting function."""
+    figure = _Figure(figsize=(width, height), dpi=110, layout="constrained", facecolor="white")
+    figure.maker = _plotting_function()
+    return figure
 
 
 def new_axes(width: float, height: float) -> Axes:

@@ -81,12 +81,36 @@ def test_limits_are_drawn_and_the_figure_turns_dark() -> None:
         assert light[0] > 0.6 > 0.1 > light[1]
 
 
-def test_a_picture_names_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    ax = new_axes(2, 2)
-    monkeypatch.setattr(sys, "argv", ["/usr/bin/surctl", "sweep", "k v=1"])
-    path = save_figure(ax.figure.figure, tmp_path, ("a",))
-    with Image.open(path) as picture:
-        assert picture.info["Description"] == "surctl sweep 'k v=1'"
-    monkeypatch.setattr(sys, "argv", ["pytest"])
-    with Image.open(save_figure(ax.figure.figure, tmp_path, ("b",))) as picture:
-        assert "Description" not in picture.info
+@pytest.mark.parametrize(
+    ("program", "command"),
+    [
+        ("/usr/bin/surctl", "surctl sweep 'k v=1'"),
+        (str(Path(surctl.__file__).with_name("__main__.py")), "surctl sweep 'k v=1'"),
+        ("own/study.py", "python study.py sweep 'k v=1'"),
+        ("/usr/lib/python3/pytest/__main__.py", None),
+        ("/usr/bin/pytest", None),
+    ],
+)
+def test_a_picture_names_its_command(
+    program: str, command: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", [program, "sweep", "k v=1"])
+    with Image.open(save_figure(new_axes(2, 2).figure.figure, tmp_path, ("a",))) as picture:
+        assert picture.info.get("Description") == command
+
+
+def test_a_picture_names_the_function_that_plotted_it(tmp_path: Path) -> None:
+    figure = plot_phase_plane(RUNS[:1], "angle", "rate").figure.figure
+    name = "surctl.report.system_plots.plot_phase_plane"
+    figure.savefig(tmp_path / "a", metadata={"Author": "me"})  # the format is matplotlib's default
+    for path in (tmp_path / "a.png", save_figure(figure, tmp_path, ("b",))):
+        with Image.open(path) as picture:
+            assert picture.info["Software"] == name
+    with Image.open(tmp_path / "a.png") as picture:
+        assert picture.info["Author"] == "me"
+    figure.savefig(tmp_path / "a.svg")
+    assert name in (tmp_path / "a.svg").read_text()
+    figure.savefig(tmp_path / "a.jpg")  # a format without metadata
+    figure.savefig(tmp_path / "c.png", metadata={"Software": None})
+    with Image.open(tmp_path / "c.png") as picture:
+        assert "Software" not in picture.info
