@@ -16,14 +16,16 @@ import math
 
 import casadi as ca
 
-from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.ir import Block, Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled.decomposition import decompose
+from surctl.priority.compiled.decomposition_loops import attainable
 from surctl.priority.compiled.level_shape import StackShape
 from surctl.priority.compiled.rows import longer_row, opened_row
 from surctl.priority.compiled.tangent import holding, largest, merged
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.settings import Fallback
 from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.elimination_loops import LOOPED
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED, safe_step
 from surctl.priority.solver.precision import FLOAT64, Precision
 
@@ -116,11 +118,19 @@ def _independent(shape: StackShape) -> Program:
     return lower(ca.Function("independent", flat, list(map(ca.densify, outputs))))
 
 
-def _first(shape: StackShape) -> Program:
-    """Return a program for the Jacobian of level 1 and its desired value without the part that no velocity attains."""
+def _first(shape: StackShape) -> Block:
+    """Return a block for the Jacobian of level 1 and its desired value without the part that no velocity attains."""
     flat, levels = shape.symbols()
     J, x = levels[0].J, levels[0].lower
     k = J.shape[0]
+    if k > 1 and shape.n >= LOOPED:
+        take = lower(ca.Function("level_1", flat, [ca.densify(ca.vec(J.T)), ca.densify(x)]))
+        names = tuple(name for name, _ in shape.inputs)
+        steps = (
+            Call(take, names, ("J_raw", "x_raw")),
+            Call(attainable(k, shape.n), ("J_raw", "x_raw"), ("J_1", "x_1")),
+        )
+        return Routine("first", shape.inputs, steps, ("J_1", "x_1"))
     if k > 1:
         parts = decompose(J)
         full = ca.eq(parts.rank, k)

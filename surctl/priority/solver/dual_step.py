@@ -15,14 +15,16 @@ called pending between these steps.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
-from surctl.ir import Program, lower
+from surctl.ir import Block, Call, Program, Routine, lower
 from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.elimination_loops import LOOPED
 from surctl.priority.solver.planar import planar
 from surctl.priority.solver.precision import FLOAT64, Precision
+from surctl.priority.solver.slot_loops import against_slots
 
 __all__ = [
     "OPTIMAL",
@@ -240,17 +242,21 @@ class _Place:
 
     @staticmethod
     def of(slots: _Slots, entering: _Entering, precision: Precision) -> _Place:
-        missed = entering.missed
         if len(slots.normals) == 2:
             at = planar(slots.normals, slots.numbers, slots.multipliers, entering.normal)
             outside = at.apart * at.apart > precision.parallel * at.first
+            missed = entering.missed
             return _Place(outside, missed * at.whole, missed * at.full, at.rate, at.r, at.ratios)
         triangle = _Triangle.of(slots)
         rest, inside = triangle.split(entering.normal)
+        return _Place.by(slots, entering, rest, r=triangle.solve(inside), precision=precision)
+
+    @staticmethod
+    def by(slots: _Slots, entering: _Entering, rest: ca.SX, *, r: list[ca.SX], precision: Precision) -> _Place:
+        """Return the relation if `rest` is the part of the entering normal outside the span of the active normals."""
         square = dot(rest, rest)
         outside = square > precision.parallel
-        whole = missed / ca.if_else(outside, square, 1)
-        r = triangle.solve(inside)
+        whole = entering.missed / ca.if_else(outside, square, 1)
         ratios = [u / ca.if_else(ca.eq(rate, 0), 1, rate) for u, rate in zip(slots.multipliers, r, strict=True)]
         return _Place(outside, whole, whole * rest, rest, r, ratios)
 
@@ -287,8 +293,8 @@ class _Step:
         )
 
 
-def iteration(space: Space) -> Program:
-    """Return the program for one iteration, which updates the first seven of its inputs.
+def iteration(space: Space) -> Block:
+    """Return the program or routine for one iteration, which updates the first seven of its inputs.
 
     The inputs are point, normals, multipliers, numbers, pending, status, count, number, row and, if `mapped`, M.
 
@@ -306,7 +312,15 @@ def iteration(space: Space) -> Program:
 
     slots = _Slots([normals[d * j : d * (j + 1)] for j in range(d)], ca.vertsplit(u), ca.vertsplit(numbers))
     entering = _Entering.of(space, row, number, point=point, M=map_)
-    place = _Place.of(slots, entering, space.precision)
+    inputs = [point, normals, u, numbers, pending, status, count, number, row, *([] if M is None else [M])]
+    if d < LOOPED:
+        place = _Place.of(slots, entering, space.precision)
+    else:
+        begin = ca.Function(f"enter_{d}", [number, row, *inputs[9:]], [entering.normal])
+        normal, rest, r_entries = ca.SX.sym("normal", d), ca.SX.sym("rest", d), ca.SX.sym("r", d)
+        entering = replace(entering, normal=normal)
+        place = _Place.by(slots, entering, rest, r=ca.vertsplit(r_entries), precision=space.precision)
+        inputs += [normal, rest, r_entries]
     step = _Step.of(slots, entering, place, _size(point[:n]), space.precision)
     r, displacement = place.r, step.displacement
     lifted = displacement if map_ is None else ca.vertcat(*(dot(map_[i, :], displacement) for i in range(n)))
@@ -322,8 +336,18 @@ def iteration(space: Space) -> Program:
         step.status,
         count + 1,
     ]
-    inputs = [point, normals, u, numbers, pending, status, count, number, row, *([] if M is None else [M])]
-    return lower(ca.Function(f"iterate_{d}", inputs, outputs), reciprocals=True)
+    end = lower(ca.Function(f"iterate_{d}", inputs, outputs), reciprocals=True)
+    if d < LOOPED:
+        return end
+    keys = ("point", "normals", "multipliers", "numbers", "pending", "status", "count", "number", "row", "M")
+    ports = tuple((key, size) for key, (_, size) in zip(keys, end.inputs[:-3], strict=False))
+    names, results = tuple(key for key, _ in ports), tuple(f"{key}_next" for key in keys[:7])
+    steps = (
+        Call(lower(begin), names[7:], ("normal",)),
+        Call(against_slots(d), ("normals", "numbers", "normal"), ("rest", "r")),
+        Call(end, (*names, "normal", "rest", "r"), results),
+    )
+    return Routine(f"iteration_{d}", ports, steps, results)
 
 
 def _exchange(slots: _Slots, step: _Step, r: list[ca.SX], entering: _Entering, multiplier: ca.SX) -> _Slots:

@@ -14,6 +14,14 @@ import casadi as ca
 from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK
 from surctl.priority.solver.elimination import as_matrix, eliminate, flat, pseudo_inverse
+from surctl.priority.solver.elimination_loops import (
+    LOOPED,
+    corrected,
+    elimination,
+    product,
+    pseudo_inverse_of,
+    split_basis,
+)
 from surctl.priority.solver.precision import Precision
 from surctl.priority.solver.rows import Sizes
 
@@ -63,8 +71,9 @@ def _turn(sizes: Sizes) -> Routine:
     n, p = sizes.n, sizes.p
     state = (("point", n + 1), ("active", n), ("delta", 1), ("status", 1), ("count", 1))
     fixed = (("open", sizes.rows), ("matrix", p * n), ("pull", p))
+    weigh = _weigh(sizes) if n < LOOPED else _weigh_in_loops(sizes)
     steps = (
-        Call(_weigh(sizes), ("point", "delta", "matrix", "pull"), ("base", "rest", "go")),
+        Call(weigh, ("point", "delta", "matrix", "pull"), ("base", "rest", "go")),
         Call(sizes.general_kernel, ("open", "base", "go", "rest"), ("candidate", "numbers", "u", "end", "spent")),
         Call(_unsolved(), ("end",), ("none", "stop")),
         Loop(
@@ -96,7 +105,11 @@ def _polish(sizes: Sizes) -> Routine:
     steps: tuple[Step, ...] = (
         Call(_indices(n), ("numbers",), tuple(f"at{j}" for j in range(n))),
         *(Gather("open", f"at{j}", n + 3, rows[j], lanes=sizes.lanes) for j in range(n)),
-        Call(_direct(sizes), ("candidate", "numbers", "matrix", "pull", *rows), ("direct", "good_next")),
+        Call(
+            _direct(sizes) if n < LOOPED else _direct_in_loops(sizes),
+            ("candidate", "numbers", "matrix", "pull", *rows),
+            ("direct", "good_next"),
+        ),
         Call(sizes.certificate, ("open", "direct"), ("feasible_next",)),
         Call(one, ("stop",), ("stop_next",)),
     )
@@ -115,6 +128,25 @@ def _weigh(sizes: Sizes) -> Program:
     return lower(ca.Function("weigh", [point, delta, J, x], list(map(ca.densify, outputs))))
 
 
+def _weigh_in_loops(sizes: Sizes) -> Routine:
+    """Return `_weigh` with the elimination as a loop."""
+    n, p = sizes.n, sizes.p
+    point, delta = ca.SX.sym("point", n + 1), ca.SX.sym("delta")
+    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    lift, basis = ca.SX.sym("lift", (n + p) * p), ca.SX.sym("basis", (n + p) ** 2)
+    matrix = as_matrix(J, n)
+    wide = [flat(ca.horzcat(matrix, -delta * ca.SX.eye(p)))]
+    base = point[:n] + as_matrix(lift, p)[:n, :] @ (x - matrix @ point[:n])
+    outputs = [ca.vertcat(base, point[n]), flat(as_matrix(basis, n + p)[:n, p:]), ca.SX.zeros(1)]
+    end = ca.Function("weighed", [point, J, x, lift, basis], list(map(ca.densify, outputs)))
+    steps = (
+        Call(lower(ca.Function("wide", [delta, J], wide)), ("delta", "J"), ("wide",)),
+        Call(elimination(p, n + p, sizes.precision), ("wide",), ("lift", "basis", "rank")),
+        Call(lower(end), ("point", "J", "x", "lift", "basis"), ("base", "rest", "go")),
+    )
+    return Routine("weigh", (("point", n + 1), ("delta", 1), ("J", p * n), ("x", p)), steps, ("base", "rest", "go"))
+
+
 def _indices(n: int) -> Program:
     # −1 for an empty slot
     numbers = ca.SX.sym("numbers", n)
@@ -131,40 +163,80 @@ def _direct(sizes: Sizes) -> Program:
     J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
     rows = [ca.SX.sym(f"row{j}", n + 3) for j in range(n)]
     matrix, v = as_matrix(J, n), candidate[:n]
-    normals, bounds = [], []
+    active, edge = _equalities(numbers, rows)
+    held = eliminate(active, sizes.precision)
+    free = ca.horzcat(*(ca.if_else(held.rank > i, 0, held.basis[:, i]) for i in range(n)))
+    v = v + held.lift @ (edge - active @ v)
+    projected = ca.vertcat(*(_without_noise(row @ free, row, sizes.precision) for row in ca.vertsplit(matrix)))
+    inverse = free @ pseudo_inverse(projected, sizes.precision)
+    v = v + inverse @ (x - matrix @ v)
+    v = v + held.lift @ (edge - active @ v)
+    v = v + inverse @ (x - matrix @ v)
+    good = _optimal(v, matrix, x, active, held.lift, sizes.precision)
+    return lower(ca.Function("direct", [candidate, numbers, J, x, *rows], [ca.vertcat(v, candidate[n]), good]))
+
+
+def _equalities(numbers: ca.SX, rows: list[ca.SX]) -> tuple[ca.SX, ca.SX]:
+    """Return the normals of the active rows, as a matrix, and the bounds at which they are active."""
+    n, normals, bounds = len(rows), [], []
     for j, row in enumerate(rows):
         bound = ca.if_else(numbers[j] < 0, -row[n], row[n + 1])
         sign = ca.if_else(numbers[j] < 0, -1, ca.if_else(numbers[j] > 0, 1, 0))
         normals.append((sign * row[:n]).T)
         bounds.append(ca.if_else(ca.eq(numbers[j], 0), 0, bound))
-    active, edge = ca.vertcat(*normals), ca.vertcat(*bounds)
-    held = eliminate(active, sizes.precision)
-    free = ca.horzcat(*(ca.if_else(held.rank > i, 0, held.basis[:, i]) for i in range(n)))
-    v = v + held.lift @ (edge - active @ v)
-    inverse = free @ pseudo_inverse(_without_noise(matrix @ free, matrix, sizes.precision), sizes.precision)
-    v = v + inverse @ (x - matrix @ v)
-    v = v + held.lift @ (edge - active @ v)
-    v = v + inverse @ (x - matrix @ v)
+    return ca.vertcat(*normals), ca.vertcat(*bounds)
+
+
+def _optimal(v: ca.SX, matrix: ca.SX, x: ca.SX, active: ca.SX, lift: ca.SX, precision: Precision) -> ca.SX:
     slope = matrix.T @ (x - matrix @ v)
-    multipliers = held.lift.T @ slope
+    multipliers = lift.T @ slope
     outside = slope - active.T @ multipliers
     size = ca.SX(1)
     for entry in ca.vertsplit(v):
         size = ca.fmax(size, ca.fabs(entry))
-    noise = ca.fmax(sizes.precision.noise * size, sizes.precision.sign * ca.sqrt(ca.sumsqr(x - matrix @ v)))
+    noise = ca.fmax(precision.noise * size, precision.sign * ca.sqrt(ca.sumsqr(x - matrix @ v)))
     good = ca.SX(1)
     for entry in (*ca.vertsplit(multipliers), *ca.vertsplit(outside), *ca.vertsplit(-outside)):
         good = ca.logic_and(good, -noise <= entry)
-    return lower(ca.Function("direct", [candidate, numbers, J, x, *rows], [ca.vertcat(v, candidate[n]), good]))
+    return good
 
 
-def _without_noise(projected: ca.SX, matrix: ca.SX, precision: Precision) -> ca.SX:
+def _direct_in_loops(sizes: Sizes) -> Routine:
+    """Return `_direct` with its eliminations and products as loops."""
+    n, p, precision = sizes.n, sizes.p, sizes.precision
+    names = tuple(f"row{j}" for j in range(n))
+    candidate, numbers = ca.SX.sym("candidate", n + 1), ca.SX.sym("numbers", n)
+    rows = [ca.SX.sym(name, n + 3) for name in names]
+    row, free = ca.SX.sym("row", n), ca.SX.sym("free", n * n)
+    normals, edge = _equalities(numbers, rows)
+    begin = lower(ca.Function("equalities", [candidate, numbers, *rows], [candidate[:n], flat(normals), edge]))
+    projected = _without_noise(row.T @ as_matrix(free, n), row.T, precision).T
+    project = lower(ca.Function("projected", [row, free], [ca.densify(projected)]))
+    v, J, x = ca.SX.sym("v", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
+    active, lift = ca.SX.sym("active", n * n), ca.SX.sym("lift", n * n)
+    good = _optimal(v, as_matrix(J, n), x, as_matrix(active, n), as_matrix(lift, n), precision)
+    test = ca.Function("optimal", [candidate, v, J, x, active, lift], [ca.vertcat(v, candidate[n]), good])
+    edges, task = ("lift", "active", "edge"), ("inverse", "J", "x")
+    steps = (
+        Call(begin, ("candidate", "numbers", *names), ("v0", "active", "edge")),
+        Call(elimination(n, n, precision), ("active",), ("lift", "basis", "rank")),
+        Call(split_basis(n), ("basis", "rank"), ("span", "free")),
+        Loop(project, p, (), ("projected",), sliced=("J",), fixed=("free",)),
+        Call(pseudo_inverse_of(p, n, precision), ("projected",), ("reduced",)),
+        Loop(product(n, p), n, (), ("inverse",), sliced=("free",), fixed=("reduced",)),
+        Call(corrected(n, n), ("v0", *edges), ("v1",)),
+        Call(corrected(n, p), ("v1", *task), ("v2",)),
+        Call(corrected(n, n), ("v2", *edges), ("v3",)),
+        Call(corrected(n, p), ("v3", *task), ("v4",)),
+        Call(lower(test), ("candidate", "v4", "J", "x", "active", "lift"), ("direct", "good")),
+    )
+    inputs = (("candidate", n + 1), ("numbers", n), ("J", p * n), ("x", p), *((name, n + 3) for name in names))
+    return Routine("direct", inputs, steps, ("direct", "good"))
+
+
+def _without_noise(projected: ca.SX, row: ca.SX, precision: Precision) -> ca.SX:
     # a row of J restricted to the free directions may be only rounding noise
-    rows = []
-    for k in range(matrix.shape[0]):
-        left = ca.sumsqr(projected[k, :]) > precision.cutoff**2 * ca.sumsqr(matrix[k, :])
-        rows.append(ca.if_else(left, projected[k, :], 0))
-    return ca.vertcat(*rows)
+    return ca.if_else(ca.sumsqr(projected) > precision.cutoff**2 * ca.sumsqr(row), projected, 0)
 
 
 def _decide(sizes: Sizes) -> Program:

@@ -17,6 +17,7 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import OPTIMAL
 from surctl.priority.solver.elimination import as_matrix, eliminate, flat, reflect
+from surctl.priority.solver.elimination_loops import LOOPED, corrected, elimination, split_basis
 from surctl.priority.solver.kernel import reduced_kernel
 from surctl.priority.solver.least_squares import least_squares
 from surctl.priority.solver.opened import opened
@@ -96,6 +97,18 @@ def _otherwise(sizes: Sizes) -> Routine:
 def _dependent(sizes: Sizes) -> Routine:
     """Return a variant of `exact_stage` for any J; a row that is linearly dependent on earlier rows is skipped."""
     n, p = sizes.n, sizes.p
+    prepare = _eliminated(sizes) if n < LOOPED else _eliminated_in_loops(sizes)
+    results = ("point", "active", "multipliers", "status", "count")
+    steps = (
+        Call(prepare, ("target", "J", "x"), ("base", "free")),
+        Call(sizes.general_kernel, ("unit", "base", "skip", "free"), results),
+    )
+    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
+    return Routine("dependent", fixed, steps, results)
+
+
+def _eliminated(sizes: Sizes) -> Program:
+    n, p = sizes.n, sizes.p
     target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
     matrix = as_matrix(J, n)
     left = eliminate(matrix, sizes.precision)
@@ -104,14 +117,21 @@ def _dependent(sizes: Sizes) -> Routine:
     base = target + left.lift @ (x - matrix @ target)
     base = base + left.lift @ (x - matrix @ base)  # a far target costs digits, so the correction is repeated
     outputs = [ca.vertcat(base, 0), flat(free)]
-    prepare = lower(ca.Function("eliminated", [target, J, x], list(map(ca.densify, outputs))))
-    results = ("point", "active", "multipliers", "status", "count")
+    return lower(ca.Function("eliminated", [target, J, x], list(map(ca.densify, outputs))))
+
+
+def _eliminated_in_loops(sizes: Sizes) -> Routine:
+    n, p = sizes.n, sizes.p
+    v = ca.SX.sym("v", n)
+    close = lower(ca.Function("closed", [v], [ca.densify(ca.vertcat(v, 0))]))
     steps = (
-        Call(prepare, ("target", "J", "x"), ("base", "free")),
-        Call(sizes.general_kernel, ("unit", "base", "skip", "free"), results),
+        Call(elimination(p, n, sizes.precision), ("J",), ("lift", "basis", "rank")),
+        Call(split_basis(n), ("basis", "rank"), ("span", "free")),
+        Call(corrected(n, p), ("target", "lift", "J", "x"), ("once",)),
+        Call(corrected(n, p), ("once", "lift", "J", "x"), ("twice",)),
+        Call(close, ("twice",), ("base",)),
     )
-    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("skip", 1))
-    return Routine("dependent", fixed, steps, results)
+    return Routine("eliminated", (("target", n), ("J", p * n), ("x", p)), steps, ("base", "free"))
 
 
 def lower_stages(sizes: Sizes) -> Routine:
