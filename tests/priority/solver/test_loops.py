@@ -36,9 +36,9 @@ def test_loops_eliminate_and_decompose_like_the_unrolled_programs(p: int, n: int
 def test_a_step_of_twelve_velocities_equals_solve() -> None:
     n, rank = 12, 10  # two rows of the Jacobian depend on others
     rng = np.random.default_rng(n)
-    J, x, normals = rng.normal(size=(n, rank)) @ np.eye(rank, n), rng.normal(size=n), rng.normal(size=(2, n))
+    J, x, normals = rng.normal(size=(n, rank)) @ np.eye(rank, n), rng.normal(size=n), rng.normal(size=(8, n))
     limits = [Row(f"box {i}", "actuator", row, -0.3, 0.3) for i, row in enumerate(np.eye(n))]
-    limits += [Row(f"half {i}", "barrier", row, -np.inf, 0.2) for i, row in enumerate(normals)]
+    limits += [Row(f"half {i}", "barrier", row, -np.inf, -0.1) for i, row in enumerate(normals)]
     problem = build_problem([Level("task", J, x, None, "m/s")], limits)
     rows = np.array([[*row.a, row.lower, row.upper, row.kind != "actuator"] for row in limits])
     step = priority_step("projected", n=n, levels=(LevelShape(n),), rows=len(rows))
