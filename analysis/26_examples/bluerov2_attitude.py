@@ -1,8 +1,7 @@
 """Example: depth, attitude and speed of a BlueROV2 in six degrees of freedom, by tasks in order of priority.
 
     python analysis/26_examples/bluerov2_attitude.py    # 10,000 runs; --quick: 100
-Parameters of von Benzon et al. 2022. Status 0 if the loop is stable, a region is proved, and C equals Python, else 1.
-"""
+Parameters of von Benzon et al. 2022. Status 0 if the loop is stable, a region is proved, and C equals Python."""
 
 from __future__ import annotations
 
