@@ -62,7 +62,7 @@ class Layout:
             self._slices[port.name] = slice(at, at + port.size)
             at += port.size
         self.size = at
-        self._defaults = np.concatenate([np.full(p.size, p.default) for p in ports] or [np.zeros(0)])
+        self._defaults = np.concatenate([np.full(p.size, p.default, dtype=float) for p in ports] or [np.zeros(0)])
 
     def __iter__(self) -> Iterator[Port]:
         return iter(self.ports)

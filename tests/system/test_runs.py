@@ -166,3 +166,7 @@ def test_no_time_and_unknown_figures_are_named() -> None:
         run_system(pendulum(), 0)
     with pytest.raises(InputError, match=r"no such signal or figure; did you mean 'torque'"):
         run_system(pendulum(), 0.1)["torqe"]
+
+
+def test_a_gain_whose_default_is_an_integer_takes_other_numbers() -> None:
+    assert Layout((Port("gain", (1,), "1/s", "", 6),)).pack({"gain": 6.7}).tolist() == [6.7]

@@ -1,0 +1,87 @@
+"""The claim of an example: a region of attraction is searched and proved, and its certificate is checked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.certcheck import check_document
+from surctl.lyapunov import Dynamics, Stability, State, decide_motion, find_stability
+from surctl.system import System, entry_labels, entry_units
+from surctl.system.values import run_numbers
+from surctl.verification.formula import from_casadi
+
+SECONDS = 10.0  # limit of the processor time of search and proof
+SAMPLES = 100
+
+Within = Mapping[str, tuple[float, float]]
+
+
+def motion(system: System, within: Within, values: Mapping[str, ArrayLike], **options: bool) -> Dynamics:
+    """Return the motion of some states with the law in continuous time, while the others stay at rest.
+
+    Args:
+        system: the closed loop; the state z of its controller follows z' = (z⁺ - z) / dt.
+        within: lower and upper bound of the states that move, by the labels of `entry_labels`.
+        values: numbers of one run; `start.…` is the equilibrium.
+        options: further arguments of the controller's law.
+    """
+    plant, law = system.plant, replace(system.controller, law=partial(system.controller.law, **options))
+    numbers = run_numbers(system, values)
+    start, d, p, r, gains = (
+        ca.SX(part[0].tolist())
+        for part in (numbers.start, numbers.disturbance, numbers.plant, numbers.reference, numbers.gains)
+    )
+    labels = [*entry_labels(plant.state), *entry_labels(law.state)]
+    units = [*entry_units(plant.state), *entry_units(law.state)]
+    moves = [k for k, label in enumerate(labels) if label in within]
+    stays = [k for k, label in enumerate(labels) if label not in within]
+    whole, symbols = ca.vertcat(start, law.initial_state()), ca.SX.sym("x", len(moves))
+    states = [
+        State(re.sub(r"\W+", "_", labels[k]).strip("_"), *within[labels[k]], units[k], equilibrium=float(whole[k]))
+        for k in moves
+    ]
+    whole[moves] = symbols
+    x, z = whole[: plant.state.size], whole[plant.state.size :]
+    d, r = system.disturbance_at(ca.SX(0), d), system.reference_at(ca.SX(0), r)
+    command, after, *_ = law.action(z, system.inputs_of(plant.measurement(x, d, p), r), gains)
+    rates = ca.vertcat(plant.derivative(x, system.applied(command), d, p), (after - z) / system.dt)
+    low, high = np.array([[s.lower, s.upper] for s in states]).T[:, :, None]
+    samples = low + (high - low) * np.random.default_rng(0).random((len(states), SAMPLES))
+    if np.abs(np.asarray(ca.Function("rest", [symbols], [ca.densify(rates[stays])])(samples))).max(initial=0.0) > 1e-12:
+        raise SystemExit(f"other states of {plant.name} move too")
+    nodes = from_casadi(symbols, [s.name for s in states], ca.vertsplit(rates[moves]))
+    return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes))
+
+
+def print_claim(dynamics: Dynamics, about: str) -> bool:
+    """Search and prove a region of attraction, print the verdict; return whether the checker accepts the proof."""
+    result = find_stability(dynamics, degree=2, time_limit=SECONDS)
+    if result.verdict != "proved" or result.decision is None or result.claim is None:
+        print(f"claim, {about}: {result.verdict}, {result.reason}")
+        return False
+    checked = check_document(dict(result.decision.document))
+    function, share, alone = dynamics.compiled(result.claim.function), np.linspace(0, 1, 1001), []
+    for k, s in enumerate(dynamics.states):
+        along = dynamics.equilibrium[:, None] + np.eye(len(dynamics.states))[:, [k]] * (s.upper - s.equilibrium) * share
+        inside = np.asarray(function(along, np.zeros((0, share.size)))).ravel() < result.claim.level
+        alone.append(f"{s.name} {share[inside].max() * (s.upper - s.equilibrium):.3g} {s.unit}")
+    print(f"claim, {about}: proved, every solution converges that starts with one state off by {', '.join(alone)}")
+    print(f"level {result.ratio:.2f} of the least with a counterexample; checker: {checked.reason or 'accepted'}")
+    return bool(checked.accepted)
+
+
+def print_refuted(dynamics: Dynamics, P: NDArray[np.float64], about: str) -> bool:
+    """Decide whether V = xᵀ P x decreases in its largest ellipsoid in the box; return whether this is refuted."""
+    x = ca.SX.sym("x", len(P))
+    (V,) = from_casadi(x, dynamics.names, [ca.bilin(ca.DM(P), x, x)])
+    level = 0.99 * float((dynamics.box[1] ** 2 / np.diag(np.linalg.inv(P))).min())
+    decision = decide_motion(Stability(dynamics, V, level), time_limit=SECONDS)
+    print(f"claim, {about}: {decision.verdict}, {decision.reason}")
+    return decision.verdict == "refuted"
