@@ -24,10 +24,10 @@ in β. In the Coriolis term, e1 and e2 change by less than ρ²/(1 − ρ²) (1 
 ±r c (1/m11 + 1/m22)/(1 − ρ²): together a matrix of norm ≤ `loose`, whose effect is subtracted as a bound.
 
 n_i n_iᵀ and R [[0, e1], [e2, 0]] Rᵀ are affine in z = (cos 2ψ, sin 2ψ), so the left side is convex in z. An arc of z
-lies in the triangle of its ends and of the intersection of the tangents there, so the triangle's corners decide. If
-P has no entry between (x, U_x) and (y, U_y), headings in [0, 90°] suffice: the others follow by reflection in the path
-and in the axes of the body. The numbers are doubles: bounds are rounded outward, and a bound on all rounding errors is subtracted
-before the test for positive definiteness (Rump 2006).
+lies in the triangle of its ends and of the intersection of the tangents there, so the triangle's corners decide. If P
+has no entry between (x, U_x) and (y, U_y), headings in [0, 90°] suffice: the others follow by reflection in the path
+and in the axes of the body. The numbers are doubles: bounds are rounded outward, and a bound on all rounding errors is
+subtracted before the test for positive definiteness (Rump 2006).
 """
 
 from __future__ import annotations
