@@ -322,5 +322,5 @@ def test_faults_that_the_array_cannot_have_are_named():
         assert caught.value.key == key
     with pytest.raises(InputError, match="at least two sensors"):
         check_faults(lone, (), FaultChances(crosstalk=0.1))
-    with pytest.raises(InputError, match="at most 1 fit"):
+    with pytest.raises(InputError, match="at most 1 are possible"):
         fault_slots(ARRAY, FAULTS["told"], 1)

@@ -62,7 +62,7 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: System(
             pendulum_plant(), controller(lambda x, u, p: 0, command=Layout((replace(TORQUE, name="force"),)))
         ),
-        r"pendulum\.inputs\.torque: is not a command of law_of_mine",
+        r"pendulum\.inputs\.torque: is no command of law_of_mine",
     ),
     "other unit": (
         lambda: System(pendulum_plant(), controller(lambda x, u, p: 0, command=Layout((replace(TORQUE, unit="N"),)))),
