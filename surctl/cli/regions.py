@@ -10,7 +10,6 @@ from surctl.cli.output import progress, refusal_line
 
 if TYPE_CHECKING:
     from surctl.control import Gains
-    from surctl.vehicle import Vehicle
     from surctl.verification.region import RegionStatement
 
 __all__ = ["Regions", "is_region", "prove_regions", "region_of"]
@@ -82,7 +81,7 @@ def prove_regions(
     from surctl.errors import InputError, NotApplicable
     from surctl.vehicle import load_vehicle
     from surctl.verification import Inapplicable
-    from surctl.verification.region import prove_statement
+    from surctl.verification.region import RegionStatement, applicable_region, prove_statement
 
     robot = load_vehicle(vehicle)
     values = load_gains(gains) if isinstance(gains, str) else gains
@@ -112,17 +111,6 @@ def prove_regions(
     lines += [refusal_line(one) for one in refused.values()]
     data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
     known = {statement.name for statement in stated.values()}
-    instead = _applicable(known, robot, values, cruise=cruise, cap=cap) if refused else ""
-    return Regions(data, lines, files, instead)
-
-
-def _applicable(known: set[str], vehicle: Vehicle, gains: Gains, *, cruise: float, cap: float) -> str:
-    """Return the first claim about any masses that is not among `known` and applies to the vehicle, or ""."""
-    from surctl.verification.region import refused_regions, region_statement
-
-    refused = {name for _, names in refused_regions(vehicle, gains, cruise=cruise, cap=cap) for name in names}
-    for name in ("region-turning-20", "region-steered-20"):
-        steers = region_statement(name).loop == "steered"
-        if name not in known | refused and steers == (vehicle["Fv_max"] == 0):
-            return name
-    return ""
+    others = [name for name in ("region-turning-20", "region-steered-20") if name not in known]
+    instead = applicable_region(others, robot, values, cruise=cruise, cap=cap) if refused and others else None
+    return Regions(data, lines, files, instead.name if isinstance(instead, RegionStatement) else "")

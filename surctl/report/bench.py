@@ -45,7 +45,7 @@ from surctl.verification import (
     decide,
     steady_motion,
 )
-from surctl.verification.region import RegionProof, RegionStatement, prove_statement, region_statement
+from surctl.verification.region import RegionProof, RegionStatement, applicable_region, prove_statement
 
 __all__ = ["Bench", "save_gains"]
 
@@ -268,15 +268,8 @@ class Bench:
         return prove_statement(statement, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
 
     def _statement(self, values: Mapping[str, float]) -> RegionStatement | NotApplicable:
-        reasons = []
-        for statement in map(region_statement, _REGIONS):
-            try:
-                statement.claim(self.vehicle, self.gains(values), cruise=self.scenario.cruise, cap=self.scenario.cap)
-            except NotApplicable as refused:
-                reasons.append(refused)
-            else:
-                return statement
-        return reasons[0]
+        cruise, cap = self.scenario.cruise, self.scenario.cap
+        return applicable_region(_REGIONS, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
 
     def decide(self, values: Mapping[str, float]) -> SlowView:
         """Return the verdicts on the claims as lines, and the certified region with the least falsified level."""

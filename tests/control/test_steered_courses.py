@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +32,10 @@ def test_the_choice_is_that_of_a_search_through_all_candidates(monkeypatch: pyte
     law, ordered = rebuilt(), courses._ordered
     assert law.block.operations < 40_000
     # no candidate ends the search but the last, and there are steps for all of them
-    unending = lambda side: ((*row[:5], -1.0 if row[5] < 1e3 else row[5]) for row in ordered(side))  # noqa: E731
+
+    def unending(side: int) -> Iterator[tuple[float, ...]]:
+        return ((*row[:5], -1.0 if row[5] < 1e3 else row[5]) for row in ordered(side))
+
     monkeypatch.setattr(courses, "_ordered", unending)
     monkeypatch.setattr(courses, "BUDGET", len(courses.COURSES) * len(courses.SPEEDS) * courses.STEPS)
     whole, p = rebuilt(), numbers()

@@ -3,7 +3,13 @@
 from surctl.verification.region.claim import RegionClaim, region_claim
 from surctl.verification.region.heading import HeadingClaim, heading_claim
 from surctl.verification.region.heading_proof import prove_heading
-from surctl.verification.region.library import REGION_CLAIMS, prove_statement, refused_regions, region_statement
+from surctl.verification.region.library import (
+    REGION_CLAIMS,
+    applicable_region,
+    prove_statement,
+    refused_regions,
+    region_statement,
+)
 from surctl.verification.region.proof import RegionProof, prove_region
 from surctl.verification.region.statement import RegionStatement, load_region, write_region
 from surctl.verification.region.steering import SteeringClaim, steering_claim
@@ -19,6 +25,7 @@ __all__ = [
     "RegionStatement",
     "SteeringClaim",
     "TurningClaim",
+    "applicable_region",
     "heading_claim",
     "load_region",
     "prove_heading",

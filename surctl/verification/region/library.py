@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from surctl.control import Gains
@@ -17,7 +17,7 @@ from surctl.verification.region.steering_proof import prove_steering
 from surctl.verification.region.turning import TurningClaim
 from surctl.verification.region.turning_proof import prove_turning
 
-__all__ = ["REGION_CLAIMS", "prove_statement", "refused_regions", "region_statement"]
+__all__ = ["REGION_CLAIMS", "applicable_region", "prove_statement", "refused_regions", "region_statement"]
 
 
 def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionStatement]:
@@ -156,6 +156,33 @@ def refused_regions(
         except NotApplicable as reason:
             reasons.setdefault((reason.because, reason.to), (reason, []))[1].append(name)
     return tuple((reason, tuple(names)) for reason, names in reasons.values())
+
+
+def applicable_region(
+    names: Sequence[str], vehicle: Vehicle, gains: Gains, *, cruise: float, cap: float
+) -> RegionStatement | NotApplicable:
+    """Return the first of the named claims that applies to a vehicle, gains and speeds [m/s], or the first reason.
+
+    Raises:
+        InputError: `RegionStatement.claim` or `region_statement` raises this error.
+
+    Example:
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.verification.region import applicable_region
+        >>> names, rov = ("region-cruise-20", "region-turning-20"), load_vehicle("bluerov2-wu")
+        >>> applicable_region(names, rov, load_gains("default"), cruise=0.15, cap=0.22).name
+        'region-turning-20'
+    """
+    reasons = []
+    for statement in map(region_statement, names):
+        try:
+            statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+        except NotApplicable as reason:
+            reasons.append(reason)
+        else:
+            return statement
+    return reasons[0]
 
 
 def prove_statement(
