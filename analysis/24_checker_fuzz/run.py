@@ -9,6 +9,7 @@ accepted, 1 otherwise, and 2 for a bad option.
 from __future__ import annotations
 
 import argparse
+import csv
 import math
 import random
 import sys
@@ -16,6 +17,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -229,25 +231,40 @@ def missed_decimals(points: int, seed: int) -> tuple[int, int, float]:
     return points, outside, widest
 
 
-def one_function(text: str, points: int, seed: int) -> tuple[str, bool]:
-    """Return the table row of a function, and whether every interval contains its value."""
+def one_function(text: str, points: int, seed: int) -> dict[str, str]:
+    """Return what the table says about a function."""
     began = time.process_time()
     looked, outside, widest = missed_decimals(points, seed) if text == "decimal" else missed(text, points, seed)
     print(f"{text}: {outside} of {looked}", file=sys.stderr)
     width = f"2^{math.log2(widest):.1f}" if widest else "0"
-    return f"| `{text}` | {looked} | {outside} | {width} | {time.process_time() - began:.0f} s |", not outside
+    took = f"{time.process_time() - began:.0f} s"
+    return {"function": text, "points": str(looked), "outside": str(outside), "width": width, "took": took}
 
 
-def functions(points: int, seed: int, workers: int) -> tuple[list[str], bool]:
-    """Return the rows of the table, and whether every interval contains its value."""
-    asked = partial(one_function, points=points, seed=seed)
+def functions(points: int, seed: int, workers: int, saved: Path | None) -> tuple[list[str], bool]:
+    """Return the rows of the table, and whether every interval contains its value.
+
+    Each finished function is saved in the file `saved`; those that it contains for this seed are not repeated.
+    """
+    done: dict[str, dict[str, str]] = {}
+    if saved is not None and saved.is_file():
+        with saved.open(newline="", encoding="utf-8") as file:
+            done = {row["function"]: row for row in csv.DictReader(file) if row["points"] == str(points)}
     texts = (*_TRUE, "sqrt(x)", *_EXACT, "decimal")
-    if workers == 1:
-        found = list(map(asked, texts))
-    else:
-        with ProcessPoolExecutor(workers) as pool:
-            found = list(pool.map(asked, texts))
-    return [row for row, _ in found], all(sound for _, sound in found)
+    asked, missing = partial(one_function, points=points, seed=seed), [text for text in texts if text not in done]
+    with ExitStack() as stack:
+        pool = stack.enter_context(ProcessPoolExecutor(workers)) if workers > 1 else None
+        for row in pool.map(asked, missing) if pool else map(asked, missing):
+            done[row["function"]] = row
+            if saved is not None:
+                saved.parent.mkdir(exist_ok=True)
+                with saved.open("w", newline="", encoding="utf-8") as file:
+                    table = csv.DictWriter(file, list(row), lineterminator="\n")
+                    table.writeheader()
+                    table.writerows(done.values())
+    found = [done[text] for text in texts]
+    rows = ["| `{function}` | {points} | {outside} | {width} | {took} |".format(**row) for row in found]
+    return rows, all(row["outside"] == "0" for row in found)
 
 
 def forgeries(count: int, seed: int) -> tuple[list[str], bool]:
@@ -278,12 +295,14 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--claims", type=int, default=20_000, metavar="N", help="false claims")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes, for the functions")
-    parser.add_argument("--write", action="store_true", help="write README.md beside this file")
+    parser.add_argument("--write", action="store_true", help="write README.md beside this file; resumes")
     given = parser.parse_args(words)
     if min(given.points, given.claims, given.workers) < 1 or (given.write and given.quick):
         parser.error("--points, --claims and --workers: at least 1; --write: not with --quick")
     points, claims = (500, 300) if given.quick else (given.points, given.claims)
-    held_, sound = functions(points, given.seed, given.workers)
+    folder = Path(__file__).parent
+    saved = folder / "parts" / f"functions-seed{given.seed}.csv" if given.write else None
+    held_, sound = functions(points, given.seed, given.workers, saved)
     forged, safe = forgeries(claims, given.seed)
     lines = [
         "| function | points | outside of the range | width at a number | took |",
@@ -298,7 +317,6 @@ def main(words: Sequence[str] | None = None) -> int:
     text = "\n".join([*lines, *forged])
     print(text)
     if given.write:
-        folder = Path(__file__).parent
         about = folder.joinpath("about.md").read_text(encoding="utf-8")
         folder.joinpath("README.md").write_text(f"{about}\n{text}\n", encoding="utf-8")
     return 0 if sound and safe else 1
