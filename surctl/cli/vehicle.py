@@ -335,6 +335,8 @@ def _fit_lines(fit: Identified) -> list[str]:
 def _kind(fit: Identified, key: str) -> str:
     if key in fit.zeroed:
         return "fixed at 0"
+    if key in fit.drifting:
+        return "drifts; mean"
     return "not determined" if key in fit.held else "with those held"
 
 

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from surctl.cli.vehicle import _fit_lines
 from surctl.vehicle import FITTED, MotionLog, identify
 from surctl.vehicle.identification.model import Model, drift_sections_of, sections_of
 from surctl.vehicle.identification.outliers import outliers
@@ -85,6 +86,8 @@ def test_a_trim_that_drifts_is_said_and_does_not_change_masses_and_drag() -> Non
     assert found.sections == 2 and any("the constant force drifts (X0 from -0." in note for note in found.notes)
     assert found.vehicle["X0"] == found.estimates["X0"][0] != 0.0  # the mean, although the drift makes it uncertain
     assert "mean of a force that drifts" in found.vehicle.parameters["X0"].provenance
+    assert found.drifting == ("X0", "Y0", "Z0", "N0")
+    assert [line.split()[1:3] for line in _fit_lines(found) if line.startswith("  X0 ")] == [["drifts;", "mean"]]
     assert not {"X0", "Y0", "Z0", "N0"} & set(found.held)
 
 

@@ -150,6 +150,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         estimates,
         identified,
         held,
+        tuple(k for k in OFFSETS if k in drifting),
         zeroed,
         ill_excited(model, full.spread, estimates, full.rest),
         {c: float(full.noise[k]) for k, c in enumerate(model.columns) if present[:, k].any()},

@@ -29,6 +29,7 @@ class Identified:
         identified: names of the parameters whose 95 % interval is sufficiently narrow, without those held.
         held: names of the parameters that have the value of `start` in `vehicle`; a constant force that `start` does
             not have is 0.
+        drifting: names of the constant forces that change in the log; `vehicle` has their mean.
         zeroed: names of the drag parameters that are 0 in `vehicle` because their estimates are negative.
         directions: the combinations of parameters that the log does not determine, one text each.
         noise: standard deviation of the residuals, by column of the log.
@@ -41,6 +42,7 @@ class Identified:
     estimates: Mapping[str, tuple[float, float]]
     identified: tuple[str, ...]
     held: tuple[str, ...]
+    drifting: tuple[str, ...]
     zeroed: tuple[str, ...]
     directions: tuple[str, ...]
     noise: Mapping[str, float]
