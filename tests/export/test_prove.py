@@ -47,11 +47,6 @@ def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:
     ("pattern", "new", "kind"),
     [
         (r"\w+max_of\((v\d+), v\d+\)", r"\1", "division_by_zero|is_nan_or_infinite"),  # a quotient's floor
-        (
-            r"\w+min_of\((\w+)max_of\((v\d+), -5\.0f\), 5\.0f\)",
-            r"\1max_of(\2, -5.0f)",
-            "assertion",
-        ),  # a limit of the thrust
         (r"if \(!\(fabsf\(input->eta\[3\]\) <= 1000\.0f\)\) \{ return 0; \}", "", "is_nan_or_infinite|overflow"),
     ],
 )

@@ -43,7 +43,7 @@ Vector = NDArray[np.float64]
 
 # ---- an independent flight: two dimensions, 5 ms, thrust with lag, obstacles and sensors against it
 
-STEP, EPISODES, SECONDS, CAP = 0.005, 1500, 25.0, 0.5  # s, 1, s, m/s
+STEP, EPISODES, SECONDS, CAP = 0.005, 500, 25.0, 0.5  # s, 1, s, m/s
 
 
 def fly(

@@ -51,7 +51,7 @@ def test_products_that_only_sums_use_are_fused(expression: Callable[[ca.SX], ca.
     np.testing.assert_array_equal(np.asarray(to_casadi(found)(x[0])).reshape(1, -1), replay(plain, x)[0])
 
 
-@settings(max_examples=500)
+@settings(max_examples=150)
 @given(number, number, number)
 def test_it_is_rounded_once(a: float, b: float, c: float) -> None:
     (found,) = replay(fused(program_of(lambda x: x[0] * x[1] + x[2])), [a, b, c, 0.0])[0]
@@ -65,7 +65,7 @@ def test_it_is_rounded_once(a: float, b: float, c: float) -> None:
         assert not np.isfinite(other) or abs(Fraction(float(found)) - exact) <= abs(Fraction(float(other)) - exact)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(*[st.floats(width=32, allow_nan=False, allow_infinity=False, min_value=-(2.0**50), max_value=2.0**50)] * 3)
 def test_in_float_too(a: float, b: float, c: float) -> None:
     (found,) = replay(fused(program_of(lambda x: x[0] * x[1] + x[2])), [a, b, c, 0.0], real=np.float32)[0]
@@ -87,8 +87,8 @@ def test_a_tie_of_floats_is_not_rounded_twice() -> None:
 
 @pytest.mark.parametrize(("lanes", "flags"), TEXTS)
 def test_every_width_gives_the_bytes_of_the_replay(lanes: int, flags: tuple[str, ...]) -> None:
-    blocks = {f"p{k}": fused(lower(function)) for k, function in enumerate(random_functions(25))}
-    assert sum("fma" in names(block) for block in blocks.values()) > 3
+    blocks = {f"p{k}": fused(lower(function)) for k, function in enumerate(random_functions(12))}
+    assert sum("fma" in names(block) for block in blocks.values()) > 1
     points = np.random.default_rng(5).uniform(-3, 3, (lanes, 4))
     for name, run in compiled(blocks, lanes, flags).items():
         assert run(points)[0].tobytes() == replay(blocks[name], points)[0].tobytes(), name

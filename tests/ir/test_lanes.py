@@ -14,7 +14,7 @@ from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, picks, whole
 from tests.tools import need_compiler, widest_vectors
 
 # -mno-avx takes the scalar text; without it, the vectors
-TEXTS = [("-O2",), ("-mno-avx",), ("-O3", *widest_vectors()), ("-O0",)]
+TEXTS = [("-O1",), ("-mno-avx",), ("-O3", *widest_vectors())]
 
 
 def bench(body: ca.Function, entries: int, *, lanes: int, turns: int = 3) -> Routine:

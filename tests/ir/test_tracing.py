@@ -132,17 +132,17 @@ class Maker:
         return [*pool[-4:], tables[-1], tables[0]]
 
 
-@pytest.mark.parametrize("first", range(0, 120, 30))
+@pytest.mark.parametrize("first", range(0, 40, 20))
 def test_random_nested_loops_give_the_numbers_of_the_unrolled_text(first: int) -> None:
     rolled = 0
-    for seed in range(first, first + 30):
+    for seed in range(first, first + 20):
         block, plain = both(lambda *given, seed=seed: Maker(seed).build(*given))
         given = drawn(np.random.default_rng(seed))
         for a, b in zip(replay(block, *given), replay(plain, *given), strict=True):
             # where the text is unrolled CasADi sees that (a + b) - a is b, so the last bits may differ
             np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9, err_msg=f"seed {seed}")
         rolled += bool(loops(block))
-    assert rolled > 25
+    assert rolled > 16
 
 
 def test_in_c_and_in_casadi_too() -> None:

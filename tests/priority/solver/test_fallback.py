@@ -104,7 +104,7 @@ def test_the_referee_sees_a_wrong_answer(flown: Flown) -> None:
 
 def test_daqp_agrees_and_nothing_feasible_is_given_up(flown: Flown) -> None:
     compared, unit = 0, flown.trials.unit()[:3]
-    for k in range(4000):
+    for k in range(1500):
         want = nearest(flown.trials, k, unit)
         if want is None:
             continue
@@ -112,7 +112,7 @@ def test_daqp_agrees_and_nothing_feasible_is_given_up(flown: Flown) -> None:
         gap = np.abs(want - flown.v[k]).max() / (1 + np.abs(flown.trials.target[k]).max())
         assert gap <= 1e-8, k
         compared += 1
-    assert compared > 500
+    assert compared > 180
 
 
 def sides(A: Array, lower: Array, upper: Array, opens: Array) -> tuple[Array, Array]:
@@ -130,7 +130,7 @@ TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e
 def test_limited_is_the_best_that_the_rows_allow(flown: Flown) -> None:
     """‖J v − x‖ exceeds the least one by at most its slope along the best way left, found by a linear programme."""
     A, lower, upper, soft = flown.trials.unit()
-    for k in np.flatnonzero(flown.status == LIMITED)[:400]:
+    for k in np.flatnonzero(flown.status == LIMITED)[:150]:
         J, x = flown.trials.J[k].reshape(P, N), flown.trials.x[k]
         rest = x - J @ flown.v[k]
         size, scale = np.linalg.norm(rest), np.linalg.norm(J, axis=1).max()
@@ -146,7 +146,7 @@ def test_limited_is_the_best_that_the_rows_allow(flown: Flown) -> None:
 def test_relaxed_opens_no_more_than_it_must(flown: Flown) -> None:
     A, lower, upper, soft = flown.trials.unit()
     compared = 0
-    for k in np.flatnonzero(flown.status == RELAXED)[:400]:
+    for k in np.flatnonzero(flown.status == RELAXED)[:150]:
         G, h = sides(A[k], lower[k], upper[k], soft[k].astype(float))
         bounds = [(None, None)] * N + [(0, None)]
         least = linprog(np.append(np.zeros(N), 1.0), G, h, bounds=bounds, method="highs-ds", options=TIGHT)
@@ -154,7 +154,7 @@ def test_relaxed_opens_no_more_than_it_must(flown: Flown) -> None:
         if least.status == 0:
             assert abs(flown.opening[k] - least.x[-1]) <= 1e-8, k
             compared += 1
-    assert compared > 390
+    assert compared > 140
 
 
 @pytest.mark.parametrize("size", [1.0, 1e4, 1e8, 1e10])
@@ -188,11 +188,11 @@ def test_the_cap_is_far_away(space: Space, seen: int, cap: int) -> None:
 
 
 def test_replay_and_casadi_give_the_same_bytes(flown: Flown) -> None:
-    some = flown.trials[slice(0, 400)]
+    some = flown.trials[slice(0, 60)]
     for a, b in zip(replay(safe_step(N, P, M), *some.arrays), flown.outputs, strict=True):
-        assert a.tobytes() == b[:400].tobytes()
+        assert a.tobytes() == b[:60].tobytes()
     machine = to_casadi(safe_step(N, P, M))
-    for k in range(60):
+    for k in range(10):
         one = machine(*(array[k] for array in some.arrays))
         for a, b in zip(one, flown.outputs, strict=True):
             # + 0.0: CasADi's if_else turns −0 into +0
@@ -203,9 +203,9 @@ def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
     routine = safe_step(N, P, M, precision=FLOAT32)
     rounded = [array.astype(np.float32) for array in flown.trials.arrays]
     outputs = compile_block(routine, real="float32")(*rounded)
-    some = [array[:150] for array in rounded]
+    some = [array[:40] for array in rounded]
     for a, b in zip(replay(routine, *some, real=np.float32), outputs, strict=True):
-        assert a.dtype == np.float32 and a.tobytes() == b[:150].tobytes()
+        assert a.dtype == np.float32 and a.tobytes() == b[:40].tobytes()
     v, status = outputs[0], outputs[4][:, 0]
     assert np.isfinite(np.concatenate(outputs, axis=1)).all() and not (status == CLAMPED).any()
     assert ((rounded[4][:, :N] <= v) & (v <= rounded[4][:, N:])).all()
@@ -218,7 +218,7 @@ def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
 
 
 X86 = platform.machine().lower() in ("x86_64", "amd64")
-LEVELS = [("-O0",), ("-O2",), ("-O3",), *([("-march=x86-64",)] if X86 else [])]
+LEVELS = [("-O2",), *([("-march=x86-64",)] if X86 else [])]  # the others are compiled with -O0
 
 
 @pytest.mark.parametrize("flags", LEVELS)
