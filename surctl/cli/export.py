@@ -40,7 +40,7 @@ __all__ = ["export"]
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles from sonar (default), or as inputs: truth.")
+@click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles: sonar (default), or truth (as inputs).")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
