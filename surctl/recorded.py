@@ -170,7 +170,7 @@ def read_recorded(path: Path) -> Recorded:
                 continue
             if len(row) != len(header):
                 raise InputError(
-                    f"has {len(row)} cells where the header has {len(header)}",
+                    f"has {len(row)} cells, but the header has {len(header)}",
                     file=f"{shown(path)}:{skipped + reader.line_num}",
                     remedy="correct that row",
                 )

@@ -202,7 +202,7 @@ def export(
     numbers = law_numbers(mission, tuned, robot)
     if mission.path.fed and constant_gains:
         raise InputError(
-            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which the program must feed",
+            f"has more than {MAX_WAYPOINTS} points, or speeds or depths for its legs, which are inputs of the program",
             file=mission.source,
             key="path_m",
             remedy="remove --constant-gains",

@@ -309,7 +309,13 @@ def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
     if map_file is not None:
         if frame is not None:
             remedy = "write log.frame in the map, and omit --frame"
-            raise InputError("is given by the map", file=map_file, key="--frame", value=frame, remedy=remedy)
+            raise InputError(
+                "cannot be combined with a map, which states the frame",
+                file=map_file,
+                key="--frame",
+                value=frame,
+                remedy=remedy,
+            )
         return read_mapped_log(log, map_file)
     if log.is_dir() or log.suffix.lower() in READERS:
         raise InputError(
