@@ -170,7 +170,7 @@ def read_recorded(path: Path) -> Recorded:
                 continue
             if len(row) != len(header):
                 raise InputError(
-                    f"has {len(row)} cells where the header has {len(header)}",
+                    f"has {len(row)} cells, but the header has {len(header)}",
                     file=f"{shown(path)}:{skipped + reader.line_num}",
                     remedy="correct that row",
                 )
@@ -216,7 +216,7 @@ def read_unnamed(path: Path, columns: Sequence[str], *, skip: int = 0) -> Record
         cells = [cell.strip() for cell in re.split(r"\s*[;,]\s*|\s+", plain)]
         if len(cells) != len(columns):
             raise InputError(
-                f"has {len(cells)} cells where columns names {len(columns)}",
+                f"has {len(cells)} cells, but 'columns' has {len(columns)} names",
                 file=f"{shown(path)}:{number}",
                 remedy="name every column of the file, and skip the lines above the numbers with skip_lines",
             )

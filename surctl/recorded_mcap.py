@@ -131,7 +131,7 @@ class McapFile:
             self._file = path.open("xb" if new else "wb")
         except FileExistsError:
             raise InputError(
-                "is already there: a session never overwrites another", file=path, remedy="name another folder"
+                "exists already: a session never overwrites another", file=path, remedy="name another folder"
             ) from None
         except OSError as error:
             raise InputError(f"cannot be written ({error.strerror})", file=path, remedy="name another folder") from None

@@ -87,7 +87,7 @@ REFUSED = {
     "no rows": (b"a,b\n\n", "header but no rows"),
     "no header": (b"1,2\n3,4\n", "a.csv:1: has no header"),
     "a column twice": (b"a,b,a\n1,2,3\n", "'a' appears twice"),
-    "a cell too many": (b"a,b\n1,2\n1,2,3\n", "a.csv:3: has 3 cells where the header has 2"),
+    "a cell too many": (b"a,b\n1,2\n1,2,3\n", "a.csv:3: has 3 cells, but the header has 2"),
     "a cell too few": (b"a,b\n1\n", "a.csv:2: has 1 cells"),
     "semicolons": (b"a;b\n1,5;2\n", "semicolons; save it with commas"),
     "tabs": (b"a\tb\n1\t2\n", "tabs; save"),

@@ -67,7 +67,7 @@ class Plan:
         """Raise InputError for a mission that has to be fed, or a depth that the mode cannot follow."""
         if self.scenario.path.fed:
             raise InputError(
-                "has more than 8 points, or speeds and depths of its legs, which the bridge does not feed",
+                "has more than 8 points, or speeds or depths for its legs: the bridge cannot pass these to the law",
                 file=self.scenario.source,
                 key="path_m",
                 remedy="give at most 8 points",

@@ -48,7 +48,7 @@ class FrameLog:
             self._file = path.open("xb" if new else "wb", buffering=0)
         except FileExistsError:
             raise InputError(
-                "is already there: a session never overwrites another", file=path, remedy="name another folder"
+                "exists already: a session never overwrites another", file=path, remedy="name another folder"
             ) from None
         except OSError as error:
             raise InputError(f"cannot be written ({error.strerror})", file=path, remedy="name another folder") from None

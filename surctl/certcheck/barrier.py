@@ -45,7 +45,7 @@ def check(document: Mapping[str, Any]) -> None:
     ]
     if motion.discrete:
         if multiplier is not None:
-            raise Rejected("a claim in discrete time has no multiplier")
+            raise Rejected("the multiplier must be null because the claim is in discrete time")
         needed.append(Obligation(motion.names, motion.box, change, "0", [function]))
     else:
         ExpressionTable(motion.names).read(multiplier)

@@ -174,7 +174,7 @@ def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fracti
     dragged = linear * at.obstacle + quadratic * at.obstacle**2
     left = force - dragged
     if left * 50 < force:
-        raise Rejected("the law's own bound has too little braking force left at the speed of the obstacle")
+        raise Rejected("the law's speed bound assumes too little braking force at the speed of the obstacle")
     gain, swing = (most + dragged) / lightest, lag * (most + force)
     c = bound + at.obstacle + gain * period
     distances = []
@@ -193,4 +193,4 @@ def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
         if law.margin + _bound_distance(law, at, claim.period, bound) <= -claim.range_error:
             return bound
         bound -= _FINEST * 1000
-    raise Rejected("the law's bound does not fall enough where the clearance is 0")
+    raise Rejected("the law's speed bound stays too high where the clearance is 0")

@@ -2,9 +2,9 @@
 
 If an angle is a sum, its cosine and sine are the real and imaginary parts of a product of unit complex numbers, one for
 each term of the sum. The other rewriting rules are sqrt(p)² = p, sin² = 1 − cos², and the sine and cosine of atan2 and
-acos as ratios of sides of a right triangle. The functions of `surctl.certcheck.elementary` are indeterminates, one for
-each function and argument. An identity holds wherever both sides are defined and the polynomials in
-`Exact.assumed` are positive.
+acos as ratios of sides of a right triangle. Every elementary function of an argument (`surctl.certcheck.elementary`) is
+one indeterminate. An identity holds wherever both sides are defined and the polynomials in `Exact.assumed` are
+positive.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Exact:
 
     Attributes:
         assumed: polynomials that must be positive for the identities to hold.
-        entry_of: for each indeterminate that is a function without rewriting rules, a position of it in the table.
+        entry_of: for each indeterminate that stands for an elementary function, the position of its first expression in
+            the table.
     """
 
     def __init__(self, expressions: ExpressionTable) -> None:

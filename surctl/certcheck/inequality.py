@@ -135,7 +135,7 @@ class _Case:
         self.case = case
         self.tree, self.points = case.get("tree", ""), list(reversed(listed(case.get("points", []))))
         if not isinstance(self.tree, str):
-            raise Rejected("the tree is not a text")
+            raise Rejected("the division of the box ('tree') is not a text")
 
     def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
         """Return the claim's expressions after all choices, and expressions that are ≤ 0 where the choices hold."""

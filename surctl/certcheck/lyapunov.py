@@ -70,7 +70,7 @@ def _stability(
         loss = _power(distance, document["decrease"])
     else:
         if document["decrease"] is not None:
-            raise Rejected("a claim with a rate states a decrease")
+            raise Rejected("'decrease' must be null because the claim has a rate")
         loss = f"{_rate(claim['rate'], motion)}*({function})"
     return [*needed, _decrease(motion, function, change, f"-({loss})", inside)]
 

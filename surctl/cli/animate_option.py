@@ -46,5 +46,5 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
             f"shows one run, not {runs}", key="--animate", value=str(path), remedy="name one scenario, drop --runs"
         )
     if film is not None and film.resolve() == path.resolve():
-        raise InputError("is the file of --film too", key="--animate", value=str(path), remedy="name two files")
+        raise InputError("is also the file of --film", key="--animate", value=str(path), remedy="name two files")
     prepare_folder(check_animation(path).parent, key="--animate")

@@ -98,7 +98,7 @@ class ControllerOptions:
         assert self.controller is not None
         if mission.path.fed and not self.controller.startswith("tcp://"):
             raise InputError(
-                "cannot be fed with a path of more than 8 points, or with speeds and depths of its legs",
+                "cannot receive a path of more than 8 points, or speeds or depths for its legs",
                 key="--controller",
                 value=self.controller,
                 remedy="give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle",

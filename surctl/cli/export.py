@@ -40,7 +40,7 @@ __all__ = ["export"]
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles from sonar (default), or as inputs: truth.")
+@click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles: sonar (default), or truth (as inputs).")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
@@ -202,7 +202,7 @@ def export(
     numbers = law_numbers(mission, tuned, robot)
     if mission.path.fed and constant_gains:
         raise InputError(
-            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which the program must feed",
+            f"has more than {MAX_WAYPOINTS} points, or speeds or depths for its legs, which are inputs of the program",
             file=mission.source,
             key="path_m",
             remedy="remove --constant-gains",

@@ -15,7 +15,7 @@ __all__ = ["choose_law", "law_option", "law_words", "trust_option"]
 law_option = click.option(
     "--law",
     metavar="NAME",
-    help="Law: guarded, calm, steered, paper, closed_form, apf, dwa, vo, cbf, FILE.py:FUNCTION (default: by vehicle).",
+    help="guarded, calm, steered, paper, closed_form, apf, dwa, vo, cbf, FILE.py:FUNCTION (default: the vehicle's).",
 )
 
 

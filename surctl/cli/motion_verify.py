@@ -41,7 +41,9 @@ def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
     other = next((word for word in words if word not in about), None)
     if other is not None:
         remedy = "check it by a command of its own"
-        raise InputError("is not a claim about dynamics, other words are", key="claim", value=other, remedy=remedy)
+        raise InputError(
+            "is not a claim about dynamics, unlike the other arguments", key="claim", value=other, remedy=remedy
+        )
     context = click.get_current_context()
     for option in context.command.params:
         typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT

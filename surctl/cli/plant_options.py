@@ -66,7 +66,9 @@ class PlantOptions:
         requested = [("--film", self.film), ("--view", self.view or None)]
         for key, value in requested if chosen is None else ():
             if value is not None:
-                raise InputError("shows the scene of MuJoCo", key=key, remedy="add --plant mujoco; --animate shows all")
+                raise InputError(
+                    "applies only to runs in MuJoCo", key=key, remedy="add --plant mujoco; --animate shows all"
+                )
         if chosen is None:
             return None
         if campaign:

@@ -27,7 +27,7 @@ __all__ = ["reproduce", "row_lines"]
 def reproduce(
     rows: tuple[str, ...], quick: bool, seeds: int | None, independent: bool, out: Path | None, as_json: bool
 ) -> None:
-    """Compute the paper's results again and print where they agree: all rows, or only the rows with the given ids.
+    """Compute the paper's results again and compare: one row per result, all rows or only those with the given ids.
 
     Exit status: 1 if a row is missing, a verdict differs from the recorded one, or a simulated run collides or does not
     arrive. A travel time that differs from the paper's is printed with the reason. --out writes a page with the paper's

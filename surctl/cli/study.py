@@ -46,7 +46,8 @@ def study(
     """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
 
     FILE is a study file or a vehicle file; without FILE, the built-in study runs. A vehicle that cannot sway, or fits
-    no built-in scenario, gets a straight mission, two legs and the obstacles of tank-static, all scaled to it.
+    no built-in scenario, gets three missions scaled to it: a straight path, a path of two legs, and the obstacles of
+    tank-static.
 
     Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json > study.json
     """

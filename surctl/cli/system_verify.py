@@ -39,7 +39,11 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if out is not None:
         if region is None:
             remedy = "add within.STATE=LOW..HIGH for every state, or drop it"
-            raise InputError("is for the certificate of a region", key="--out", remedy=remedy)
+            raise InputError(
+                "has no effect: no region of attraction is requested, so there is no certificate to write",
+                key="--out",
+                remedy=remedy,
+            )
         prepare_folder(out)
     problem = None if region is None else region.problem(own.system, values)
     at = find_equilibrium(own.system, values)

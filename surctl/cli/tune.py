@@ -96,7 +96,7 @@ __all__ = ["tune"]
     metavar="N",
     help="New runs that verify a round (default 2000); up to 10 N more runs train.",
 )
-@click.option("--descend", is_flag=True, help="Also start from a gradient descent (minutes).")
+@click.option("--descend", is_flag=True, help="Also start from gradient descent (takes minutes).")
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
@@ -232,7 +232,8 @@ def tune(
         progress(omitted[-1])
     if not goals:
         remedy = "add a goal on a metric of the runs, time_s say"
-        raise InputError("has no goal that can be judged", file=goals_file or plan.source, key="goals", remedy=remedy)
+        problem = f"has only goals on the linear loop, and law {label(plan.law)} has no linear model"
+        raise InputError(problem, file=goals_file or plan.source, key="goals", remedy=remedy)
     all_runs = conditions(cases, seeds=range(seeds))
     try:
         check_goals(goals, all_runs)

@@ -231,7 +231,7 @@ def from_log(
 ) -> None:
     """Fit masses, drag, thrust lag and a constant force to logs of motion and thrust, with 95 % intervals.
 
-    Several logs of one vehicle are fitted together, in the order given; each has its own start.
+    Several logs of one vehicle are fitted together; each log starts from its own initial state.
 
     A table (CSV, .mat, .nc) without --map has the columns t_s and Fu_N, Fv_N, Fw_N, Fr_N_m (commands, constant until
     the next row). It has those of the columns x_m, y_m, z_m, psi_rad, u_m_per_s, v_m_per_s, w_m_per_s, r_rad_per_s that
@@ -309,7 +309,13 @@ def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
     if map_file is not None:
         if frame is not None:
             remedy = "write log.frame in the map, and omit --frame"
-            raise InputError("is given by the map", file=map_file, key="--frame", value=frame, remedy=remedy)
+            raise InputError(
+                "cannot be combined with a map, which states the frame",
+                file=map_file,
+                key="--frame",
+                value=frame,
+                remedy=remedy,
+            )
         return read_mapped_log(log, map_file)
     if log.is_dir() or log.suffix.lower() in READERS:
         raise InputError(

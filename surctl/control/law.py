@@ -267,7 +267,7 @@ class Law:
             array = np.asarray(vector)
             if array.size != layout.size or array.dtype.kind not in "fiu":
                 raise InputError(
-                    f"has shape {array.shape} of {array.dtype}",
+                    f"is an array of shape {array.shape} and type {array.dtype}",
                     key=f"{self.name}.{name}",
                     remedy=f"give {layout.size} real numbers in the order of its layout",
                 )

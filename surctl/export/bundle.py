@@ -140,7 +140,7 @@ def build_bundle(
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:
         raise InputError(
-            f"uses {', '.join(sorted(law.block.libm))} of the mathematical library, whose floats depend on the machine",
+            f"uses {', '.join(sorted(law.block.libm))} of the C math library, whose results depend on the machine",
             key=f"{prefix}.block",
             remedy="replace these functions by exact operations (surctl.ir.without_libm)",
         )
@@ -173,7 +173,7 @@ def _check_gains(law: Exportable, p: Vector, within: Envelope) -> None:
         if p[low] > p[high]:
             port = next(port for port in law.gains if high < law.gains.slice(port.name).stop)
             raise InputError(
-                f"is below {float(p[low])!r}, which it must not be",
+                f"must not be below {float(p[low])!r}",
                 key=port.name,
                 value=float(p[high]),
                 remedy="change the gain, or remove this order from the envelope",

@@ -200,7 +200,7 @@ def _check_files(name: str) -> None:
             )
     if name != small:
         raise InputError(
-            f"has capital letters: its macros, and on some file systems its files, are those of {small}",
+            f"has capital letters: its macros, and on some file systems its files, get the names of {small}",
             key="name",
             value=name,
             remedy=f"write {small}",

@@ -77,9 +77,9 @@ class Envelope:
             if box.ndim != 2 or box.shape[1] != 2 or not (box[:, 0] <= box[:, 1]).all():
                 raise InputError("is not an array (n, 2) of smallest and largest values", key=f"envelope.{name}")
         if any(not 0 <= rate.entry < len(self.inputs) for rate in self.rates):
-            raise InputError("has a rate of an input that does not exist", key="envelope.rates")
+            raise InputError("limits the rate of an input that does not exist", key="envelope.rates")
         if any(not 0 <= at < len(self.gains) for pair in self.orders for at in pair):
-            raise InputError("orders a gain that does not exist", key="envelope.orders")
+            raise InputError("has an order between gains, of which one does not exist", key="envelope.orders")
 
     def fitted(self, law: Exportable, real: Real) -> Envelope:
         """Return the envelope with bounds rounded to `real`; InputError if its arrays do not fit the law's vectors."""

@@ -197,7 +197,7 @@ class LinkedLaw:
         # the variant with constant gains if `identity` is its id
         if self.fed and (self.real != "float64" or self.faults.loss > 0.0):
             raise InputError(
-                "feeds itself with its mission, which is compared in float64 and without lost messages",
+                "stores its own mission: such a controller can be compared only in float64 and without lost messages",
                 key="controller",
                 value=self.line.name,
                 remedy="export it in float64, and drop --link-loss",

@@ -135,7 +135,9 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
             raise InputError(f"is rejected: {checked.reason}", file=path, remedy="prove it again: surctl verify")
         name = f"certificate-{re.sub(r'[^A-Za-z0-9_-]', '-', path.stem)}.json"
         if name in certificates:
-            raise InputError("has the name of another certificate", file=path, remedy="rename one of them")
+            raise InputError(
+                "has the same name in the bundle as another certificate", file=path, remedy="rename one of them"
+            )
         certificates[name] = document
     return certificates
 

@@ -100,7 +100,10 @@ class Path:
 
     @property
     def fed(self) -> bool:
-        """Whether the law's parameters change along the path: more than `MAX_WAYPOINTS` points, or unequal segments."""
+        """Whether the law's parameters change along the path.
+
+        They do if the path has more than `MAX_WAYPOINTS` points, or if it has `rises`, `speeds` or `kinds`.
+        """
         return len(self.waypoints) > MAX_WAYPOINTS or any(
             column is not None for column in (self.rises, self.speeds, self.kinds)
         )

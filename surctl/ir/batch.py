@@ -211,7 +211,9 @@ def batch_source(step: Block) -> str:
     output_sizes = [size for _, size in step.outputs]
     if len(sizes) != 2 or output_sizes != sizes[:1] or sizes[0] < 1:
         raise InputError(
-            f"takes {sizes} numbers and gives {output_sizes}", key=step.name, remedy="(state, parameters) in, state out"
+            f"has inputs of the sizes {sizes} and outputs of the sizes {output_sizes}",
+            key=step.name,
+            remedy="(state, parameters) in, state out",
         )
     wide = emit_wide(step, symbol="surctl_step")
     n, m = sizes

@@ -35,7 +35,7 @@ class Parts:
 
 
 def emit_parts(block: Block, *, symbol: str, real: Real = "float64") -> Parts:
-    """Return the folded C99 of `emit_block`, divided into files: one for each large function and its own callees.
+    """Return the C99 of `emit_block(…, folded=True)` in several files: one for each large function and its own callees.
 
     All names begin with `symbol`; functions that no other file calls are static.
     Each file must begin with <math.h>, the pragma FP_CONTRACT and the prototypes.

@@ -20,7 +20,7 @@ _CALL = re.compile(r"\b(\w+)\(")
 
 
 def stack_bytes(block: Block, *, real: Real = "float64", flags: Sequence[str] = ("-Os",)) -> int:
-    """Return how many bytes of stack the folded C of a program or routine uses on this machine, including its calls.
+    """Return how many bytes of stack the C of a program or routine uses on this machine, including its calls.
 
     Args:
         block: program or routine.

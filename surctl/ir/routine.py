@@ -249,9 +249,11 @@ def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[st
 def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
     """Return the sizes of the arrays that an iteration passes to the loop body."""
     if loop.count < 1:
-        raise InputError("a loop needs at least one turn", key=key, value=loop.count)
+        raise InputError("a loop needs at least one iteration", key=key, value=loop.count)
     if loop.lanes < 1 or (loop.lanes > 1 and (loop.until is not None or not isinstance(loop.block, Program))):
-        raise InputError("lanes must run a program, with all its turns", key=key, value=loop.lanes)
+        raise InputError(
+            "only a program (not a routine) without early end can run in several lanes", key=key, value=loop.lanes
+        )
     carried, pieces, spread, fixed = (
         [_size(sizes, name, key) for name in names] for names in (loop.carried, loop.sliced, loop.spread, loop.fixed)
     )

@@ -356,4 +356,4 @@ def _check(name: str, state: Vectors, after: Vectors, collected: Vectors, until:
     if before != behind:
         raise InputError(f"has a state of {before} numbers at first, then of {behind}", key=name)
     if until is not None and (before[until] != 1 or collected):
-        raise InputError("needs a flag of one number, and cannot stack", key=name)
+        raise InputError("ends at a flag: the flag must be one number, and no tables can be stacked", key=name)

@@ -267,7 +267,9 @@ def replaceable(path: Path, kind: str) -> Path:
             if read_toml(path).get("kind") == kind:
                 return path
         remedy = "choose another name, or remove that file"
-        raise InputError("is another kind of file and would be lost", key="save", value=str(path), remedy=remedy)
+        raise InputError(
+            "is another kind of file, which would be overwritten", key="save", value=str(path), remedy=remedy
+        )
     return path
 
 

@@ -63,7 +63,9 @@ def plot_heat_map(
         if name not in names:
             raise InputError("no such axis", key="heat map", value=name, remedy=nearest(name, names))
     if across == up:
-        raise InputError("is named for both axes", key="heat map", value=across, remedy="name two different axes")
+        raise InputError(
+            "is given for both axes of the plot", key="heat map", value=across, remedy="name two different axes"
+        )
     at = table.picked or tuple(n // 2 for n in table.shape)
     measured = _slice(table.column(column), names, at, across, up)  # (rows = vertical axis, columns = horizontal one)
     feasible = _slice(table.column("feasible"), names, at, across, up) > 0.5

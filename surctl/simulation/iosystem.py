@@ -78,7 +78,7 @@ def closed_loop_system(
     """
     if scenario.path.fed:
         raise InputError(
-            f"has more than {MAX_WAYPOINTS} points, or speeds and depths of its legs, which this system does not have",
+            f"has more than {MAX_WAYPOINTS} points, or speeds or depths for its legs, which this system does not have",
             file=scenario.source or None,
             key="path_m",
             remedy=f"give at most {MAX_WAYPOINTS} points, or use simulate",

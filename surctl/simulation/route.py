@@ -189,7 +189,7 @@ class _Drawing:
         chord = hypot(end[0] - start[0], end[1] - start[1])
         if chord < 1e-6:
             raise InputError(
-                "is where the leg begins: a leg of zero length",
+                "is the point where the leg begins, so the leg has no length",
                 key=f"{key}.to_m",
                 value=list(leg.to_m),
                 remedy="remove the leg; write a whole circle as two arcs",

@@ -76,7 +76,7 @@ def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:
         unknown = [name for name in returned if name not in layout]
         if unknown:
             raise InputError(
-                "is returned and no port", key=f"{key}.{unknown[0]}",
+                "is returned, but is not the name of a port", key=f"{key}.{unknown[0]}",
                 remedy=nearest(str(unknown[0]), [port.name for port in layout]),
             )  # fmt: skip
         missing = [port.name for port in layout if port.name not in returned]

@@ -61,7 +61,7 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
         size = place.stop - place.start
         if array.ndim == 1 and size > 1:
             raise InputError(
-                f"has {len(array)} numbers: for one run, or one for each run?",
+                f"has {len(array)} numbers, which are either one run or one number for each run",
                 key=name,
                 remedy=f"give shape (1, {size}) for one run, (n, {size}) for n runs",
             )

@@ -185,7 +185,7 @@ def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
 def _robot_goals(content: GoalsFile, path: Path) -> tuple[Goal, ...]:
     if content.points:
         remedy = "use cruise_m_per_s and plants of each goal; [[points]] are for a system: surctl tune FILE.py:FUNCTION"
-        raise InputError("are not for the robot", file=path, key="points", remedy=remedy)
+        raise InputError("apply only to a system of your own, not to the robot", file=path, key="points", remedy=remedy)
     return goals_from_tables(content.goals, file=path)
 
 
@@ -213,7 +213,9 @@ def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goa
 def _loop_goal(table: GoalTable) -> Goal:
     if table.points:
         remedy = "use cruise_m_per_s: operating points of the robot are its cruise speeds"
-        raise InputError("are not for the robot", key=f"goals.{table.name}.points", remedy=remedy)
+        raise InputError(
+            "apply only to a system of your own, not to the robot", key=f"goals.{table.name}.points", remedy=remedy
+        )
     goal = Goal(table.name, LOOP_METRIC, "1", 1.0, kind=table.kind, plants=table.plants, loop=loop_goal(table.loop()))
     if table.cruise_m_per_s is None:
         return goal

@@ -140,7 +140,12 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
     world = build_world(scenario, case.vehicle, seed=seed)
     if scenario.path.fed:
         remedy = f"use at most {MAX_WAYPOINTS} points, without speeds and depths of legs"
-        raise InputError("has no gradient: it is fed to the law", file=scenario.source, key="path_m", remedy=remedy)
+        raise InputError(
+            "has no gradient: this path changes the law's parameters during the run",
+            file=scenario.source,
+            key="path_m",
+            remedy=remedy,
+        )
     if len(scenario.obstacles) > CONTACT_SLOTS:
         raise InputError(f"has more than {CONTACT_SLOTS} obstacles", file=scenario.source, key="obstacles")
     p = law_numbers(scenario, case.gains, case.model or case.vehicle)

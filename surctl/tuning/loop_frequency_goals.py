@@ -262,7 +262,7 @@ def _magnitude(bound: Callable[[Any], Any], omega: Array, dt: float) -> Array:
     value = np.abs(np.asarray(bound(at), dtype=complex))
     if value.size != omega.size:
         remedy = "give a system with one input and one output"
-        raise InputError(f"has {value.size // omega.size} entries", key="bound", remedy=remedy)
+        raise InputError(f"has {value.size // omega.size} entries, expected 1", key="bound", remedy=remedy)
     return np.asarray(value.reshape(-1), dtype=float)
 
 

@@ -207,8 +207,8 @@ class Between(LoopGoal):
     """Base of the goals about the closed loop from one signal to another.
 
     Attributes:
-        source: label of a reference, a disturbance, a measured output (its setpoint) or a command (a load), see
-            `LinearLoop.transfer`.
+        source: label of a reference, a disturbance, a measured output or a command. A measured output stands for its
+            setpoint, a command for a load that adds to it, see `LinearLoop.transfer`.
         end: label of a measured output or of a command.
     """
 

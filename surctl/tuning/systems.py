@@ -177,7 +177,9 @@ def check_tuning(
         if gain.startswith(("plant.", "reference.", "disturbance.", "start.")):
             raise InputError("is not a gain", key=gain, remedy="tune gains of the controller; put it into the cases")
         if gain in cases:
-            raise InputError("is tuned and in the cases", key=gain, remedy="keep it out of one of them")
+            raise InputError(
+                "is both a tuned gain and a value of the cases", key=gain, remedy="keep it out of one of them"
+            )
         check_scalar(system, gain)
     run_numbers(system, every_combination({gain: ends[0] for gain, ends in ranges.items()}, cases))
     return name

@@ -316,7 +316,7 @@ def _curve(table: _ThrusterTable, forward: float, reverse: float) -> tuple[tuple
     if flat.any():
         k = int(np.flatnonzero(flat)[0])
         raise InputError(
-            f"is flat at {forces[k]:g} N, so that no command belongs to one force",
+            f"is flat at {forces[k]:g} N: several commands give the same force",
             key="curve",
             value=[list(curve[k]), list(curve[k + 1])],
             remedy="only the dead band, at 0 N, may be flat",
@@ -338,7 +338,7 @@ def _curve(table: _ThrusterTable, forward: float, reverse: float) -> tuple[tuple
     edges = commands[forces == 0]
     if table.dead_band and not isclose(float(edges.max(initial=0.0)), table.dead_band, rel_tol=1e-6):
         raise InputError(
-            f"the curve leaves 0 N at command {edges.max(initial=0.0):g}",
+            f"the curve is 0 N up to command {edges.max(initial=0.0):g}",
             key="dead_band",
             value=table.dead_band,
             remedy="make them equal, or remove dead_band",

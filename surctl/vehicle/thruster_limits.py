@@ -57,7 +57,9 @@ def _check_surge(actuators: Actuators, astern: float, ahead: float, source: str)
         )
     weak = next((k for k in pushing if actuators.thrusters[k].reverse == 0), pushing[0])
     where = "astern" if astern <= 0 else "ahead"
-    raise _lacks(actuators, weak, f"leaves the craft no force {where} alone, and laws brake by it", source)
+    raise _lacks(
+        actuators, weak, f"leaves the craft no force {where} without another one, and the laws brake with it", source
+    )
 
 
 def _no_yaw(actuators: Actuators, source: str) -> InputError:

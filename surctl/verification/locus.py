@@ -102,7 +102,9 @@ def sweep_locus(
             raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
         groups = list(cascades_by_order(points))
         if len(groups) > 1:
-            raise InputError("changes the number of poles at 0", key=parameter, remedy="begin the range above 0")
+            raise InputError(
+                "changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0"
+            )
         return _paired(points.cascade(groups[0]).poles)
 
     poles = followed(swept)

@@ -57,7 +57,7 @@ class OperatingPoint:
 def steady_motion(run: Run) -> OperatingPoint:
     """Return the steadiest 2 s of a run, if velocity, heading and thrust are constant there.
 
-    A motion of at least half the cruise speed goes before a rest.
+    If the robot moves steadily at half the cruise speed or more at some time, this motion is returned and not a rest.
 
     Args:
         run: a run of a law for exact obstacle positions, on the plant of `surctl`.

@@ -55,7 +55,7 @@ def test_a_proof_is_accepted(name: str) -> None:
         ("van-der-pol", ("claim", "function"), "1.5*x^2 - x*y + y^2 + 0*abs(x)", "abs, which has kinks"),
         ("van-der-pol", ("claim", "function"), "x^2 + y^2", "does not follow from the dynamics"),
         ("van-der-pol", ("claim", "function"), "(1.5*x^2) - (x*y) + (y^2", "not closed"),
-        ("van-der-pol", ("claim", "rate"), 0.1, "a claim with a rate states a decrease"),
+        ("van-der-pol", ("claim", "rate"), 0.1, "'decrease' must be null because the claim has a rate"),
         ("van-der-pol", ("claim", "equilibrium", "x"), 0.5, "inequality"),
         ("van-der-pol", ("claim", "states", 0, "upper"), 1.0, "inequality"),
         ("van-der-pol", ("claim", "time"), "discrete", "does not follow from the dynamics"),

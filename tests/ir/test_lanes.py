@@ -86,7 +86,11 @@ def test_a_choice_is_a_mask_where_there_are_vectors_and_no_double_is_left_in_flo
 
 @pytest.mark.parametrize(
     ("change", "why"),
-    [({"lanes": 0}, "lanes must run"), ({"lanes": 2, "until": 0}, "lanes must run"), ({"lanes": 3}, "equal pieces")],
+    [
+        ({"lanes": 0}, "in several lanes"),
+        ({"lanes": 2, "until": 0}, "in several lanes"),
+        ({"lanes": 3}, "equal pieces"),
+    ],
 )
 def test_nonsense_is_refused(change: dict[str, int], why: str) -> None:
     x = ca.SX.sym("x")

@@ -174,7 +174,7 @@ def test_blocks_of_one_text_become_one_function() -> None:
         (lambda b: (Call(b, ("x",), ("x",)),), "exists already"),
         (lambda b: (Call(b, ("wide",), ("y",)),), "takes"),
         (lambda b: (Call(b, ("x",), ("y", "z")),), "names 2 results"),
-        (lambda b: (Loop(b, 0, ("x",), ("y",)),), "at least one turn"),
+        (lambda b: (Loop(b, 0, ("x",), ("y",)),), "at least one iteration"),
         (lambda b: (Loop(b, 2, (), ("y",), sliced=("wide",)),), "equal pieces"),
         (lambda b: (Loop(b, 2, ("x",), ("y",), until=1),), "flag"),
         (lambda b: (Loop(b, 3, ("wide",), ("y",)),), "takes"),

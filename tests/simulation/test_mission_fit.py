@@ -89,10 +89,12 @@ def test_who_cannot_feed_a_law_says_so(tmp_path: Any) -> None:
     export = ["export", "--scenario", *common, "--out", str(tmp_path)]
     for words, fragment in (
         ([*export, "--constant-gains"], "path_m: has more than 8 points"),
-        (["simulate", *common, "--controller", "qemu:cortex-m4f"], "cannot be fed with a path of more than 8 points"),
+        (["simulate", *common, "--controller", "qemu:cortex-m4f"], "cannot receive a path of more than 8 points"),
     ):
         done = CliRunner().invoke(app, words)
         assert isinstance(done.exception, InputError | SystemExit), words
         assert fragment in str(done.exception) + done.output, words
-    with pytest.raises(InputError, match="has no gradient: it is fed to the law; use at most 8 points"):
+    with pytest.raises(
+        InputError, match="has no gradient: this path changes the law's parameters during the run; use at most 8 points"
+    ):
         prepare(Case(scenario, VEHICLE, GAINS, law="paper"), ["k_v"], steps=5)

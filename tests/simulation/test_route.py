@@ -122,7 +122,7 @@ def test_a_route_is_written_and_read_back(tmp_path: FilePath) -> None:
 
 
 MISTAKES = {
-    "zero length": (legs("to_m = [10, 10]"), "leg.0.to_m = [10.0, 10.0]", "a leg of zero length"),
+    "zero length": (legs("to_m = [10, 10]"), "leg.0.to_m = [10.0, 10.0]", "the leg has no length"),
     "small radius": (
         legs(ARC.replace("3.0", "2.9")),
         "leg.0.radius_m = 2.9",

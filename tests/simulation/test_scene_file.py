@@ -164,7 +164,7 @@ def test_numbers_that_are_none_become_null_and_mistakes_are_one_line(tmp_path: P
         scene = SceneFile(file, run().scenario, run().vehicle)
         scene.moment(0.0, eta=np.full(4, np.nan), nu=np.zeros(4), tau=np.zeros(4), status=0)
     assert messages((tmp_path / "a.mcap").read_bytes())["/state"][0][2]["x_m"] is None
-    with pytest.raises(InputError, match="already there"):
+    with pytest.raises(InputError, match="exists already"):
         McapFile(tmp_path / "a.mcap", new=True)
     with pytest.raises(InputError, match="use enu for mcap"):
         save_record(run(), tmp_path, kind="mcap", frame="ned")

@@ -29,7 +29,10 @@ def controller(law: Callable[..., Any], **changes: Any) -> Controller:
 GOOD = {"angle": ca.SX(0), "rate": ca.SX(0)}
 MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "missing state": (lambda: plant(lambda x, f, d, p: {"angle": x["rate"]}), r"body\.ode\.rate: is not returned"),
-    "unknown state": (lambda: plant(lambda x, f, d, p: {**GOOD, "rat": 0}), r"body\.ode\.rat: is returned and no port"),
+    "unknown state": (
+        lambda: plant(lambda x, f, d, p: {**GOOD, "rat": 0}),
+        r"body\.ode\.rat: is returned, but is not the name of a port",
+    ),
     "wrong size": (lambda: plant(lambda x, f, d, p: ca.vertcat(1, 2, 3)), r"body\.ode: returns 3 numbers, expected 2"),
     "wrong part": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": ca.SX(2, 1)}), r"body\.ode\.rate: has 2 entries"),
     "text": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": "fast"}), r"body\.ode\.rate: is of type str"),

@@ -155,7 +155,8 @@ def test_a_flat_vector_for_a_port_of_several_entries_is_refused() -> None:
         still, Controller("none", 0.1, Layout((pair,)), Layout((Port("f", (1,), "m/s", ""),)), lambda x, u, p: 0)
     )
     with pytest.raises(
-        InputError, match=r"start\.q: has 2 numbers: for one run, or one for each run\?; give shape \(1, 2\)"
+        InputError,
+        match=r"start\.q: has 2 numbers, which are either one run or one number for each run; give shape \(1, 2\)",
     ):
         simulate_system(loop, 0.2, {"start.q": [1.0, 2.0]})
     assert simulate_system(loop, 0.2, {"start.q": [[1.0, 2.0]]}).state.tolist() == [[1.0, 2.0]]

@@ -95,7 +95,7 @@ def test_a_run_that_ends_early_is_no_cheap_run() -> None:
         ({"k[0]": (2.0, 1.0)}, {}, r"k\[0\] = \(2\.0, 1\.0\): is not a range"),
         ({"k[0]": (1.0, float("nan"))}, {}, "is not a range"),
         ({"plant.mass": (1.0, 2.0)}, {}, r"plant\.mass: is not a gain"),
-        ({"k[0]": (1.0, 2.0)}, {"cases": {"k[0]": 3.0}}, r"^k\[0\]: is tuned and in the cases"),
+        ({"k[0]": (1.0, 2.0)}, {"cases": {"k[0]": 3.0}}, r"^k\[0\]: is both a tuned gain and a value of the cases"),
         ({"k": (1.0, 2.0)}, {}, r"^k: has 2 entries; name one: k\[0\], k\[1\]$"),
         ({"q": (1.0, 2.0)}, {}, "q: no such number of the system"),
         ({"k[0]": (1.0, 2.0)}, {"objective": "lat"}, "no such cost; did you mean 'late'"),

@@ -332,7 +332,7 @@ def _moving(rows: int = 60) -> list[list[float]]:
     [
         ([*_moving(), *_moving()], r"clock that runs back: 0.000 s comes after 29.500 s; sort the rows by time"),
         (_moving()[::-1], r"velocity \(table\): has a clock that runs back: .*; sort"),
-        (_moving(1), r"run.csv: t_s: has one row with a time; give a longer log"),
+        (_moving(1), r"run.csv: t_s: has only one row with a time; give a longer log"),
         ([[t, u, *4 * [math.nan]] for t, u, *_ in _moving()], r"run.csv: thrust \(table\): has no command at any of"),
         ([[math.nan, *row[1:]] for row in _moving()], r"map.toml: log.time = 't_s': has no timestamps in \S*run.csv"),
     ],

@@ -68,8 +68,8 @@ def test_a_table_without_header_and_what_was_not_measured(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("change", "fragment"),
     [
-        (('"rudder"]\nskip', '"rudder", "n"]\nskip'), "run.dat:3: has 7 cells where columns names 8"),
-        (("skip_lines = 2", "skip_lines = 1"), "run.dat:2: has 1 cells where columns names 7"),
+        (('"rudder"]\nskip', '"rudder", "n"]\nskip'), "run.dat:3: has 7 cells, but 'columns' has 8 names"),
+        (("skip_lines = 2", "skip_lines = 1"), "run.dat:2: has 1 cells, but 'columns' has 7 names"),
         (("skip_lines = 2", "skip_lines = 99"), "has no rows"),
         (('"x", "y", "psi"', '"x", "x", "psi"'), "columns names x twice"),
         (('columns = ["t", "x", "y", "psi", "u", "v", "rudder"]\n', ""), "skip_lines needs columns"),

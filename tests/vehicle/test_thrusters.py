@@ -143,7 +143,7 @@ def _read(tmp_path: Path, *tables: dict[str, str], base: str = BASE, more: str =
         ({"curve": "[[-1, -30], [0, 0], [0.5, 40], [1, 40]]"}, "thruster.0.curve", "is flat at 40 N"),
         ({"curve": "[[-1, -30], [1, 40]]"}, "thruster.0.curve", "give 0 N at command 0"),
         ({"curve": "[[-1, -30], [0, 0], [1, 41]]"}, "thruster.0.forward", "the curve ends at 41 N"),
-        ({"curve": "[[-1, -30], [0, 0], [1, 40]]", "dead_band": "0.1"}, "thruster.0.dead_band", "leaves 0 N"),
+        ({"curve": "[[-1, -30], [0, 0], [1, 40]]", "dead_band": "0.1"}, "thruster.0.dead_band", "is 0 N up to"),
         ({"dead_band": "1.5"}, "thruster.0.dead_band", "less than 1"),
         ({"swivel": "{ axis = [0, 0, 1], range_deg = [-90, 90] }"}, "thruster.0.reverse", "must be 0 N with a swivel"),
         (

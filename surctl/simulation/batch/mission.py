@@ -49,7 +49,7 @@ class Mission:
 
     @staticmethod
     def state() -> Port:
-        """Return the entry that the window adds to the state of a run."""
+        """Return the state that a run needs for the law's window: the number of the first waypoint in it."""
         return Port("first", (1,), "1", "number of the first waypoint in a row in the law's window", 1.0)
 
     def parameters(self, before: Layout) -> tuple[Port, ...]:

@@ -97,14 +97,14 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     """
     if not log.thrust.any() and not start.form.tilts:  # free swinging shows ratios
         raise InputError(
-            "the log has no thrust, so it shows no mass",
+            "the log has no thrust, so no mass can be estimated from it",
             file=log.source,
             key=", ".join(LOG_THRUST),
             remedy="give a log in which the vehicle is driven",
         )
     if not any(np.unique(column[np.isfinite(column)]).size > 1 for column in log.motion.T):
         raise InputError(
-            "the log has no motion: no column changes, so it shows no parameter",
+            "the log has no motion: no column changes, so no parameter can be estimated from it",
             file=log.source,
             key=", ".join(LOG_MOTION),
             remedy="give a log in which the vehicle moves",

@@ -45,7 +45,7 @@ def read_table(
     known = np.isfinite(seconds)
     order = np.flatnonzero(known)[np.argsort(seconds[known], kind="stable")]
     if len(order) == 1:
-        raise InputError("has one row with a time", file=table.name, key=time, remedy="give a longer log")
+        raise InputError("has only one row with a time", file=table.name, key=time, remedy="give a longer log")
     if not len(order):
         raise InputError(
             f"has no timestamps in {table.name}",

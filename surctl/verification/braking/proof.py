@@ -20,7 +20,8 @@ class BrakingProof(Certified):
 
     Attributes:
         claim: the claim.
-        range_needed: range needed [m] at the highest own speed of the table, for the fastest obstacle.
+        range_needed: detection range [m] that is enough at the robot's highest speed in the claim, for the fastest
+            obstacle.
         seconds: total time of the attempt [s].
         check_seconds: duration of the check by the independent checker [s].
     """
