@@ -52,7 +52,7 @@ class PlantOptions:
         """Whether the physics is surctl's own."""
         return self.plant == "own"
 
-    def check(self, *, campaign: bool, runs: int, controller: str | None) -> EngineOptions | None:
+    def check(self, *, campaign: bool, runs: int, controller: str | None, sensing: str) -> EngineOptions | None:
         """Return the options of MuJoCo, None for surctl's own physics.
 
         Raises:
@@ -85,6 +85,12 @@ class PlantOptions:
             if value is not None and runs != 1:
                 remedy = "name one scenario, drop --runs"
                 raise InputError(f"shows one run, not {runs}", key=key, remedy=remedy)
+        if self.view and self.threads not in (None, 1):
+            raise InputError("opens one window", key="--view", remedy="drop --threads")
+        unheard = chosen.unheard if sensing == "truth" else ()
+        for key in unheard[:1]:
+            remedy = "add --sensing sonar, or drop it"
+            raise InputError("has no effect with true positions", key=f"--plant mujoco:{key}", remedy=remedy)
         from surctl.engine.library import mujoco_library
 
         mujoco_library()

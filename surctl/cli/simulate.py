@@ -116,8 +116,13 @@ def simulate(
     check_animate(animate, runs=run_count, campaign=campaign.any and replayed is None, film=film)
     if replayed is not None:
         simulate_again(replayed, trust=trust, explained=explained, out=out, animate=animate, as_json=as_json)
+    if trust:
+        from surctl.errors import InputError
+
+        remedy = "drop it: a law that --law names runs without it"
+        raise InputError("applies only to a saved run", key="--trust", remedy=remedy)
     chosen = PlantOptions(plant, film, view, None if campaign.any else threads)
-    physics = chosen.check(campaign=campaign.any, runs=run_count, controller=controller)
+    physics = chosen.check(campaign=campaign.any, runs=run_count, controller=controller, sensing=sensing)
     apart = replace(campaign, threads=None) if physics is not None else campaign
     apart.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)

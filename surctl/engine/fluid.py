@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from surctl.engine.options import EngineOptions
 from surctl.ir import Program, lower_named
-from surctl.vehicle import GRAVITY, WATER, PlantForm, Vehicle, plant_layout, plant_parameters
+from surctl.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
 
 if TYPE_CHECKING:
     from surctl.simulation import Scenario
@@ -48,6 +48,7 @@ class Body:
         inertia: its moments of inertia about x, y, z [kg m²].
         parameters: the vehicle's parameters with the layout `plant_layout(form)`.
         coupled: whether a part of the inertia matrix is left to the force of the water.
+        actuators: the thrusters, which act beside the total thrust, or None.
     """
 
     options: EngineOptions
@@ -56,6 +57,7 @@ class Body:
     inertia: tuple[float, float, float]
     parameters: NDArray[np.float64]
     coupled: bool
+    actuators: Actuators | None = None
 
 
 def body_of(vehicle: Vehicle, options: EngineOptions) -> Body:
@@ -85,7 +87,7 @@ def body_of(vehicle: Vehicle, options: EngineOptions) -> Body:
     mine = [mass, mass, mass, turning[2], turning[0], turning[1]]
     size = options.dof
     coupled = not np.array_equal(matrix[:size, :size], np.diag(mine[:size]))
-    return Body(options, form, mass, turning, parameters, coupled)
+    return Body(options, form, mass, turning, parameters, coupled, vehicle.actuators)
 
 
 def environment(body: Body, scenario: Scenario, hull: float) -> NDArray[np.float64]:
@@ -100,10 +102,10 @@ def environment(body: Body, scenario: Scenario, hull: float) -> NDArray[np.float
 def fluid_program(body: Body) -> Program:
     """Return the instruction list of the force of the water on a hull, in MuJoCo's generalised coordinates.
 
-    Its inputs are `q` and `v` (positions and velocities of MuJoCo), `thrust` (4,) after the lag, the vehicle's
-    parameters `p`, and `e` (17,): current (3,) [m/s], outer force (3,) in {E} and yaw moment, hull radius, share of the
-    missing buoyancy, depth to which the hull is ballasted, mass and moments of inertia of the rigid body, and the sides
-    of a hull that is a box.
+    Its inputs are `q` and `v` (positions and velocities of MuJoCo), `thrust` (4 + N,) after the lag (surge, sway, heave
+    and yaw, then the force components of the thrusters), the vehicle's parameters `p`, and `e` (17,): current (3,)
+    [m/s], outer force (3,) in {E} and yaw moment, hull radius, share of the missing buoyancy, depth to which the hull
+    is ballasted, mass and moments of inertia of the rigid body, and the sides of a hull that is a box.
 
     Example:
         >>> from surctl.engine import EngineOptions, body_of, fluid_program
@@ -112,13 +114,15 @@ def fluid_program(body: Body) -> Program:
         >>> [(name, size) for name, size in program.inputs]
         [('q', 4), ('v', 4), ('thrust', 4), ('p', 17), ('e', 17)]
     """
-    return _program(body.form, body.options.dof, body.options.drag, body.coupled, body.options.box is not None)
+    options = body.options
+    return _program(body.form, options.dof, options.drag, body.coupled, options.box is not None, body.actuators)
 
 
 @cache
-def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool) -> Program:
+def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool, actuators: Actuators | None) -> Program:
     q, v = ca.SX.sym("q", 7 if dof == 6 else 4), ca.SX.sym("v", dof)
-    thrust, e = ca.SX.sym("thrust", 4), ca.SX.sym("e", 17)
+    single = np.zeros((6, 0)) if actuators is None else np.hstack([one.columns for one in actuators.thrusters])
+    thrust, e = ca.SX.sym("thrust", 4 + single.shape[1]), ca.SX.sym("e", 17)
     flat, p = plant_layout(form).symbols("p")
     terms = {name: p["terms"][k] for k, name in enumerate(form.terms)}
     current, outer, yaw = e[:3], e[3:6], e[6]
@@ -150,7 +154,8 @@ def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool) -
         arm_moment = ca.cross(points["t"], thrust[:3])
     load += _wrench(rotation.T @ world, moment, dof)
     if coupled:
-        pushing = _wrench(thrust[:3], arm_moment + ca.vertcat(0, 0, thrust[3]), dof)
+        apart = ca.DM(single) @ thrust[4:]
+        pushing = _wrench(thrust[:3] + apart[:3], arm_moment + ca.vertcat(0, 0, thrust[3]) + apart[3:], dof)
         mine = ca.diag(ca.vertcat(e[10], e[10], e[10], e[13], e[11], e[12])[:dof])
         whole = ca.SX(mine)
         diagonal = [*(p["mass"][k] for k in range(4)), *([terms["mpp"], terms["mqq"]] if dof == 6 else [])]

@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from surctl.simulation import Obstacle, Scenario
     from surctl.vehicle import Vehicle
 
-__all__ = ["ACTUATORS", "HULL", "OBSTACLE", "WALLS", "mjcf"]
+__all__ = ["ACTUATORS", "HULL", "OBSTACLE", "THRUSTER", "WALLS", "mjcf"]
 
-HULL, OBSTACLE = "hull", "obstacle/"
+HULL, OBSTACLE, THRUSTER = "hull", "obstacle/", "thruster/"
 WALLS = ("wall/x0", "wall/x1", "wall/y0", "wall/y1")
 ACTUATORS = ("surge", "sway", "heave", "yaw")
 
@@ -31,7 +31,12 @@ def mjcf(scenario: Scenario, vehicle: Vehicle, *, options: EngineOptions | None 
 
     The model holds the hull as a sphere with mass, inertia and thrust, the walls and the floor of the site, and the
     obstacles as bodies that a program moves (mocap). Gravity is compensated on the hull. The force of the water is not
-    part of the model: it is computed by `fluid_program`, which an exported model has beside it as `fluid.c`.
+    part of the model: it is computed by `fluid_program`, which an exported model has beside it as `water.c`.
+
+    The actuators `surge`, `sway`, `heave` and `yaw` are total forces [N] and the yaw moment [N m], in the point
+    (xt, yt, zt) of the file. A vehicle with `[[thruster]]` tables has the actuators `thruster/NAME` after them: the
+    force [N] of each thruster at its place; that of a swivelling thruster is two actuators, along `push` and, as
+    `thruster/NAME/across`, at right angles to it. All actuators act together, so a program uses the ones or the others.
 
     Args:
         scenario: the scenario.
@@ -168,6 +173,8 @@ def _hull(world: _Node, scenario: Scenario, vehicle: Vehicle, body: Body) -> Non
     names = ("xt", "yt", "zt")
     thrust = [vehicle[name] if six and name in vehicle.parameters else 0.0 for name in names]
     _node(hull, "site", name="thrust", pos=thrust, size=(0.05 * radius,))
+    for one in () if vehicle.actuators is None else vehicle.actuators.thrusters:
+        _node(hull, "site", name=f"{THRUSTER}{one.name}", pos=one.at, size=(0.05 * radius,))
     front = (1.15 * radius, 0, 0.25 * radius)
     _node(hull, "camera", name="nose", pos=front, xyaxes=(0, -1, 0, 0, 0, 1), fovy=75.0)
 
@@ -185,3 +192,11 @@ def _thrusters(root: _Node, vehicle: Vehicle) -> None:
         else:
             gear = [0] * 6
         _node(actuators, "general", name=name, site="thrust", gear=gear, gainprm=(1,), **limits, **filtered)
+    for one in () if vehicle.actuators is None else vehicle.actuators.thrusters:
+        site, ends = f"{THRUSTER}{one.name}", zip(one.corners.min(axis=0), one.corners.max(axis=0), strict=True)
+        for k, (low, high) in enumerate(ends):
+            gear = [*one.directions[:, k].tolist(), 0, 0, 0]
+            # the limits of a fin grow with the speed
+            limits = {} if one.fin else {"ctrllimited": "true", "ctrlrange": (float(low), float(high))}
+            name = f"{site}/across" if k else site
+            _node(actuators, "general", name=name, site=site, gear=gear, gainprm=(1,), **limits, **filtered)

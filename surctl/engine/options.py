@@ -72,9 +72,10 @@ class EngineOptions:
 
         if self.box is not None and (len(self.box) != 3 or not all(1e-3 <= side <= 1e3 for side in self.box)):
             raise InputError("is not a box", key="box", value=_written(self.box), remedy=_BOX)
-        if self.box is not None and self.surface == 0:
-            remedy = "add surface=1.0, or drop box"
-            raise InputError("needs a water surface", key="box", value=_written(self.box), remedy=remedy)
+        for key in ("box", "ballast") if self.surface == 0 else ():
+            if (value := getattr(self, key)) not in (None, "path"):
+                remedy = f"add surface=1.0, or drop {key}"
+                raise InputError("needs a water surface", key=key, value=_written(value), remedy=remedy)
 
     def of(self, vehicle: Vehicle) -> EngineOptions:
         """Return the options for a vehicle, with its degrees of freedom.
@@ -90,6 +91,12 @@ class EngineOptions:
                 remedy="add [attitude], mpp and mqq to the file, use sur540-tilting or sur400-tilting, or dof=4",
             )
         return replace(self, dof=self.dof or (6 if vehicle.form.tilts else 4))
+
+    @property
+    def unheard(self) -> tuple[str, ...]:
+        """Names of the options that are not the default and concern sonars only."""
+        usual = EngineOptions()
+        return tuple(key for key in ("rays", "count", *_SWITCHES) if getattr(self, key) != getattr(usual, key))
 
     def text(self) -> str:
         """Return all options that differ from their defaults as one text, which `parse_plant` reads."""

@@ -91,6 +91,8 @@ class MujocoPhysics:
         # views of MuJoCo's arrays, which stay where they are
         self._qpos, self._qvel, self._command = self.data.qpos, self.data.qvel, self.data.ctrl
         self._acting = self.data.act if self._lagged else self.data.ctrl  # thrust that acts on the hull now
+        # force and yaw moment of the thrusters' force components, which the actuators after the first four are
+        self._single = np.zeros((4, 0)) if vehicle.actuators is None else vehicle.actuators.matrix
         self._mocap_pos, self._xmat = self.data.mocap_pos, self.data.xmat[self._body].reshape(3, 3)
         self._turns = 0.0
         self._outer = environment(self.body, scenario, world.hull)
@@ -128,14 +130,21 @@ class MujocoPhysics:
             data.qpos[:3], data.qpos[3:] = eta[:3], quaternion(roll, pitch, float(eta[3]))
             r = (nu[3] * np.cos(pitch) - q * np.sin(roll)) / np.cos(roll)
             data.qvel[3:] = p, q, r
-        self._acting[:] = parts["tau"]
+        self._acting[4:] = np.linalg.pinv(self._single) @ parts["tau"]
+        self._acting[:4] = parts["tau"] - self._single @ self._acting[4:]
         self._refresh()
         self._state = value
 
-    def advance(self, thrust: Vector, time: float) -> Vector:
-        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state."""
+    def advance(self, thrust: Vector, time: float, components: Vector | None = None) -> Vector:
+        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state.
+
+        The force `components` (N,) of the thrusters act at their places, and the rest of the thrust at (xt, yt, zt).
+        """
         self._outer[3:7] = self.world.force(time)
-        self._command[:] = np.minimum(np.maximum(thrust, self._range[0]), self._range[1])
+        self._command[:4] = np.minimum(np.maximum(thrust, self._range[0]), self._range[1])
+        if self._single.size:
+            self._command[4:] = 0.0 if components is None or not components.size else components
+            self._command[:4] -= self._single @ self._command[4:]
         self._step()
         self._touch(time + _PERIOD)
         self._refresh()
@@ -215,7 +224,8 @@ class MujocoPhysics:
             tilt = [roll, pitch, p, q]
         (x, y, z), c, s = velocity[:3], cos(heading), sin(heading)
         nu = c * x + s * y, c * y - s * x, z, rate
-        return np.array([*place[:3], heading, *nu, *self._acting.tolist(), *tilt])
+        thrust = self._acting[:4] + self._single @ self._acting[4:] if self._single.size else self._acting
+        return np.array([*place[:3], heading, *nu, *thrust.tolist(), *tilt])
 
 
 def _others(options: EngineOptions) -> str:

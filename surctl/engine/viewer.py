@@ -71,11 +71,11 @@ class _Watched:
     def state(self, value: Vector) -> None:
         self._physics.state = value
 
-    def advance(self, thrust: Vector, at: float) -> Vector:
+    def advance(self, thrust: Vector, at: float, components: Vector | None = None) -> Vector:
         if not self._window.is_running():
-            return self._physics.advance(thrust, at)
+            return self._physics.advance(thrust, at, components)
         with self._window.lock():
-            state = self._physics.advance(thrust, at)
+            state = self._physics.advance(thrust, at, components)
         self._window.sync()
         self._next = max(self._next + 0.025, time.monotonic() - 0.1)
         time.sleep(max(0.0, self._next - time.monotonic()))

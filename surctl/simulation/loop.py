@@ -277,11 +277,12 @@ class Loop:
     def _advance(self, time: float, step: LawStep, noise: _StepNoise) -> None:
         psi, (east, north) = self.state[3], self.world.scenario.disturbance.current_m_per_s
         speed = float(self.state[4] - (np.cos(psi) * east + np.sin(psi) * north))
-        achieved = self.thrusters.achieved(step.tau, time, telemetry=step.telemetry, speed=speed)
+        told = None if step.status < 0 else step.telemetry  # a step without command repeats an older telemetry
+        achieved, components = self.thrusters.achieved(step.tau, time, telemetry=told, speed=speed)
         thrust = self.world.thrust(achieved, self.limit)
         half = round(self.law.dt / FIRING)
         for k in range(half):
-            self.state = self.physics.advance(thrust, time + k * FIRING)
+            self.state = self.physics.advance(thrust, time + k * FIRING, components)
             if k < half - 1:
                 between = time + (k + 1) * FIRING
                 bodies = self.world.bodies(between)

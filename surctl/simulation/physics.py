@@ -55,8 +55,12 @@ class Physics(Protocol):
     def contacts(self) -> Sequence[Contact]:
         """Return the contacts of the hull until now."""
 
-    def advance(self, thrust: Vector, time: float) -> Vector:
-        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state."""
+    def advance(self, thrust: Vector, time: float, components: Vector | None = None) -> Vector:
+        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state.
+
+        `components` are the force components [N] of the vehicle's thrusters before their lag, as in
+        `Actuators.matrix`. They are a part of `thrust`; none (0,) or None if they are not known.
+        """
 
     def clearance(self, bodies: Sequence[Body]) -> tuple[float, float]:
         """Return the distance [m] from the hull to the nearest of the obstacles, and to the nearest wall."""
@@ -98,8 +102,11 @@ class OwnPhysics:
         self.state = plant_state(vehicle.form).pack({"eta": world.scenario.start_pose})
         self._current = [*world.scenario.disturbance.current_m_per_s, 0.0]
 
-    def advance(self, thrust: Vector, time: float) -> Vector:
-        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state."""
+    def advance(self, thrust: Vector, time: float, components: Vector | None = None) -> Vector:
+        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state.
+
+        The plant has the force and yaw moment of the thrusters only; it has no use for their `components`.
+        """
         d = PLANT_DISTURBANCE.pack({"current": self._current, "force": self.world.force(time)})
         (self.state,) = self.move(self.state, thrust, d, self.plant)
         return self.state

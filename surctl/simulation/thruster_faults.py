@@ -63,14 +63,14 @@ class Thrusters:
         actuators: the thrusters, or None if the vehicle file describes none.
         faults: the failures.
         allocate: allocates the command of a law without allocation; None if the law does it, or without thrusters.
-        reported: entries of the law's telemetry with the forces and the commands of all thrusters; None without fins,
-            or if the law does not allocate.
+        reported: entries of the law's telemetry with the forces and the commands of all thrusters, and with the angles
+            of all joints; None if the law does not allocate.
     """
 
     actuators: Actuators | None
     faults: tuple[ThrusterFault, ...]
     allocate: Callable[..., list[Array]] | None
-    reported: tuple[slice, slice] | None = None
+    reported: tuple[slice, slice, slice] | None = None
 
     @staticmethod
     def of(vehicle: Vehicle, law: Law, faults: Sequence[ThrusterFault] = ()) -> Thrusters:
@@ -86,9 +86,10 @@ class Thrusters:
             )
         alone = actuators is not None and law.actuators is None
         allocate = runnable(allocation_block(actuators)) if alone and actuators is not None else None
-        finned = law.actuators is not None and bool(law.actuators.fins)
-        names = ("thruster_force", "thruster_command")
-        reported = (law.telemetry_slice(names[0]), law.telemetry_slice(names[1])) if finned else None
+        reported = None
+        if law.actuators is not None:
+            angles = law.telemetry_slice("thruster_angle") if law.actuators.swivels else slice(0, 0)
+            reported = law.telemetry_slice("thruster_force"), law.telemetry_slice("thruster_command"), angles
         return Thrusters(actuators, tuple(faults), allocate, reported)
 
     def working(self, time: float) -> Array:
@@ -97,23 +98,33 @@ class Thrusters:
             return np.zeros(0)
         return working_flags(self.actuators, [fault.thruster for fault in self.faults if fault.acts(time)])
 
-    def achieved(self, tau: Array, time: float, *, telemetry: Array, speed: float) -> Array:
-        """Return the force and yaw moment (4,) that the thrusters deliver for a command, before the thrust lag.
+    def achieved(self, tau: Array, time: float, *, telemetry: Array | None, speed: float) -> tuple[Array, Array]:
+        """Return what the thrusters deliver for a command, before the thrust lag.
+
+        The results are the force and yaw moment (4,), and the force components (N,) of all thrusters; none are known
+        without thrusters and without telemetry.
 
         Args:
             tau: the law's thrust command (4,).
             time: time of the control step [s].
-            telemetry: the law's telemetry of the same step.
+            telemetry: the law's telemetry of the same step; None if this step has none, as when a link is lost.
             speed: forward speed [m/s] through the water. A fin gives the force of its deflection at this speed, while
                 the law knows only the measured speed over ground.
         """
         if self.allocate is not None and self.actuators is not None:
-            return self.allocate(tau, self.working(time) * self.actuators.shares(speed))[0]
-        if self.reported is None or self.actuators is None:
-            return tau
-        forces, commands = (telemetry[where] for where in self.reported)
-        excess: Array = fin_excess(self.actuators, forces, commands, max(speed, 0.0) ** 2)
-        return tau + excess
+            total, components, *_ = self.allocate(tau, self.working(time) * self.actuators.shares(speed))
+            return total, components
+        if self.reported is None or self.actuators is None or telemetry is None:
+            return tau, np.zeros(0)
+        forces, commands, angles = (telemetry[where] for where in self.reported)
+        components = self.actuators.components(forces, angles)
+        if not self.actuators.fins:
+            return tau, components
+        squared = max(speed, 0.0) ** 2
+        for k in self.actuators.fins:
+            components[self.actuators.slices[k]] = commands[k] * (self.actuators.thrusters[k].forward * squared)
+        excess: Array = fin_excess(self.actuators, forces, commands, squared)
+        return tau + excess, components
 
 
 def fin_excess(actuators: Actuators, forces: Any, commands: Any, squared: Any) -> Any:

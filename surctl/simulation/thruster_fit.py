@@ -100,8 +100,8 @@ def _not_simulated(vehicle: Vehicle) -> list[Finding]:
             worst, worst_name = most, one.name
     if worst:
         text = (
-            f"the roll and pitch moment of {worst_name} is not simulated: {worst:.3g} N m beside that of its force at "
-            "(xt, yt, zt); only the total force and the yaw moment of the thrusters move the vehicle"
+            f"the roll and pitch moment of {worst_name} is simulated by --plant mujoco only: {worst:.3g} N m beside "
+            "that of its force at (xt, yt, zt); in the own plant, total force and yaw moment of the thrusters act"
         )
         results.append(Finding("warning", f"thruster.{worst_name}.at_m", text))
     return results

@@ -19,7 +19,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from math import ceil, degrees, hypot, isclose, pi
+from math import ceil, cos, degrees, hypot, isclose, pi, sin
 from typing import Any
 
 import numpy as np
@@ -282,6 +282,15 @@ class Actuators:
         """Return the joint angle (k,) [rad] of each swivelling thruster; 0 for a force of 0."""
         parts = [components[self.slices[k]] for k in self.swivels]
         return np.array([float(np.arctan2(part[1], part[0])) for part in parts])
+
+    def components(self, forces: Array, angles: Array) -> Array:
+        """Return the force components (N,) [N] of thrusters with these forces (n,) and joint angles (k,) [rad]."""
+        turned = dict(zip(self.swivels, angles.tolist(), strict=True))
+        parts = [
+            [force * cos(turned[k]), force * sin(turned[k])] if k in turned else [force]
+            for k, force in enumerate(forces.tolist())
+        ]
+        return np.array([component for part in parts for component in part])
 
     def lines(self) -> list[str]:
         """Return one line of text for each thruster."""

@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 
 from surctl.engine import EngineOptions, MujocoPhysics
 from surctl.simulation import Physics, build_world
-from surctl.vehicle import missing_buoyancy, plant_state, steady_speed
+from surctl.vehicle import Vehicle, missing_buoyancy, plant_state, steady_speed
+from surctl.vehicle.thrusters import Actuators, Swivel, Thruster
 from tests.engine.tools import MIDDLE, NO_DRAG, NO_TILT_DRAG, STILL, load_vehicle, own, physics, with_values
 
 TILTING = load_vehicle("sur540-tilting")
@@ -105,6 +106,39 @@ def test_coupled_added_mass_is_felt_across_axes() -> None:
     rate = np.linalg.solve(vehicle.inertia, [4.0, 0.0, 0.0, 0.3, 0.0, 0.0])
     found = np.array([*state[4:8], *state[14:16]]) / 0.025
     assert found == pytest.approx(rate, rel=1e-3, abs=1e-4 * np.abs(rate).max())
+
+
+def lifted(**options: object) -> Vehicle:
+    """A boat of any inertia with two thrusters that push up, a fixed one at the bow and a swivelling one aside."""
+    push = {"direction": (0.0, 0.0, 1.0), "forward": 2.0, "curve": ((0.0, 0.0), (1.0, 2.0))}
+    bow = Thruster("bow", (0.2, 0.0, 0.1), reverse=2.0, **push)  # type: ignore[arg-type]
+    joint = Swivel((1.0, 0.0, 0.0), (-pi / 2, pi / 2))
+    aside = Thruster("aside", (0.0, -0.15, 0.0), reverse=0.0, swivel=joint, **push)  # type: ignore[arg-type]
+    return replace(with_values(LOOSE, options), actuators=Actuators((bow, aside)))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.3])
+@pytest.mark.parametrize("inertia", [{}, COUPLED], ids=["own", "coupled"])
+def test_each_thruster_turns_the_hull_about_its_own_place(lag: float, inertia: dict[str, float]) -> None:
+    """After a short time from rest, M ν = τ (t − T + T exp(−t/T)) with the moments r × F of each thruster, lag T."""
+    vehicle, t = lifted(thrust_lag=lag, **inertia), 0.05
+    actuators = vehicle.actuators
+    assert actuators is not None
+    components = np.array([-0.2, 0.1, 0.15])  # N: bow; aside, along and across
+    force = actuators.matrix @ components
+    extra = np.array([0.0, 0.0, 0.05, 0.0])  # an error of the thrust, which no thruster explains
+    system = physics(vehicle)
+    system.state = plant_state(vehicle.form).pack({"eta": [*MIDDLE, 0.0]})
+    for k in range(2):
+        state = system.advance(force + extra, k * 0.025, components)
+    across = np.cross((0.0, -0.15, 0.0), (0.0, -0.15, 0.1)) + np.cross((0.2, 0.0, 0.1), (0.0, 0.0, -0.2))
+    load = np.array([0.0, -0.15, -0.1 + 0.05, across[2], across[0], across[1]])
+    acted = t if lag == 0 else t - lag + lag * np.exp(-t / lag)
+    rates = np.linalg.solve(vehicle.inertia, load) * acted
+    found = np.array([*state[4:8], *state[14:16]])
+    assert found == pytest.approx(rates, abs=1e-4 * np.abs(rates).max())
+    assert state[8:12] == pytest.approx((force + extra) * (1 if lag == 0 else 1 - np.exp(-t / lag)), rel=1e-6)
+    assert abs(across[0]) > 0.01 and abs(across[1]) > 0.01  # it rolls and pitches
 
 
 def test_neutral_buoyancy_rests() -> None:

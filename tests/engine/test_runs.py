@@ -42,6 +42,19 @@ def test_a_run_agrees_with_the_own_plant(vehicle: str, dof: int) -> None:
     assert runs[1].to_dict()["plant"] == runs[1].plant
 
 
+def test_jets_in_the_plane_of_the_centre_do_not_tilt_the_hull() -> None:
+    """Total force and yaw moment are those of the own plant, which has the thrust at (xt, yt, zt), below the centre."""
+    jets, short = load_vehicle("sur540-jets").actuators, replace(POOL, time_limit=2.0)
+    boat = replace(load_vehicle("sur400-tilting"), actuators=jets)
+    laws = (CLOSED, build_law("closed_form", actuators=jets))  # allocated by the simulation, and by the law
+    for law in laws:
+        own, theirs = (
+            simulate(short, boat, gains=GAINS, law=law, physics=made).record for made in (OwnPhysics, mujoco_physics())
+        )
+        assert own.tilt is not None and theirs.tilt is not None
+        assert np.abs(own.tilt).max() > 0.03 > 20 * np.abs(theirs.tilt).max()
+
+
 def test_runs_in_other_processes_by_the_law_as_c_have_the_same_bytes() -> None:
     case = Case(
         replace(load_scenario("pool-static"), time_limit=2.0), load_vehicle("sur400-tilting"), GAINS, "closed_form"

@@ -124,8 +124,12 @@ def test_the_plant_has_the_force_of_the_deflection_at_the_speed_through_the_wate
     telemetry[law.telemetry_slice("thruster_command")] = 0.3, 0.5
     half = 0.5 * 9.64 * np.radians(13.6)
     for speed, force in ((1.2, half * 1.44), (0.0, 0.0), (-1.0, 0.0)):
-        achieved = thrusters.achieved(np.array([3.0, 1.0, 0.0, -0.638]), 0.0, telemetry=telemetry, speed=speed)
+        tau = np.array([3.0, 1.0, 0.0, -0.638])
+        achieved, components = thrusters.achieved(tau, 0.0, telemetry=telemetry, speed=speed)
         assert achieved == pytest.approx([3.0, force, 0.0, -0.638 * force], abs=1e-12)
+        assert components == pytest.approx([3.0, force], abs=1e-12)
+        without, none = thrusters.achieved(np.zeros(4), 0.0, telemetry=None, speed=speed)  # as after a lost link
+        assert not without.any() and not none.size
 
 
 def test_the_exported_c_gives_the_same_bytes(tmp_path: Path) -> None:
