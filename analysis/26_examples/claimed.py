@@ -17,7 +17,7 @@ from surctl.system import System, entry_labels, entry_units
 from surctl.system.values import run_numbers
 from surctl.verification.formula import from_casadi
 
-SECONDS = 10.0  # limit of the processor time of search and proof
+SECONDS = 20.0  # limit of the processor time of search and proof
 SAMPLES = 100
 
 Within = Mapping[str, tuple[float, float]]

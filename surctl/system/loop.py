@@ -127,6 +127,13 @@ class System:
     disturbance: Callable[[ca.SX, Parts], Any] | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        for key, part, attribute, remedy in (
+            ("plant", self.plant, "ode", "give a surctl.system.Plant"),
+            ("controller", self.controller, "block", "give a surctl.system.Controller"),
+            *((f"costs.{name}", cost, "how", "give a surctl.system.Cost") for name, cost in self.costs.items()),
+        ):
+            if not hasattr(part, attribute):
+                raise InputError(f"is a {type(part).__name__}", key=key, remedy=remedy)
         if not isinstance(self.substeps, int) or self.substeps < 1:
             raise InputError("is not a number of steps", key="substeps", value=self.substeps, remedy="give 1, 2, …")
         for kind, table in (("costs", self.costs), ("stops", self.stops)):
