@@ -172,10 +172,30 @@ def test_every_public_name_exists(name: str) -> None:
         assert hasattr(module, item), f"{name}.{item}"
 
 
+def test_a_lazy_package_loads_at_first_use_and_no_module_hides_a_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "idle").mkdir()
+    load = "from surctl.lazy import load_at_first_use\nload_at_first_use(__name__, {'go': 'go', 'broken': 'lost'})\n"
+    (tmp_path / "idle" / "__init__.py").write_text(load)
+    (tmp_path / "idle" / "go.py").write_text("def go():\n    return 1\n")
+    (tmp_path / "idle" / "broken.py").write_text("1 / 0\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    package = importlib.import_module("idle")
+    assert {"go", "lost"} <= set(dir(package))
+    assert importlib.import_module("idle.go").go is package.go
+    with pytest.raises(ZeroDivisionError):
+        _ = package.lost
+    with pytest.raises(AttributeError, match="module 'idle' has no attribute 'gone'"):
+        _ = package.gone
+
+
 def test_input_is_checked_before_heavy_libraries_are_loaded() -> None:
     heavy = ("control", "distributed", "matplotlib", "optuna", "osqp", "qpsolvers", "scipy", "xarray")
     code = f"""
 import sys, surctl.cli, surctl.control, surctl.simulation, surctl.study, surctl.tuning, surctl.verification
+for package in (surctl.control, surctl.simulation, surctl.study, surctl.tuning, surctl.verification):
+    [getattr(package, name) for name in package.__all__]
 print([m for m in {heavy} if m in sys.modules])
 """
     assert _run(sys.executable, "-c", code).split("\n")[0] == "[]"

@@ -1,12 +1,17 @@
 """The same closed loop in MuJoCo, a rigid-body engine with contacts, rays and pictures (extra `mujoco`)."""
 
-from surctl.engine.batch import BatchCase, simulate_seeds
-from surctl.engine.exported import write_mjcf
-from surctl.engine.fluid import Body, body_of, fluid_program
-from surctl.engine.mjcf import mjcf
-from surctl.engine.options import EngineOptions, parse_plant
-from surctl.engine.physics import MujocoPhysics, mujoco_physics
-from surctl.engine.pictures import CAMERAS, Moment, Scene
+from typing import TYPE_CHECKING
+
+from surctl.lazy import load_at_first_use
+
+if TYPE_CHECKING:
+    from surctl.engine.batch import BatchCase, simulate_seeds
+    from surctl.engine.exported import write_mjcf
+    from surctl.engine.fluid import Body, body_of, fluid_program
+    from surctl.engine.mjcf import mjcf
+    from surctl.engine.options import EngineOptions, parse_plant
+    from surctl.engine.physics import MujocoPhysics, mujoco_physics
+    from surctl.engine.pictures import CAMERAS, Moment, Scene
 
 __all__ = [
     "CAMERAS",
@@ -24,3 +29,16 @@ __all__ = [
     "simulate_seeds",
     "write_mjcf",
 ]
+
+load_at_first_use(
+    __name__,
+    {
+        "batch": "BatchCase simulate_seeds",
+        "exported": "write_mjcf",
+        "fluid": "Body body_of fluid_program",
+        "mjcf": "mjcf",
+        "options": "EngineOptions parse_plant",
+        "physics": "MujocoPhysics mujoco_physics",
+        "pictures": "CAMERAS Moment Scene",
+    },
+)

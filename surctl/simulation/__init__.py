@@ -1,61 +1,66 @@
 """Scenario files, the simulated world, the reference closed loop, batches of closed loops, and their metrics."""
 
-from surctl.simulation.attitude import Attitude, attitude_of
-from surctl.simulation.batch import (
-    ENGINES,
-    BatchResult,
-    Case,
-    CaseParameter,
-    Engine,
-    SlowerEngine,
-    case_parameters,
-    check_speeds,
-    simulate_batch,
-)
-from surctl.simulation.disturbance import Disturbance
-from surctl.simulation.explanation import Explanation, explain
-from surctl.simulation.fit import Finding, findings
-from surctl.simulation.iosystem import ClosedLoopSystem, closed_loop_system
-from surctl.simulation.loop import Stepper, simulate
-from surctl.simulation.margin import margin_needed, turn_rate
-from surctl.simulation.metrics import (
-    GONE,
-    LATE,
-    LINK_LOST,
-    METRICS,
-    STANDSTILL,
-    STOPPED_LIMIT,
-    STOPS,
-    Metrics,
-    MetricSpec,
-)
-from surctl.simulation.numbers import law_numbers
-from surctl.simulation.obstacle import Obstacle
-from surctl.simulation.paper_figure import PaperFigure
-from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
-from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
-from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
-from surctl.simulation.record import Record
-from surctl.simulation.record_file import RECORD_FORMATS, RUN_FORMATS, RecordFormat, record_columns, save_record
-from surctl.simulation.reflectors import ECHOES, EchoModel, Reflectors
-from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
-from surctl.simulation.safety import SafetyClaim, safety_claim
-from surctl.simulation.scaling import (
-    disturbed,
-    mission_size,
-    scaled_scenario,
-    straight_mission,
-    two_leg_mission,
-)
-from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
-from surctl.simulation.scene_file import LAYOUT, SceneFile, save_scene, write_layout
-from surctl.simulation.sensors import Sensors
-from surctl.simulation.stepping import advance
-from surctl.simulation.stopping import stop_reason
-from surctl.simulation.thruster_faults import ThrusterFault
-from surctl.simulation.thruster_fit import held_share, thruster_findings
-from surctl.simulation.thruster_use import ThrusterUse, thruster_use
-from surctl.simulation.world import Body, World, build_world
+from typing import TYPE_CHECKING
+
+from surctl.lazy import load_at_first_use
+
+if TYPE_CHECKING:
+    from surctl.simulation.attitude import Attitude, attitude_of
+    from surctl.simulation.batch import (
+        ENGINES,
+        BatchResult,
+        Case,
+        CaseParameter,
+        Engine,
+        SlowerEngine,
+        case_parameters,
+        check_speeds,
+        simulate_batch,
+    )
+    from surctl.simulation.disturbance import Disturbance
+    from surctl.simulation.explanation import Explanation, explain
+    from surctl.simulation.fit import Finding, findings
+    from surctl.simulation.iosystem import ClosedLoopSystem, closed_loop_system
+    from surctl.simulation.loop import Stepper, simulate
+    from surctl.simulation.margin import margin_needed, turn_rate
+    from surctl.simulation.metrics import (
+        GONE,
+        LATE,
+        LINK_LOST,
+        METRICS,
+        STANDSTILL,
+        STOPPED_LIMIT,
+        STOPS,
+        Metrics,
+        MetricSpec,
+    )
+    from surctl.simulation.numbers import law_numbers
+    from surctl.simulation.obstacle import Obstacle
+    from surctl.simulation.paper_figure import PaperFigure
+    from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
+    from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
+    from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
+    from surctl.simulation.record import Record
+    from surctl.simulation.record_file import RECORD_FORMATS, RUN_FORMATS, RecordFormat, record_columns, save_record
+    from surctl.simulation.reflectors import ECHOES, EchoModel, Reflectors
+    from surctl.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
+    from surctl.simulation.safety import SafetyClaim, safety_claim
+    from surctl.simulation.scaling import (
+        disturbed,
+        mission_size,
+        scaled_scenario,
+        straight_mission,
+        two_leg_mission,
+    )
+    from surctl.simulation.scenario import LIBRARY, Scenario, load_scenario
+    from surctl.simulation.scene_file import LAYOUT, SceneFile, save_scene, write_layout
+    from surctl.simulation.sensors import Sensors
+    from surctl.simulation.stepping import advance
+    from surctl.simulation.stopping import stop_reason
+    from surctl.simulation.thruster_faults import ThrusterFault
+    from surctl.simulation.thruster_fit import held_share, thruster_findings
+    from surctl.simulation.thruster_use import ThrusterUse, thruster_use
+    from surctl.simulation.world import Body, World, build_world
 
 __all__ = [
     "ECHOES",
@@ -141,3 +146,40 @@ __all__ = [
     "two_leg_mission",
     "write_layout",
 ]
+
+load_at_first_use(
+    __name__,
+    {
+        "attitude": "Attitude attitude_of",
+        "batch": "ENGINES BatchResult Case CaseParameter Engine SlowerEngine case_parameters check_speeds"
+        " simulate_batch",
+        "disturbance": "Disturbance",
+        "explanation": "Explanation explain",
+        "fit": "Finding findings",
+        "iosystem": "ClosedLoopSystem closed_loop_system",
+        "loop": "Stepper simulate",
+        "margin": "margin_needed turn_rate",
+        "metrics": "GONE LATE LINK_LOST METRICS STANDSTILL STOPPED_LIMIT STOPS Metrics MetricSpec",
+        "numbers": "law_numbers",
+        "obstacle": "Obstacle",
+        "paper_figure": "PaperFigure",
+        "physics": "Contact OwnPhysics Physics PhysicsMaker",
+        "plan_file": "Mission mission_scenario read_mission",
+        "priority_timeline": "PriorityTimeline priority_timeline",
+        "record": "Record",
+        "record_file": "RECORD_FORMATS RUN_FORMATS RecordFormat record_columns save_record",
+        "reflectors": "ECHOES EchoModel Reflectors",
+        "run": "SENSING DepthChange Run Sensing depth_changes",
+        "safety": "SafetyClaim safety_claim",
+        "scaling": "disturbed mission_size scaled_scenario straight_mission two_leg_mission",
+        "scenario": "LIBRARY Scenario load_scenario",
+        "scene_file": "LAYOUT SceneFile save_scene write_layout",
+        "sensors": "Sensors",
+        "stepping": "advance",
+        "stopping": "stop_reason",
+        "thruster_faults": "ThrusterFault",
+        "thruster_fit": "held_share thruster_findings",
+        "thruster_use": "ThrusterUse thruster_use",
+        "world": "Body World build_world",
+    },
+)

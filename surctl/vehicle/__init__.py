@@ -1,40 +1,45 @@
 """The vehicle: parameters, equations (1)–(3) of the paper (kinematics, dynamics), linearisation, identification."""
 
+from typing import TYPE_CHECKING
+
+from surctl.lazy import load_at_first_use
 from surctl.tasks.kinematics import jacobian, planar_rotation
-from surctl.vehicle.attainable import Attainable, attainable
-from surctl.vehicle.buoyancy import GRAVITY, WATER, floating_depth, missing_buoyancy
-from surctl.vehicle.dynamics import (
-    PLANT_DISTURBANCE,
-    PLANT_PARAMETERS,
-    PLANT_STATE,
-    Plant,
-    build_plant,
-    check_equation_3,
-    plant_layout,
-    plant_parameters,
-    plant_state,
-    steady_speed,
-    trim_thrust,
-)
-from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, heading_velocity, swap_body, swap_pose
-from surctl.vehicle.gazebo import gazebo_vehicle
-from surctl.vehicle.geometry import sphere
-from surctl.vehicle.identification.consistency import velocity_notes
-from surctl.vehicle.identification.fitted import CONSTANT_FORCE, FITTED
-from surctl.vehicle.identification.held_out import HELD_OUT, held_out, held_out_windows
-from surctl.vehicle.identification.identify import identify
-from surctl.vehicle.identification.prediction import Prediction, predict, predict_with
-from surctl.vehicle.identification.result import Identified
-from surctl.vehicle.iosystem import plant_system
-from surctl.vehicle.linearise import linearise, plant_jacobians
-from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
-from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog, in_sequence, read_motion_log
-from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
-from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
-from surctl.vehicle.thrust_limit import plant_thrust_limit
-from surctl.vehicle.thruster_file import axis_ends, axis_limits
-from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Fin, Swivel, Thruster
-from surctl.vehicle.vehicle_file import write_vehicle
+
+if TYPE_CHECKING:
+    from surctl.vehicle.attainable import Attainable, attainable
+    from surctl.vehicle.buoyancy import GRAVITY, WATER, floating_depth, missing_buoyancy
+    from surctl.vehicle.dynamics import (
+        PLANT_DISTURBANCE,
+        PLANT_PARAMETERS,
+        PLANT_STATE,
+        Plant,
+        build_plant,
+        check_equation_3,
+        plant_layout,
+        plant_parameters,
+        plant_state,
+        steady_speed,
+        trim_thrust,
+    )
+    from surctl.vehicle.frames import FRAME_TEXT, FRAMES, Frame, check_frame, heading_velocity, swap_body, swap_pose
+    from surctl.vehicle.gazebo import gazebo_vehicle
+    from surctl.vehicle.geometry import sphere
+    from surctl.vehicle.identification.consistency import velocity_notes
+    from surctl.vehicle.identification.fitted import CONSTANT_FORCE, FITTED
+    from surctl.vehicle.identification.held_out import HELD_OUT, held_out, held_out_windows
+    from surctl.vehicle.identification.identify import identify
+    from surctl.vehicle.identification.prediction import Prediction, predict, predict_with
+    from surctl.vehicle.identification.result import Identified
+    from surctl.vehicle.iosystem import plant_system
+    from surctl.vehicle.linearise import linearise, plant_jacobians
+    from surctl.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
+    from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog, in_sequence, read_motion_log
+    from surctl.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
+    from surctl.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+    from surctl.vehicle.thrust_limit import plant_thrust_limit
+    from surctl.vehicle.thruster_file import axis_ends, axis_limits
+    from surctl.vehicle.thrusters import DEFAULT_ORDER, Actuators, Fin, Swivel, Thruster
+    from surctl.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
     "CONSTANT_FORCE",
@@ -107,3 +112,32 @@ __all__ = [
     "velocity_notes",
     "write_vehicle",
 ]
+
+load_at_first_use(
+    __name__,
+    {
+        "attainable": "Attainable attainable",
+        "buoyancy": "GRAVITY WATER floating_depth missing_buoyancy",
+        "dynamics": "PLANT_DISTURBANCE PLANT_PARAMETERS PLANT_STATE Plant build_plant check_equation_3 plant_layout"
+        " plant_parameters plant_state steady_speed trim_thrust",
+        "frames": "FRAME_TEXT FRAMES Frame check_frame heading_velocity swap_body swap_pose",
+        "gazebo": "gazebo_vehicle",
+        "geometry": "sphere",
+        "identification.consistency": "velocity_notes",
+        "identification.fitted": "CONSTANT_FORCE FITTED",
+        "identification.held_out": "HELD_OUT held_out held_out_windows",
+        "identification.identify": "identify",
+        "identification.prediction": "Prediction predict predict_with",
+        "identification.result": "Identified",
+        "iosystem": "plant_system",
+        "linearise": "linearise plant_jacobians",
+        "logs.read": "read_mapped_log read_recording topic_lines",
+        "motion_log": "LOG_MOTION LOG_THRUST LOG_TILT MotionLog in_sequence read_motion_log",
+        "parameters": "LIBRARY Parameter Vehicle load_vehicle",
+        "specs": "PARAMETERS TERMS ParameterSpec PlantForm parameter_spec",
+        "thrust_limit": "plant_thrust_limit",
+        "thruster_file": "axis_ends axis_limits",
+        "thrusters": "DEFAULT_ORDER Actuators Fin Swivel Thruster",
+        "vehicle_file": "write_vehicle",
+    },
+)

@@ -1,0 +1,64 @@
+"""Packages whose names load their modules at first use, so that a command imports only what it needs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+__all__ = ["LazyPackage", "load_at_first_use"]
+
+
+class LazyPackage(ModuleType):
+    """A package that imports the module of a public name when the name is first used; see `load_at_first_use`.
+
+    Example:
+        >>> import surctl.tuning
+        >>> surctl.tuning.Axis.__module__  # imports this module only
+        'surctl.tuning.axes'
+    """
+
+    _homes: Mapping[str, str]
+
+    def __getattr__(self, name: str) -> Any:
+        """Import the module that defines a public name, and return the name's value.
+
+        Raises:
+            AttributeError: the package has no such name.
+        """
+        home = self.__dict__.get("_homes", {}).get(name)
+        if home is None:
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        value = getattr(import_module(f"{self.__name__}.{home}"), name)
+        self.__dict__[name] = value
+        return value
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute, but let no module hide the public name that it shares, as `sweep.sweep` does."""
+        if not (isinstance(value, ModuleType) and name in self._homes):
+            super().__setattr__(name, value)
+
+    def __dir__(self) -> list[str]:
+        """Return the names of the package, those not loaded yet included."""
+        return sorted({*super().__dir__(), *self._homes})
+
+
+def load_at_first_use(package: str, modules: Mapping[str, str]) -> None:
+    """Make a package load each of its modules when one of the module's names is used.
+
+    The package imports the same names under `TYPE_CHECKING` for type checkers, and lists them in `__all__`.
+
+    Args:
+        package: full name of the package, its `__name__`.
+        modules: names of the package's modules, each with the public names that it defines, separated by spaces.
+
+    Example:
+        >>> import surctl.tuning
+        >>> type(surctl.tuning).__name__, "tune" in dir(surctl.tuning)
+        ('LazyPackage', True)
+    """
+    module = sys.modules[package]
+    module.__dict__["_homes"] = {name: home for home, names in modules.items() for name in names.split()}
+    module.__class__ = LazyPackage
