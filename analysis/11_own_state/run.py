@@ -51,6 +51,9 @@ class Size(Strict):
     """How much is simulated."""
 
     runs: int
+    mass_kg: tuple[float, ...]
+    drag: tuple[float, ...]
+    softer: tuple[float, ...]
 
 
 class Config(Strict):
@@ -60,13 +63,10 @@ class Config(Strict):
     seed: int
     spin_rad_per_s: float
     k_v: float
-    softer: tuple[float, ...]
     wave_n: float
     wave_period_s: float
     current_m_per_s: float
     gaps_s: tuple[tuple[float, float], ...]
-    mass_kg: tuple[float, ...]
-    drag: tuple[float, ...]
     other_belief_kg: float
     legs: tuple[LegFile, ...]
     bars: Bars
@@ -102,7 +102,7 @@ class Figures:
 def main(arguments: list[str]) -> int:
     """Run the study, print the results, and return the exit status."""
     parser = argparse.ArgumentParser(prog="run.py", description="The own-state filter in the closed loop.")
-    parser.add_argument("--quick", action="store_true", help="few runs of each case")
+    parser.add_argument("--quick", action="store_true", help="few runs of each case, and fewer hulls")
     options = parser.parse_args(arguments)
     try:
         config = load_model(CONFIG, Config)
@@ -125,21 +125,21 @@ def study(config: Config, size: Size) -> int:
     print_figures((f"{name}{', gaps' if gaps else ''}", f) for (name, gaps), f in told.items())
     hulls = {
         (m, d, gaps): measure(config, size, m, d, gaps=gaps)
-        for m in config.mass_kg
-        for d in config.drag
+        for m in size.mass_kg
+        for d in size.drag
         for gaps in (False, True)
     }
     print("\n## The filter in other hulls than it believes in\n")
     print_figures((f"{m:g} kg, drag {d:g}{', gaps' if gaps else ''}", f) for (m, d, gaps), f in hulls.items())
     light, softer = (
-        min(config.mass_kg),
+        min(size.mass_kg),
         [
             (
                 k_v,
                 name,
-                measure(config.model_copy(update={"k_v": k_v}), size, min(config.mass_kg), drag, estimator=name),
+                measure(config.model_copy(update={"k_v": k_v}), size, min(size.mass_kg), drag, estimator=name),
             )
-            for k_v in config.softer
+            for k_v in size.softer
             for name in ("truth", "filter", "constant noise")
         ],
     )
@@ -152,7 +152,7 @@ def study(config: Config, size: Size) -> int:
         ]
     )
     print(f"\n## Taken for {config.other_belief_kg:g} kg\n")
-    print_figures((f"{m:g} kg", measure(config, size, m, drag, belief=config.other_belief_kg)) for m in config.mass_kg)
+    print_figures((f"{m:g} kg", measure(config, size, m, drag, belief=config.other_belief_kg)) for m in size.mass_kg)
     print()
     fixed = min(
         told["fixed gain", True].after_gap / told["filter", True].after_gap,
