@@ -10,9 +10,11 @@ from surctl.cli.output import progress, refusal_line
 
 if TYPE_CHECKING:
     from surctl.control import Gains
+    from surctl.vehicle import Vehicle
+    from surctl.verification import Inapplicable
     from surctl.verification.region import RegionStatement
 
-__all__ = ["Regions", "is_region", "prove_regions", "region_of"]
+__all__ = ["Regions", "check_regions", "is_region", "prove_regions", "region_of"]
 
 
 class Regions(NamedTuple):
@@ -55,6 +57,36 @@ def region_of(word: str) -> RegionStatement:
     return load_region(Path(word)) if word.endswith(".toml") else region_statement(word)
 
 
+def check_regions(
+    words: Sequence[str], vehicle: Vehicle, gains: Gains, speeds: tuple[float, float]
+) -> tuple[dict[str, RegionStatement], dict[str, Inapplicable]]:
+    """Return the region claims by word, and those that do not apply to the vehicle with their reason; proves nothing.
+
+    Args:
+        words: names and files of the claims.
+        vehicle: the vehicle.
+        gains: the gains.
+        speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
+
+    Raises:
+        InputError: a claim is unknown or has a mistake.
+    """
+    from surctl.errors import InputError, NotApplicable
+    from surctl.verification import Inapplicable
+
+    cruise, cap = speeds
+    stated = {word: region_of(word) for word in words}
+    refused: dict[str, Inapplicable] = {}
+    for word, statement in stated.items():
+        try:
+            statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+        except NotApplicable as reason:
+            refused[word] = Inapplicable.of(statement.name, reason)
+        except InputError as error:
+            raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
+    return stated, refused
+
+
 def prove_regions(
     words: Sequence[str],
     *,
@@ -78,23 +110,13 @@ def prove_regions(
         InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
     """
     from surctl.control import load_gains
-    from surctl.errors import InputError, NotApplicable
     from surctl.vehicle import load_vehicle
-    from surctl.verification import Inapplicable
     from surctl.verification.region import RegionStatement, applicable_region, prove_statement
 
     robot = load_vehicle(vehicle)
     values = load_gains(gains) if isinstance(gains, str) else gains
-    stated = {word: region_of(word) for word in words}
-    refused: dict[str, Inapplicable] = {}
     cruise, cap = speeds
-    for word, statement in stated.items():  # mistakes are reported before the first proof
-        try:
-            statement.claim(robot, values, cruise=cruise, cap=cap)
-        except NotApplicable as reason:
-            refused[word] = Inapplicable.of(statement.name, reason)
-        except InputError as error:
-            raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
+    stated, refused = check_regions(words, robot, values, speeds)
     proofs, files = [], []
     for word, statement in stated.items():
         if word in refused:

@@ -128,7 +128,7 @@ def verify(
     from surctl.cli.law_option import choose_law
     from surctl.cli.linear_part import law_part, linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command
-    from surctl.cli.regions import is_region, prove_regions, region_of
+    from surctl.cli.regions import check_regions, is_region, prove_regions, region_of
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.files import prepare_folder
@@ -167,6 +167,8 @@ def verify(
     if about is not None and any(is_region(name) or is_braking(name) for name in claims):
         name = next(name for name in claims if is_region(name) or is_braking(name))
         raise InputError(f"does not concern the law {about}", key="claim", value=name, remedy="drop it")
+    region_names = [name for name in claims if is_region(name)]
+    check_regions(region_names, robot, tuned.gains, speeds)  # mistakes are reported before the linear analysis
     dt = build_law().dt
     options = {"dt": dt, "uncertainty": uncertainty}
     cascaded = CASCADE in source.parts
@@ -183,7 +185,6 @@ def verify(
         safety = safety_part(
             scenario, robot, tuned.gains, speeds, barrier=barrier, movers=movers, spread=uncertainty or None
         )
-    region_names = [name for name in claims if is_region(name)]
     regions = prove_regions(region_names, vehicle=vehicle, gains=tuned.gains, speeds=speeds, seed=seed, out=out)
     braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=tuned.gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
