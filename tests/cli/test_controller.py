@@ -159,7 +159,7 @@ def test_ctrl_c_ends_a_flight_in_one_line(bundle: Path, tmp_path: Path) -> None:
         (("--controller", "qemu:cortex-m99"), "is not an emulated processor"),
         (("--controller", "tcp://127.0.0.1:9", "--link-loss", "2"), "is not a probability"),
         (("--controller", "tcp://127.0.0.1:9", "--link-delay", "-1"), "is not a valid time"),
-        (("--link-loss", "0.1"), "needs --controller"),
+        (("--link-loss", "0.1"), "needs a controller over a link"),
         (("--controller", "tcp://127.0.0.1:9", "--monte-carlo"), "applies only to single runs"),
         (("--controller", "tcp://127.0.0.1:9", "--from", "run.toml"), "applies only to single runs"),
     ],
