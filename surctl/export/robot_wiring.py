@@ -23,7 +23,8 @@ _PLAIN: Mapping[str, str] = MappingProxyType(
         "eta": "Pose of the hull's centre at this instant, from an estimator. Angles may include whole turns.",
         "nu": "Velocity over ground (not through the water) in the body frame, and yaw rate, from the same estimator.",
         "contacts": "One row per obstacle; an unused row is all zeros (valid = 0). Order and number may change.",
-        "contacts_fresh": "1 in the one step after a message arrived, else 0. The rows may keep their old numbers.",
+        "contacts_fresh": "1 in the one step after a message arrived, else 0. The rows may keep their old numbers. "
+        "Without moving obstacles, or without a source of messages: `contacts` all zeros, and 0 in every step.",
         "fix": "The last position of the hull's centre that arrived. Before the first one: any numbers in range, such "
         "as those of the start, with `fix_fresh` = 0. The range is checked in every step, whatever the flag is.",
         "fix_fresh": "1 in the one step after a fix arrived, else 0. Never 1 twice for one fix.",
@@ -103,10 +104,11 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
         f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
         f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
-        f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm, bias {1000 * array.bias:.3g} mm, "
-        f"{samples}. A row that repeats exactly from firing to firing is taken as a stuck sensor. A quiet module in "
-        "front of a robot at rest repeats too, and reads unhealthy: export with the true `step_m` and `samples` of the "
-        "module (`step_m = 0.01`, `samples = 1` for whole centimetres, one number), which allows for such repeats.",
+        f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm (standard deviation of each sample, independent "
+        f"also within a firing), bias {1000 * array.bias:.3g} mm, {samples}. A row that repeats exactly "
+        "from firing to firing is taken as a stuck sensor. A quiet module in front of a robot at rest repeats "
+        "too, and reads unhealthy: export with the true `step_m` and `samples` of the module (`step_m = 0.01`, "
+        "`samples = 1` for whole centimetres, one number), which allows for such repeats.",
         f"Speed of sound {array.speed:.0f} m/s ({array.medium}, {array.temperature:g} °C); readings are "
         f"{array.scale:.4g} times the true range.",
     ]
