@@ -141,9 +141,12 @@ def parse_plant(text: str) -> EngineOptions | None:
         if not part:
             raise InputError("has an option that is empty", key="--plant", value=text, remedy=_FORM)
         key, equals, value = part.partition("=")
-        if not equals or key not in known:
-            remedy = nearest(key, known) if equals else _FORM
-            raise InputError("is not an option of this plant", key="--plant", value=part, remedy=remedy)
+        if key not in known:
+            raise InputError("is not an option of this plant", key="--plant", value=part, remedy=nearest(key, known))
+        if not equals:
+            raise InputError("has no value", key="--plant", value=part, remedy=_FORM)
+        if key in values:
+            raise InputError("is there twice", key=f"--plant mujoco:{key}", value=value, remedy="write it once")
         values[key] = _value(key, value)
     try:
         return EngineOptions(**values)
