@@ -277,8 +277,8 @@ class Loop:
     def _advance(self, time: float, step: LawStep, noise: _StepNoise) -> None:
         psi, (east, north) = self.state[3], self.world.scenario.disturbance.current_m_per_s
         speed = float(self.state[4] - (np.cos(psi) * east + np.sin(psi) * north))
-        told = None if step.status < 0 else step.telemetry  # a step without command repeats an older telemetry
-        achieved, components = self.thrusters.achieved(step.tau, time, telemetry=told, speed=speed)
+        shown = None if step.status < 0 else step.telemetry  # a step without command repeats an older telemetry
+        achieved, components = self.thrusters.achieved(step.tau, time, telemetry=shown, speed=speed)
         thrust = self.world.thrust(achieved, self.limit)
         half = round(self.law.dt / FIRING)
         for k in range(half):

@@ -349,7 +349,7 @@ def test_certificates_travel_and_those_of_another_controller_do_not(
     assert "certificate-v1-corrected.json" in json.loads(bundle.files["manifest.json"])["sha256"]
     with pytest.raises(InputError, match="is not about this controller: claim 'v1-corrected'"):
         bundle_of(loaded, k1=np.array([0.4]))
-    with pytest.raises(InputError, match="the name of another"):
+    with pytest.raises(InputError, match="the same name in the bundle as another certificate"):
         load_certificates([path, path])
     path.write_text(json.dumps({**tracking, "cases": []}))
     with pytest.raises(InputError, match="is rejected: the hash"):

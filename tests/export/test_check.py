@@ -170,7 +170,7 @@ def test_float32_on_its_own_state_is_the_replay(tmp_path: Path) -> None:
 
 
 def test_float32_needs_exact_operations() -> None:
-    with pytest.raises(InputError, match=r"uses .*sin.* of the mathematical library"):
+    with pytest.raises(InputError, match=r"uses .*sin.* of the C math library"):
         build_bundle(stand_in(), {}, real="float32")
 
 

@@ -242,7 +242,7 @@ def test_mistakes_are_named() -> None:
         fold("sums", lambda s, a: ca.vertcat(s, s), ca.SX(0), row)
     with pytest.raises(InputError, match="first: reads a row of an empty table"):
         picked("first", ca.SX(0, 2), ca.SX(0))
-    with pytest.raises(InputError, match="needs a flag of one number"):
+    with pytest.raises(InputError, match="the flag must be one number"):
         repeat("ends", lambda s, a: ([s], []), [ca.SX([0, 0])], [row], until=0)
     with Recording() as recording:
         total = fold("sums", lambda s, a: s + a[0], ca.SX(0), row)
