@@ -60,7 +60,9 @@ class ControllerOptions:
         alone += ["--link-compact"] * self.compact
         if self.controller in (None, "c"):
             if alone:
-                raise InputError("needs a controller over a link", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT")
+                raise InputError(
+                    "needs a controller over a link", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT"
+                )
             if self.controller is None or not campaign:
                 return
         if campaign:

@@ -54,6 +54,7 @@ def mujoco_library() -> ModuleType:
 
 _BOUND = """
 typedef void (*callback)(const void *model, void *data);
+typedef void (*listener)(const char *text);
 static const double *now_q, *now_v, *now_thrust, *now_p, *now_e;
 static double *now_force;
 
@@ -68,14 +69,20 @@ static void water(const void *model, void *data)
     }
 }
 
-void surctl_advance(callback step, callback *slot, const void *model, void *data, long count,
+static void quiet(const char *text)
+{
+    (void)text;
+}
+
+void surctl_advance(callback step, callback *slot, listener *warned, const void *model, void *data, long count,
                     const double *q, const double *v, const double *thrust, const double *p, const double *e,
                     double *force);
-void surctl_advance(callback step, callback *slot, const void *model, void *data, long count,
+void surctl_advance(callback step, callback *slot, listener *warned, const void *model, void *data, long count,
                     const double *q, const double *v, const double *thrust, const double *p, const double *e,
                     double *force)
 {
     const callback before = *slot;
+    const listener usual = *warned;
     now_q = q;
     now_v = v;
     now_thrust = thrust;
@@ -83,10 +90,12 @@ void surctl_advance(callback step, callback *slot, const void *model, void *data
     now_e = e;
     now_force = force;
     *slot = water;
+    *warned = quiet;  /* MuJoCo would write to MUJOCO_LOG.TXT; the number of warnings is in the data */
     for (long k = 0; k < count; ++k) {
         step(model, data);
     }
     *slot = before;
+    *warned = usual;
 }
 """
 
@@ -111,9 +120,10 @@ def stepper(body: Body) -> Callable[..., Callable[[], None]]:
     engine = _engine(str(mujoco.__file__))
     function = library.surctl_advance
     function.restype = None
-    function.argtypes = [*[ctypes.c_void_p] * 4, ctypes.c_long, *[ctypes.c_void_p] * 6]
+    function.argtypes = [*[ctypes.c_void_p] * 5, ctypes.c_long, *[ctypes.c_void_p] * 6]
     step = ctypes.cast(engine.mj_step, ctypes.c_void_p).value
     slot = ctypes.addressof(ctypes.c_void_p.in_dll(engine, "mjcb_passive"))
+    warned = ctypes.addressof(ctypes.c_void_p.in_dll(engine, "mju_user_warning"))
 
     def bound(
         model: Any, data: Any, count: int, *, thrust: Array, parameters: Array, environment: Array
@@ -123,7 +133,7 @@ def stepper(body: Body) -> Callable[..., Callable[[], None]]:
         references = library, model, data, places  # as long as the function is used
 
         def run() -> None:
-            function(step, slot, references[1]._address, references[2]._address, count, *addresses)
+            function(step, slot, warned, references[1]._address, references[2]._address, count, *addresses)
 
         return run
 

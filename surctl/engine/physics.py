@@ -15,6 +15,7 @@ from surctl.engine.library import mujoco_library, stepper
 from surctl.engine.mjcf import HULL, OBSTACLE, WALLS, mjcf
 from surctl.engine.options import EngineOptions
 from surctl.engine.rays import Rays
+from surctl.errors import InputError
 from surctl.simulation import Contact
 from surctl.vehicle import PLANT_STATE, plant_state
 from surctl.world import Wall
@@ -68,7 +69,7 @@ class MujocoPhysics:
 
     def __init__(self, world: World, vehicle: Vehicle, array: SonarArray, options: EngineOptions) -> None:
         self._mujoco = mujoco_library()
-        self.world, self.body = world, body_of(vehicle, options)
+        self.world, self.body, self._vehicle = world, body_of(vehicle, options), vehicle.name
         options = self.body.options
         self.name = ", ".join(filter(None, ("mujoco", f"{options.dof} DoF", _others(options))))
         scenario = world.scenario
@@ -88,6 +89,8 @@ class MujocoPhysics:
         self._heights = {name: float(self.data.mocap_pos[k, 2]) for name, k in self._mocap.items()}
         self._contacts: dict[str, Contact] = {}
         self._placed: list[tuple[str, tuple[float, ...]]] | None = None
+        bad = self._mujoco.mjtWarning  # after each of these MuJoCo would begin again from its first state
+        self._diverged = (bad.mjWARN_BADQPOS, bad.mjWARN_BADQVEL, bad.mjWARN_BADQACC)
         # views of MuJoCo's arrays, which stay where they are
         self._qpos, self._qvel, self._command = self.data.qpos, self.data.qvel, self.data.ctrl
         self._acting = self.data.act if self._lagged else self.data.ctrl  # thrust that acts on the hull now
@@ -139,6 +142,9 @@ class MujocoPhysics:
         """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state.
 
         The force `components` (N,) of the thrusters act at their places, and the rest of the thrust at (xt, yt, zt).
+
+        Raises:
+            InputError: the motion becomes unstable: the step of the integration is too long for this vehicle.
         """
         self._outer[3:7] = self.world.force(time)
         self._command[:4] = np.minimum(np.maximum(thrust, self._range[0]), self._range[1])
@@ -146,6 +152,13 @@ class MujocoPhysics:
             self._command[4:] = 0.0 if components is None or not components.size else components
             self._command[:4] -= self._single @ self._command[4:]
         self._step()
+        if any(self.data.warning[kind].number for kind in self._diverged):
+            raise InputError(
+                f"becomes unstable at {time:.2f} s",
+                key="--plant mujoco:step",
+                value=self.model.opt.timestep,
+                remedy=f"give a smaller step, or check masses, inertia and drag of {self._vehicle}",
+            )
         self._touch(time + _PERIOD)
         self._refresh()
         self._state = self._read()

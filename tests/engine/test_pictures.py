@@ -123,6 +123,13 @@ def test_a_mistake_is_told_in_one_line(words: str, said: str) -> None:
     assert said in text and "\n" not in text
 
 
+def test_no_model_begins_inside_an_obstacle(tmp_path: Path) -> None:
+    words = ("--target", "mjcf", "--scenario", "pool-static", "--vehicle", "girona500", "--out", str(tmp_path))
+    done = CliRunner().invoke(app, ["export", *words])
+    assert isinstance(done.exception, InputError) and "m inside obstacle 'Obstacle1'" in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_window_needs_a_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):

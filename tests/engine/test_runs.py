@@ -181,3 +181,15 @@ def test_the_exported_model_moves_as_here(tmp_path: Path) -> None:
 def test_six_degrees_of_freedom_need_stated_centres() -> None:
     with pytest.raises(InputError, match="needs weight, buoyancy"):
         physics(load_vehicle("sur400"), dof=6)
+
+
+def test_an_unstable_integration_ends_with_the_reason_and_is_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo itself would begin again from its first state, and write a file into the current folder."""
+    monkeypatch.chdir(tmp_path)
+    scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
+    tossed = mujoco_physics(EngineOptions(surface=0.2, box=(100.0, 100.0, 100.0)))
+    with pytest.raises(InputError, match=r"step = 0.0125: becomes unstable at 0.\d\d s; give a smaller step"):
+        simulate(scenario, boat, gains=load_gains("default"), physics=tossed)
+    assert not list(tmp_path.iterdir())
