@@ -25,7 +25,7 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.engine import EngineOptions, write_mjcf
     from surctl.errors import InputError
-    from surctl.simulation import build_world, load_scenario
+    from surctl.simulation import load_scenario
     from surctl.vehicle import load_vehicle
 
     context = click.get_current_context()
@@ -37,7 +37,6 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
     mission = load_scenario(scenario)
     choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
     robot = load_vehicle(choice.word)
-    build_world(mission, robot, seed=0)  # refuses a start inside an obstacle
     files = write_mjcf(mission, robot, out)
     hashes = {file.name: sha256(file.read_bytes()).hexdigest() for file in files}
     dof = EngineOptions().of(robot).dof

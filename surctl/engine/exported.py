@@ -10,6 +10,7 @@ from surctl.engine.mjcf import ACTUATORS, mjcf
 from surctl.engine.options import EngineOptions
 from surctl.files import prepare_folder, write_file
 from surctl.ir import emit_block
+from surctl.simulation import build_world
 
 if TYPE_CHECKING:
     from surctl.simulation import Scenario
@@ -74,7 +75,8 @@ def write_mjcf(
     """Write the MuJoCo model `scene.xml` and the force of the water `water.c` to a folder, and return both paths.
 
     Raises:
-        InputError: the options need what the vehicle file does not state, or the folder cannot be written.
+        InputError: the options need what the vehicle file does not state, the hull starts inside an obstacle, or the
+            folder cannot be written.
 
     Example:
         >>> from pathlib import Path
@@ -85,6 +87,7 @@ def write_mjcf(
         >>> [file.name for file in files]
         ['scene.xml', 'water.c']
     """
+    build_world(scenario, vehicle, seed=0)  # refuses a start inside an obstacle
     prepare_folder(folder)
     body = body_of(vehicle, options or EngineOptions())
     lagged = vehicle["thrust_lag"] > 0

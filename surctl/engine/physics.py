@@ -89,13 +89,13 @@ class MujocoPhysics:
         self._heights = {name: float(self.data.mocap_pos[k, 2]) for name, k in self._mocap.items()}
         self._contacts: dict[str, Contact] = {}
         self._placed: list[tuple[str, tuple[float, ...]]] | None = None
-        bad = self._mujoco.mjtWarning  # after each of these MuJoCo would begin again from its first state
-        self._diverged = (bad.mjWARN_BADQPOS, bad.mjWARN_BADQVEL, bad.mjWARN_BADQACC)
         # views of MuJoCo's arrays, which stay where they are
         self._qpos, self._qvel, self._command = self.data.qpos, self.data.qvel, self.data.ctrl
         self._acting = self.data.act if self._lagged else self.data.ctrl  # thrust that acts on the hull now
         # force and yaw moment of the thrusters' force components, which the actuators after the first four are
         self._single = np.zeros((4, 0)) if vehicle.actuators is None else vehicle.actuators.matrix
+        bad = self._mujoco.mjtWarning  # after each of these MuJoCo would begin again from its first state
+        self._diverged = [self.data.warning[k] for k in (bad.mjWARN_BADQPOS, bad.mjWARN_BADQVEL, bad.mjWARN_BADQACC)]
         self._mocap_pos, self._xmat = self.data.mocap_pos, self.data.xmat[self._body].reshape(3, 3)
         self._turns = 0.0
         self._outer = environment(self.body, scenario, world.hull)
@@ -152,7 +152,7 @@ class MujocoPhysics:
             self._command[4:] = 0.0 if components is None or not components.size else components
             self._command[:4] -= self._single @ self._command[4:]
         self._step()
-        if any(self.data.warning[kind].number for kind in self._diverged):
+        if any(warning.number for warning in self._diverged):
             raise InputError(
                 f"becomes unstable at {time:.2f} s",
                 key="--plant mujoco:step",

@@ -108,13 +108,13 @@ def test_coupled_added_mass_is_felt_across_axes() -> None:
     assert found == pytest.approx(rate, rel=1e-3, abs=1e-4 * np.abs(rate).max())
 
 
-def lifted(**options: object) -> Vehicle:
+def lifted(**options: float) -> Vehicle:
     """A boat of any inertia with two thrusters that push up, a fixed one at the bow and a swivelling one aside."""
-    push = {"direction": (0.0, 0.0, 1.0), "forward": 2.0, "curve": ((0.0, 0.0), (1.0, 2.0))}
-    bow = Thruster("bow", (0.2, 0.0, 0.1), reverse=2.0, **push)  # type: ignore[arg-type]
+    up, curve = (0.0, 0.0, 1.0), ((0.0, 0.0), (1.0, 2.0))
+    bow = Thruster("bow", (0.2, 0.0, 0.1), up, forward=2.0, reverse=2.0, curve=curve)
     joint = Swivel((1.0, 0.0, 0.0), (-pi / 2, pi / 2))
-    aside = Thruster("aside", (0.0, -0.15, 0.0), reverse=0.0, swivel=joint, **push)  # type: ignore[arg-type]
-    return replace(with_values(LOOSE, options), actuators=Actuators((bow, aside)))  # type: ignore[arg-type]
+    aside = Thruster("aside", (0.0, -0.15, 0.0), up, forward=2.0, reverse=0.0, curve=curve, swivel=joint)
+    return replace(with_values(LOOSE, options), actuators=Actuators((bow, aside)))
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.3])
