@@ -100,7 +100,8 @@ def _plotting_function() -> str:
 def png(figure: Figure, **metadata: str | None) -> bytes:
     """Return a figure as a PNG file with these texts; unlike `savefig`, it draws the figure only once."""
     buffer = BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer, metadata=metadata)
+    canvas: Any = FigureCanvasAgg(figure)  # its method has no types
+    canvas.print_png(buffer, metadata=metadata)
     return buffer.getvalue()
 
 
