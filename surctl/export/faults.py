@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from surctl.export.contract import Exportable
 from surctl.export.envelope import NULL, STALE, Envelope, anywhere
 from surctl.export.fields import entries
-from surctl.export.precision import Guarded, replayed
+from surctl.export.precision import Guarded, evaluated, replayed
 from surctl.export.process import Controller
 from surctl.export.records import Records
 from surctl.ir import Real
@@ -21,6 +21,7 @@ __all__ = ["Fault", "fault_cases", "fault_failures"]
 Vector = NDArray[np.float64]
 
 _BAD = (np.nan, np.inf, -np.inf)
+_TOGETHER = 256  # faults evaluated together
 _AFTER = (  # faults that follow a valid step, in the order of the software-in-the-loop program
     ("the same sample again", STALE),
     ("an older sample", STALE),
@@ -93,32 +94,47 @@ def fault_failures(law: Exportable, controller: Controller, records: Records) ->
     cases = [*fault_cases(law, within, real=real), *_jumps(law, within, u)]
     record = np.concatenate([x, u, p])
     c = controller.run_faults(record, np.array([f.at for f in cases], float), np.array([f.value for f in cases]))
+    statuses, safe = _in_python(law, within, record, cases)
+    in_c = (c.status < 0) & (c.tau == 0.0).all(axis=1) & (c.changed == 0)
     failed = []
     for k, fault in enumerate(cases):
-        status, safe = _in_python(law, within, record, fault)
         sides = (
-            ("Python", safe),
-            ("C", int(c.status[k]) < 0 and bool(np.all(c.tau[k] == 0.0)) and c.changed[k] == 0),
-            (f"status {status} in Python, {c.status[k]} in C", status == c.status[k]),
+            ("Python", safe[k]),
+            ("C", in_c[k]),
+            (f"status {statuses[k]} in Python, {c.status[k]} in C", statuses[k] == c.status[k]),
         )
         failed += [f"{fault.label} ({side})" for side, passes in sides if not passes]
     return len(cases), tuple(failed)
 
 
-def _in_python(law: Exportable, within: Envelope, record: Vector, fault: Fault) -> tuple[int, bool]:
-    # (status, whether the step is refused with zero thrust and an unchanged state)
-    if fault.status is not None:
-        return fault.status, True
-    faulty, ends = record.copy(), np.cumsum([law.state.size, law.inputs.size])
-    if fault.at < record.size:
-        faulty[fault.at] = fault.value
-        x, u, p = np.split(faulty, ends)
-        step = law.step(x, u, p)
-        unchanged = np.array_equal(step.x_next, x, equal_nan=True)
-        return step.status, step.status < 0 and bool(np.all(step.tau == 0.0)) and unchanged
-    entry = fault.at - record.size - len(_AFTER)
-    faulty[law.state.size + entry] = fault.value
-    X, U, P = (np.vstack([a, b]) for a, b in zip(np.split(record, ends), np.split(faulty, ends), strict=True))
+def _in_python(
+    law: Exportable, within: Envelope, record: Vector, cases: Sequence[Fault]
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    # (status, whether the step is refused with zero thrust and an unchanged state) of each fault
+    ends = np.cumsum([law.state.size, law.inputs.size])
+    status = np.array([0 if fault.status is None else fault.status for fault in cases], dtype=np.int64)
+    safe = np.array([fault.status is not None for fault in cases])
+    inside = [k for k, fault in enumerate(cases) if fault.at < record.size]
+    for some in (inside[first : first + _TOGETHER] for first in range(0, len(inside), _TOGETHER)):
+        faulty = np.tile(record, (len(some), 1))
+        faulty[np.arange(len(some)), [cases[k].at for k in some]] = [cases[k].value for k in some]
+        X, U, P = np.split(faulty, ends, axis=1)
+        rows = evaluated(law, X, U, P)
+        unchanged = ((rows.state == X) | (np.isnan(rows.state) & np.isnan(X))).all(axis=1)
+        status[some] = rows.status
+        safe[some] = (rows.status < 0) & (rows.tau == 0.0).all(axis=1) & unchanged
+    for k, fault in enumerate(cases):
+        entry = fault.at - record.size - len(_AFTER)
+        if entry >= 0:
+            status[k], safe[k] = _after_a_jump(law, record, law.state.size + entry, fault.value)
+    return status, safe
+
+
+def _after_a_jump(law: Exportable, record: Vector, entry: int, value: float) -> tuple[int, bool]:
+    # as above, for an entry of the record that has another value one step later
     assert isinstance(law, Guarded)
-    rows = replayed(law, Records(X[[0, 0]], U, P), np.array([True, False]))
-    return int(rows.status[1]), rows.status[1] < 0 and bool(np.all(rows.tau[1] == 0.0))
+    rows = np.tile(record, (2, 1))
+    rows[1, entry] = value
+    X, U, P = np.split(rows, np.cumsum([law.state.size, law.inputs.size]), axis=1)
+    done = replayed(law, Records(X[[0, 0]], U, P), np.array([True, False]))
+    return int(done.status[1]), done.status[1] < 0 and bool(np.all(done.tau[1] == 0.0))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
-from io import BytesIO
 from typing import ClassVar, Literal, NamedTuple
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from surctl.report.theme import png
 
 __all__ = [
     "Block",
@@ -178,11 +179,10 @@ class Section:
 def picture(plot: Axes | Figure, *, alt: str, caption: str, command: str) -> Picture:
     """Render a plot as a `Picture`; equal plots give equal bytes."""
     figure = plot if isinstance(plot, Figure) else plot.figure.figure
-    buffer = BytesIO()
     # leave out the library's version, so that the bytes do not depend on it
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    body = png(figure, Software=None)
     width, height = (round(side) for side in figure.get_size_inches() * figure.dpi)
-    uri = "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+    uri = "data:image/png;base64," + base64.b64encode(body).decode("ascii")
     return Picture(uri, width, height, alt, caption, command)
 
 

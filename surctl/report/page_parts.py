@@ -7,7 +7,6 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from html import escape
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from surctl.errors import InputError, SurctlError, nearest
 from surctl.report.design_bench import DesignBench, Slider, View
 from surctl.report.loop_views import default_step, goal_panels, locus_panel, loop_panels
 from surctl.report.panel import panel_svg
+from surctl.report.theme import png
 from surctl.system import LinearLoop
 from surctl.tuning.loop_scores import judge_loops
 from surctl.verification.sampled_margins import quick_margins
@@ -235,8 +235,6 @@ def _picture(picture: tuple[Figure, str] | None) -> str:
     if picture is None:
         return ""
     figure, text = picture
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png")
-    data = base64.b64encode(buffer.getvalue()).decode()
+    data = base64.b64encode(png(figure, Software=getattr(figure, "maker", None))).decode()
     said = escape(text, quote=True)
     return f'<figure class="panel wide"><img alt="{said}" src="data:image/png;base64,{data}"></figure>'

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 import shlex
 import sys
-from io import BytesIO
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 import surctl
 from surctl.files import write_file
+from surctl.report.theme import png
 
 __all__ = ["save_figure"]
 
@@ -35,6 +35,5 @@ def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Pa
     """
     # names can come from input files: replace characters that could lead out of the folder
     name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": getattr(figure, "maker", None), **_command()})
-    return write_file(Path(folder) / f"{name}.png", buffer.getvalue())
+    body = png(figure, **{"Software": getattr(figure, "maker", None), **_command()})
+    return write_file(Path(folder) / f"{name}.png", body)

@@ -16,6 +16,7 @@ from surctl.errors import InputError
 from surctl.export import Difference, ExportedFile, SilReport
 from surctl.report import Check, ExportSummary, ReportData, render_page, render_sections, runs_section, write_page
 from surctl.report.document import Heading, Section
+from surctl.report.theme import png
 from tests.report.data import GAINS, report, run, sweep, vehicle
 from tests.report.reader import Reader
 from tests.report.test_titles import outside
@@ -25,14 +26,13 @@ from tests.report.test_titles import outside
 def drawn() -> tuple[str, list[Figure]]:
     """The page, and the figures that were drawn for it."""
     figures: list[Figure] = []
-    save = Figure.savefig
 
-    def keep(figure: Figure, *args: object, **kwargs: object) -> None:
+    def keep(figure: Figure, **metadata: str | None) -> bytes:
         figures.append(figure)
-        save(figure, *args, **kwargs)
+        return png(figure, **metadata)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "savefig", keep)
+        patch.setattr("surctl.report.document.png", keep)
         return render_page(report()), figures
 
 

@@ -44,6 +44,8 @@ _LOW_PEAK = 0.9  # lowest peak that is refined, as a share of the highest
 _SHRINKS = 24
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _EXCESS = 2e-3  # the level for the proof exceeds the highest peak found by this share
+_SWEEPS = 12  # largest number of passes over the channels to balance a matrix
+_SETTLED = 1e-6  # the passes end if they change all squared scalings by at most this share
 _ROUNDS = 40
 _STEPS = 400
 _ON_AXIS = 1e-7  # an eigenvalue nearer to the imaginary axis than this share of its modulus counts as on the axis
@@ -176,14 +178,18 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
     """
     size = np.abs(M) ** 2
     size[:, np.arange(M.shape[1]), np.arange(M.shape[1])] = 0.0
-    d = np.ones(M.shape[:2])
-    for _ in range(12):
+    square = np.ones(M.shape[:2])  # d²
+    for _ in range(_SWEEPS):
+        before = square.copy()
         for k in range(M.shape[1]):
-            row = np.einsum("nj,nj->n", size[:, k], 1 / d**2)
-            column = np.einsum("nj,nj->n", size[:, :, k], d**2)
+            row = np.einsum("nj,nj->n", size[:, k], 1 / square)
+            column = np.einsum("nj,nj->n", size[:, :, k], square)
             # a channel with an empty row or column is scaled to the limit of the ratio
             floor = 1e-300
-            d[:, k] = np.clip(((column + floor) / (row + floor)) ** 0.25, 1 / _WIDEST, _WIDEST)
+            square[:, k] = np.clip(np.sqrt((column + floor) / (row + floor)), 1 / _WIDEST**2, _WIDEST**2)
+        if (np.abs(square - before) <= _SETTLED * before).all():
+            break
+    d = np.sqrt(square)
     scaled = d[:, :, None] * M / d[:, None]
     return d, np.linalg.norm(scaled, 2, axis=(1, 2))
 

@@ -7,6 +7,7 @@ from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
 from surctl.verification import build_cascade, loop_margins
 from surctl.verification.linear import DISK_PLACES, OpenLoop, disk_margin, open_loop, structured_bounds
+from surctl.verification.linear.disk import _balanced
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
@@ -110,6 +111,16 @@ SLICOT = (3.246844503377368, 3.5397540520025426, 3.828678051097516, 4.7877202408
 def test_the_upper_bound_is_that_of_slicot() -> None:
     for seed, theirs in enumerate(SLICOT):
         assert structured_bounds(random_matrix(4, seed))[0] == pytest.approx(theirs, rel=1e-5)
+
+
+def test_scalings_balance_rows_and_columns_of_every_frequency() -> None:
+    matrices = np.array([random_matrix(4, seed) * 10.0 ** np.arange(-4, 4, 2) for seed in range(20)])
+    d, height = _balanced(matrices)
+    size = np.abs(d[:, :, None] * matrices / d[:, None]) ** 2
+    np.testing.assert_allclose(
+        size.sum(axis=1), size.sum(axis=2), rtol=1e-5
+    )  # Osborne's condition; the diagonal is in both
+    np.testing.assert_allclose(height, [np.linalg.norm(_balanced(one[None])[1]) for one in matrices], rtol=1e-6)
 
 
 def test_integral_action_stays_closed_when_the_thrust_is_opened() -> None:
