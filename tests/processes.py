@@ -21,7 +21,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+import pytest
+
 from surctl.units import in_unit
+from tests.pictures import blank_pictures
 from tests.tools import PATIENCE
 
 ROOT = Path(__file__).parents[1]
@@ -33,7 +36,11 @@ WRITTEN = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
 
 
 def run_python(
-    words: Sequence[str], *, cwd: Path | None = None, environment: Mapping[str, str] | None = None
+    words: Sequence[str],
+    *,
+    cwd: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+    drawn: bool = True,
 ) -> subprocess.CompletedProcess[str]:
     """What `python -W error WORDS` does: words are `-m`, a module and its arguments, or a script and its arguments.
 
@@ -41,6 +48,7 @@ def run_python(
         words: of the command line, without the interpreter and its flags.
         cwd: where it runs; it is killed after `PATIENCE`, with status -SIGALRM.
         environment: all of it; this process's own if None.
+        drawn: whether pictures are drawn, or saved blank (`tests.pictures`).
     """
     words = [str(word) for word in words]
     with tempfile.TemporaryDirectory(prefix="surctl-process-") as name:
@@ -51,6 +59,7 @@ def run_python(
             "environment": dict(os.environ if environment is None else environment),
             "out": str(folder / "out"),
             "err": str(folder / "err"),
+            "drawn": drawn,
         }
         status = _asked(request)
         out, err = ((folder / which).read_text(encoding="utf-8") for which in ("out", "err"))
@@ -114,6 +123,8 @@ def _serve() -> None:
 def _be(request: Mapping[str, Any]) -> NoReturn:
     """Run the words and exit; the interpreter is not taken down piece by piece, which would copy every page too."""
     _become(request)
+    if not request["drawn"]:
+        blank_pictures(pytest.MonkeyPatch())
     try:
         _run(request["words"])
         status = 0

@@ -13,6 +13,7 @@ from types import FunctionType
 import pytest
 
 import surctl
+from tests.pictures import blank_pictures
 from tests.tools import need, need_compiler, need_module
 
 PACKAGES = sorted(module.name for module in pkgutil.iter_modules(surctl.__path__) if module.name != "__main__")
@@ -55,6 +56,7 @@ def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch:
         need(tool)
     monkeypatch.chdir(tmp_path)  # what an example writes goes there
     monkeypatch.setenv("MPLBACKEND", "agg")
+    blank_pictures(monkeypatch)
     (test,) = doctest.DocTestFinder(recurse=False).find(EXPORTED[name], name, globs={})
     assert test.examples, "no example"
     said: list[str] = []

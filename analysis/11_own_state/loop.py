@@ -16,15 +16,13 @@ from surctl.ir import Layout, Port
 from surctl.sensing import OwnState, OwnStateFilter
 from surctl.sensing.localisation.design import steady_covariance
 from surctl.simulation import advance
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, plant_parameters
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, Vehicle, plant_parameters
 
 DT, HALVES = 0.05, 2  # [s]; calls of the plant in a control period
 APPROACH = 0.3  # [1/s] of the position loop
 CAP = 0.25  # [m/s] of the desired velocity
 _BELIEVED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
-_GIVEN = (("fix", 3), ("fix_fresh", 1), ("yaw", 1), ("yaw_rate", 1), ("tau", 4))
 MODEL = Layout(tuple(Port(name, (4,), "SI", "") for name in _BELIEVED))
-GIVEN = Layout(tuple(Port(name, (size,), "SI", "") for name, size in _GIVEN))
 
 Estimator = Literal["filter", "constant noise", "fixed gain", "as if now", "differences", "truth"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
@@ -111,84 +109,100 @@ def fly(
         k_v: bandwidth of the velocity loops [1/s].
     """
     rng, water, sensors = np.random.default_rng(seed), water or Water(), sensors or OwnState()
-    known = _Known(estimator, sensors, runs)
-    control, move = _control(runs, k_v), advance().map(runs)
-    p = np.tile(plant_parameters(vehicle)[:, None], runs)
-    model = np.tile(MODEL.pack({name: getattr(believed, name) for name in _BELIEVED})[:, None], runs)
+    place, velocity = mission.path()
+    steps = len(place)
     turns = rng.uniform(0, 2 * np.pi, (4, runs))
-    d = np.zeros((PLANT_DISTURBANCE.size, runs))
-    d[:2] = water.current * np.vstack([np.cos(turns[0]), np.sin(turns[0])])
-    push = water.wave * np.vstack([np.cos(turns[1]), np.sin(turns[1])])
-    x = np.tile(PLANT_STATE.pack()[:, None], runs)
-    x[3] = turns[2]
-    ring, tau, rows = [x[:3].copy()] * (sensors.fixes.late(DT) + 1), np.zeros((4, runs)), []
-    for tick, (place, velocity) in enumerate(zip(*mission.path(), strict=True)):
-        ring = [x[:3].copy(), *ring[:-1]]
-        noise = rng.standard_normal((6, runs))
-        told = [sensors.fix(ring[-1][:, k], tick, noise=noise[:4, k], dt=DT) for k in range(runs)]
-        fix, fresh = np.array([t[0] for t in told]).T, np.array([[float(t[1]) for t in told]])
-        imu = np.array([sensors.imu(x[:4, k], x[4:8, k], noise=noise[4:, k]) for k in range(runs)]).T
-        given = np.vstack([fix, fresh, imu, tau])
-        eta, nu, *rest = known.step(x, given, model)
-        reference = np.tile(np.array([*place, *velocity, mission.spin])[:, None], runs)
-        tau = np.array(control(eta, nu, reference, model))
-        rows.append((x[:4], x[4:8], eta, nu, *rest, tau))
-        for half in range(HALVES):
-            d[3:5] = push * np.sin(2 * np.pi * (tick + half / HALVES) * DT / water.period + turns[3])
-            x = np.array(move(x, tau, d, p))
-    return Flight(*(np.array(column) for column in zip(*rows, strict=True)))
+    noise = rng.standard_normal((steps, 6, runs))
+    ticks = np.arange(steps)
+    reference = np.column_stack([place, velocity, np.full(steps, mission.spin)])
+    own = _own(estimator, sensors)
+    loop, state = _loop(steps, own, sensors, estimator, k_v)
+    believes = {name: getattr(believed, name) for name in _BELIEVED}
+    settled = _settled(own, sensors) if estimator == "fixed gain" else np.zeros(6)
+    current = np.zeros((PLANT_DISTURBANCE.size, runs))
+    current[:2] = water.current * np.vstack([np.cos(turns[0]), np.sin(turns[0])])
+    same = np.concatenate([plant_parameters(vehicle), MODEL.pack(believes), settled])
+    columns = []
+    for k in range(runs):
+        start = PLANT_STATE.pack()
+        start[3] = turns[2, k]
+        late = np.tile(start[:3], sensors.fixes.late(DT))
+        push = water.wave * np.array([np.cos(turns[1, k]), np.sin(turns[1, k])])
+        waves = [np.sin(2 * np.pi * (ticks + h / HALVES) * DT / water.period + turns[3, k]) for h in range(HALVES)]
+        given = np.column_stack([ticks, noise[:, :, k], reference, *(wave[:, None] * push for wave in waves)])
+        fixed = np.tile(np.concatenate([current[:, k], same])[:, None], steps)
+        _, out = loop(state.pack({"plant": start, "late": late, "since": np.inf}), given.T, fixed)
+        columns.append(np.array(out).T)
+    ends = np.cumsum([4, 4, 4, 4, 1, 1, 1, 1])
+    parts = np.split(np.stack(columns, axis=2), ends, axis=1)
+    return Flight(*parts)
 
 
-class _Known:
-    """An estimator and its state."""
-
-    def __init__(self, estimator: Estimator, sensors: OwnState, runs: int) -> None:
-        own = OwnStateFilter(dt=DT, latency=sensors.fixes.latency)
-        if estimator == "as if now":
-            own = replace(own, latency=0.0)
-        if estimator == "constant noise":
-            own = replace(own, model_noise=0.0)
-        if estimator == "fixed gain":
-            own = replace(own, gate=1e6)
-        self.estimator, self.own = estimator, own
-        self.function, self.layout = _filter(own, runs)
-        self.state = np.tile(self.layout.pack()[:, None], runs)
-        P = steady_covariance(*own.step, fix_variance=own.position_sd**2, every=sensors.fixes.every(DT))
-        self.settled = own.step[0] @ P @ own.step[0].T + own.step[1]
-        self.last, self.velocity, self.since = np.zeros((3, runs)), np.zeros((3, runs)), np.full(runs, np.inf)
-
-    def step(self, x: Array, given: Array, model: Array) -> tuple[Array, ...]:
-        """Return η̂, ν̂, their standard deviations, the age of the fix, and the number of fixes rejected in a row."""
-        if self.estimator == "fixed gain":
-            self.state[self.layout.slice("covariance")] = self.settled[np.triu_indices(3)][:, None]
-        self.state, eta, nu, *rest = (np.array(v) for v in self.function(self.state, given, model))
-        if self.estimator == "truth":
-            eta, nu = x[:4], x[4:8]
-        if self.estimator == "differences":
-            eta, nu = self._differences(given[:3], given[3] > 0.5, given[4], given[5])
-        return eta, nu, *rest, self.state[self.layout.slice("refused")]
-
-    def _differences(self, fix: Array, fresh: NDArray[np.bool_], yaw: Array, rate: Array) -> tuple[Array, Array]:
-        self.since = self.since + DT
-        self.velocity = np.where(fresh, (fix - self.last) / self.since, self.velocity)
-        self.last, self.since = np.where(fresh, fix, self.last), np.where(fresh, 0.0, self.since)
-        v, c, s = self.velocity, np.cos(yaw), np.sin(yaw)
-        return np.vstack([self.last, yaw]), np.vstack([c * v[0] + s * v[1], c * v[1] - s * v[0], v[2], rate])
+def _own(estimator: Estimator, sensors: OwnState) -> OwnStateFilter:
+    """Return the filter whose estimate or standard deviations an estimator uses."""
+    own = OwnStateFilter(dt=DT, latency=sensors.fixes.latency)
+    if estimator == "as if now":
+        return replace(own, latency=0.0)
+    if estimator == "constant noise":
+        return replace(own, model_noise=0.0)
+    return replace(own, gate=1e6) if estimator == "fixed gain" else own
 
 
 @cache
-def _filter(own: OwnStateFilter, runs: int) -> tuple[ca.Function, Layout]:
-    layout = Layout(own.ports())
-    x, state = layout.symbols("x")
-    u, given = GIVEN.symbols("u")
+def _settled(own: OwnStateFilter, sensors: OwnState) -> Array:
+    """Return the steady covariance just before a fix (6,), its upper triangle row by row."""
+    P = steady_covariance(*own.step, fix_variance=own.position_sd**2, every=sensors.fixes.every(DT))
+    whole: Array = own.step[0] @ P @ own.step[0].T + own.step[1]
+    return whole[np.triu_indices(3)]
+
+
+@cache
+def _loop(
+    steps: int, own: OwnStateFilter, sensors: OwnState, estimator: Estimator, k_v: float
+) -> tuple[ca.Function, Layout]:
+    """Return the function (state, given, constant) → (state, row of `Flight`) over control periods, and its state."""
+    sizes = {"plant": PLANT_STATE.size, "late": 3 * sensors.fixes.late(DT), "tau": 4, "last": 3, "difference": 3}
+    ports = [Port(name, (size,), "SI", "") for name, size in {**sizes, "since": 1}.items()]
+    kept = Layout((*ports, *own.ports()))
+    s, state = kept.symbols("s")
+    tick, noise, reference = ca.SX.sym("tick"), ca.SX.sym("noise", 6), ca.SX.sym("reference", 7)
+    waves = ca.SX.sym("waves", 2, HALVES)
+    d, p = ca.SX.sym("d", PLANT_DISTURBANCE.size), ca.SX.sym("p", PLANT_PARAMETERS.size)
     m, model = MODEL.symbols("m")
-    out = own.update(state, model=model, **given)
-    results = [layout.join(out.state), out.eta, out.nu, out.position_sd, out.velocity_sd, out.age]
-    return ca.Function("own", [x, u, m], results, {"cse": True}).map(runs), layout
+    settled = ca.SX.sym("settled", 6)
+    x = state["plant"]
+    past = ca.vertcat(x[:3], state["late"])
+    fix, fresh = sensors.fix_symbols(past[-3:], tick, noise=noise[:4], dt=DT)
+    yaw, rate = sensors.imu_symbols(x[:4], x[4:8], noise=noise[4:])
+    filtered = {port.name: state[port.name] for port in own.ports()}
+    if estimator == "fixed gain":
+        filtered["covariance"] = settled
+    measured = {"fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate, "tau": state["tau"]}
+    out = own.update(filtered, model=model, **measured)
+    since = state["since"] + DT
+    v = ca.if_else(fresh, (fix - state["last"]) / since, state["difference"])
+    last = ca.if_else(fresh, fix, state["last"])
+    eta, nu = out.eta, out.nu
+    if estimator == "truth":
+        eta, nu = x[:4], x[4:8]
+    if estimator == "differences":
+        c, s_ = ca.cos(yaw), ca.sin(yaw)
+        eta = ca.vertcat(last, yaw)
+        nu = ca.vertcat(c * v[0] + s_ * v[1], c * v[1] - s_ * v[0], v[2], rate)
+    tau = _control(k_v)(eta, nu, reference, m)
+    moved = x
+    for half in range(HALVES):
+        moved = advance()(moved, tau, ca.vertcat(d[:3], d[3:5] + waves[:, half], d[5:]), p)
+    following = {"plant": moved, "late": past[:-3], "tau": tau, "last": last, "difference": v}
+    following |= {"since": ca.if_else(fresh, 0.0, since), **out.state}
+    row = ca.vertcat(x[:8], eta, nu, out.position_sd, out.velocity_sd, out.age, out.state["refused"], tau)
+    given, constant = ca.vertcat(tick, noise, reference, ca.vec(waves)), ca.vertcat(d, p, m, settled)
+    step = ca.Function("step", [s, given, constant], [kept.join(following), row], {"cse": True})
+    return step.mapaccum(steps), kept
 
 
 @cache
-def _control(runs: int, k_v: float) -> ca.Function:
+def _control(k_v: float) -> ca.Function:
     """Return (η̂, ν̂, reference (7,), model) → τ: a position loop commands a velocity in {E}, the velocity controller
     thrust.
     """
@@ -199,4 +213,4 @@ def _control(runs: int, k_v: float) -> ca.Function:
     c, s = ca.cos(eta[3]), ca.sin(eta[3])
     body = ca.vertcat(c * wish[0] + s * wish[1], c * wish[1] - s * wish[0], wish[2], reference[6])
     tau, _, _ = velocity_control(body, nu, ca.SX.zeros(4), model, k_v=k_v, k_r=2.0, k_i=0.0, dt=DT)
-    return ca.Function("control", [eta, nu, reference, m], [tau]).map(runs)
+    return ca.Function("control", [eta, nu, reference, m], [tau])

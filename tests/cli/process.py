@@ -28,8 +28,8 @@ class Outcome:
         return lines[0]
 
 
-def surctl(*words, cwd, **environment) -> Outcome:
-    done = run_python(["-m", "surctl", *words], cwd=cwd, environment={**os.environ, **environment})
+def surctl(*words, cwd, drawn=True, **environment) -> Outcome:
+    done = run_python(["-m", "surctl", *words], cwd=cwd, environment={**os.environ, **environment}, drawn=drawn)
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 

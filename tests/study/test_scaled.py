@@ -13,6 +13,7 @@ from surctl.simulation import load_scenario
 from surctl.study import conduct, load_plan
 from surctl.study.shipping import with_perception
 from surctl.tuning import Axis
+from tests.pictures import blank_pictures
 from tests.tools import need_compiler
 
 
@@ -33,8 +34,11 @@ def test_sonar_for_a_craft_without_sway_force_is_refused_with_the_reason() -> No
         load_plan("default", vehicle="otter")
 
 
-def test_the_study_of_a_rudder_craft_tells_margins_missions_and_limits(tmp_path: Path) -> None:
+def test_the_study_of_a_rudder_craft_tells_margins_missions_and_limits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     need_compiler()
+    blank_pictures(monkeypatch)
     plan = load_plan(vehicle="lauv")
     plan = replace(plan, axes=(Axis("sideslip", (0.2,)),), legs=plan.legs[:1], sweep_seeds=(0,))
     study = conduct(plan, tmp_path, workers=1)
