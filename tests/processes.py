@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from surctl.units import in_unit
+from tests.blank import BLANK, blank_pictures
 from tests.tools import PATIENCE
 
 ROOT = Path(__file__).parents[1]
@@ -145,6 +146,8 @@ def _become(request: Mapping[str, Any]) -> None:
     os.chdir(str(request["cwd"]))
     os.environ.clear()
     os.environ.update(request["environment"])
+    if BLANK in os.environ:
+        blank_pictures()
 
 
 def _run(words: Sequence[str]) -> None:

@@ -5,6 +5,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.blank import BLANK
 from tests.processes import run_python
 
 
@@ -28,8 +29,10 @@ class Outcome:
         return lines[0]
 
 
-def surctl(*words, cwd, **environment) -> Outcome:
-    done = run_python(["-m", "surctl", *words], cwd=cwd, environment={**os.environ, **environment})
+def surctl(*words, cwd, rendered=False, **environment) -> Outcome:
+    """The command; its pictures are plotted, and only rendered if asked for."""
+    blank = {} if rendered else {BLANK: "1"}
+    done = run_python(["-m", "surctl", *words], cwd=cwd, environment={**os.environ, **blank, **environment})
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
