@@ -28,7 +28,8 @@ class Outcome:
         return lines[0]
 
 
-def surctl(*words, cwd, drawn=True, **environment) -> Outcome:
+def surctl(*words, cwd, drawn=False, **environment) -> Outcome:
+    """The command; its pictures are plotted, and drawn only if asked for."""
     done = run_python(["-m", "surctl", *words], cwd=cwd, environment={**os.environ, **environment}, drawn=drawn)
     return Outcome(done.returncode, done.stdout, done.stderr)
 

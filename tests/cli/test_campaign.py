@@ -57,7 +57,7 @@ def test_an_altered_figure_is_found_out(tmp_path):
 
 def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
     need_compiler()
-    command = [*MANY, "--runs", "640", "--threads", "1"]
+    command = [*MANY, "--runs", "512", "--threads", "1"]
     surctl(*MANY[:3], "--runs", "1", cwd=tmp_path)  # compiled
     root = str(Path(__file__).parents[2])
     process = subprocess.Popen(
@@ -65,12 +65,12 @@ def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
         cwd=tmp_path, env=os.environ | {"PYTHONPATH": root}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     chunks, end = tmp_path / "mc" / "campaign.chunks" / "pool-speed-010", time.monotonic() + PATIENCE
-    while len(list(chunks.glob("*.chunk"))) < 2 and process.poll() is None and time.monotonic() < end:
+    while len(list(chunks.glob("*.chunk"))) < 1 and process.poll() is None and time.monotonic() < end:
         time.sleep(0.001)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     done = {p.name: p.stat().st_mtime_ns for p in chunks.glob("*.chunk")}
-    assert 2 <= len(done) < 5 and not (tmp_path / "mc" / "pool-speed-010.csv").exists()
+    assert 1 <= len(done) < 4 and not (tmp_path / "mc" / "pool-speed-010.csv").exists()
     again = surctl(*command[:-1], "2", cwd=tmp_path)
     assert again.status == 0
     assert all((chunks / name).stat().st_mtime_ns == made for name, made in done.items())
@@ -81,11 +81,11 @@ def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
 
 def test_random_worlds_are_flown_and_kept(tmp_path):
     done = surctl(
-        "simulate", "--random-worlds", "5", "--seed", "4", "--worst", "2", "--out", "w", "--json", cwd=tmp_path
+        "simulate", "--random-worlds", "2", "--seed", "4", "--worst", "1", "--out", "w", "--json", cwd=tmp_path
     )
     (told,) = done.json["campaigns"]
-    assert told["number_of_runs"] == 5 and [row["seed"] for row in told["runs"]] == list(range(4, 9))
-    assert len(told["worst"]) == 2
+    assert told["number_of_runs"] == 2 and [row["seed"] for row in told["runs"]] == [4, 5]
+    assert len(told["worst"]) == 1
     for row in told["worst"]:
         again = surctl("simulate", "--from", f"w/{row['file']}", "--json", cwd=tmp_path).json["runs"][0]
         assert again["same"] and again["scenario"] == f"world-{row['seed']}"

@@ -57,7 +57,7 @@ def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
             np.testing.assert_array_equal(rows[name], data[name])
             np.testing.assert_array_equal(rows[name], matlab[name][:, 0])
     log = (tmp_path / "log" / "tank-speed-025-0.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "log.csv").write_text("".join(log[:300]))  # 15 s
+    (tmp_path / "log.csv").write_text("".join(log[:200]))  # 10 s
     done = surctl("vehicle", "from-log", "log.csv", "--start", "sur400", "--json", cwd=tmp_path)
     assert done.status == 0, done.err
     found = done.json["estimates"]

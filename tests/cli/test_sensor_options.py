@@ -6,7 +6,7 @@ from dataclasses import replace
 from math import pi
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.cli.sensor_options import SensorOptions, parse_chances, parse_fault
@@ -38,6 +38,7 @@ def test_chances_are_read() -> None:
     assert parse_chances(["dropout=0.9", "spike=0.1"]).numbers[:1] == (0.9,)
 
 
+@settings(max_examples=30)
 @given(st.text(max_size=20), st.sampled_from(["", "dead:", "stuck:0:", "delay=", "delay=0.4:0:", "dropout="]))
 def test_no_text_ends_otherwise_than_read_or_refused(text: str, head: str) -> None:
     for parse in (parse_fault, lambda t: parse_chances([t])):
@@ -144,17 +145,19 @@ def test_a_fault_is_flown_and_a_halt_is_told(tmp_path) -> None:
 
 
 def test_options_change_what_is_flown(tmp_path) -> None:
-    words = ([], ["--beam", "30"], ["--own-state", "truth"], ["--chance", "dropout=0.2"], ["--fault", "delay=0.4:0"])
-    runs = []
-    for more in words:
-        done = surctl(*SONAR, *more, "--json", cwd=tmp_path)
-        assert done.status in (0, 1)
-        runs += done.json["runs"]
-    assert len({run["length_m"] for run in runs}) == len(words)
-    assert [run["sensors"]["beam_deg"] for run in runs] == pytest.approx([75, 30, 75, 75, 75])
-    assert [run["sensors"]["own_state"] for run in runs] == ["measured"] * 2 + ["truth"] + ["measured"] * 2
-    assert runs[3]["sensors"]["chances"] == {"dropout": 0.2}
-    assert runs[4]["sensors"]["faults"] == [{"sensor": 0, "kind": "delay", "start_s": 0.0, "delay_s": 0.4}]
+    """All at once, for one law: what each of them replaces is told above."""
+    text = (LIBRARY / "pool-behind.toml").read_text()
+    (tmp_path / "short.toml").write_text(text.replace("time_limit_s = 60.0", "time_limit_s = 6.0"))
+    options = ("--beam", "30", "--own-state", "truth", "--chance", "dropout=0.2", "--fault", "delay=0.4:0")
+    plain, changed = (
+        surctl("simulate", "short.toml", "--sensing", "sonar", *more, "--json", cwd=tmp_path).json["runs"][0]
+        for more in ((), options)
+    )
+    assert plain["length_m"] != changed["length_m"]
+    assert [run["sensors"]["beam_deg"] for run in (plain, changed)] == pytest.approx([75, 30])
+    assert [run["sensors"]["own_state"] for run in (plain, changed)] == ["measured", "truth"]
+    assert changed["sensors"]["chances"] == {"dropout": 0.2}
+    assert changed["sensors"]["faults"] == [{"sensor": 0, "kind": "delay", "start_s": 0.0, "delay_s": 0.4}]
 
 
 def test_true_positions_are_flown_by_a_law_without_sonars(tmp_path) -> None:

@@ -24,7 +24,7 @@ metric = "time_s"
 at_most = { value = 12.0, unit = "s" }
 """
 
-SMALL = ("--gain", "k_v=0.8..3", "--trials", 32, "--seeds", 1, "--rounds", 1, "--monte-carlo", 20, "--json")
+SMALL = ("--gain", "k_v=0.8..3", "--trials", 8, "--seeds", 1, "--rounds", 1, "--monte-carlo", 4, "--json")
 
 
 def test_tune_writes_gains_with_provenance_and_all_else(tmp_path):
@@ -39,6 +39,7 @@ def test_tune_writes_gains_with_provenance_and_all_else(tmp_path):
     kept = {key: value for key, value in done.json.items() if key != "next"}
     assert json.loads((tmp_path / "out" / "tuning.json").read_text()) == kept
     assert all("--gains out/gains.toml" in command for command in done.json["next"])
+    assert any(command.startswith("surctl verify region-cruise-20 --cruise ") for command in done.json["next"])
     lint = surctl("lint", "out/gains.toml", cwd=tmp_path)
     assert lint.status == 0
     assert "fresh runs" in (tmp_path / "out" / "gains.toml").read_text()

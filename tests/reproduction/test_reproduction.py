@@ -40,9 +40,7 @@ KEYS = {
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
     out = tmp_path_factory.mktemp("reproduce")
-    return surctl(
-        "reproduce", "--quick", "--json", "--out", "paper", cwd=out, drawn=False
-    ), out / "paper" / "reproduction.html"
+    return surctl("reproduce", "--quick", "--json", "--out", "paper", cwd=out), out / "paper" / "reproduction.html"
 
 
 def test_no_row_is_missing_and_no_id_is_used_twice() -> None:

@@ -71,7 +71,7 @@ def study(folder):
     begun.communicate()
     finished = len(list(chunks.glob("*/*.chunk"))) - POINTS
     assert finished >= 2
-    done = surctl("study", "main.toml", "--json", cwd=folder, drawn=False)
+    done = surctl("study", "main.toml", "--json", cwd=folder)
     if finished < POINTS:
         assert f"sweep {finished}/{POINTS} points" in done.err
     assert f"sweep 0/{POINTS}" not in done.err
