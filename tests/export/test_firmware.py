@@ -132,6 +132,10 @@ try:
     c.set_gains(k_v=1.0, mass=[0, 0, 0, 0])
 except ValueError as wrong:
     assert "mass" in str(wrong) and c.gains["k_v"][0] == 1.25
+try:
+    c.set_gains(k_v=1.0, mass=[50.0])
+except ValueError:
+    assert c.gains["k_v"][0] == 1.25
 c.load_gains(stored)
 assert c.gains["k_v"][0] == 1.5
 try:
