@@ -17,7 +17,8 @@ DEMANDS: Mapping[str, str] = MappingProxyType(
         "SATURATED": "Apply it. If the bit stays for seconds, the robot cannot follow: lower `cruise`, or surface.",
         "SWITCHED": "Apply it, and log.",
         "DEGRADED": "Apply it, and log. If the bit stays, an obstacle is too near or too fast: be ready to stop.",
-        "TRAPPED": "Apply it: the robot holds its place. An operator gives another mission, then `initialize`.",
+        "TRAPPED": "Apply it: the robot holds its place. To end it, the operator disarms; then `initialize`, which "
+        "also sets the tuned gains, and after it the gains of another mission.",
         "RESTARTED": "Apply it, and log: the board that counts samples was started again; every age is at its largest.",
         "NULL": "Thrusters to zero. A mistake in the program: stop.",
         "NONFINITE": "Thrusters to zero in this period. Go on calling the step; find the input that is no number.",

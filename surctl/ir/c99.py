@@ -88,7 +88,8 @@ def c_literal(value: float, real: Real = "float64") -> str:
         value = float(value if real == "float64" else np.float32(value))
     tail = "" if real == "float64" else "f"
     if math.isinf(value):
-        return ("-HUGE_VAL" if value < 0 else "HUGE_VAL") + tail.upper()
+        # not HUGE_VAL, which avr-libc lacks
+        return ("-" if value < 0 else "") + ("INFINITY" if real == "float32" else "(double)INFINITY")
     short = repr(value)
     if Decimal(short) == Decimal(value) and len(short) <= 12:
         return short + tail

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -18,10 +19,12 @@ from surctl.export import Bundle, build_bundle, origin_of, write_bundle
 from surctl.export.contract import STATUS
 from surctl.export.robot_wiring import _sonars
 from surctl.export.wiring import DEMANDS
+from surctl.ir import Layout, Port
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import load_scenario
 from surctl.vehicle import load_vehicle
 from tests.export.closed_form import exported, vehicle
+from tests.export.standin import StandIn
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need, need_compiler, need_make
 
@@ -129,6 +132,10 @@ try:
     c.set_gains(k_v=1.0, mass=[0, 0, 0, 0])
 except ValueError as wrong:
     assert "mass" in str(wrong) and c.gains["k_v"][0] == 1.25
+try:
+    c.set_gains(k_v=1.0, mass=[50.0])
+except ValueError:
+    assert c.gains["k_v"][0] == 1.25
 c.load_gains(stored)
 assert c.gains["k_v"][0] == 1.5
 try:
@@ -165,7 +172,9 @@ def test_make_arduino_lays_out_a_library_whose_sketch_compiles_as_cpp11(folder: 
     subprocess.run([make, "arduino"], cwd=folder, check=True, capture_output=True)
     library = folder / "arduino/surctl_closed_form"
     assert (library / "library.properties").read_text().startswith("name=surctl_closed_form\nversion=")
-    assert {*guarded()[1].sources, *guarded()[1].headers} <= {file.name for file in (library / "src").iterdir()}
+    assert {*guarded()[1].sources, *guarded()[1].headers, "loop.c", "loop.h"} <= {
+        file.name for file in (library / "src").iterdir()
+    }
     sketch = library / "examples/run/run.ino"
     (folder / "Arduino.h").write_text(
         "struct Port { void begin(long) {} void println(int) {} };\nextern Port Serial;\nunsigned long micros();\n"
@@ -185,6 +194,46 @@ def test_make_arduino_lays_out_a_library_whose_sketch_compiles_as_cpp11(folder: 
     command += ["-I.", f"-I{library / 'src'}", "-c", "-o", "sketch.o", str(sketch)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+LOST = """#include "loop.h"
+#include <stdio.h>
+int main(void)
+{
+    static lost_loop_t loop;
+    if (lost_loop_start(&loop) != 0) { return 1; }
+    for (int k = 1; k <= 150; ++k) { /* fixes come in periods 31 to 60, and again from period 106 on */
+        loop.input.fix_fresh = ((k > 30) && (k <= 60)) || (k > 105);
+        const int applied = lost_loop_step(&loop, 1u, 1, k != 130);
+        (void)printf("%d%d ", applied, loop.mode);
+        lost_loop_end(&loop);
+    }
+    return 0;
+}
+"""
+
+
+def test_lost_fixes_hold_the_robot_though_every_step_is_accepted(tmp_path: Path) -> None:
+    need_compiler()
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p", 0)
+    age = ca.if_else(u > 0.5, 0.03, ca.fmin(x + 0.05, 60.0))
+    layouts = (
+        Layout((Port("own_age", (1,), "s", "age of the last fix", default=60.0, gap="age"),)),
+        Layout((Port("fix_fresh", (1,), "1", "1 if it has arrived"),)),
+        Layout(()),
+        Layout((Port("tau", (4,), "N, N, N, N m", "thrust"),)),
+    )
+    function = ca.Function("law", [x, u, p], [ca.SX.ones(4), age, ca.SX(0), ca.SX(0, 1)])
+    bundle = build_bundle(StandIn("lost", 0.05, *layouts, function), {})
+    write_bundle(bundle, tmp_path)
+    (tmp_path / "main_lost.c").write_text(LOST)
+    program = build("gcc", tmp_path, ["main_lost.c", "loop.c", *code(bundle)], "run")
+    words = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
+    applied, mode = (np.array([int(word[k]) for word in words]) for k in range(2))
+    steps = np.arange(1, 151)
+    # armed after 20 steps with a fix; held 1 s after the last one, and 1 s later only the operator arms again
+    assert (applied == (((steps >= 50) & (steps <= 79)) | (steps >= 131))).all(), "".join(map(str, applied))
+    assert set(mode[79:98]) == {2} and set(mode[98:129]) == {3}
 
 
 def test_the_smallest_bundle_has_an_example_too(tmp_path: Path) -> None:
@@ -218,7 +267,7 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
         "within about 30°) are not covered",
         "has not arrived: keep the old number, with flag 0",
         "the robot coasts",
-        "switch the thrusters off when it is above",
+        "a step whose age is above 1 s counts as\na refused one",
         "The robot has arrived when",
         "is refused 10 times",
         "one sonar every 0.025 s in the order 0, 1, 2, 3",
@@ -232,9 +281,8 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
     ):
         assert words in wiring, words
     assert "memset(&input, 0, sizeof input);" in readme
-    for file in ("loop.c", "arduino_example.ino"):  # a refused step keeps what arrived, but not for long
-        cleared = files[file].replace("loop->", "").split("if ((status >= 0) || (refused >= ")[1]
-        assert all(f"input.{flag} = 0.0;" in cleared for flag in ("fix_fresh", "contacts_fresh", "fresh[k]"))
+    cleared = files["loop.c"].split("if ((loop->status >= 0) || (loop->refused >= ")[1]
+    assert all(f"loop->input.{flag} = 0.0;" in cleared for flag in ("fix_fresh", "contacts_fresh", "fresh[k]"))
     assert 'FLAGS = ["fix_fresh", "contacts_fresh", "fresh"]' in files["surctl_guarded.py"]
 
 

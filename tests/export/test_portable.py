@@ -80,6 +80,38 @@ def test_i686_has_the_same_bytes_with_sse_and_says_so_without(tmp_path: Path, re
         assert said.endswith(ending)
 
 
+AVR = ("-mmcu=atmega2560", "-std=c99", "-Os", *STRICT[:-1], "-ffp-contract=off")
+AVR_MAIN = """#include <avr/io.h>
+#include <avr/sleep.h>
+#include "surctl_closed_form.h"
+static surctl_closed_form_state_t state;
+static void put(int digit) { while (!(UCSR0A & (1 << UDRE0))) { } UDR0 = (uint8_t)digit; }
+int main(void)
+{
+    UCSR0B = 1 << TXEN0;
+    put('0' + (surctl_closed_form_selftest(&state) != 0)); put('0' + surctl_closed_form_exact()); put('\\n');
+    sleep_enable(); sleep_cpu(); /* without interrupts: ends the emulation */
+}
+"""
+
+
+def test_float_passes_its_self_test_on_an_8_bit_avr(tmp_path: Path) -> None:
+    compiler, emulator, bundle = need("avr-gcc"), need("simavr"), exported("float32")[1]
+    write_bundle(bundle, tmp_path)
+    (tmp_path / "avr.c").write_text(AVR_MAIN)
+    run(compiler, *AVR, "avr.c", *bundle.sources, bundle.selftest, "loop.c", "-o", "avr", "-lm", cwd=tmp_path)
+    done = run(emulator, "-m", "atmega2560", "-f", "16000000", "avr", cwd=tmp_path)
+    assert "01." in done.stdout + done.stderr
+
+
+def test_a_compiler_whose_double_is_a_float_refuses_the_double_bundle(tmp_path: Path) -> None:
+    compiler, bundle = need("avr-gcc"), guarded("float64")[1]
+    write_bundle(bundle, tmp_path)
+    for file in bundle.sources:
+        done = subprocess.run([compiler, *AVR, "-c", file], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode != 0 and "export with --real float32" in done.stderr, file
+
+
 def test_merged_operations_are_reported(tmp_path: Path) -> None:
     need_compiler()
     if "fma" not in Path("/proc/cpuinfo").read_text(encoding="ascii"):

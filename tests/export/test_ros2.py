@@ -145,6 +145,7 @@ def test_old_missing_and_wrong_messages_make_no_sample(folder: Path) -> None:
         ([good, "time 0.05"], 0),
         ([good, "late 0.15"], 0),
         ([good.replace("odometry 0.0 1.125", "odometry 0.0 1e9"), "time 0.05"], -3),
+        ([odometry(np.array([*ahead(25)[:3], 9999.0, *ahead(25)[4:]])), "time 0.05"], -2),  # a quaternion of zeros
         (["late 0.6", good, "time 0.05"], -4),  # the obstacles are older than input_timeout
         (["contacts 1 2 3", good, "time 0.05"], 0),  # not a row of six: ignored, the last ones stay
     ):

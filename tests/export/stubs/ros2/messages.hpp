@@ -1,6 +1,7 @@
 // Stand-ins for ROS 2 messages, with the fields of their public definitions that the exported node uses.
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <iostream>
@@ -116,6 +117,7 @@ inline std::istream & operator>>(std::istream & in, Quaternion & q)
   in >> yaw;
   q.z = std::sin(0.5 * yaw);
   q.w = std::cos(0.5 * yaw);
+  if (yaw > 1000.0) {q.z = q.w = 0.0;}  // nobody has set it
   return in;
 }
 inline std::istream & operator>>(std::istream & in, PointStamped & message) {return in >> message.header >> message.point;}
@@ -157,6 +159,7 @@ struct Imu
 {
   STUB_MESSAGE(Imu);
   std_msgs::msg::Header header;
+  std::array<double, 9> orientation_covariance{};
   geometry_msgs::msg::Quaternion orientation;
   geometry_msgs::msg::Vector3 angular_velocity;
 };
