@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
-from surctl.verification.formula import FUNCTIONS, ordered, text_of
+from surctl.verification.formula import FUNCTIONS, number, ordered, text_of
 from surctl.verification.proving.forms import Form, forms_of
+from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
@@ -176,6 +177,8 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     names = statement.names
     root = statement.lower[:, None], statement.upper[:, None]
     constraints = build_tape(names, case.constraints)
+    if case.choice and (outside := _outside(case, written, constraints, root)) is not None:
+        return outside
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
     rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
@@ -217,6 +220,16 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
         usable = [usable[k] for k in sorted(range(len(usable)), key=lambda k: volumes[k])]
     assert best is not None  # the form as written is always usable
     return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
+
+
+def _outside(case: Case, written: Tape, constraints: Tape, root: Ends) -> _Shown | None:
+    """Return the proof of a case whose branches occur nowhere in the box; None unless one box shows it."""
+    plain = Form(case.margin, (), (number(0),) * len(case.constraints))
+    task = Task(constraints, constraints, written, (root[0][:, 0], root[1][:, 0]), 0.0)
+    read = constraints.run(root)
+    if not any(fine[0] and jet.value[0][0] > 0 for jet, fine in zip(read.jets, read.defined, strict=True)):
+        return None
+    return _Shown(plain, search(task, deadline=np.inf, most=1), 0.0)
 
 
 def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:
