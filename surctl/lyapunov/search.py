@@ -23,7 +23,7 @@ __all__ = ["StabilityResult", "find_stability"]
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
 _SIMPLE, _EASY = 2, 1  # the same for the function that is easiest to prove, and when all larger ones failed
-_HALF, _MOST = 0.4, 0.6  # shares of the remaining time for a function that is not the last, and for the easiest one
+_HALF, _MOST, _WHOLE = 0.4, 0.6, 0.6  # shares of the remaining time: a function that is not the last, the easiest one, its first level
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
@@ -195,7 +195,8 @@ def _proved(
     low, high, k = -1, len(levels), min(first, len(levels) - 1)
     while low < k < high and (left := until - time.process_time()) > 0:
         # a proof that fails takes all its time, so each level leaves time for the next one
-        share = left if k == 0 and proved is None else _PART * left
+        part = _WHOLE if first == _SIMPLE and proved is None else _PART
+        share = left if k == 0 and proved is None else part * left
         around = d if level is not None else hugged(d, candidate.function, levels[k])
         claim = Stability(around, candidate.function, levels[k], rate)
         # a level below the least one with a counterexample need not be refuted again

@@ -36,6 +36,10 @@ _SHORT, _EXACT_SHORT, _SHARE = 3, 1, 0.5
 
 _FEW = 3  # variables up to which boxes are tried longer, if the claim is not a polynomial
 
+_MANY, _MOST_OF_IT = 1, 0.9
+"""With more variables and equality somewhere, boxes that halving leaves are hopeless: number of boxes that are tried first,
+and share of the remaining time for sums of squares."""
+
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
 
@@ -181,17 +185,19 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
         return outside
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
-    rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
+    rounds, before, part_of_time = (*((_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)), _SHARE)
     if not attempt.slack and case.touching:
         if excluded(case.constraints, case.touching, names, root):
             before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
         elif len(names) <= _FEW and any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints)):
             before = _EXACT_SHORT + 1  # sums of squares with sines are large, and few dimensions have few boxes
+        elif len(names) > _FEW:
+            rounds, part_of_time = ((_MANY, 0.0), *_EXACT_ROUNDS[1:]), _MOST_OF_IT
         usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(rounds):
         if number == before and attempt.with_squares and everywhere:
-            rest = _SHARE * max(seconds - (time.process_time() - began), 0.0)
+            rest = part_of_time * max(seconds - (time.process_time() - began), 0.0)
             squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
             if squares.form is not None:
                 result = SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
