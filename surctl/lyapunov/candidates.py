@@ -26,6 +26,7 @@ _MOST_CORNERS = 8
 _MOST_TERMS = 130  # polynomials with more terms are not searched
 _SPARE = 0.02  # least decay rate of a candidate, as a share of that of the linearisation
 _BRISK = 20.0  # decay rate of a function that is easy to prove, relative to the least one
+_FASTER = 1.02  # decay rate of a candidate relative to the demanded one
 _MARGIN = 1.25  # radius of the grid relative to that of the region
 _ROUNDS = 5
 _GROWTH = 1.01  # relative growth of the volume below which the rounds end
@@ -62,9 +63,10 @@ def candidates(
     d = dynamics
     until = time.process_time() + seconds
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
-    rate = max(rate, _least_rate(d, linear))
+    # a function that decays just as fast as demanded close to the equilibrium is hard to prove
+    rate = max(_FASTER * rate, _least_rate(d, linear))
     shaper = _Shaper(d, scales, rate, seed, half=_odd(d))
-    part = (0.06 if len(scales) < 4 else 0.5) * seconds
+    part = (0.06 if len(scales) < 4 else 0.25) * seconds
     signs = sign_symmetries(d)
 
     def restricted(degree: int, *, even: bool = False) -> Template:

@@ -15,14 +15,15 @@ from surctl.lyapunov.decide import Decision, decide_motion, prove_motion, short
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
+from surctl.lyapunov.hugging import hugged
 from surctl.verification.formula import Node, text_of
 
 __all__ = ["StabilityResult", "find_stability"]
 
-_SHARES = (0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
-_FIRST, _PART = 6, 0.4  # index of the share that is tried first; share of the remaining time for one level
-_SIMPLE, _EASY = 3, 1  # the same for the function that is easiest to prove, and when all larger ones failed
-_HALF = 0.4  # share of the remaining time for a function that is not the last
+_SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
+_FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
+_SIMPLE, _EASY = 2, 1  # the same for the function that is easiest to prove, and when all larger ones failed
+_HALF, _MOST, _WHOLE = 0.4, 0.6, 0.6  # shares of the remaining time: a function that is not the last, the easiest one, its first level
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
@@ -156,7 +157,7 @@ def find_stability(
         rest = until - time.process_time()
         if best is not None and (rest <= 0 or (k > len(largest) and best.verdict == "proved")):
             break
-        share = rest if k == len(largest) + len(others) else _HALF * rest
+        share = rest if k == len(largest) + len(others) else (_HALF if k else _MOST) * rest
         first = _FIRST if k else _SIMPLE
         result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, first=first)
         best = result if best is None or result.volume > best.volume else best
@@ -194,8 +195,10 @@ def _proved(
     low, high, k = -1, len(levels), min(first, len(levels) - 1)
     while low < k < high and (left := until - time.process_time()) > 0:
         # a proof that fails takes all its time, so each level leaves time for the next one
-        share = left if k == 0 and proved is None else _PART * left
-        claim = Stability(d, candidate.function, levels[k], rate)
+        part = _WHOLE if first == _SIMPLE and proved is None else _PART
+        share = left if k == 0 and proved is None else part * left
+        around = d if level is not None else hugged(d, candidate.function, levels[k])
+        claim = Stability(around, candidate.function, levels[k], rate)
         # a level below the least one with a counterexample need not be refuted again
         # and a lower level is easier to prove than other bounds at this one
         if level is not None:

@@ -69,7 +69,7 @@ def certify(
     weights: Sequence[Polynomial] = (),
     *,
     relations: Sequence[Polynomial] = (),
-    zeros: Sequence[Sequence[Fraction]] = (),
+    zeros: Sequence[Sequence[Fraction | float]] = (),
     degree: int | None = None,
     largest: int = 120,
     seconds: float = 60.0,

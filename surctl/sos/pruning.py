@@ -6,10 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surctl.sos.polynomial import Monomial, Polynomial
 
 __all__ = ["Gram", "pruned", "restricted"]
 
+_POSITIVE, _TINY, _DENOMINATOR = 1e-9, 1e-7, 4096  # of a weight at a zero; error and denominator of rational rows
 _BITS = 16  # of the exponent of one variable in the number of a monomial
 
 
@@ -35,16 +39,24 @@ class Gram:
         return self.forms or tuple(map(Polynomial.monomial, self.basis))
 
 
-def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction]]) -> Gram:
+def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction | float]]) -> Gram:
     """Return the block with forms that are 0 at each zero of the target where the block's weight is positive.
 
-    A target that is 0 at a point of the set has only squares that are 0 there.
+    A target that is 0 at a point of the set has only squares that are 0 there. Zeros in floats are irrational: a
+    polynomial with rational coefficients also has their conjugates as zeros, so that the equations of all of them
+    together have rational coefficients.
     """
+    own = [zero for zero in zeros if gram.weight.value(zero) > _POSITIVE]
     values = [
         [Fraction(Polynomial.monomial(m).value(zero)) for m in gram.basis]
-        for zero in zeros
-        if gram.weight.value(zero) > 0
+        for zero in own
+        if not isinstance(zero[0], float)
     ]
+    values += _rational(
+        np.array([
+            [float(Polynomial.monomial(m).value(zero)) for m in gram.basis] for zero in own if isinstance(zero[0], float)
+        ])
+    )
     pivots: dict[int, list[Fraction]] = {}
     for row in values:
         for at, other in pivots.items():
@@ -63,6 +75,29 @@ def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction]]) -> Gram:
             terms = {gram.basis[at]: -row[k] for at, row in pivots.items() if row[k]}
             forms.append(Polynomial({m: Fraction(1), **terms}))
     return replace(gram, forms=tuple(forms), basis=gram.basis if forms else ())
+
+
+def _rational(rows: NDArray[np.float64]) -> list[list[Fraction]]:
+    """Return the reduced rows of a matrix whose rows span a rational subspace; nothing if the subspace is not rational."""
+    reduced: list[list[Fraction]] = []
+    rest, done = rows.copy(), 0
+    while done < len(rest):
+        size = np.abs(rest[done:])
+        if size.max() <= _TINY:
+            break
+        row, column = np.unravel_index(np.argmax(size), size.shape)
+        rest[[done, done + row]] = rest[[done + row, done]]
+        rest[done] /= rest[done, column]
+        for other in range(len(rest)):
+            if other != done:
+                rest[other] -= rest[other, column] * rest[done]
+        done += 1
+    for values in rest[:done].tolist():
+        near = [Fraction(x).limit_denominator(_DENOMINATOR) for x in values]
+        if any(abs(float(a) - x) > _TINY for a, x in zip(near, values, strict=True)):
+            return []
+        reduced.append(near)
+    return reduced
 
 
 def pruned(

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
-from surctl.verification.formula import FUNCTIONS, ordered, text_of
+from surctl.verification.formula import FUNCTIONS, number, ordered, text_of
 from surctl.verification.proving.forms import Form, forms_of
+from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
 from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
@@ -34,6 +35,10 @@ _SHORT, _EXACT_SHORT, _SHARE = 3, 1, 0.5
 """Number of rounds before sums of squares are tried, with and without slack; their share of the remaining time."""
 
 _FEW = 3  # variables up to which boxes are tried longer, if the claim is not a polynomial
+
+_MANY, _MOST_OF_IT = 1, 0.9
+"""With more variables and equality somewhere, boxes that halving leaves are hopeless: number of boxes that are tried first,
+and share of the remaining time for sums of squares."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -176,19 +181,23 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     names = statement.names
     root = statement.lower[:, None], statement.upper[:, None]
     constraints = build_tape(names, case.constraints)
+    if case.choice and (outside := _outside(case, written, constraints, root)) is not None:
+        return outside
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
-    rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
+    rounds, before, part_of_time = (*((_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)), _SHARE)
     if not attempt.slack and case.touching:
         if excluded(case.constraints, case.touching, names, root):
             before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
         elif len(names) <= _FEW and any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints)):
             before = _EXACT_SHORT + 1  # sums of squares with sines are large, and few dimensions have few boxes
+        elif len(names) > _FEW:
+            rounds, part_of_time = ((_MANY, 0.0), *_EXACT_ROUNDS[1:]), _MOST_OF_IT
         usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(rounds):
         if number == before and attempt.with_squares and everywhere:
-            rest = _SHARE * max(seconds - (time.process_time() - began), 0.0)
+            rest = part_of_time * max(seconds - (time.process_time() - began), 0.0)
             squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
             if squares.form is not None:
                 result = SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
@@ -217,6 +226,16 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
         usable = [usable[k] for k in sorted(range(len(usable)), key=lambda k: volumes[k])]
     assert best is not None  # the form as written is always usable
     return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
+
+
+def _outside(case: Case, written: Tape, constraints: Tape, root: Ends) -> _Shown | None:
+    """Return the proof of a case whose branches occur nowhere in the box; None unless one box shows it."""
+    plain = Form(case.margin, (), (number(0),) * len(case.constraints))
+    task = Task(constraints, constraints, written, (root[0][:, 0], root[1][:, 0]), 0.0)
+    read = constraints.run(root)
+    if not any(fine[0] and jet.value[0][0] > 0 for jet, fine in zip(read.jets, read.defined, strict=True)):
+        return None
+    return _Shown(plain, search(task, deadline=np.inf, most=1), 0.0)
 
 
 def _reporter(label: str, progress: Callable[[str], None] | None) -> Callable[[int, int], None] | None:

@@ -130,7 +130,7 @@ class _Problem:
         self._facts: list[dict[str, Any]] = []
         self._add_facts()
         self.relations = self._relations()
-        self.zeros: list[tuple[Fraction, ...]] = []
+        self.zeros: list[tuple[Fraction | float, ...]] = []
         if all(algebra.atoms[at][0] == "var" for at in self._atoms):
             hull = [
                 ((Fraction(low) - o) / s, (Fraction(high) - o) / s)

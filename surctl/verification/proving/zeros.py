@@ -13,6 +13,7 @@ __all__ = ["zeros_of"]
 
 _STARTS, _MOST_VARIABLES = 40, 4
 _SMALL, _DENOMINATOR = 1e-7, 24
+_STEPS, _CLEAR, _APART = 8, 1e-13, 1e-6  # Newton steps; relative value at, and distance between, irrational zeros
 
 
 def zeros_of(
@@ -21,8 +22,10 @@ def zeros_of(
     sides: Sequence[Polynomial],
     *,
     scales: Sequence[Fraction],
-) -> list[tuple[Fraction, ...]]:
-    """Return exact rational zeros, other than 0, of a polynomial in a box where all `sides` are not negative.
+) -> list[tuple[Fraction | float, ...]]:
+    """Return the zeros, other than 0, of a polynomial in a box where all `sides` are not negative.
+
+    A rational zero is exact; an irrational one has floats.
 
     Args:
         target: the polynomial.
@@ -42,6 +45,7 @@ def zeros_of(
     size = max(abs(float(c)) for c in target.terms.values())
     rng = np.random.default_rng(0)
     zeros: dict[tuple[Fraction, ...], None] = {}
+    others: list[np.ndarray] = []
     for start in rng.uniform(ends[:, 0], ends[:, 1], size=(_STARTS, len(box))):
         best = minimize(
             lambda x: float(target.value(x.tolist())),
@@ -61,7 +65,25 @@ def zeros_of(
         inside = all(low <= x <= high for x, (low, high) in zip(point, box, strict=True))
         if any(point) and inside and target.value(point) == 0 and all(side.value(point) >= 0 for side in sides):
             zeros[point] = None
-    return list(zeros)
+            continue
+        near = _polished(best.x, slopes)
+        new = all(np.abs(near - other).max() > _APART for other in others)
+        inside = bool(np.all((ends[:, 0] <= near) & (near <= ends[:, 1]))) and np.abs(near).max() > _APART
+        value = abs(float(target.value(near.tolist())))
+        if new and inside and value <= _CLEAR * size and all(float(s.value(near.tolist())) > 0 for s in sides):
+            others.append(near)
+    return [*zeros, *(tuple(map(float, near)) for near in others)]
+
+
+def _polished(point: np.ndarray, slopes: Sequence[Polynomial]) -> np.ndarray:
+    """Return the stationary point near a point, by Newton's method."""
+    bends = [[slope.derivative(k) for k in range(len(slopes))] for slope in slopes]
+    for _ in range(_STEPS):
+        at = point.tolist()
+        slope = np.array([float(s.value(at)) for s in slopes])
+        bend = np.array([[float(b.value(at)) for b in row] for row in bends])
+        point = point - np.linalg.lstsq(bend, slope, rcond=None)[0]
+    return point
 
 
 def _within(box: Sequence[tuple[Fraction, Fraction]], sides: Sequence[Polynomial]) -> list[tuple[Fraction, Fraction]]:
