@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.plotted import Plotted
+from surctl.system.exponential import expm
 
 __all__ = ["LinearLoop", "LoopNames"]
 
@@ -258,8 +259,6 @@ class LinearLoop(Plotted):
 
 def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
     # held inputs: x⁺ = A_d x + B_d f + E_d d, exact
-    from scipy.linalg import expm  # takes a second to import
-
     n, m = len(A), B.shape[1] + E.shape[1]
     whole = np.zeros((n + m, n + m))
     whole[:n] = np.hstack([A, B, E])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.system.exponential import expm
 from surctl.verification.cascade import Cascade
 from surctl.verification.loops import state_blocks
 
@@ -63,8 +64,6 @@ def _figures(
     response is sampled on four time grids, each eight times longer than the previous grid; together they resolve both
     an early peak and a late end. Between samples the response is interpolated.
     """
-    from scipy.linalg import expm
-
     rest = -np.linalg.solve(A, b)
     final = (c @ rest)[:, :, 0]
     slowest = np.min(-np.linalg.eigvals(A).real, axis=1)

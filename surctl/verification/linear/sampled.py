@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
 from surctl.ir import cached_bytes, source_digest
+from surctl.system.exponential import expm
 from surctl.vehicle import Vehicle
 from surctl.verification.cascade import Cascade, build_cascade
 
@@ -127,7 +128,10 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
     if undelayed.A.ndim == 2:
         return _sampled_limits(undelayed, period)
     try:
-        parts = [source_digest("surctl.verification.linear.sampled").encode(), repr(period).encode()]
+        parts = [
+            source_digest("surctl.verification.linear.sampled", "surctl.system.exponential").encode(),
+            repr(period).encode(),
+        ]
     except SurctlError:  # without a digest of the sources nothing is cached
         return _sampled_limits(undelayed, period)
     for name in ("A", "B", "C", "K"):
@@ -196,8 +200,6 @@ def _held(cascade: Cascade, period: float | Array) -> _Held:
 
     Several cascades have one period each or a common period.
     """
-    from scipy.linalg import expm
-
     n, m = cascade.B.shape[-2:]
     both = np.zeros((*cascade.B.shape[:-2], n + m, n + m))
     both[..., :n, :n], both[..., :n, n:] = cascade.A, cascade.B
