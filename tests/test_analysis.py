@@ -1,9 +1,11 @@
 import csv
+import json
 import math
 import pickle
 import re
 import runpy
 import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -12,6 +14,7 @@ from typing import Any
 import pytest
 
 from surctl.vehicle import FITTED
+from tests.pictures import blank_pictures
 from tests.processes import run_python
 from tests.tools import need, need_compiler, need_module
 
@@ -26,7 +29,12 @@ SONAR = ANALYSIS / "10_sonar_filters" / "run.py"
 
 
 def run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return run_python([str(script), *arguments])
+    return run_python([str(script), *arguments], drawn=False)
+
+
+@pytest.fixture(autouse=True)
+def _blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    blank_pictures(monkeypatch)
 
 
 def table(printed: str) -> list[list[str]]:
@@ -171,7 +179,7 @@ def test_the_study_of_mutants() -> None:
     done = run(ANALYSIS / "23_mutants" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [row for row in table(done.stdout) if len(row) == 4][1:]
-    assert len(rows) >= 4 and not any("survives" in row[3] for row in rows)
+    assert len(rows) == 1 and not any("survives" in row[3] for row in rows)
 
 
 def test_the_study_of_what_the_checker_accepts() -> None:
@@ -257,7 +265,7 @@ def test_the_study_of_the_pool_s_limits() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     rows = {row[0]: [float(cell) for cell in row[1:]] for row in table(done.stdout)[1:] if len(row) == 8}
     truth, sonar = rows["true positions"], rows["nothing: by sonar"]
-    assert truth[0] == 8 and sonar[4] > 1.5 * truth[4] and sonar[5] > truth[5]  # what takes longer is a longer way
+    assert truth[0] == 4 and sonar[4] > 1.5 * truth[4] and sonar[5] > truth[5]  # what takes longer is a longer way
 
 
 @pytest.fixture(scope="module")
@@ -388,10 +396,10 @@ def test_a_large_sweep_streams_to_disk(tmp_path: Path, capsys: pytest.CaptureFix
     config = study["load_model"](study["CONFIG"], study["Config"])
     # of times, and of a process that has run other tests: not a test's affair
     config = config.model_copy(update={"workers": 1, "least_fit": -float("inf"), "most_memory_mib": float("inf")})
-    assert study["study"](config, (20, 40, 80), tmp_path) == 0
+    assert study["study"](config, (4, 8, 16), tmp_path) == 0
     rows = [row for row in table(capsys.readouterr().out) if len(row) == 7][1:]
-    assert [row[0] for row in rows] == ["20", "40", "80"]
-    assert study["study"](config.model_copy(update={"most_memory_mib": 1.0}), (2, 4, 8), tmp_path) == 1
+    assert [row[0] for row in rows] == ["4", "8", "16"]
+    assert study["study"](config.model_copy(update={"most_memory_mib": 1.0}), (2, 3, 4), tmp_path) == 1
 
 
 def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
@@ -402,7 +410,7 @@ def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
     config = study["load_model"](study["CONFIG"], study["Config"])
     plan = 'kind = "study"\nname = "one"\nvehicle = "sur400"\n[[runs]]\nscenario = "pool-behind"\n'
     (tmp_path / "one.toml").write_text(plan + '[sweep]\naxes = [{ gain = "k_v", values = [1.5] }]\n')
-    little = config.quick.model_copy(update={"seeds": 1, "trials": 8, "fresh": 2})
+    little = config.quick.model_copy(update={"seeds": 1, "trials": 4, "fresh": 2})
     config = config.model_copy(update={"study": str(tmp_path / "one.toml"), "rounds": 1, "workers": 1})
     monkeypatch.setenv("SURCTL_CFLAGS", "-O1")  # many runs
     status = study["study"](config, little, tmp_path)
@@ -496,7 +504,7 @@ def test_every_law_is_compared_in_the_same_scenario(tmp_path: Path) -> None:
     overall = {row[1]: row for row in table(done.stdout) if len(row) == 7}
     for law, row in by_law.items():
         assert overall[law][2] == f"{50 * int(row[4]):.1f} %" and overall[law][3] == f"{50 * int(row[5]):.1f} %"
-    assert (out / "baselines.png").stat().st_size > 10_000
+    assert (out / "baselines.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_study_of_every_scenario() -> None:
@@ -532,11 +540,19 @@ def test_an_example_chooses_stable_gains_and_its_c_equals_python(example: str) -
         assert phase >= 2 * math.degrees(math.atan(disk / 2)) - 0.5
 
 
-def test_the_study_of_a_law_of_ones_own() -> None:
+def test_the_study_of_a_law_of_ones_own(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     need_compiler()
-    done = run(ANALYSIS / "27_own_law" / "run.py", "--quick")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert [row[2] for row in table(done.stdout)][1:] == ["yes"] * 3
+    folder = ANALYSIS / "27_own_law"
+    study = runpy.run_path(str(folder / "run.py"))
+
+    def forked(*words: str) -> tuple[int, dict[str, Any]]:
+        done = run_python(["-m", "surctl", *words, "--json"], cwd=folder, drawn=False)
+        return done.returncode, json.loads(done.stdout or '{"error": ""}')
+
+    monkeypatch.setitem(study["main"].__globals__, "surctl", forked)
+    monkeypatch.setattr(sys, "argv", ["run.py", "--quick"])
+    assert study["main"]() == 0
+    assert [row[2] for row in table(capsys.readouterr().out)][1:] == ["yes"] * 3
 
 
 def test_the_study_of_vehicles_with_unequal_masses() -> None:

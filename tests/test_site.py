@@ -13,6 +13,7 @@ import pytest
 
 import surctl
 from tests.browser import Opened, open_page
+from tests.pictures import blank_pictures
 from tests.processes import run_python
 from tests.tools import need_compiler, need_module
 
@@ -154,10 +155,11 @@ def test_each_package_is_in_the_reference_and_each_example_in_the_gallery() -> N
 
 @pytest.mark.usefixtures("tools")
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_runs_and_draws(name: str) -> None:
+def test_an_example_runs_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from gallery import run_example
 
     need_compiler()
+    blank_pictures(monkeypatch)
     shown = run_example(name)
     assert shown.printed.strip() and shown.picture.startswith(b"\x89PNG")
 

@@ -65,11 +65,11 @@ QUICK_LOOPS = ("references and bounds move", "Jacobians turn too, task 1 out of 
 def main(arguments: Sequence[str]) -> int:
     """Run all parts; return the exit status."""
     parser = argparse.ArgumentParser(description="the four priority modes: exactness, cost, continuity")
-    parser.add_argument("--quick", action="store_true", help="50 problems unless --n says otherwise")
+    parser.add_argument("--quick", action="store_true", help="15 problems unless --n says otherwise")
     parser.add_argument("--n", type=int, help="random problems; 10,000 if not given")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    count = options.n if options.n is not None else 30 if options.quick else 10_000
+    count = options.n if options.n is not None else 15 if options.quick else 10_000
     if count < 1 or options.seed < 0:
         parser.error("--n is at least 1, --seed at least 0")
     good = [
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
         strict_with_limits(count, options.seed),
         continuous(*(100, 100, QUICK_LOOPS) if options.quick else (2000, 2000, tuple(LOOPS))),
     ]
-    prices(20 if options.quick else 500, options.seed)
+    prices(8 if options.quick else 500, options.seed)
     return 0 if all(good) else 1
 
 

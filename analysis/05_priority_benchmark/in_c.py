@@ -8,6 +8,7 @@ Each contender is a shared library with the same loop around it (`loop.h`); they
 from __future__ import annotations
 
 import ctypes
+import os
 import shlex
 import subprocess
 from dataclasses import dataclass, field
@@ -231,6 +232,7 @@ def _library(folder: Path, name: str, sources: list[Path], *flags: str) -> Any:
         *shlex.split(find_compiler()),
         *FLAGS,
         *tuned_flags(),
+        *shlex.split(os.environ.get("SURCTL_CFLAGS", "")),
         *flags,
         "-o",
         str(path),

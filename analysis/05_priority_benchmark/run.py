@@ -83,7 +83,7 @@ def main(arguments: list[str]) -> int:
 def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
     """Time the contenders in Python and in C, print, and draw."""
     print_machine()
-    count, rounds, budget = (40, 2, 0.3) if quick else (300, 12, 8.0)
+    count, rounds, budget = (16, 1, 0.1) if quick else (300, 12, 8.0)
     instances = draw_instances(count, seed=seed)
     taking_part = [*ours(instances), *hierarchies(instances), *cascades(instances), *others(instances)]
     taking_part += peers(count, seed=seed)
@@ -92,9 +92,9 @@ def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
     race(contenders, timings, rounds=rounds, turn=25, budget=budget)
     python = lines_of(contenders, timings, REFERENCES)
     with tempfile.TemporaryDirectory() as folder:
-        built, references = compiled(instances, count=100 if quick else 1000, seed=seed + 5, folder=Path(folder))
+        built, references = compiled(instances, count=30 if quick else 1000, seed=seed + 5, folder=Path(folder))
         runs = [run for run in built if isinstance(run, CompiledRun)]
-        race_in_c(runs, rounds=3 if quick else 40)
+        race_in_c(runs, rounds=1 if quick else 40)
     in_c = compiled_lines(runs, references)
     print("\n## One step, called from Python")
     print_lines(python, ours=dict.fromkeys(REFERENCES, FAST) | {PEER: PEER_FAST}, mean=False)

@@ -109,7 +109,7 @@ def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="run.py", description="Remove the causes of a slow run one at a time.")
     parser.add_argument("--quick", action="store_true", help="few seeds, nothing changed")
     options = parser.parse_args(words)
-    seeds = 8 if options.quick else 200
+    seeds = 4 if options.quick else 200
     scenario = load_scenario(NAME)
     vehicle = load_vehicle(scenario.vehicle)
     print(f"## `{NAME}`, {seeds} seeds each\n")

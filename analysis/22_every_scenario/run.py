@@ -117,7 +117,7 @@ HEAD = [
 def study(*, quick: bool) -> tuple[str, bool]:
     """Return the Markdown text, and whether every limit holds."""
     names = ["pool-behind"] if quick else scenario_names()
-    seeds, runs, worlds = (4, 20, 2) if quick else (SEEDS, RUNS, WORLDS)
+    seeds, runs, worlds = (4, 20, 1) if quick else (SEEDS, RUNS, WORLDS)
     lines, bars = nominal(names, seeds)
     out = [f"## As they are: seeds 0-{seeds - 1} of each", "", *lines]
     drawn = [flown(MonteCarlo(case_of(name, Sensors(chances=LOST)), 0), runs) for name in names]

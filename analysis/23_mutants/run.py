@@ -1,7 +1,7 @@
 """Study 23: do the tests detect wrong code? Each mutant has one error; the tests for this code must fail.
 
     python analysis/23_mutants/run.py            # all of them; what is known already is not run again
-    python analysis/23_mutants/run.py --quick    # a handful, anew
+    python analysis/23_mutants/run.py --quick    # one of them, anew
     python analysis/23_mutants/run.py --only ID  # one, or several times for several
 
 Prints Markdown; --write writes the README from it. Status 0 when every mutant is caught, 1 when one survives, 2 for a
@@ -49,7 +49,7 @@ class Mutant(Strict):
         old: text that is in the file exactly once.
         new: its replacement.
         tests: files or node ids, at least one of which must fail.
-        quick: whether it is one of the handful.
+        quick: whether `--quick` tries it.
     """
 
     id: str
@@ -274,7 +274,7 @@ def told(mutants: Sequence[Mutant], results: Sequence[Result]) -> str:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="a handful of mutants, anew")
+    parser.add_argument("--quick", action="store_true", help="one of the mutants, anew")
     parser.add_argument("--only", action="append", metavar="ID", help="this mutant, anew; several times for several")
     parser.add_argument("--workers", type=int, default=1, help="copies that are tested at once")
     parser.add_argument("--out", type=Path, metavar="FILE", help=f"of results as they come; {KNOWN} if all run")
