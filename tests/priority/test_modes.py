@@ -39,7 +39,7 @@ def miss(row, v):
 @every
 def test_every_answer_is_what_the_mode_promises(settings):
     rng = np.random.default_rng(29)
-    for k in range(50):
+    for k in range(16):
         problem = draw_problem(rng)
         if k % 2:
             problem = with_sets(problem, rng)
@@ -54,12 +54,12 @@ def test_every_answer_is_what_the_mode_promises(settings):
 @every
 def test_a_moved_answer_is_refused(settings):
     rng, refused = np.random.default_rng(31), 0
-    for _ in range(50):
+    for _ in range(10):
         problem = with_sets(draw_problem(rng), rng)
         got = solve(problem, **settings)
         moved = type(got)(**{**vars(got), "v": got.v + 1e-3 * rng.normal(size=N)})
         refused += not moved.is_optimal(problem, 1e-6)
-    assert refused == 50
+    assert refused == 10
 
 
 @given(seeds)
@@ -76,7 +76,7 @@ def test_where_nothing_binds_the_modes_are_those_without_rows(seed):
 
 def test_lexicographic_residuals_are_those_of_daqp_or_better():
     rng, apart = np.random.default_rng(5), 0
-    for _ in range(150):
+    for _ in range(40):
         problem = inequality_problem(rng)
         got, other = solve(problem, mode="lexicographic").v, daqp_hierarchy(problem)
         gaps = np.array([level.residual(got) - level.residual(other) for level in problem.levels])
@@ -233,14 +233,14 @@ def test_answers_are_continuous_where_sets_and_rows_start_to_bind():
         return solve(build_problem(made, [*box(0.22), Row("wall", "barrier", turned[1], -np.inf, 0.05)]), **settings).v
 
     for settings in ({"mode": "filter"}, {"mode": "projected"}, {"mode": "projected", "damping": 0.05}):
-        path = np.array([v(s, **settings) for s in np.linspace(-0.5, 0.5, 201)])
-        assert np.abs(np.diff(path, axis=0)).max() <= 4 / 200
+        path = np.array([v(s, **settings) for s in np.linspace(-0.5, 0.5, 61)])
+        assert np.abs(np.diff(path, axis=0)).max() <= 4 / 60
 
 
 @every
 def test_references_far_beyond_the_rows_do_not_move_an_actuator_row(settings):
     rng = np.random.default_rng(41)
-    for k in range(50):
+    for k in range(12):
         problem = draw_problem(rng)
         far = [Level(level.name, level.J, 10.0 ** rng.uniform(6, 12) * level.x) for level in problem.levels]
         problem = build_problem(far, problem.rows)

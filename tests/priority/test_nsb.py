@@ -39,7 +39,7 @@ def test_nsb_equals_the_sweep_and_the_printed_formula(seed):
 def test_noise_in_a_deficient_jacobian_is_not_inverted():
     rng = np.random.default_rng(3)
     worst = 0.0
-    for _ in range(300):
+    for _ in range(60):
         J = rng.normal(size=(3, 1)) @ rng.normal(size=(1, N))  # rank 1, singular values 2 and 3 near 1e-17
         worst = max(worst, np.abs(nsb(build_problem([Level("t", J, J @ np.ones(N))]))).max())
     assert worst < 10

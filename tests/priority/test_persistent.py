@@ -48,19 +48,19 @@ def same(a, b):
 @each
 def test_cold_it_equals_a_fresh_solver_to_the_bit(kept, fresh):
     rng, solver, bound = np.random.default_rng(1), kept(), 0
-    for _ in range(100):
+    for _ in range(40):
         problem = draw(rng, m=int(rng.integers(7, 10)), d=int(rng.integers(2, N + 1)))
         got = solver(*problem)
         same(got, fresh(*problem))
         bound += bool(np.any(got.multipliers))
-    assert bound > 60
+    assert bound > 24
 
 
 @either
 def test_warm_it_equals_a_fresh_solver(kept):
     rng, solver = np.random.default_rng(2), kept(warm=True)
     G, lower, upper = draw(rng)
-    for _ in range(100):
+    for _ in range(40):
         G = G + 0.02 * rng.normal(size=G.shape)
         G /= np.linalg.norm(G, axis=1)[:, None]
         got, want = solver(G, lower, upper), daqp_kernel(G, lower, upper)
@@ -155,7 +155,7 @@ def test_bounds_of_the_wrong_size_are_refused(kept):
 
 @either
 @pytest.mark.parametrize("warm", [False, True])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_whole_problems_come_out_as_with_a_fresh_solver(kept, warm, seed):
     rng, solver = np.random.default_rng(seed), kept(warm=warm)
@@ -177,20 +177,20 @@ def test_whole_problems_come_out_as_with_a_fresh_solver(kept, warm, seed):
 @either
 def test_the_law_runs_on_it(kept):
     rng, solver, bound = np.random.default_rng(9), kept(), 0
-    for _ in range(40):
+    for _ in range(20):
         problem = draw_problem(rng)
         got, want = solve(problem, backend=solver), solve(problem, backend="daqp")
         if want.status in ("optimal", "limited"):
             assert np.abs(got.v - want.v).max() < 1e-6
             bound += bool(want.binding)
-    assert bound > 10
+    assert bound > 5
 
 
 @either
 @pytest.mark.parametrize("mode", get_args(Mode))
 def test_every_mode_runs_on_it(kept, mode):
     rng, solver = np.random.default_rng(11), kept()
-    for _ in range(15):
+    for _ in range(6):
         problem = draw_problem(rng, most=3)
         got, want = solve(problem, mode=mode, backend=solver), solve(problem, mode=mode, backend="daqp")
         assert np.isfinite(got.v).all()

@@ -35,7 +35,7 @@ def test_it_is_nsb_when_nothing_binds(backend, seed):
     assert (got.fallback, got.binding, got.relaxed, got.status) == (1, (), {}, "optimal")
 
 
-@pytest.mark.parametrize(("backend", "count", "certified"), [("daqp", 300, 1.0), ("osqp", 60, 0.9)])
+@pytest.mark.parametrize(("backend", "count", "certified"), [("daqp", 100, 1.0), ("osqp", 30, 0.9)])
 def test_every_tick_has_an_answer_that_stands_without_the_solver(backend, count, certified):
     rng, stands, seen = np.random.default_rng(17), 0, set()
     for _ in range(count):
@@ -55,18 +55,18 @@ def test_every_tick_has_an_answer_that_stands_without_the_solver(backend, count,
 
 def test_backends_agree_where_rows_are_consistent():
     rng, compared = np.random.default_rng(4), 0
-    for _ in range(60):
+    for _ in range(30):
         problem = draw_problem(rng)
         one, other = (solve(problem, backend=b) for b in ("daqp", "osqp"))
         if one.fallback == other.fallback == 1:
             compared += 1
             assert np.abs(one.v - other.v).max() < 1e-6
-    assert compared > 5
+    assert compared > 3
 
 
 def test_the_first_task_is_served_as_well_as_the_box_allows():
     rng = np.random.default_rng(2)
-    for _ in range(100):
+    for _ in range(40):
         first = Level("first", rng.normal(size=(2, N)), 3 * rng.normal(size=2))
         problem = build_problem([first, Level("second", rng.normal(size=(2, N)), rng.normal(size=2))], box(0.5))
         best = lsq_linear(first.J, first.x, bounds=(-0.5, 0.5), tol=1e-14)
@@ -139,12 +139,12 @@ def test_it_is_continuous_through_the_point_where_the_first_task_becomes_unreach
 def test_is_optimal_refuses_what_is_not():
     rng = np.random.default_rng(8)
     refused = 0
-    for _ in range(100):
+    for _ in range(30):
         problem = draw_problem(rng)
         got = solve(problem)
         moved = type(got)(**{**vars(got), "v": got.v + 1e-3 * rng.normal(size=N)})
         refused += not moved.is_optimal(problem, 1e-6)
-    assert refused == 100
+    assert refused == 30
 
 
 def test_a_nan_that_slipped_past_the_gate_never_becomes_a_command():
@@ -156,7 +156,7 @@ def test_a_nan_that_slipped_past_the_gate_never_becomes_a_command():
         assert not got.is_optimal(broken)
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-200, 1e-12, 1e12, 1e150, 1e300]))
 def test_numbers_of_any_size_give_a_finite_answer_inside_the_box(seed, scale):
     rng = np.random.default_rng(seed)

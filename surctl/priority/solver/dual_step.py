@@ -16,6 +16,7 @@ called pending between these steps.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import casadi as ca
 
@@ -293,6 +294,7 @@ class _Step:
         )
 
 
+@cache
 def iteration(space: Space) -> Block:
     """Return the program or routine for one iteration, which updates the first seven of its inputs.
 

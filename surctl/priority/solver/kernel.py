@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -73,6 +74,7 @@ def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> R
     return Routine(f"{routine.name}_row_by_row", routine.inputs, steps, results)
 
 
+@cache
 def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     """Return the routine that finds the point base + Z y with the smallest ‖y‖ that satisfies all constraint rows.
 
@@ -104,6 +106,7 @@ def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     return Routine(f"nearest_{d}", inputs, steps, ("point", "numbers", "multipliers", "status", "count"))
 
 
+@cache
 def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     """Return a routine with the outputs of `kernel` that searches in d < n unknowns y.
 
@@ -137,6 +140,7 @@ def _reduce(space: Space) -> Program:
     return lower(ca.Function("reduce", [row, origin, Z], [reduced]))
 
 
+@cache
 def search(space: Space, rows: int, cap: int | None = None) -> Routine:
     """Return the active-set search alone: the feasible point nearest to `base`, for rows without the entry `soft`.
 
@@ -227,6 +231,7 @@ def _turn(space: Space, rows: int) -> Routine:
     return Routine(f"turn_{space.d}", inputs, steps, tuple(f"{name}_next" for name, _ in state))
 
 
+@cache
 def certificate(space: Space, rows: int) -> Routine:
     """Return a routine that tests whether a point (n + 1,), v and opening, satisfies every constraint row.
 

@@ -13,7 +13,7 @@ from surctl.priority.references import printed_law
 
 N = 4
 seeds = st.integers(0, 2**32 - 1)
-PROBLEMS = 400
+PROBLEMS = 120
 
 
 def draw(rng):

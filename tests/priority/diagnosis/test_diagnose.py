@@ -45,7 +45,7 @@ LIBRARY = (DEPTH, HEADING, POSITION, VELOCITY, SPACE, DISTANCE, SAME, FAR, SIGHT
 
 
 def look(*tasks, region=REGION, parameters=BOTH, **settings):
-    return diagnose(Stack(tasks), region, parameters=parameters, **{"samples": 128, **settings})
+    return diagnose(Stack(tasks), region, parameters=parameters, **{"samples": 64, **settings})
 
 
 def at(stack, pose):
@@ -230,11 +230,11 @@ def test_one_task_is_trivially_equal_and_a_fixed_pose_is_one_sample():
 
 
 def test_the_same_seed_gives_the_same_diagnosis_and_json_keeps_it():
-    first, second = (look(SIGHT, POSITION, FAR).to_dict() for _ in range(2))
+    first, second = (look(SIGHT, FAR).to_dict() for _ in range(2))
     assert first == second
     assert json.loads(json.dumps(first, allow_nan=False)) == first
     assert first["region"]["point_1"] == [-1.0, 1.0]
-    assert look(SIGHT, POSITION, FAR, seed=1).to_dict() != first
+    assert look(SIGHT, FAR, seed=1).to_dict() != first
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from tests.tools import need_compiler
 Array = NDArray[np.float64]
 
 PRECISION: dict[Real, Precision] = {"float64": FLOAT64, "float32": FLOAT32}
-SIZES = ((4, 2, 24), (4, 1, 9), (3, 2, 7), (2, 2, 8))
+SIZES = ((4, 2, 24), (3, 1, 9), (2, 2, 8))  # one task row, several, and as many as velocities
 ROUNDING = 3e-9  # of 1 + max |v|: what `FLOAT64.kept` allows a hard row, and `priced` a soft one
 
 
@@ -30,7 +30,7 @@ ROUNDING = 3e-9  # of 1 + max |v|: what `FLOAT64.kept` allows a hard row, and `p
 def answers(n: int, p: int, m: int) -> tuple[Trials, tuple[Array, ...], tuple[Array, ...]]:
     """Problems, and what either ladder says to them in C."""
     need_compiler()
-    trials = moved(draw_trials(3_000 if m == 24 else 600, n=n, p=p, m=m, seed=5))
+    trials = moved(draw_trials(1_500 if m == 24 else 600, n=n, p=p, m=m, seed=5))
     ladders: tuple[Fallback, Fallback] = ("exact", "bounded")
     exact, bounded = (tuple(compile_block(safe_step(n, p, m, fallback=k))(*trials.arrays)) for k in ladders)
     return trials, exact, bounded
@@ -110,7 +110,7 @@ def test_c_and_replay_give_the_same_bytes(real: Real) -> None:
     need_compiler()
     kind = np.float32 if real == "float32" else np.float64
     routine = safe_step(4, 2, 24, precision=PRECISION[real], fallback="bounded")
-    pairs = zip(draw_trials(60, seed=2).arrays, broken(), strict=True)
+    pairs = zip(draw_trials(40, seed=2).arrays, broken(), strict=True)
     with np.errstate(over="ignore"):
         arrays = [np.concatenate(pair).astype(kind) for pair in pairs]
     made = compile_block(routine, real=real)(*arrays)
@@ -120,9 +120,9 @@ def test_c_and_replay_give_the_same_bytes(real: Real) -> None:
 
 def broken() -> tuple[Array, ...]:
     """Problems in which one number is none, infinite or huge."""
-    rng, trials = np.random.default_rng(3), draw_trials(200, seed=7)
+    rng, trials = np.random.default_rng(3), draw_trials(100, seed=7)
     arrays = tuple(array.copy() for array in trials.arrays)
-    for k in range(200):
+    for k in range(100):
         one = arrays[rng.integers(0, 4)]
         one[k, rng.integers(0, one.shape[1])] = rng.choice([np.nan, np.inf, -np.inf, 1e30, -1e300])
     return arrays

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import platform
+from functools import cache
 
+import casadi as ca
 import daqp
 import numpy as np
 import pytest
@@ -38,9 +40,14 @@ class Flown:
         self.opening, self.status, self.count = opening[:, 0], status[:, 0], count[:, 0]
 
 
+@cache
+def machine() -> ca.Function:
+    return to_casadi(safe_step(N, P, M))
+
+
 @pytest.fixture(scope="module")
 def flown() -> Flown:
-    return Flown(draw_trials(12_000, n=N, p=P, m=M, seed=1))
+    return Flown(draw_trials(3_000, n=N, p=P, m=M, seed=1))
 
 
 def has(trials: Trials, name: str) -> NDArray[np.bool_]:
@@ -82,7 +89,7 @@ def test_every_tick_has_a_finite_answer_inside_the_hard_rows(flown: Flown) -> No
     assert ((box[:, :N] <= flown.v) & (flown.v <= box[:, N:])).all()
     assert not (flown.status == CLAMPED).any()
     for rung in (MET, LIMITED, RELAXED):
-        assert (flown.status == rung).sum() > 1000
+        assert (flown.status == rung).sum() > 250
 
 
 def test_met_is_the_nearest_point_by_its_optimality_conditions(flown: Flown) -> None:
@@ -104,7 +111,7 @@ def test_the_referee_sees_a_wrong_answer(flown: Flown) -> None:
 
 def test_daqp_agrees_and_nothing_feasible_is_given_up(flown: Flown) -> None:
     compared, unit = 0, flown.trials.unit()[:3]
-    for k in range(1500):
+    for k in range(500):
         want = nearest(flown.trials, k, unit)
         if want is None:
             continue
@@ -112,7 +119,7 @@ def test_daqp_agrees_and_nothing_feasible_is_given_up(flown: Flown) -> None:
         gap = np.abs(want - flown.v[k]).max() / (1 + np.abs(flown.trials.target[k]).max())
         assert gap <= 1e-8, k
         compared += 1
-    assert compared > 180
+    assert compared > 60
 
 
 def sides(A: Array, lower: Array, upper: Array, opens: Array) -> tuple[Array, Array]:
@@ -130,7 +137,7 @@ TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e
 def test_limited_is_the_best_that_the_rows_allow(flown: Flown) -> None:
     """‖J v − x‖ exceeds the least one by at most its slope along the best way left, found by a linear programme."""
     A, lower, upper, soft = flown.trials.unit()
-    for k in np.flatnonzero(flown.status == LIMITED)[:150]:
+    for k in np.flatnonzero(flown.status == LIMITED)[:40]:
         J, x = flown.trials.J[k].reshape(P, N), flown.trials.x[k]
         rest = x - J @ flown.v[k]
         size, scale = np.linalg.norm(rest), np.linalg.norm(J, axis=1).max()
@@ -146,7 +153,7 @@ def test_limited_is_the_best_that_the_rows_allow(flown: Flown) -> None:
 def test_relaxed_opens_no_more_than_it_must(flown: Flown) -> None:
     A, lower, upper, soft = flown.trials.unit()
     compared = 0
-    for k in np.flatnonzero(flown.status == RELAXED)[:150]:
+    for k in np.flatnonzero(flown.status == RELAXED)[:40]:
         G, h = sides(A[k], lower[k], upper[k], soft[k].astype(float))
         bounds = [(None, None)] * N + [(0, None)]
         least = linprog(np.append(np.zeros(N), 1.0), G, h, bounds=bounds, method="highs-ds", options=TIGHT)
@@ -154,29 +161,29 @@ def test_relaxed_opens_no_more_than_it_must(flown: Flown) -> None:
         if least.status == 0:
             assert abs(flown.opening[k] - least.x[-1]) <= 1e-8, k
             compared += 1
-    assert compared > 140
+    assert compared > 36
 
 
-@pytest.mark.parametrize("size", [1.0, 1e4, 1e8, 1e10])
+@pytest.mark.parametrize("size", [1.0, 1e10])
 @pytest.mark.parametrize("long", [False, True])
 def test_contradicting_tasks_of_any_size_open_no_row(size: float, long: bool) -> None:
     need_compiler()
-    trials = draw_trials(1000, n=N, p=P, m=M, seed=6, mixed=False)
-    rows = trials.rows.reshape(1000, M, N + 3).copy()
+    trials = draw_trials(300, n=N, p=P, m=M, seed=6, mixed=False)
+    rows = trials.rows.reshape(300, M, N + 3).copy()
     rows[..., N], rows[..., N + 1] = np.minimum(rows[..., N], -0.01), np.maximum(rows[..., N + 1], 0.01)  # 0 keeps all
     rng = np.random.default_rng(7)
-    J = np.repeat(rng.normal(size=(1000, 1, N)), P, axis=1) * (size if long else 1.0)
-    x = size * rng.normal(size=(1000, P))
-    status = compile_block(safe_step(N, P, M))(
-        trials.target, J.reshape(1000, -1), x, rows.reshape(1000, -1), trials.box
-    )[4]
+    J = np.repeat(rng.normal(size=(300, 1, N)), P, axis=1) * (size if long else 1.0)
+    x = size * rng.normal(size=(300, P))
+    status = compile_block(safe_step(N, P, M))(trials.target, J.reshape(300, -1), x, rows.reshape(300, -1), trials.box)[
+        4
+    ]
     assert (status == LIMITED).all()
 
 
 @pytest.mark.parametrize(("space", "seen", "cap"), [(Space(4, 4), 25, CAP), (Space(4, 5, opening=True), 40, OPEN_CAP)])
 def test_the_cap_is_far_away(space: Space, seen: int, cap: int) -> None:
     need_compiler()
-    trials = draw_trials(20_000, n=N, p=P, m=M, seed=2)
+    trials = draw_trials(4_000, n=N, p=P, m=M, seed=2)
     A, lower, upper, soft = trials.unit()
     rows = in_blocks(np.concatenate([A, lower[..., None], upper[..., None], soft[..., None]], axis=2))
     goal = np.clip(trials.target, trials.box[:, :N], trials.box[:, N:])
@@ -188,12 +195,11 @@ def test_the_cap_is_far_away(space: Space, seen: int, cap: int) -> None:
 
 
 def test_replay_and_casadi_give_the_same_bytes(flown: Flown) -> None:
-    some = flown.trials[slice(0, 60)]
+    some = flown.trials[slice(0, 40)]
     for a, b in zip(replay(safe_step(N, P, M), *some.arrays), flown.outputs, strict=True):
-        assert a.tobytes() == b[:60].tobytes()
-    machine = to_casadi(safe_step(N, P, M))
-    for k in range(10):
-        one = machine(*(array[k] for array in some.arrays))
+        assert a.tobytes() == b[:40].tobytes()
+    for k in range(4):
+        one = machine()(*(array[k] for array in some.arrays))
         for a, b in zip(one, flown.outputs, strict=True):
             # + 0.0: CasADi's if_else turns −0 into +0
             assert (np.asarray(a).reshape(-1) + 0.0).tobytes() == (b[k] + 0.0).tobytes()
@@ -214,17 +220,16 @@ def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
     assert np.where(soft, -1.0, np.maximum(value - upper, lower - value)).max() <= 1e-4
     both = (status == MET) & (flown.status == MET)
     gap = np.abs(v - flown.v).max(axis=1) / (1 + np.abs(flown.trials.target).max(axis=1))
-    assert both.sum() > 2000 and np.quantile(gap[both], 0.9) <= 1e-6
+    assert both.sum() > 500 and np.quantile(gap[both], 0.9) <= 1e-6
 
 
 X86 = platform.machine().lower() in ("x86_64", "amd64")
-LEVELS = [("-O2",), *([("-march=x86-64",)] if X86 else [])]  # the others are compiled with -O0
+FLAGS = ("-O2", *(["-march=x86-64"] if X86 else []))  # the others are compiled with -O0, and for this processor
 
 
-@pytest.mark.parametrize("flags", LEVELS)
-def test_every_optimisation_level_gives_the_same_bytes(flown: Flown, flags: tuple[str, ...]) -> None:
+def test_with_another_level_for_the_oldest_processor_it_gives_the_same_bytes(flown: Flown) -> None:
     some = flown.trials[slice(0, 1000)]
-    for a, b in zip(compile_block(safe_step(N, P, M), flags=flags)(*some.arrays), flown.outputs, strict=True):
+    for a, b in zip(compile_block(safe_step(N, P, M), flags=FLAGS)(*some.arrays), flown.outputs, strict=True):
         assert a.tobytes() == b[:1000].tobytes()
 
 
@@ -252,11 +257,9 @@ def test_no_number_anywhere_makes_it_anything_but_finite(bad: float, real: Real)
 
 
 def test_the_derivative_is_the_projector_of_the_active_rows(flown: Flown) -> None:
-    import casadi as ca
-
     given = [ca.MX.sym(f"a{i}", array.shape[1]) for i, array in enumerate(flown.trials.arrays)]
-    slope = ca.Function("slope", given, [ca.jacobian(to_casadi(safe_step(N, P, M))(*given)[0], given[0])])
-    usual = np.flatnonzero((flown.status == MET) & has(flown.trials, "plain"))[:5]
+    slope = ca.Function("slope", given, [ca.jacobian(machine()(*given)[0], given[0])])
+    usual = np.flatnonzero((flown.status == MET) & has(flown.trials, "plain"))[:3]
     for k in usual:
         A = flown.trials[np.array([k])].unit()[0][0]
         used = np.abs(flown.active[k][flown.active[k] != 0]).astype(int) - 1
