@@ -115,7 +115,7 @@ def limits(seed, *, diagonal, spread):
 
 @pytest.mark.parametrize("diagonal", [True, False])
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 1.0, 30.0]))
-@settings(max_examples=40)
+@settings(max_examples=12)
 def test_the_rows_always_hold_a_velocity(diagonal, seed, spread):
     made, nu, rng = limits(seed, diagonal=diagonal, spread=spread)
     rows = rows_at(made)
@@ -129,7 +129,7 @@ def test_the_rows_always_hold_a_velocity(diagonal, seed, spread):
 
 @pytest.mark.parametrize("diagonal", [True, False])
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=40)
+@settings(max_examples=12)
 def test_nothing_changes_for_a_velocity_that_is_inside_and_can_be_held(diagonal, seed):
     made, nu, _ = limits(seed, diagonal=diagonal, spread=0)
     assert np.array_equal(np.array(ca.DM(made.reachable())).reshape(-1), nu)
@@ -139,17 +139,18 @@ def test_nothing_changes_for_a_velocity_that_is_inside_and_can_be_held(diagonal,
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 1.0]))
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_for_a_diagonal_mass_the_box_widens_no_more_than_it_must(seed, spread):
     made, nu, _ = limits(seed, diagonal=True, spread=spread)
     box, acceleration = rows_at(made.box), rows_at(made.acceleration)
+    widened = rows_at(made)
     for i, thrust in enumerate(rows_at(made.thrust)):
         low, high = thrust.lower / thrust.a[i], thrust.upper / thrust.a[i]  # per axis: T is an interval
         meets_a = max(low, acceleration[i].lower) <= min(high, acceleration[i].upper)
         if meets_a:
             low, high = max(low, acceleration[i].lower), min(high, acceleration[i].upper)
         gap = max(0.0, low - box[i].upper, box[i].lower - high)  # what any widened box must bridge
-        wide = rows_at(made)[i]
+        wide = widened[i]
         grown = max(wide.upper - box[i].upper, box[i].lower - wide.lower)
         if meets_a:
             assert grown == pytest.approx(gap, abs=1e-12 * (1 + abs(nu[i])))
@@ -165,7 +166,7 @@ def test_the_widened_limits_bring_a_runaway_vehicle_back():
     thrust_for = function(made.thrust.needed(v), nu, v)
     x = PLANT_STATE.pack({"nu": [1.0, -0.8, 0.5, 1.5]})
     task = Level("hurry", np.eye(4)[:2], np.array([2.0, -2.0]))  # asks for more speed, not less
-    for _ in range(200):
+    for _ in range(120):
         now = x[PLANT_STATE.slice("nu")]
         found = solve(build_problem([task], rows_at(made, [nu], [now])))
         assert found.status in ("optimal", "limited")
