@@ -72,7 +72,7 @@ STRONGER: dict[str, Callable[[dict[str, Any], float], None]] = {
 @pytest.mark.parametrize("kind", STRONGER)
 def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
     rng = np.random.default_rng(len(kind))
-    for share in rng.uniform(size=3):
+    for share in rng.uniform(size=1):
         changed = document()
         STRONGER[kind](changed, float(share))
         assert not check_document(sealed(changed)).accepted, (kind, share)
@@ -117,7 +117,7 @@ def refuted(changed: dict[str, Any]) -> bool:
 def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     whole, rng = document(), np.random.default_rng(5)
     false, accepted = 0, 0
-    for _ in range(24):
+    for _ in range(14):
         path, changed = altered(whole, ("claim", "proof"), rng)
         found = check_document(sealed(changed))
         accepted += found.accepted
@@ -125,7 +125,7 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
             assert not refuted(changed), path
         else:
             false += 1
-    assert false > 8 and accepted > 0  # neither everything nor nothing passes
+    assert false > 5 and accepted > 0  # neither everything nor nothing passes
 
 
 def test_sampling_finds_no_slower_decay_inside_and_finds_it_far_outside() -> None:
@@ -205,7 +205,7 @@ def test_the_checkers_vehicle_is_the_vehicle_that_flies(lag: float) -> None:
 def test_the_trim_is_bounded_by_what_sampling_finds(name: str) -> None:
     claim = document(name)["claim"]
     exact = read_claim(claim)
-    rng, n = np.random.default_rng(4), 40_000
+    rng, n = np.random.default_rng(4), 10_000
     boat = boats(claim, n, rng)
     w, psi = omega(claim, boat), rng.uniform(0, 2 * np.pi, size=n)
     bound = steady_trim(exact)
@@ -220,7 +220,7 @@ def test_the_trim_is_bounded_by_what_sampling_finds(name: str) -> None:
 
 def test_in_a_current_it_settles_as_close_as_is_said() -> None:
     whole = document("region-cruise-current")
-    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(6), 400, 0.05
+    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(6), 150, 0.05
     assert claim["vehicle"]["current_m_per_s"] == 0.05 and max(claim["motion"]["ultimate_bound_m"]) <= 0.06
     assert worst(whole, low=whole["proof"]["floor"], high=1.0) < 0
     boat = boats(claim, n, rng)
@@ -241,7 +241,7 @@ def test_in_a_current_it_settles_as_close_as_is_said() -> None:
 @pytest.mark.parametrize("name", ["region-cruise-20-force", "region-cruise-20-noise"])
 def test_pushed_and_misled_it_settles_as_close_as_is_said(name: str) -> None:
     whole = document(name)
-    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(8), 400, 0.05
+    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(8), 150, 0.05
     floor = whole["proof"]["floor"]
     assert worst(whole, low=floor, high=1.0) < 0
     boat = boats(claim, n, rng)
@@ -286,7 +286,7 @@ def test_errors_of_what_is_measured_change_the_thrust_by_no_more_than_is_counted
     assert 0.5 * counted < change.max() <= counted
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(st.integers(1, 6), st.integers(0, 10**6))
 def test_definiteness_is_that_of_the_eigenvalues(size: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -301,7 +301,7 @@ def test_definiteness_is_that_of_the_eigenvalues(size: int, seed: int) -> None:
         assert all(unit[i][j] == (i == j) for i in range(size) for j in range(size))
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None, derandomize=True)
 @given(st.fractions(0, 10**6))
 def test_roots_are_on_their_side(value: Fraction) -> None:
     assert root_down(value) ** 2 <= value <= root_up(value) ** 2

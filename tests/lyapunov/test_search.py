@@ -83,7 +83,7 @@ def test_the_region_of_van_der_pol_is_nearly_the_true_one() -> None:
     points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
     inside = np.asarray(d.compiled(outcome[3].function)(points, np.zeros((0, points.shape[1])))) < 0.97 * bound.level
     assert inside.mean() * 36 >= 0.9 * TRUE_AREA
-    assert _leavers(d, d.compiled(outcome[3].function), 0.97 * bound.level, count=500, seconds=15.0) == 0
+    assert _leavers(d, d.compiled(outcome[3].function), 0.97 * bound.level, count=120, seconds=10.0) == 0
 
 
 def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed() -> None:

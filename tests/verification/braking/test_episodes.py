@@ -13,10 +13,10 @@ def claimed(name: str, vehicle: str = "sur540-flooded") -> BrakingClaim:
     return braking_claim_named(name, load_vehicle(vehicle), load_gains("default"))
 
 
-@pytest.mark.parametrize("name", ["rule-ranges", "inertia-ranges", "inertia-20-axes", "inertia-20-movers"])
+@pytest.mark.parametrize("name", ["inertia-ranges", "inertia-20-movers"])
 def test_nothing_is_touched_inside_the_assumptions(name: str) -> None:
     claim = claimed(f"braking-{name}")
-    found = run_episodes(claim, obstacle=claim.obstacles[-1], runs=300, seconds=12.0, seed=2)
+    found = run_episodes(claim, obstacle=claim.obstacles[-1], runs=200, seconds=12.0, seed=2)
     assert found.hits == 0 and found.least >= 0
     assert found.braked > 0.9 and found.near > 0.1  # it comes near: what never lets go would pass too
 

@@ -43,7 +43,7 @@ def _loop(name: str, **changed: Any) -> Any:
     return loop_system(_vehicle(), _gains(), name, cruise=CRUISE, dt=DT, **changed)
 
 
-@pytest.mark.parametrize("k_i", [0.0, 0.05])
+@pytest.mark.parametrize("k_i", [0.05])
 @pytest.mark.parametrize("name", LOOP_NAMES)
 def test_margins_are_those_that_are_printed(name: str, k_i: float) -> None:
     gains = _gains(k_i)
@@ -57,7 +57,7 @@ def test_margins_are_those_that_are_printed(name: str, k_i: float) -> None:
     assert ours.gain_margin == pytest.approx(min(gm, default=np.inf), rel=1e-5)
     assert ours.phase_margin_deg == pytest.approx(min(lag, default=np.inf), rel=1e-5)
     assert ours.delay_margin_s == pytest.approx(min(np.deg2rad(lag) / w_gain[w_gain < below], default=np.inf), rel=1e-5)
-    omega = np.geomspace(1e-4, below, 20_000)
+    omega = np.geomspace(1e-3, below, 4_000)
     assert ours.disk_margin == pytest.approx(control.disk_margins(L, omega)[0], rel=1e-4)
 
 
@@ -88,8 +88,7 @@ def test_closing_the_loops_gives_the_poles_of_all(lag: bool) -> None:
     assert {len(f) for f in found} == ({6, 12} if lag else {5, 10})
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2])
-@pytest.mark.parametrize("k_i", [0.0, 0.05])
+@pytest.mark.parametrize(("delay", "k_i"), [(0, 0.0), (2, 0.05)])
 def test_closing_the_sampled_loops_gives_the_sampled_poles(k_i: float, delay: int) -> None:
     wanted = sampled_poles(_vehicle(), _gains(k_i), cruise=CRUISE, period=0.2, delay=delay)
     found = []
@@ -133,7 +132,7 @@ def test_a_step_of_the_wanted_pose_arrives() -> None:
     system = closed_system(_vehicle(), _gains(), cruise=CRUISE, dt=DT)
     gain = control.dcgain(system)
     np.testing.assert_allclose(gain[:3, :3], np.eye(3), atol=1e-9)  # but for ψ the wanted is what comes
-    step = control.step_response(system, T=np.linspace(0, 120, 1201), input=1)
+    step = control.step_response(system, T=np.linspace(0, 120, 121), input=1)
     assert step.outputs[1, 0, -1] == pytest.approx(1.0, abs=1e-3)
 
 
@@ -154,7 +153,7 @@ def test_mistakes() -> None:
         open_system(_vehicle(), _gains(), "wall", cruise=CRUISE, dt=DT)
 
 
-@pytest.mark.parametrize("k_i", [0.0, 0.05])
+@pytest.mark.parametrize("k_i", [0.05])
 @pytest.mark.parametrize("name", LOOP_NAMES)
 def test_a_loop_that_is_sampled_fast_is_the_continuous_one_later(name: str, k_i: float) -> None:
     T, delay, omega = 1e-3, 2, np.array([0.1, 0.5, 2.0])
