@@ -65,9 +65,14 @@ def bundle_of(certificates: Mapping[str, Any] | None = None, **gains: Any) -> Bu
     return build_bundle(LAW, {**LAW.gains.unpack(P), **gains}, origin=Origin(VEHICLE, LAW, certificates))
 
 
+@pytest.fixture(scope="module")
+def plain() -> Bundle:
+    return bundle_of()
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    write_bundle(bundle_of(), tmp_path / "bundle")
+def folder(plain: Bundle, tmp_path: Path) -> Path:
+    write_bundle(plain, tmp_path / "bundle")
     return tmp_path / "bundle"
 
 

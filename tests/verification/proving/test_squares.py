@@ -25,8 +25,8 @@ def coupled(count: int):
     return claim_from(f"coupled-{count}", {f"x{i}": (-3.0, 3.0) for i in range(count)}, rate, "0")
 
 
-def test_a_coupled_system_of_ten_states_is_proved() -> None:
-    assert check_document(certificate(coupled(10)), time_limit=2.0).accepted
+def test_a_coupled_system_of_eight_states_is_proved() -> None:
+    assert check_document(certificate(coupled(8)), time_limit=2.0).accepted
 
 
 @pytest.mark.parametrize("polynomial", [MOTZKIN, ROBINSON])

@@ -18,7 +18,7 @@ def linear(name: str, row: list[float], gain: float = 1.0) -> Task:
 
 
 def told(*tasks: Task, region: object = REGION) -> StackConditions:
-    return stack_conditions(Stack(tasks), region, samples=256)  # type: ignore[arg-type]
+    return stack_conditions(Stack(tasks), region, samples=128)  # type: ignore[arg-type]
 
 
 def test_orthogonal_tasks_converge_and_track_by_identity() -> None:
