@@ -11,7 +11,7 @@ from surctl.sensing import Calibration, Estimate, calibrate
 from surctl.sensing.calibration.estimation import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
 
 BIAS, SCALE = 0.02, 0.985
-SETS = 120  # tables of each kind of noise
+SETS = 60  # tables of each kind of noise
 
 
 def drawn(rng: np.random.Generator, n: int, s0: float, s1: float) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +139,7 @@ def test_an_outlier_is_marked_and_left_out() -> None:
     assert found.outlier_bound == pytest.approx(stats.t.ppf(1 - 0.05 / 60, 27))
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.permutations(range(12)), st.floats(0.5, 2.0))
 def test_order_does_not_matter_and_units_scale(order: list[int], factor: float) -> None:
     x, y = drawn(np.random.default_rng(1), 12, 0.01, 0.004)
@@ -208,15 +208,15 @@ def test_repeated_distances_of_coarse_readings_are_fitted() -> None:
     assert all(np.isfinite(found.to_dict()["bias_m"]))
 
 
-def test_a_million_rows_are_weighted_in_cells_as_a_thousand_are_one_by_one() -> None:
+def test_many_rows_are_weighted_in_cells_as_a_thousand_are_one_by_one() -> None:
     rng = np.random.default_rng(2)
-    x = rng.uniform(0.25, 4.45, 1_000_000)
+    x = rng.uniform(0.25, 4.45, 200_000)
     found = calibrate(x, SCALE * x + BIAS + (0.005 + 0.004 * x) * rng.standard_normal(len(x)))
     assert found.varies
     assert found.noise_slope is not None and found.noise_at_zero is not None
-    assert found.noise_slope.value == pytest.approx(0.004, abs=3e-5)
-    assert found.noise_slope.high - found.noise_slope.low < 6e-5
-    assert found.scale.value == pytest.approx(SCALE, abs=3e-5)
+    assert found.noise_slope.value == pytest.approx(0.004, abs=7e-5)
+    assert found.noise_slope.high - found.noise_slope.low < 1.4e-4
+    assert found.scale.value == pytest.approx(SCALE, abs=7e-5)
     x = np.linspace(0.25, 4.45, 5000)  # more than there are cells
     y = SCALE * x + BIAS + (0.005 + 0.004 * x) * rng.standard_normal(len(x))
     cells, exact = calibrate(x, y), _one_by_one(x, y)

@@ -27,7 +27,7 @@ from tests.raycasting import corners, nearest_by_rays
 WEBOTS = math.radians(22.5)
 LENGTH, WIDTH = 6.0, 4.0
 BOXES, DISCS = 3, 2
-BEAMS = (15.0, 75.0, 120.0)
+BEAMS = (15.0, 120.0)
 HULL = 0.27
 # on the hull and looking along it, off it and looking past it, behind it and looking across it, and once more
 MOUNTS = ((HULL, 0.0), (0.05, HULL + 0.05), (-0.9, 0.1), (0.1, -0.6))
@@ -101,17 +101,17 @@ def _array(beam, *, limit, mounted):
 @pytest.mark.parametrize("limit", [None, WEBOTS], ids=["all", "facing"])
 def test_scenes_against_ray_casting(beam, limit):
     array, outcomes = _array(beam, limit=limit, mounted=False), {"hit": 0, "miss": 0, "other": 0}
-    for seed in range(30):
+    for seed in range(20):
         _, shapes, place, axis = _scene(seed)
         got = nearest_echo(shapes, place, axis, half_angle=array.half_angle, incidence_limit=limit)
         wanted = nearest_by_rays(shapes, place, axis, array.half_angle, limit=limit)
         assert got == wanted or abs(got - wanted) < 1e-6, (seed, got, wanted)
         outcomes["hit" if math.isfinite(got) else "miss"] += 1
         outcomes["other"] += got != nearest_echo(shapes, place, axis, half_angle=array.half_angle)
-    assert outcomes["hit"] >= 15
+    assert outcomes["hit"] >= 8
     # walls all round: only a narrow beam finds nothing that faces it
     assert (outcomes["miss"] > 0) == (limit is not None and beam < 20), outcomes
-    assert (outcomes["other"] >= 5) == (limit is not None), outcomes
+    assert (outcomes["other"] >= 3) == (limit is not None), outcomes
 
 
 @pytest.mark.parametrize("beam", BEAMS)
@@ -137,7 +137,7 @@ def test_the_hulls_shadow_against_ray_casting(beam, limit):
 def test_symbols_and_numbers_give_the_same_range(beam, limit, mounted):
     array, sensors = _array(beam, limit=limit, mounted=mounted), (0, 3, 1, 2)
     twin, nothing, heard_some = _twin(array, sensors), 2.0 * array.maximum, 0
-    for seed in range(60):
+    for seed in range(30):
         (bodies, _, place, heading), rng = _scene(seed), np.random.default_rng(seed)
         if seed % 10 == 0:
             place = rng.uniform((0, 0), (LENGTH, WIDTH))  # maybe inside of something
@@ -152,7 +152,7 @@ def test_symbols_and_numbers_give_the_same_range(beam, limit, mounted):
             got = float(twin(turn, ca.DM(place), heading, boxes, discs))
             assert abs(got - min(wanted, nothing)) < 1e-12, (seed, sensor, got, wanted)
             heard_some += 0 < wanted < nothing
-    assert heard_some > 60
+    assert heard_some > 30
 
 
 def test_a_box_along_the_axes_needs_no_angle():

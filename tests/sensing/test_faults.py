@@ -158,7 +158,7 @@ def test_a_delay_is_silent_for_m_firings_and_then_late_by_m(delay, m):
 
 
 def test_faults_count_firings_whatever_the_rounding_of_times():
-    for start in range(1, 60, 3):
+    for start in range(1, 60, 7):
         sensor = ARRAY.sensor_at(start)
         delay = Fault(sensor=sensor, kind="delay", start_s=start / 40, delay_s=0.3)
         burst = Fault(sensor=sensor, kind="dropout", start_s=start / 40, duration_s=0.3)
@@ -249,7 +249,7 @@ def _twin(array, *, slots, delays):
 
 @pytest.mark.parametrize("told", FAULTS)
 @pytest.mark.parametrize("chances", CHANCES, ids=["none", "some", "always"])
-@pytest.mark.parametrize("array", [ARRAY, SonarArray(calibrated_for=1400.0)], ids=["order", "scale"])
+@pytest.mark.parametrize("array", [SonarArray(order=(0, 2, 1, 3), calibrated_for=1400.0)], ids=["order and scale"])
 def test_symbols_and_numbers_give_the_same_arrivals(told, chances, array):
     faults = FAULTS[told]
     delays = any(f.kind == "delay" for f in faults)

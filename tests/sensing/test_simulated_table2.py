@@ -17,7 +17,7 @@ from surctl.sensing import Calibration, Estimate, NoiseStream, SonarArray, calib
 from surctl.world import Wall
 
 ARRAY = SonarArray()
-TABLES = 1000
+TABLES = 400
 CENTIMETRES = 2  # decimals of a printed reading in m
 
 
@@ -89,8 +89,8 @@ def test_printed_bias_and_spread_lie_in_the_simulated_intervals() -> None:
     )
     of_sd = np.mean([t.error_sd.low <= printed().error_sd.value <= t.error_sd.high for t in simulated("sample")])
     # 0.95 each if the sensor's figures were exactly the printed ones; its sd is 15.4 mm and not 16.4
-    assert of_bias == pytest.approx(0.95, abs=0.02)
-    assert of_sd == pytest.approx(0.91, abs=0.03)
+    assert of_bias == pytest.approx(0.95, abs=0.03)
+    assert of_sd == pytest.approx(0.91, abs=0.04)
 
 
 def test_simulated_bias_and_spread_lie_in_the_printed_intervals() -> None:

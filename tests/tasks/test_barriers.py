@@ -68,7 +68,7 @@ def test_the_row_is_the_closing_speed(seed):
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.01, 1.0))
-@settings(max_examples=12)
+@settings(max_examples=6)
 def test_a_velocity_held_over_each_step_keeps_a_convex_barrier(seed, share):
     """Sampled with gain·dt = share ≤ 1, at a constant heading: h never negative."""
     rng, dt = np.random.default_rng(seed), 0.05
@@ -125,7 +125,7 @@ def braking_run(seed, h):
         if s * s / (2 * a) + s * (reaction - 2 * dt) <= room:
             break
     wish, least = np.append(rng.normal(size=2), [0, 0]), room
-    for _ in range(150):
+    for _ in range(80):
         if rng.random() < 0.05:
             wish = np.append(rng.normal(size=2), [0, 0])
         row, upper = at(eta)
@@ -140,13 +140,13 @@ def braking_run(seed, h):
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=12)
+@settings(max_examples=5)
 def test_braking_before_a_wall_never_goes_through(seed):
     assert braking_run(seed, WALL) >= -1e-9
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=12)
+@settings(max_examples=5)
 def test_braking_around_a_disc_never_goes_through(seed):
     assert braking_run(seed, DISC) >= -1e-9
 
@@ -190,7 +190,7 @@ def test_the_velocity_does_not_chatter_on_the_boundary(kind):
     extra = {"alpha": 2.0} if kind is Barrier else {"deceleration": 0.2, "reaction": 0.5}
     at, value = row_function(kind("disc", ETA, h=DISC, **extra)), function(DISC, ETA)
     jumps = []
-    for dt in (0.04, 0.02, 0.01):
+    for dt in (0.08, 0.04, 0.02):
         eta, last, worst, touched = np.array([0.0, 0.45, 0, 0.3]), None, 0.0, False
         R = body_to_world(0.3)
         for k in range(round(12 / dt)):
