@@ -10,7 +10,7 @@ import pytest
 
 from surctl.control import NONFINITE, build_law, load_gains
 from surctl.errors import InputError
-from surctl.sensing import Equipment, Fault, FaultChances, SonarArray
+from surctl.sensing import Fault, FaultChances
 from surctl.simulation import (
     SENSING,
     STOPS,
@@ -47,12 +47,17 @@ def _check(run: Run) -> None:
         assert metrics.time_s == pytest.approx(paper, rel=0.25)
 
 
-def _check_seeds(name: str, sensing: Sensing) -> None:
-    """The first seed here; all of them through the compiled loop, which `test_batch` compares with this one."""
-    _check(_run(name, sensing, 0))
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_with_true_positions_every_scenario_arrives_unharmed_and_in_time(name: str) -> None:
+    _check(_run(name, "truth", 0))
+
+
+@pytest.mark.parametrize("name", ["pool-static"])  # waves, drift and thrust are drawn; in the others nothing is
+def test_so_it_does_with_other_seeds(name: str) -> None:
+    """Through the compiled loop, which `test_batch` compares with the other one."""
     need_compiler()
     scenario = load_scenario(name)
-    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing=sensing)
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"))
     flown = simulate_batch(case, seeds=np.arange(SEEDS))
     assert np.all(flown.column("stopped") == STOPS.index("reached"))
     assert np.all(flown.column("reached") == 1)
@@ -61,49 +66,42 @@ def _check_seeds(name: str, sensing: Sensing) -> None:
         np.testing.assert_allclose(flown.column("time_s"), scenario.paper.time_s, rtol=0.25)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
-def test_with_true_positions_every_scenario_arrives_unharmed_and_in_time(name: str) -> None:
-    _check_seeds(name, "truth")
-
-
-def _flown(scenario: Scenario, seeds: int = 8) -> BatchResult:
+def _flown(scenario: Scenario, seeds: int = 4) -> BatchResult:
     need_compiler()
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     return simulate_batch(case, seeds=np.arange(seeds), threads=2)
 
 
-@pytest.mark.parametrize("name", ["tank-static", "tank-moving"])  # studies 12 and 22 fly the others
-def test_through_the_sonars_it_arrives_and_touches_nothing(name: str) -> None:
-    scenario = load_scenario(name)
+def test_through_the_sonars_it_arrives_and_touches_nothing() -> None:
+    """Studies 12 and 22 fly the other scenarios."""
     # with faults that never begin it flies the same, through the compiled loop of the tests with dead sonars
-    flown = _flown(replace(scenario, sensors=_dead()) if name == "tank-static" else scenario)
+    flown = _flown(replace(load_scenario("tank-static"), sensors=_dead()))
     assert np.all(flown.column("reached") == 1)
     assert np.all(flown.column("min_clearance_m") > 0)
 
 
-def _dead(*which: int) -> Sensors:
-    """These sonars dead, the others after any flight: one compiled loop for all."""
-    return Sensors(faults=tuple(Fault(sensor=k, kind="dead", start_s=0.0 if k in which else 1e5) for k in range(4)))
+def _dead(*which: int, lost: float = 1e-9) -> Sensors:
+    """These sonars dead, the others after any flight, and this share of readings lost: one compiled loop for all."""
+    faults = tuple(Fault(sensor=k, kind="dead", start_s=0.0 if k in which else 1e5) for k in range(4))
+    return Sensors(faults=faults, chances=FaultChances(dropout=lost))
 
 
-@pytest.mark.parametrize("side", range(4), ids=["front", "left", "rear", "right"])
+@pytest.mark.parametrize("side", [0, 1], ids=["front", "left"])
 def test_with_a_dead_sonar_it_touches_nothing(side: int) -> None:
     flown = _flown(replace(load_scenario("tank-static"), sensors=_dead(side)))
     assert np.all(flown.column("collided") == 0)
 
 
-@pytest.mark.parametrize("lost", [1e-9, 0.1])  # both by one compiled loop
-def test_with_wide_beams_among_drifting_cylinders_it_touches_nothing_and_mostly_arrives(lost: float) -> None:
-    """All readings, and nine in ten; study 12 flies the other beams, and each trouble in six scenarios."""
-    trouble = Sensors(Equipment(array=SonarArray(beam_angle=np.radians(120))), chances=FaultChances(dropout=lost))
-    flown = _flown(replace(load_scenario("pool-static"), sensors=trouble))
+def test_with_one_reading_in_ten_lost_it_touches_nothing_and_mostly_arrives() -> None:
+    """Study 12 flies the other troubles, other beams and drifting cylinders."""
+    flown = _flown(replace(load_scenario("tank-static"), sensors=_dead(lost=0.1)))
     assert np.all(flown.column("collided") == 0)
     assert flown.column("reached").mean() > 0.6
 
 
 def test_with_no_sonar_at_all_it_stays_where_it_is() -> None:
     scenario = replace(load_scenario("tank-static"), sensors=_dead(0, 1, 2, 3), time_limit=20.0)
-    flown = _flown(scenario, 4)
+    flown = _flown(scenario, 2)
     assert np.all(flown.column("collided") == 0)
     assert np.all(flown.column("length_m") < 0.2)  # in 20 s, with the jitter of its estimate
     assert np.all(flown.column("max_deviation_m") < 0.03)
@@ -111,10 +109,9 @@ def test_with_no_sonar_at_all_it_stays_where_it_is() -> None:
 
 @pytest.mark.parametrize(("name", "sensing"), [("pool-static", "truth"), ("pool-behind", "sonar")])
 def test_one_seed_one_run(name: str, sensing: Sensing) -> None:
-    first, other = _run(name, sensing, 0), _run(name, sensing, 1)
-    again = simulate(
-        first.scenario, load_vehicle(first.scenario.vehicle), gains=load_gains("default"), sensing=sensing, seed=0
-    )
+    scenario = replace(load_scenario(name), time_limit=4.0)
+    vehicle, gains = load_vehicle(scenario.vehicle), load_gains("default")
+    first, other, again = (simulate(scenario, vehicle, gains=gains, sensing=sensing, seed=k) for k in (0, 1, 0))
     for field in ("time", "eta", "nu", "tau", "clearance", "law_state", "law_input", "status", "telemetry"):
         np.testing.assert_array_equal(getattr(first.record, field), getattr(again.record, field), err_msg=field)
     np.testing.assert_equal(asdict(first.metrics), asdict(again.metrics))  # a NaN equals a NaN
@@ -202,14 +199,6 @@ def test_the_time_limit_ends_the_run() -> None:
     assert run.metrics.stopped_because == "time limit"
     assert not run.metrics.reached
     assert run.record.time.size == 60
-
-
-def test_projected_mode_flies_the_short_scenario() -> None:
-    scenario = load_scenario("pool-behind")
-    run = simulate(
-        scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=build_law(mode="projected")
-    )
-    _check(run)
 
 
 def test_what_cannot_be_flown_is_refused() -> None:

@@ -52,7 +52,7 @@ SCENES = {
     "a curtain": (_across("curtain", bottom_m=-2.2),),
     "a low U": _u(top_m=-1.8),
 }
-BLOCKED = {"a wall": (_across("wall"),), "a wall with a hole too small": (_across("wall", top_m=-0.9),)}
+BLOCKED = {"a wall with a hole too small": (_across("wall", top_m=-0.9),)}
 
 
 def _scenario(obstacles: tuple[Obstacle, ...]) -> Scenario:
@@ -154,10 +154,10 @@ def test_the_compiled_loop_flies_the_same(scene: str) -> None:
     np.testing.assert_allclose(row, _run(scene).metrics.row(), rtol=0, atol=1e-6)
 
 
-def test_by_sonar_four_seeds_arrive_over_and_under_and_none_collides() -> None:
+def test_by_sonar_two_seeds_arrive_over_and_under_and_none_collides() -> None:
     need_compiler()
     for scene in ("a sill", "a curtain"):
-        table = simulate_batch(_case(SCENES[scene], "sonar"), seeds=np.arange(4)).table
+        table = simulate_batch(_case(SCENES[scene], "sonar"), seeds=np.arange(2)).table
         stopped, least = (table[:, list(METRICS).index(name)] for name in ("stopped", "min_clearance_m"))
         assert np.all(stopped == STOPS.index("reached")) and least.min() > 0.05, scene
 
@@ -165,18 +165,25 @@ def test_by_sonar_four_seeds_arrive_over_and_under_and_none_collides() -> None:
 def test_by_sonar_no_depth_leads_on_through_a_wall() -> None:
     need_compiler()
     wall = (_across("wall", bottom_m=-5.0),)  # the floor: the same compiled loop
-    table = simulate_batch(_case(wall, "sonar"), seeds=np.arange(3)).table
+    table = simulate_batch(_case(wall, "sonar"), seeds=np.arange(2)).table
     assert np.all(table[:, list(METRICS).index("stopped")] == STOPS.index("dead end"))
     assert table[:, list(METRICS).index("min_clearance_m")].min() > 0.05
 
 
 def test_both_loops_hear_what_crosses_the_fan_and_nothing_else() -> None:
-    """A sill that is heard, one that is passed over, and a curtain passed under; at one depth."""
+    """A sill that is heard, one that is passed over, and a curtain passed under: one compiled loop, that of above."""
     need_compiler()
-    heard, low = _box("heard", (2.2, 2.5), (0.3, 1.0), top_m=-2.25), _box("low", (1.6, 2.5), (0.3, 1.0), top_m=-2.4)
-    case = _case((heard, low, _box("high", (1.6, 1.0), (0.3, 0.3), bottom_m=-1.6)), "sonar")
-    short = replace(case, scenario=replace(case.scenario, depths=None, time_limit=2.5))
-    run = _flown(short, 2)
-    assert run.telemetry("ranges")[-1].min() < 1.7
-    (row,) = simulate_batch(short, seeds=[2]).table
-    np.testing.assert_allclose(row, run.metrics.row(), rtol=0, atol=1e-9)
+    heard = {}
+    for name, x, ends in (
+        ("sill", 2.2, {"top_m": -2.25}),
+        ("low", 1.6, {"top_m": -2.4}),
+        ("high", 1.6, {"bottom_m": -1.6}),
+    ):
+        case = _case((_box(name, (x, 2.5), (0.3, 1.0), **ends),), "sonar")
+        short = replace(case, scenario=replace(case.scenario, time_limit=2.5))
+        run = _flown(short, 2)
+        alone = _flown(replace(short, scenario=replace(short.scenario, obstacles=())), 2)
+        heard[name] = not np.array_equal(run.telemetry("ranges"), alone.telemetry("ranges"))
+        (row,) = simulate_batch(short, seeds=[2]).table
+        np.testing.assert_allclose(row, run.metrics.row(), rtol=0, atol=1e-9)
+    assert heard == {"sill": True, "low": False, "high": False}
