@@ -177,7 +177,7 @@ class Wire:
             return
         if m.orientation < 8:
             azimuth = -m.orientation * pi / 4
-        elif m.orientation == 100 and self._finite(tuple(m.quaternion)):
+        elif m.orientation == 100 and self._finite(tuple(m.quaternion)) and _is_level(m.quaternion):
             azimuth = _axis(m.quaternion)
         else:
             return
@@ -266,6 +266,12 @@ class Wire:
 
 def _stick(value: float) -> float:
     return min(1.0, max(-1.0, value)) if isfinite(value) else 0.0
+
+
+def _is_level(q: list[float]) -> bool:
+    # whether a quaternion is a rotation (zeros: none is given) that turns a sensor to within 30° of the horizontal
+    w, x, y, z = q
+    return abs(sum(v * v for v in q) - 1.0) < 0.1 and abs(2 * (x * z - w * y)) < 0.5
 
 
 def _axis(q: list[float]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -186,6 +187,13 @@ def _check_files(name: str) -> None:
     if small in _HEADERS:
         raise InputError(
             f"is the name of a system header, which {small}.h would hide",
+            key="name",
+            value=name,
+            remedy="choose another name",
+        )
+    if small in sys.stdlib_module_names or small in ("numpy", "setuptools"):
+        raise InputError(
+            f"is the name of a Python module, which {small}.py of the bundle would hide",
             key="name",
             value=name,
             remedy="choose another name",

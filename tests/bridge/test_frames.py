@@ -180,6 +180,18 @@ def test_odometry_and_many_distances_are_read() -> None:
     assert ranges.rays == ((-pi / 2, 1.0), (-radians(100.0), inf))
 
 
+def test_a_sensor_that_points_down_or_nowhere_is_no_sonar_ahead() -> None:
+    wire, half = Wire(), 0.5**0.5
+    for q, azimuths in (
+        ([half, 0.0, 0.0, half], [-pi / 2]),  # to starboard
+        ([0.0, 0.0, 0.0, 0.0], []),  # MAVLink: 0 if invalid
+        ([half, 0.0, -half, 0.0], []),  # down
+        ([half, 0.0, half, 0.0], []),
+    ):
+        events = wire.events(frame(1, "distance_sensor", 5000, 20, 450, 100, 1, 0, 100, 255, 0.0, 0.0, q, 0))
+        assert [event.rays[0][0] for event in events] == pytest.approx(azimuths, abs=1e-6), q
+
+
 def test_foreign_and_invalid_messages_change_nothing() -> None:
     wire = Wire()
     assert wire.events(frame(2, "heartbeat", 12, 3, 129, 2, 4)) == []

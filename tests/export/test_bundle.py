@@ -238,6 +238,7 @@ def test_mistakes_are_named() -> None:
             for name in ("fmu", "link", "controller", "target_start", "proof", "FMU")
         ),
         *((name, "system header") for name in ("math", "stdint", "stdio", "string", "unistd", "netdb", "Math")),
+        *((name, "Python module") for name in ("numpy", "ctypes")),
         ("nav_link", "include guard of another bundle's link.h"),
         ("nav_loop", "include guard of another bundle's loop.h"),
         ("Nav", "has capital letters.*write nav"),
