@@ -17,8 +17,8 @@ def _(mo):
     # Which stability claims hold, and how far
 
     A stability claim is an inequality over a domain. This notebook first decides claims of your own, about any
-    dynamics: an inequality, and a region of attraction. Then it examines claims of the paper
-    and of its robot in the same way. An independent program checks the certificate of each proof.
+    dynamics: an inequality, and a region of attraction. Then it examines claims of the paper and of its robot in the
+    same way. An independent program checks the certificate of each proof.
     """)
     return
 
@@ -29,8 +29,8 @@ def _(mo):
     ## 1. An inequality of your own
 
     Does the drag always brake a hull, and by at least 8 N per m/s? By at least 9? A falsifier samples the domain and
-    follows gradients to a violation. A prover rewrites the expression exactly and bisects boxes in interval arithmetic.
-    Falsifier and prover work independently of each other.
+    follows gradients to a violation. A prover rewrites the expression exactly and bisects boxes in interval
+    arithmetic. Falsifier and prover work independently of each other.
     """)
     return
 
@@ -76,8 +76,8 @@ def _(mo):
     mo.md(r"""
     ## 2. A region of attraction of your own dynamics
 
-    From which states does a system return to its equilibrium? The file states the dynamics, Van der Pol's oscillator in
-    reversed time, and a Lyapunov function $V$. surctl searches the largest level $c$ for which it can prove that
+    From which states does a system return to its equilibrium? The file states the dynamics, Van der Pol's oscillator
+    in reversed time, and a Lyapunov function $V$. surctl searches the largest level $c$ for which it can prove that
     $\dot V < 0$ wherever $V < c$, except at the equilibrium. The plot also shows the least level that has a
     counterexample. Without the line `function`, surctl searches $V$ too, which takes about 20 s here. A number under
     `[parameters]` has a range, and the proof holds for all of it.
@@ -116,10 +116,10 @@ def _(mo):
     ## 3. Claims of the paper, printed and corrected
 
     With $V_1 = \tfrac12(x_e^2 + y_e^2 + z_e^2)$ and the surge command of (12), the paper concludes $\dot V_1 \le 0$
-    everywhere, for the kinematic loop of its robot. The claim `v1-printed` fails only where $x_e > v_d/k_1$. There the
-    printed surge command is negative, and a robot that moves backwards along its line of sight is steered *away* from
-    the path. The left plot shows a slice of the domain with the region where the claim fails. The right plot shows the
-    motion from the counterexample.
+    everywhere, for the kinematic loop of its robot. The claim `v1-printed` fails only where $x_e > v_d/k_1$. There
+    the printed surge command is negative, and a robot that moves backwards along its line of sight is steered *away*
+    from the path. The left plot shows a slice of the domain with the region where the claim fails. The right plot
+    shows the motion from the counterexample.
     """)
     return
 
@@ -140,7 +140,7 @@ def _(check_document, claims, decide):
     plot_slice(margin_slice(_verdicts["v1-printed"]), _left)
     plot_counterexample(_verdicts["v1-printed"], _right)
     _figure
-    return (gains,)
+    return
 
 
 @app.cell(hide_code=True)
@@ -148,33 +148,11 @@ def _(mo):
     mo.md(r"""
     ## 4. A region of attraction of the robot
 
-    A real robot does not follow its velocity commands immediately. The region claim states from how far beside a
-    straight leg the robot returns with $\dot V \le -aV$. It includes mass, drag and saturated thrust, and holds for
-    mass and drag off by up to 20 % and for any heading. Waves and thrust errors act as a bounded force that may vary
-    arbitrarily; a larger force gives a larger bound on the final path error.
-    """)
-    return
-
-
-@app.cell
-def _(check_document, gains):
-    from surctl.report import plot_region
-    from surctl.vehicle import load_vehicle
-    from surctl.verification.region import RegionStatement, prove_statement
-
-    _statement = RegionStatement(name="disturbed", force_n=0.5, rate_per_s=0.01, attempts=20)
-    _region = prove_statement(_statement, load_vehicle("sur540-flooded"), gains)
-    print(f"force 0.5 N: {_region.verdict}, accepted: {check_document(_region.document).accepted}")
-    print(_region.sentence)
-    plot_region(_region.document)
-    return
-
-
-@app.cell(hide_code=True)
-def _(mo):
-    mo.md(r"""
-    The proofs about the robot do not cover sensing, curved paths, fast obstacles, or different masses in surge and
-    sway. Each certificate lists its own exclusions, and `notebooks/guides/what-is-proved.md` lists all of them.
+    `surctl verify region-cruise-20` proves from how far beside a straight leg the robot returns with $\dot V \le
+    -aV$. The claim includes saturated thrust, and mass and drag off by up to 20 %; waves and thrust errors can act as
+    a bounded force (`RegionStatement(force_n=…)`). The proofs about the robot do not cover sensing, curved paths,
+    fast obstacles, or different masses in surge and sway. Each certificate lists its own exclusions; the page [what
+    is proved](guides/what-is-proved.md) lists all of them.
     """)
     return
 

@@ -16,70 +16,97 @@ def _(mo):
     mo.md(r"""
     # Sweep and tune
 
-    surctl chooses gains by simulated runs and loop margins together, and then tries to refute the choice with new runs.
-    This notebook uses the law `closed_form` in one scenario, so that it takes seconds. `surctl sweep` and `surctl
-    tune` do the same over all scenarios.
-
-    ## 1. A grid sweep
-
-    For each of twenty points, surctl simulates the mission with the compiled closed loop and computes the loop margins.
+    Gains are chosen by simulated runs and by the margins of the linear loop together. This notebook sweeps and tunes
+    a system of your own with goals of your own, and then shows the same for the built-in robot.
     """)
     return
 
 
 @app.cell
 def _():
-    import matplotlib.pyplot as plt
+    import casadi as ca
+    import numpy as np
 
-    from surctl.control import load_gains
-    from surctl.report import plot_heat_map
-    from surctl.simulation import load_scenario
-    from surctl.tuning import build_cases, grid, parse_axis, sweep
-    from surctl.vehicle import load_vehicle
+    from surctl.ir import Layout, Port
+    from surctl.system import Controller, Cost, Plant, System, simulate_system
 
-    gains, scenario, vehicle = load_gains("default"), load_scenario("pool-behind"), load_vehicle("sur400")
-    cases = build_cases([scenario], [vehicle], gains=gains, law="closed_form")
-    table = sweep(cases, grid([parse_axis("k_v=0.75..3:5"), parse_axis("lookahead=0.4..1.6:4")]))
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 3.8), layout="constrained")
-    plot_heat_map(table, "time_s", ax=left)
-    plot_heat_map(table, "disk_margin", ax=right)
-    print("picked:", table.gains.provenance.rpartition("; ")[2])
-    figure
-
-    return cases, gains, load_gains, plt, scenario, vehicle
+    return (
+        Controller,
+        Cost,
+        Layout,
+        Plant,
+        Port,
+        System,
+        ca,
+        np,
+        simulate_system,
+    )
 
 
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Faster velocity loops let the robot arrive sooner, but reduce the stability margin: at the right edge of the grid
-    the disk margin is below 0.6. A finer grid costs more and does not remove this trade-off.
+    ## 1. A system with costs
 
-    ## 2. Where the poles go
-
-    The plot shows the locus of the closed-loop poles over one gain, with sampling and thrust lag included. Change the
-    cruise speed with the slider.
+    A cart on a rail shall move to 0 with a limited force. A cost is an expression of the signals: `late` is the time
+    until the cart stays within 2 cm, `peak` the largest force, with a bound of 2.5 N. The mass is a parameter of the
+    plant.
     """)
     return
 
 
 @app.cell
-def _(mo):
-    cruise = mo.ui.slider(0.0, 0.2, 0.05, value=0.15, label="cruise [m/s]", show_value=True)
-    cruise
+def _(Controller, Cost, Layout, Plant, Port, System, ca):
+    _place, _speed = Port("place", (1,), "m", "on the rail", 1.0), Port("speed", (1,), "m/s", "of the cart")
+    _force, _mass = Port("force", (1,), "N", "on the cart"), Port("mass", (1,), "kg", "of the cart", 2.0)
+    _gains = (Port("k_p", (1,), "N/m", "of the place", 1.0), Port("k_d", (1,), "N s/m", "of the speed", 1.0))
+    _cart = Plant(
+        "cart",
+        Layout((_place, _speed)),
+        Layout((_force,)),
+        lambda x, f, d, p: {"place": x["speed"], "speed": (f["force"] - 0.5 * x["speed"]) / p["mass"]},
+        parameters=Layout((_mass,)),
+    )
+    _hold = Controller(
+        "hold",
+        0.05,
+        _cart.state,
+        _cart.inputs,
+        lambda x, u, p: ca.fmax(-3, ca.fmin(3, -p["k_p"] * u["place"] - p["k_d"] * u["speed"])),
+        gains=Layout(_gains),
+    )
+    _costs = {
+        "late": Cost(lambda s: ca.fabs(s.x["place"]) - 0.02, "last_time", "s", "until the cart stays within 2 cm"),
+        "peak": Cost(lambda s: ca.fabs(s.f["force"]), "max", "N", "largest force", at_most=2.5),
+    }
+    system = System(_cart, _hold, costs=_costs)
+    return (system,)
 
-    return (cruise,)
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 2. A sweep
+
+    `simulate_system` compiles the loop once and runs it for all rows of numbers: here 400 random gains and masses.
+    The plot orders the numbers by how strongly the cost depends on them.
+    """)
+    return
 
 
 @app.cell
-def _(cruise, gains, vehicle):
-    import numpy as np
+def _(np, simulate_system, system):
+    from surctl.report import plot_dependence
 
-    from surctl.report import plot_locus
-    from surctl.verification import sweep_locus
-
-    _locus = sweep_locus(vehicle, gains.values, "k_v", np.linspace(0.5, 6.0, 45), cruise=cruise.value, dt=0.05)
-    plot_locus(_locus, unit="1/s", picked=1.5)
+    _rng = np.random.default_rng(0)
+    _values = {
+        "k_p": _rng.uniform(0.5, 3, 400),
+        "k_d": _rng.uniform(0.5, 6, 400),
+        "plant.mass": _rng.uniform(1.5, 2.5, 400),
+    }
+    _runs = simulate_system(system, 15.0, _values)
+    print(f"400 runs: the cart is within 2 cm after {_runs['late'].min():.1f} to {_runs['late'].max():.1f} s")
+    plot_dependence(_values, _runs, "late")
     return
 
 
@@ -88,39 +115,26 @@ def _(mo):
     mo.md(r"""
     ## 3. Goals, and a search
 
-    A goal is a metric with a limit. Hard goals must hold in every run. The search makes the values of soft goals as
-    small as possible. Normalised values are 1 at the limit. The search has a seed: equal requests give equal gains.
+    Goals about the loop are those of MATLAB's Control System Tuner. A hard goal must hold; with soft goals, the
+    largest normalised value is minimised, which is 1 at the limit. Here the first cost is minimised over two start
+    positions, within the bound of the force and the hard goal about the margins. The search has a seed.
     """)
     return
 
 
 @app.cell
-def _(cases, gains):
-    from surctl.report import goal_bars, plot_goal_bars
-    from surctl.tuning import Goal, Request, conditions, gain_ranges, summary, tune
+def _(system):
+    from surctl.tuning import Margins, Settling, tune_system
 
-    goals = (
-        Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"),
-        Goal("robust", "disk_margin", "1", 0.6, "at least", "hard"),
-        Goal("soon", "time_s", "s", 20.5),
-        Goal("spare", "effort_n", "N", 3.7),
+    ranges = {"k_p": (0.2, 20.0), "k_d": (0.2, 20.0)}
+    robust = Margins(name="robust", at="force", phase_deg=60.0, kind="hard")
+    tuned = tune_system(
+        system, 10.0, ranges, cases={"start.place": [0.8, -0.4]}, objective="late", trials=100, goals=[robust]
     )
-    runs = conditions(cases, seeds=range(2))
-    request = Request(goals, runs, gains, gain_ranges(gains, ["k_v", "k_r", "lookahead", "kappa"]))
-    tuning = tune(request, trials=64, rounds=1, runs=10)
-    print("\n".join(summary(tuning)))
-    print(f"all hard goals met: {tuning.result.feasible}")
-    plot_goal_bars(goal_bars(tuning))
-
-    return Goal, Request, conditions, gain_ranges, runs, summary, tune, tuning
-
-
-@app.cell
-def _(tuning):
-    from surctl.report import plot_front
-
-    plot_front(tuning)
-    return
+    print("tuned:", {name: round(value, 2) for name, value in tuned.gains.items()}, "unmet:", tuned.unmet)
+    print(f"late: {tuned.before['late']:.2f} s before, {tuned.costs['late']:.2f} s tuned")
+    tuned.goals.plot()
+    return Settling, ranges, robust, tune_system
 
 
 @app.cell(hide_code=True)
@@ -128,32 +142,86 @@ def _(mo):
     mo.md(r"""
     ## 4. Goals that cannot be met together
 
-    These goals require a robust loop, a fast mission, and a delay margin that no such fast loop with 0.3 s of thrust
-    lag can have. The tuner does not present its best attempt as a solution. It names a minimal set of goals that cannot
-    be met together.
+    No gains within the range let the cart settle in 0.5 s with at most 2.5 N. `tune_system` does not present its best
+    attempt as a solution; it names what is unmet.
     """)
     return
 
 
 @app.cell
-def _(Goal, Request, gain_ranges, gains, runs, summary, tune):
-    _greedy = (
-        Goal("bear delay", "delay_margin_s", "s", 0.9, "at least", "hard"),
-        Goal("quick", "time_s", "s", 19.0, "at most", "hard"),
-        Goal("robust", "disk_margin", "1", 0.6, "at least", "hard"),
+def _(Settling, ranges, robust, system, tune_system):
+    _quick = Settling(name="quick", source="measured.place", end="place", at_most=0.5, kind="hard")
+    _greedy = tune_system(
+        system, 10.0, ranges, cases={"start.place": [0.8, -0.4]}, objective="late", trials=40, goals=[robust, _quick]
     )
-    _ranges = gain_ranges(gains, ["k_v", "k_r", "lookahead", "kappa"])
-    _tuned = tune(Request(_greedy, runs, gains, _ranges), trials=32, rounds=1, runs=0)
-    print(f"all hard goals met: {_tuned.result.feasible}")
-    print(summary(_tuned)[-1])
+    print("unmet:", ", ".join(_greedy.unmet))
     return
 
 
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Next: [export and processor in the loop](05_export.py). `surctl tune --page` opens a tuning page with sliders. The
-    [guide](guides/tune.md) explains how to write goals.
+    ## 5. The robot: where the poles go
+
+    The velocity loops of the robot have the bandwidth `k_v`. The plot shows the closed-loop poles over this gain,
+    with sampling and thrust lag. Change the cruise speed with the slider.
+    """)
+    return
+
+
+@app.cell
+def _(mo):
+    cruise = mo.ui.slider(0.0, 0.2, 0.05, value=0.15, label="cruise [m/s]", show_value=True)
+    cruise
+    return (cruise,)
+
+
+@app.cell
+def _(cruise, np):
+    from surctl.control import load_gains
+    from surctl.report import plot_locus
+    from surctl.vehicle import load_vehicle
+    from surctl.verification import sweep_locus
+
+    robot, gains = load_vehicle("sur400"), load_gains("default")
+    _locus = sweep_locus(robot, gains.values, "k_v", np.linspace(0.5, 6.0, 25), cruise=cruise.value, dt=0.05)
+    plot_locus(_locus, unit="1/s", picked=gains["k_v"])
+    return gains, robot
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 6. The robot: goals about runs
+
+    `evaluate` judges gain sets by goals: here the default gains and a faster set, with a mission past a moving
+    obstacle. A fast set arrives sooner, and has the smaller margin. `surctl tune` searches over all gains and
+    missions, then tries to refute the choice with new runs; `surctl tune --page` opens a page with sliders.
+    """)
+    return
+
+
+@app.cell
+def _(gains, robot):
+    from surctl.simulation import load_scenario
+    from surctl.tuning import Goal, build_cases, conditions, evaluate
+
+    _goals = (
+        Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"),
+        Goal("robust", "disk_margin", "1", 0.6, "at least", "hard"),
+        Goal("soon", "time_s", "s", 20.5),
+    )
+    _cases = build_cases([load_scenario("pool-behind")], [robot], gains=gains, law="closed_form")
+    _result = evaluate(_goals, conditions(_cases, seeds=[0]), {"k_v": [gains["k_v"], 4.0]})
+    for _goal, _row in zip(_goals, _result.normalised.T, strict=True):
+        print(f"{_goal.name:7} {_goal.kind}: default {_row[0]:.2f}, fast {_row[1]:.2f} (1 at the limit)")
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    Next: [export and processor in the loop](05_export.py). The [guide](guides/tune.md) explains how to write goals.
     """)
     return
 

@@ -16,14 +16,9 @@ def _(mo):
     mo.md(r"""
     # Export, and the processor in the loop
 
-    surctl exports the simulated controller as C99. The C gives the same bytes as Python on this machine with any
-    compiler, and on an emulated Cortex-M4F that controls the simulated robot. This notebook uses the law `closed_form`
-    in float32. It takes half a minute and needs a C compiler; the last part also needs QEMU and an ARM compiler.
-
-    ## 1. From the symbolic law to instructions
-
-    The export turns the gains into constants, replaces functions of the mathematical library by polynomials in basic
-    operations, and lowers the law to a list of instructions.
+    surctl exports a controller as C99 that gives the same bytes as Python, with any compiler and on an emulated
+    microcontroller. This notebook first exports a controller of your own, and then the law of the built-in robot. It
+    needs a C compiler; the last part also needs QEMU and an ARM compiler.
     """)
     return
 
@@ -34,117 +29,130 @@ def _():
     import tempfile
     from pathlib import Path
 
+    folder = Path(tempfile.mkdtemp())
+    return folder, shutil
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 1. A controller of your own
+
+    Any `Controller` can be exported, with or without a plant. This one holds the speed of a boat with a PI law; its
+    integrator is a state, and it stops while the force is at its limit.
+    """)
+    return
+
+
+@app.cell
+def _():
+    import casadi as ca
+
+    from surctl.ir import Layout, Port
+    from surctl.system import Action, Controller, Plant, System, run_system
+
+    _speed, _goal = Port("speed", (1,), "m/s", "of the boat"), Port("goal", (1,), "m/s", "desired speed", 1.5)
+    _force, _sum = Port("force", (1,), "N", "of the propeller"), Port("sum", (1,), "m", "integral of the error")
+
+    def hold(x, u, p):
+        """Return the force, at most 80 N, and the next integral."""
+        error = u["goal"] - u["speed"]
+        wanted = p["k_p"] * error + p["k_i"] * x["sum"]
+        force = ca.fmax(-80, ca.fmin(80, wanted))
+        return Action(force, {"sum": ca.if_else(force == wanted, x["sum"] + 0.1 * error, x["sum"])})
+
+    _gains = Layout((Port("k_p", (1,), "N s/m", "", 60.0), Port("k_i", (1,), "N/m", "", 20.0)))
+    _boat = Plant("boat", Layout((_speed,)), Layout((_force,)), lambda x, f, d, p: (f["force"] - 30 * x["speed"]) / 50)
+    speed_law = Controller(
+        "hold_speed", 0.1, Layout((_speed, _goal)), _boat.inputs, hold, Layout((_sum,)), gains=_gains
+    )
+    record = run_system(System(_boat, speed_law), 20.0)
+    print(f"speed after 20 s: {record['speed'][-1, 0]:.2f} m/s")
+    return record, speed_law
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 2. The bundle
+
+    A bundle contains the law, a guard that checks inputs and outputs, a self-test, a README that explains how to call
+    it, and a manifest with the digests. The code is readable: numbers are exact literals.
+    """)
+    return
+
+
+@app.cell
+def _(folder, speed_law):
+    from surctl.export import write_bundle
+    from surctl.export.bundle import build_bundle
+
+    bundle = build_bundle(speed_law, {"k_p": 60.0, "k_i": 20.0})
+    for _file in write_bundle(bundle, folder / "boat"):
+        print(f"{_file.sha256[:12]}  {_file.path.stat().st_size:>6} bytes  {_file.path.name}")
+    print((folder / "boat" / "hold_speed.h").read_text(encoding="utf-8")[:700])
+    return (bundle,)
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 3. Software in the loop, with each compiler
+
+    The compiled C replays the run on its own state, and each step is compared with Python in the same precision. Then
+    each state and input in turn is set to NaN and to infinity: the C must return a negative status and zero force.
+    The last lines compare the run and 500 varied steps at two optimisation levels; `surctl export --check` does the
+    same with more compilers and processors.
+    """)
+    return
+
+
+@app.cell
+def _(bundle, folder, record, speed_law):
+    from surctl.export import TARGETS, Records, build_controller, check_builds, compare_runs
+
+    _controller = build_controller(speed_law, bundle, folder / "sil")
+    _records = Records(*record.controller)
+    (_report,) = compare_runs(_controller, [_records])
+    print(_report.summary().replace(str(folder), "."))
+    for _build in check_builds(_controller, [_records], [TARGETS["gcc-O0"], TARGETS["gcc-O3"]], steps=500).builds:
+        print(f"{_build.target}: {_build.differing} differing steps")
+    return
+
+
+@app.cell(hide_code=True)
+def _(mo):
+    mo.md(r"""
+    ## 4. The robot: the law on an emulated processor
+
+    The control law of the robot is exported in the same way. Here the C of the law `closed_form` runs on a Cortex-M4F
+    in QEMU, while Python simulates the robot. Each thrust is compared with Python in float32 to the last bit.
+    """)
+    return
+
+
+@app.cell
+def _(folder, shutil):
     from surctl.control import build_law, load_gains
-    from surctl.export import build_bundle, closed_form, operating_envelope, write_bundle
+    from surctl.export import LinkedLaw, LinkFaults, closed_form, emulated, emulated_target, operating_envelope
+    from surctl.export import build_bundle as build_robot_bundle
     from surctl.simulation import law_numbers, load_scenario, simulate
     from surctl.vehicle import load_vehicle
 
-    mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-    law = build_law("closed_form")
-    p = law_numbers(mission, gains, vehicle)
-    shipped = closed_form(law, real="float32", constants=p)
-    within = operating_envelope(law, mission, vehicle, shipped.gains)
-    bundle = build_bundle(shipped, {}, real="float32", envelope=within)
-    folder = Path(tempfile.mkdtemp())
-    files = {file.path.name: file for file in write_bundle(bundle, folder / bundle.name)}
-    box = operating_envelope(law, mission, vehicle, law.gains)
-    board = build_bundle(closed_form(law, real="float32"), law.gains.unpack(p), real="float32", envelope=box)
-
-    def run_mission(stepper=None):
-        """Simulate the mission with true positions, with the law itself or with `stepper` in its place."""
-        return simulate(mission, vehicle, gains=gains, law=law, sensing="truth", seed=0, stepper=stepper)
-
-    for _name, _file in files.items():
-        print(f"{_file.sha256[:12]}  {_file.path.stat().st_size:>7} bytes  {_name}")
-
-    return board, box, bundle, files, folder, law, p, run_mission, shipped, shutil
-
-
-@app.cell(hide_code=True)
-def _(mo):
-    mo.md(r"""
-    The exported C is readable: numbers are exact literals, no memory is allocated, and a guard checks the inputs and
-    outputs of each step.
-    """)
-    return
-
-
-@app.cell
-def _(files):
-    print("\n".join(files["surctl_closed_form_law.c"].path.read_text(encoding="utf-8").splitlines()[:24]))
-    return
-
-
-@app.cell(hide_code=True)
-def _(mo):
-    mo.md(r"""
-    ## 2. Software in the loop
-
-    The compiled C replays a whole run on its own state, and each step is compared with Python in the same precision.
-    Then each state and input in turn is set to NaN and to infinity. For these values the C must return a negative
-    status and zero thrust.
-    """)
-    return
-
-
-@app.cell
-def _(bundle, folder, run_mission, shipped):
-    from surctl.export import Records, as_records, build_controller, compare_runs
-
-    run = run_mission()
-    _empty = run.record.law_parameters[:0]
-    records = as_records(shipped, Records(run.record.law_state, run.record.law_input, _empty))
-    controller = build_controller(shipped, bundle, folder / "sil")
-    (_report,) = compare_runs(controller, [records])
-    print(_report.summary().replace(str(folder), "."))
-
-    return controller, records, run
-
-
-@app.cell(hide_code=True)
-def _(mo):
-    mo.md(r"""
-    ## 3. The same bytes with each compiler
-
-    This cell compares the recorded run and 500 steps with varied states and inputs, at two optimisation levels of one
-    compiler. `surctl export --check` does the same with gcc, clang, three Cortex-M processors and 100,000 steps.
-    """)
-    return
-
-
-@app.cell
-def _(controller, records):
-    from surctl.export import TARGETS, check_builds
-
-    checked = check_builds(controller, [records], [TARGETS["gcc-O0"], TARGETS["gcc-O3"]], steps=500)
-    for _build in checked.builds:
-        print(f"{_build.target}: {_build.differing} differing steps")
-
-    return (checked,)
-
-
-@app.cell(hide_code=True)
-def _(mo):
-    mo.md(r"""
-    ## 4. Processor in the loop
-
-    The exported C is compiled for a Cortex-M4F and started in QEMU. Python simulates the robot, and the emulated
-    processor computes the thrust. Each thrust is compared with Python in float32 to the last bit.
-    """)
-    return
-
-
-@app.cell
-def _(board, box, checked, folder, law, p, run, run_mission, shutil):
-    from surctl.export import LinkedLaw, LinkFaults, emulated, emulated_target
-
-    if checked.passed and shutil.which("qemu-system-arm") and shutil.which("arm-none-eabi-gcc"):
-        with emulated(board, emulated_target("cortex-m4f"), folder / "board") as _line:
-            _linked = LinkedLaw(law, p, _line, LinkFaults(), box)
-            _linked_run = run_mission(_linked)
-            _report = _linked.report()
-        print(f"{_linked_run.metrics.stopped_because} after {_report.answered} steps on the processor")
-        print(f"{_report.differing} of them differ from Python; the run in Python also took {run.metrics.time_s:.2f} s")
+    if shutil.which("qemu-system-arm") and shutil.which("arm-none-eabi-gcc"):
+        _mission, _vehicle, _set = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        _law = build_law("closed_form")
+        _p = law_numbers(_mission, _set, _vehicle)
+        _box = operating_envelope(_law, _mission, _vehicle, _law.gains)
+        _board = build_robot_bundle(
+            closed_form(_law, real="float32"), _law.gains.unpack(_p), real="float32", envelope=_box
+        )
+        with emulated(_board, emulated_target("cortex-m4f"), folder / "board") as _line:
+            _linked = LinkedLaw(_law, _p, _line, LinkFaults(), _box)
+            _run = simulate(_mission, _vehicle, gains=_set, law=_law, sensing="truth", seed=0, stepper=_linked)
+            _answers = _linked.report()
+        print(f"{_run.metrics.stopped_because} after {_answers.answered} steps on the processor")
+        print(f"{_answers.differing} of them differ from Python")
     else:
         print("no QEMU or no ARM compiler: this part is skipped")
     shutil.rmtree(folder)
@@ -154,7 +162,7 @@ def _(board, box, checked, folder, law, p, run, run_mission, shutil):
 @app.cell(hide_code=True)
 def _(mo):
     mo.md(r"""
-    Next: [a vehicle of your own](06_your_own_vehicle.py). The [guide](guides/export.md) explains the export in detail.
+    Next: [a law of your own](06_your_own_law.py). The [guide](guides/export.md) explains the export in detail.
     """)
     return
 

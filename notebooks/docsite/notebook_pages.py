@@ -23,7 +23,7 @@ def notebook_pages(folder: Path) -> list[Page]:
 _HEAD = """# Notebooks
 
 Each notebook is a marimo file: `pip install "surctl[notebooks]"`, then `marimo edit
-notebooks/00_from_vehicle_to_code.py`. It is also stored as `.ipynb`. These pages show text and code; run a notebook to
+notebooks/00_from_system_to_code.py`. It is also stored as `.ipynb`. These pages show text and code; run a notebook to
 see results, pictures and sliders. The tests run all of them.
 
 """

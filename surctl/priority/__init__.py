@@ -17,6 +17,7 @@ from surctl.priority.solver.safe_point import SafePoint, least_distance
 from surctl.priority.solving import solve
 from surctl.priority.sweep import nsb_sweep
 from surctl.priority.symbolic import nsb_symbolic
+from surctl.priority.timeline import PriorityTimeline
 
 __all__ = [
     "BACKENDS",
@@ -33,6 +34,7 @@ __all__ = [
     "PriorityProblem",
     "PrioritySolution",
     "PriorityStep",
+    "PriorityTimeline",
     "Row",
     "SafePoint",
     "Settings",

@@ -256,7 +256,7 @@ def _priority_picture(run: Run, command: str) -> tuple[Picture, ...]:
     explained = f"{command} --explain" if command.startswith("surctl simulate") else command
     return (
         picture(
-            plot_priority(run, timeline),
+            plot_priority(timeline, title=describe(run)),
             alt=f"Relaxation of each priority level over time in {describe(run)}: {summary}",
             caption=f"Priority levels, highest first, and the rows that limit them. {summary[0].upper()}{summary[1:]}.",
             command=explained,

@@ -10,7 +10,7 @@ from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.pictures import save_figure
-from surctl.report.plan_view import plot_run
+from surctl.report.plan_view import describe, plot_run
 from surctl.report.priority_plot import plot_priority
 from surctl.report.replay_plots import plot_sonar_replay
 from surctl.report.signals import plot_run_signals
@@ -75,7 +75,9 @@ def save_priority(run: Run, folder: Path | str) -> Path:
         >>> print(save_priority(run, "pictures").name)
         pool-behind-sur400-guarded-corrected-filter-truth-seed0-priority.png
     """
-    return save_figure(plot_priority(run, priority_timeline(run)), Path(folder), (*_run_labels(run), "priority"))
+    return save_figure(
+        plot_priority(priority_timeline(run), title=describe(run)), Path(folder), (*_run_labels(run), "priority")
+    )
 
 
 def _run_labels(run: Run) -> tuple[str, ...]:

@@ -9,24 +9,23 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from surctl.report.plan_view import describe
+from surctl.priority import PriorityTimeline
+from surctl.priority.timeline import NOTICEABLE
 from surctl.report.signals import spans
 from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, head, new_figure, printable
 from surctl.report.words import number
-from surctl.simulation import Run
-from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
 
 __all__ = ["plot_priority", "relaxation_text"]
 
 _MOST = 8  # largest number of constraint rows shown: those that bind or are violated longest
 
 
-def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
+def plot_priority(timeline: PriorityTimeline, *, title: str = "") -> Figure:
     """Plot the relaxation of each level, highest priority first; a lower plot shows when each constraint row binds.
 
     Args:
-        run: the run.
-        timeline: `priority_timeline` of the run.
+        timeline: the decisions of any stack (`PriorityTimeline.of`), or of a run (`priority_timeline`).
+        title: line above the plot.
 
     Example:
         >>> from surctl.control import build_law, load_gains
@@ -35,7 +34,7 @@ def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
         >>> from surctl.vehicle import load_vehicle
         >>> law, gains = build_law(mode="filter", contacts=1), load_gains("default")
         >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> figure = plot_priority(run, priority_timeline(run))
+        >>> figure = plot_priority(priority_timeline(run))
         >>> [ax.get_ylabel() for ax in figure.axes]
         ['1 velocity [m/s]', '2 depth [m/s]', '3 heading [rad/s]', '']
     """
@@ -44,12 +43,12 @@ def plot_priority(run: Run, timeline: PriorityTimeline) -> Figure:
     heights = [0.3 if one else 0.95 for one in quiet] + [0.26 * max(len(rows), 1) + 0.2]
     figure = new_figure(9.5, 1.4 + sum(heights) + 0.1 * len(heights))
     axes = figure.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False).ravel().tolist()
-    head(figure, describe(run))
+    head(figure, title or "priority levels over time")
     for level, ax in enumerate(axes[:-1]):
         _draw_level(ax, timeline, level)
     _draw_rows(axes[-1], timeline, rows)
     end = float(timeline.time[-1]) if timeline.time.size else 0.0
-    axes[-1].set_xlim(0.0, end or run.law.dt)
+    axes[-1].set_xlim(float(timeline.time[0]) if end else 0.0, end or 1.0)
     handles = [
         Patch(facecolor=ROBOT, alpha=0.55, label="residual due to higher levels"),
         Patch(facecolor=AVOIDING, label="residual due to rows"),

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from surctl.simulation.paper_figure import PaperFigure
     from surctl.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
     from surctl.simulation.plan_file import Mission, mission_scenario, read_mission
-    from surctl.simulation.priority_timeline import PriorityTimeline, priority_timeline
+    from surctl.simulation.priority_timeline import priority_timeline
     from surctl.simulation.record import Record
     from surctl.simulation.record_file import RECORD_FORMATS, RUN_FORMATS, RecordFormat, record_columns, save_record
     from surctl.simulation.reflectors import ECHOES, EchoModel, Reflectors
@@ -98,7 +98,6 @@ __all__ = [
     "PaperFigure",
     "Physics",
     "PhysicsMaker",
-    "PriorityTimeline",
     "Record",
     "RecordFormat",
     "Reflectors",
@@ -165,7 +164,7 @@ load_at_first_use(
         "paper_figure": "PaperFigure",
         "physics": "Contact OwnPhysics Physics PhysicsMaker",
         "plan_file": "Mission mission_scenario read_mission",
-        "priority_timeline": "PriorityTimeline priority_timeline",
+        "priority_timeline": "priority_timeline",
         "record": "Record",
         "record_file": "RECORD_FORMATS RUN_FORMATS RecordFormat record_columns save_record",
         "reflectors": "ECHOES EchoModel Reflectors",

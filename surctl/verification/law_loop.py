@@ -192,7 +192,7 @@ def _linear(
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
     coupled = A[[4, 5, 7, *tilt], 6].any()
     apart = [] if acting[2] else [2] if coupled else [2, 6]
-    slope = np.abs(np.vstack([By, D])).max(axis=0)
+    slope = np.abs(np.vstack([By[_in_loop(Az, By, C)], D])).max(axis=0)
     felt = slope > np.maximum(_COUPLED, np.where(np.arange(8) < 2, _NEUTRAL * slope[:2].max(), 0.0))
     free = _free(A, felt, [k for k in range(4) if k not in apart])
     apart += free
@@ -291,7 +291,8 @@ def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, A
     behind = np.array([(here - outputs(dz, du, -_STEP)) / _STEP for dz, du in directions]).T
     J = (ahead + behind) / 2
     kink = float(np.abs(ahead[size:] - behind[size:]).max() / max(np.abs(J[size:]).max(), _COUPLED))
-    angle = _neutral(J[:, size : size + 2])
+    inside = _in_loop(J[:size, :size], J[:size, size:], J[size:, :size])  # the progress along a path may be outside
+    angle = _neutral(J[[*inside, *range(size, len(J))], size : size + 2])
     J[:, size : size + 2] @= _turned(angle)
     return (J[:size, :size], J[:size, size:], J[size:, :size], J[size:, size:]), kink, at.course + angle
 

@@ -11,9 +11,10 @@ import pytest
 
 from surctl.cli.single_run import further_output
 from surctl.control import build_law, load_gains
+from surctl.priority import PriorityTimeline
+from surctl.priority.timeline import NOTICEABLE
 from surctl.report.priority_plot import plot_priority, relaxation_text
 from surctl.simulation import Run, explain, load_scenario, priority_timeline, simulate
-from surctl.simulation.priority_timeline import NOTICEABLE, PriorityTimeline
 from surctl.vehicle import load_vehicle
 
 
@@ -73,13 +74,13 @@ def test_a_tick_that_the_law_refused_is_left_out() -> None:
     refused = replace(run, record=replace(run.record, status=np.full_like(status, -1)))
     nothing = priority_timeline(refused)
     assert not nothing.eventful and nothing.to_rows.shape == (0, 3)
-    plot_priority(refused, nothing)
+    plot_priority(nothing)
 
 
 def test_the_picture_has_a_lane_a_level_and_bars_where_rows_hold_back() -> None:
     run = flight()
     found = priority_timeline(run)
-    *levels, rows = plot_priority(run, found).axes
+    *levels, rows = plot_priority(found).axes
     assert [ax.get_ylabel().split(" [")[0] for ax in levels] == ["1 velocity", "2 depth", "3 heading"]
     assert [label.get_text() for label in rows.get_yticklabels()] == list(found.rows)
     drawn = [path.get_extents() for bars in rows.collections for path in bars.get_paths()]
@@ -96,7 +97,7 @@ def test_only_the_rows_that_matter_longest_are_drawn() -> None:
         to_rows=np.ones((count, 1)), rows=tuple(f"r{k}" for k in range(count)), binding=held,
         missed=np.zeros((count, count)), causes=held[:, None, :],
     )  # fmt: skip
-    rows = plot_priority(flight(), found).axes[-1]
+    rows = plot_priority(found).axes[-1]
     assert [label.get_text() for label in rows.get_yticklabels()] == [f"r{k}" for k in range(8)]
     assert rows.texts[-1].get_text() == "4 more rows"
     some = "r0, r1, r2, r3 and 8 more rows"
