@@ -107,6 +107,9 @@ def fault_failures(law: Exportable, controller: Controller, records: Records) ->
 
 def _in_python(law: Exportable, within: Envelope, record: Vector, fault: Fault) -> tuple[int, bool]:
     # (status, whether the step is refused with zero thrust and an unchanged state)
+    if fault.status == STALE:  # C compares with the last sample that it accepted
+        status = law.step(*np.split(record, np.cumsum([law.state.size, law.inputs.size]))).status
+        return (status if status < 0 else STALE), True
     if fault.status is not None:
         return fault.status, True
     faulty, ends = record.copy(), np.cumsum([law.state.size, law.inputs.size])

@@ -56,6 +56,8 @@ def build():
 def bare():
     return loop(0.0, {})
 
+FILE = "text"
+
 def number():
     return 1.0
 
@@ -257,6 +259,10 @@ MISTAKES = {
     "no costs": (("sweep", "mine.py:bare", "k=1", "--seconds", "1"), "has no costs"),
     "an option of the robot": (("simulate", "mine.py:build", "--gains", "x"), "--gains: does not apply"),
     "its export": (("export", "mine.py:build", "--sensing", "truth", "--seconds", "1"), "--sensing: does not apply"),
+    "a name of a law": (
+        ("export", "mine.py:build", "--name", "guarded", "--seconds", "1"), "is the name of a built-in law",
+    ),
+    "a variable": (("verify", "mine.py:FILE"), "system = 'FILE': is of type str, not a function"),
     "its target": (("export", "mine.py:build", "--target", "mjcf", "--seconds", "1"), "'mjcf': is not avail"),
     "its steps": (("export", "mine.py:build", "--steps", "9", "--seconds", "1"), "--steps: needs --check; add --check"),
     "its sweep": (("sweep", "mine.py:build", "k=1", "--seeds", "2", "--seconds", "1"), "--seeds: does not apply"),
