@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, TypeAlias, cast
+from typing import Literal, TypeAlias, cast
 
 import casadi as ca
 import numpy as np
@@ -72,11 +72,10 @@ class _Named(dict[str, ca.SX]):
 class Layout:
     """An ordered set of ports, stored one after another in one flat vector (row by row inside a port)."""
 
-    def __init__(self, ports: Iterable[Port]) -> None:
-        given: Any = ports
-        if isinstance(given, Port):
-            raise InputError("is one port", key=f"port {given.name}", remedy="write Layout((port,))")
-        self.ports: tuple[Port, ...] = tuple(given)
+    def __init__(self, ports: Iterable[Port] | Port) -> None:
+        if isinstance(ports, Port):
+            raise InputError("is one port", key=f"port {ports.name}", remedy="write Layout((port,))")
+        self.ports: tuple[Port, ...] = tuple(ports)
         for port in self.ports:
             if not isinstance(cast(object, port), Port):
                 raise InputError("is no Port", key="Layout", value=port, remedy="give surctl.ir.Port(...)")
