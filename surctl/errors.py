@@ -120,5 +120,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
         'known: brake, lookahead'
     """
     names = sorted(known)
+    if not names:
+        return "no name is known here"
     close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"did you mean {close[0]!r}?" if close else "known: " + ", ".join(names)

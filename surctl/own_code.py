@@ -19,12 +19,16 @@ from typing import Any, TypeVar
 
 from surctl.errors import InputError, SurctlError, nearest
 
-__all__ = ["called", "check_trusted", "is_own", "label", "object_of", "own_file", "pinned"]
+__all__ = ["called", "check_trusted", "is_own", "label", "object_of", "own_file", "pinned", "remedy_of"]
 
 Built = TypeVar("Built")
 
 _MARK = ".py:"
-_TRUTH = "truth value of a CasADi"  # of the error if Python's `if` is used on an expression
+_REMEDIES = {
+    "truth value of a CasADi": "use casadi.if_else instead of if, casadi.fmax instead of max, casadi.logic_and for and",
+    "has no number": "use casadi.sin instead of math.sin, and the like, and no float()",
+}
+"""Remedies by a part of the message of an error."""
 _LONGEST = 200  # characters of an error of the user's code in the message
 
 
@@ -140,6 +144,9 @@ def object_of(reference: str, kind: type[Built], *, key: str) -> Built:
     path, function, stated = _parts(reference)
     space = _executed(path, stated, key)
     builder = space.get(function)
+    if function in space and not callable(builder):
+        problem, remedy = f"is of type {type(builder).__name__}, not a function", "write a function that returns it"
+        raise InputError(problem, file=path, key=key, value=function, remedy=remedy)
     if not callable(builder):
         here = space["__name__"]
         known = [name for name, value in space.items() if getattr(value, "__module__", None) == here]
@@ -208,20 +215,37 @@ def _guarded(path: Path, key: str, call: Callable[[], Any]) -> Any:
         with _searched(path.parent), contextlib.redirect_stdout(sys.stderr):
             return call()
     except InputError as error:
-        raise error.inside(path, error.key or key) from None
+        line = None if error.__cause__ is None else _line(path, error.__cause__)
+        raise error.inside(path if line is None else f"{path}, line {line}", error.key or key) from None
     except SurctlError:
         raise
     except (Exception, SystemExit) as error:
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-        line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
+        line = error.lineno if isinstance(error, SyntaxError) else _line(path, error)
         text = " ".join(str(error).split())
         text = text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
         raise InputError(
             f"fails with {type(error).__name__}: {text}",
             file=path if line is None else f"{path}, line {line}",
             key=key,
-            remedy="use casadi.if_else" if _TRUTH in text else "correct the file",
+            remedy=remedy_of(error),
         ) from error
+
+
+def remedy_of(error: Exception | SystemExit) -> str:
+    """Return what to do about an error of the user's code, such as one that CasADi raises for `if` on an expression.
+
+    Example:
+        >>> from surctl.own_code import remedy_of
+        >>> remedy_of(ZeroDivisionError("division by zero"))
+        'correct the file'
+    """
+    return next((remedy for part, remedy in _REMEDIES.items() if part in str(error)), "correct the file")
+
+
+def _line(path: Path, error: BaseException) -> int | None:
+    """Return the last line of the file that the traceback of an error contains."""
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    return lines[-1] if lines else None
 
 
 def _parts(reference: str) -> tuple[Path, str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from functools import cache
+from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 from surctl.errors import InputError
@@ -12,7 +13,7 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-__all__ = ["SUFFIXES", "converted_by_suffix", "in_unit", "number_and_unit", "suffix_unit"]
+__all__ = ["SUFFIXES", "converted_by_suffix", "in_unit", "is_number", "number_and_unit", "suffix_unit"]
 
 SUFFIXES = {
     "_m_per_s": "m/s",
@@ -29,6 +30,17 @@ SUFFIXES = {
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", re.DOTALL)
 _MOST = 40  # characters of a unit; a longer text is rejected before it is parsed
 _UNIT = re.compile(r"[A-Za-zµΩ°%][\w\s*/^().°%µ-]*|1(?:\s*/\s*[\w\s*/^().-]+)?")
+
+
+def is_number(value: object) -> bool:
+    """Return whether a value is one finite real number, and no bool.
+
+    Example:
+        >>> from surctl.units import is_number
+        >>> [is_number(value) for value in (3, 2.5, True, "3", float("nan"))]
+        [True, True, False, False, False]
+    """
+    return not isinstance(value, bool) and isinstance(value, Real) and math.isfinite(value)
 
 
 @cache

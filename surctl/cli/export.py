@@ -120,7 +120,10 @@ def export(
     """
     if is_system(system, "seconds", "as_json", *SystemExport._fields):
         own = SystemExport(name, target, real, check, targets, steps, prove, out)
-        export_system(system, own, seconds=seconds, as_json=as_json)
+        from surctl.control.registry import LAWS
+
+        reserved = {*LAWS, *(source.name for source in LAWS.values())}
+        export_system(system, own, seconds=seconds, as_json=as_json, reserved=reserved)
     if system:
         raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
     import tempfile

@@ -11,6 +11,8 @@ import click
 
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.system_option import is_system, seconds_option
+from surctl.cli.system_study import study_system
 from surctl.cli.vehicle_choice import at_hand
 from surctl.cli.verify import claim_line
 
@@ -21,7 +23,7 @@ __all__ = ["study"]
 
 
 @click.command
-@click.argument("file", required=False)
+@click.argument("words", nargs=-1, metavar="[FILE | FILE.py:FUNCTION [WORD]...]")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -38,10 +40,18 @@ __all__ = ["study"]
 )
 @click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; a large one gets scaled missions.")
 @click.option("--film", is_flag=True, help="Show the decisive run in MuJoCo's scene, too, beside its plan view.")
+@seconds_option
 @trust_option
 @as_json
 def study(
-    file: str | None, out: Path, workers: int, vehicle: str | None, film: bool, trust: bool, as_json: bool
+    words: tuple[str, ...],
+    out: Path,
+    workers: int,
+    vehicle: str | None,
+    film: bool,
+    seconds: float | None,
+    trust: bool,
+    as_json: bool,
 ) -> None:
     """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
 
@@ -49,8 +59,17 @@ def study(
     no built-in scenario, gets three missions scaled to it: a straight path, a path of two legs, and the obstacles of
     tank-static.
 
-    Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json > study.json
+    FILE.py:FUNCTION names a system of your own: the page has its run, margins, costs over gains, and C code. A WORD is
+    NAME=VALUE of the run, GAIN=LOW..HIGH:COUNT of the sweep, or within.STATE=LOW..HIGH of a region of attraction.
+
+    Examples: surctl study; surctl study my-vehicle.toml --out results; surctl study --vehicle otter --json >
+    study.json; surctl study my_system.py:build --seconds 5
     """
+    if is_system(words, "words", "out", "workers", "seconds", "as_json"):
+        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
+    if len(words) > 1:
+        raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
+    file = words[0] if words else None
     from surctl.study import conduct, load_plan
 
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,11 +30,18 @@ class SystemExport(NamedTuple):
     out: Path
 
 
-def export_system(words: Sequence[str], options: SystemExport, *, seconds: float | None, as_json: bool) -> None:
+def export_system(
+    words: Sequence[str],
+    options: SystemExport,
+    *,
+    seconds: float | None,
+    as_json: bool,
+    reserved: Collection[str] = (),
+) -> None:
     """Write the controller as C, compare C and Python over a run; exit with status 1 if a number differs.
 
     Raises:
-        InputError: an option is not available, or `--check` is missing.
+        InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
     """
     from surctl.errors import InputError, nearest
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
@@ -61,6 +68,9 @@ def export_system(words: Sequence[str], options: SystemExport, *, seconds: float
     real = REALS[REALS.index(options.real)]
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
+    if (name := options.name or own.system.controller.name) in reserved:
+        where = {"key": "--name"} if options.name else {"file": own.word, "key": "controller"}
+        raise InputError("is the name of a built-in law", **where, value=name, remedy="choose another name")
     find_compiler()
     check_folder(options.out)
     controller = own.system.controller

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from surctl.system import Runs
     from surctl.tuning.design import Design
 
-__all__ = ["sweep_system"]
+__all__ = ["best_line", "best_points", "sweep_system"]
 
 _SHOWN = 40  # largest number of points in the text output
 _MOST_JSON = 100_000  # largest number of points printed as JSON
@@ -47,11 +47,11 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     runs = simulate_system(own.system, duration, values, threads=workers or 2)
     table = write_csv(out / "sweep.csv", _columns(own, design, runs))
     dataset = _write_dataset(own, design, runs, out / "sweep.nc", seconds=duration)
-    best = _best(own, design, runs)
+    best = best_points(own, design, runs)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
     lines = [f"{own.title}: {len(design.points)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(own, design, runs)
-    lines += [_best_line(own, name, row) for name, row in best.items()]
+    lines += [best_line(own, name, row) for name, row in best.items()]
     if lost:
         named = "; ".join(_point(design, k) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
@@ -142,7 +142,7 @@ def _ended(stopped: str, time: float) -> str:
     return "" if stopped == ENDED else f"  ({stopped} at {time:.6g} s)"
 
 
-def _best(own: OwnSystem, design: Design, runs: Runs) -> dict[str, Any]:
+def best_points(own: OwnSystem, design: Design, runs: Runs) -> dict[str, Any]:
     """Return the point with the least value of each cost, and the range of its finite values."""
     import numpy as np
 
@@ -156,7 +156,8 @@ def _best(own: OwnSystem, design: Design, runs: Runs) -> dict[str, Any]:
     return best
 
 
-def _best_line(own: OwnSystem, name: str, row: dict[str, Any]) -> str:
+def best_line(own: OwnSystem, name: str, row: dict[str, Any]) -> str:
+    """Return one line with the least value of a cost, where it is, and the range of the cost."""
     unit = own.system.costs[name].unit
     at = ", ".join(f"{key}={value:.6g}" for key, value in row["at"].items())
     return (

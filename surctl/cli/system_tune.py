@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -73,7 +74,8 @@ def tune_own_system(
         command_line("verify", own, *numbers),
         command_line("export", own, *numbers, "--seconds", f"{duration or 100 * own.system.dt:g}"),
     ]
-    finish(data, lines, as_json=as_json, passed=not result.unmet, then=then)
+    fine = all(map(math.isfinite, result.costs.values()))
+    finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
 
 
 def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
@@ -113,7 +115,9 @@ def _lines(own: OwnSystem, result: SystemTuning) -> list[str]:
         bound = "" if cost.at_most is None else f", at most {cost.at_most:g}"
         what = "minimised" if name == result.objective else "not bounded" if cost.at_most is None else "bounded"
         mark = "NOT MET  " if name in result.unmet else ""
-        change = f"{result.costs[name]:.6g} {cost.unit} (before {result.before[name]:.6g})"
+        known = math.isfinite(result.costs[name])
+        value = f"{result.costs[name]:.6g} {cost.unit}" if known else "none, because a run is not finite"
+        change = f"{value} (before {result.before[name]:.6g})"
         lines.append(f"  {mark}{name}: {change}, {what}{bound}")
     margin = "not judged, there is no equilibrium" if result.disk_margin is None else f"{result.disk_margin:.3f}"
     mark = "NOT MET  " if "disk margin" in result.unmet else ""

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.cli.output import finish, progress
-from surctl.cli.system_option import assigned, command_line, load_system
+from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from surctl.ir import Layout
     from surctl.system import Operating, System
     from surctl.verification.linear.disk import DiskMargin
     from surctl.verification.margins import LoopMargins
 
-__all__ = ["verify_system"]
+__all__ = ["LinearLoop", "disk_line", "linear_loop", "verify_system"]
 
 
 def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
@@ -30,8 +32,6 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.lyapunov import solve
-    from surctl.system import find_equilibrium, linearise
-    from surctl.verification.sampled_margins import system_disk_margin, system_margins
 
     own = load_system(words)
     others, region = region_words(own.settings)
@@ -46,34 +46,9 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             )
         prepare_folder(out)
     problem = None if region is None else region.problem(own.system, values)
-    at = find_equilibrium(own.system, values)
-    linear = linearise(own.system, values, at=at)
-    poles = linear.poles()
-    openings = linear.channels()
-    commands = openings[: own.system.commands.size]
-    margins = system_margins(linear, *commands)
-    together = {"commands": system_disk_margin(linear, *commands)} if len(commands) > 1 else {}
-    together["commands and measurements"] = system_disk_margin(linear)
-    stable = together["commands and measurements"].stable
-    mode = _slowest(complex(poles[0]), own.system.dt)
-    resting = _equilibrium(own.system, at)
-    lines = [f"{own.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
-    lines += [f"  {kind} {label} = {value:.6g} {unit}" for kind, rows in resting.items() for label, value, unit in rows]
-    lines.append(f"sampled every {own.system.dt:g} s: {'stable' if stable else 'UNSTABLE'}, {len(poles)} poles")
-    lines.append(f"  slowest mode: {_mode_text(mode)}")
-    if stable:
-        lines += ["loop opened at a command, all others closed:", *map(_margin_line, margins)]
-        lines += [_disk_line(what, margin) for what, margin in together.items()]
-    data = {
-        **own.names,
-        "values": {name: value.ravel().tolist() for name, value in values.items()},
-        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in resting.items()},
-        "stable": stable,
-        "poles": [[float(pole.real), float(pole.imag)] for pole in poles],
-        "slowest_mode": mode,
-        "margins": [margin.to_dict() for margin in margins],
-        "disk_margins": [margin.to_dict() for margin in together.values()],
-    }
+    linear = linear_loop(own, values)
+    stable, lines = linear.stable, linear.lines
+    data = {**own.names, "values": {name: value.ravel().tolist() for name, value in values.items()}, **linear.data}
     passed, certificates = stable, list[str]()
     if problem is not None:
         solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
@@ -89,6 +64,64 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
     then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
     finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
+
+
+class LinearLoop(NamedTuple):
+    """Equilibrium, sampled poles and margins of a system.
+
+    Attributes:
+        resting: (label, value, unit) of every number at the equilibrium, by kind.
+        stable: whether the linear loop is stable.
+        mode: what the slowest mode does, as text.
+        margins: margins of the loops opened at one command.
+        together: disk margin of all commands, and of all commands and measurements, opened at once.
+        lines, data: the results as text and for JSON.
+    """
+
+    resting: Mapping[str, Sequence[tuple[str, float, str]]]
+    stable: bool
+    mode: str
+    margins: Sequence[LoopMargins]
+    together: Mapping[str, DiskMargin]
+    lines: list[str]
+    data: dict[str, Any]
+
+
+def linear_loop(own: OwnSystem, values: Mapping[str, ArrayLike]) -> LinearLoop:
+    """Return the linear loop about the equilibrium.
+
+    Raises:
+        InputError: no equilibrium was found.
+    """
+    from surctl.system import find_equilibrium, linearise
+    from surctl.verification.sampled_margins import system_disk_margin, system_margins
+
+    at = find_equilibrium(own.system, values)
+    linear = linearise(own.system, values, at=at)
+    poles = linear.poles()
+    commands = linear.channels()[: own.system.commands.size]
+    margins = system_margins(linear, *commands)
+    together = {"commands": system_disk_margin(linear, *commands)} if len(commands) > 1 else {}
+    together["commands and measurements"] = system_disk_margin(linear)
+    stable = together["commands and measurements"].stable
+    mode = _slowest(complex(poles[0]), own.system.dt)
+    resting = _equilibrium(own.system, at)
+    lines = [f"{own.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
+    lines += [f"  {kind} {label} = {value:.6g} {unit}" for kind, rows in resting.items() for label, value, unit in rows]
+    lines.append(f"sampled every {own.system.dt:g} s: {'stable' if stable else 'UNSTABLE'}, {len(poles)} poles")
+    lines.append(f"  slowest mode: {_mode_text(mode)}")
+    if stable:
+        lines += ["loop opened at a command, all others closed:", *map(_margin_line, margins)]
+        lines += [disk_line(what, margin) for what, margin in together.items()]
+    data = {
+        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in resting.items()},
+        "stable": stable,
+        "poles": [[float(pole.real), float(pole.imag)] for pole in poles],
+        "slowest_mode": mode,
+        "margins": [margin.to_dict() for margin in margins],
+        "disk_margins": [margin.to_dict() for margin in together.values()],
+    }
+    return LinearLoop(resting, stable, _mode_text(mode), margins, together, lines, data)
 
 
 def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:
@@ -134,7 +167,8 @@ def _margin_line(margin: LoopMargins) -> str:
     )
 
 
-def _disk_line(what: str, margin: DiskMargin) -> str:
+def disk_line(what: str, margin: DiskMargin) -> str:
+    """Return one line with the disk margin of loops that are opened at once."""
     low, high = margin.gain
     return (
         f"all {what} at once: disk margin {margin.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, load_model, pick, quoted
+from surctl.units import is_number
 
 __all__ = ["GAINS", "LIBRARY", "GainSpec", "Gains", "load_gains", "write_gains"]
 
@@ -44,7 +45,12 @@ class GainSpec:
         """Raise InputError unless the gain has a default within its bounds, and a range that contains the default."""
         if self.default is None:
             raise InputError("has no default", key=key, remedy="give default=…, the value where no gain file says one")
+        bounds: object = self.range
+        if bounds is not None and not (isinstance(bounds, tuple | list) and len(bounds) == 2):
+            raise InputError("is not a range", key=f"{key}.range", value=self.range, remedy="write (low, high)")
         for value in (self.default, *(self.range or ())):
+            if not is_number(value):
+                raise InputError("is not a number", key=key, value=value, remedy=f"give a number in {self.unit}")
             check_value(key, float(value), None, {key: self})
         if self.range is not None and self.range[0] > self.range[1]:
             raise InputError("is a reversed range", key=f"{key}.range", value=self.range, remedy="write (low, high)")

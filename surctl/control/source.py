@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast, get_args
 
 import casadi as ca
 
@@ -16,10 +16,10 @@ from surctl.control.gains import GainSpec
 from surctl.control.ports import PARAMETERS
 from surctl.control.steering import Steering
 from surctl.errors import InputError, nearest
-from surctl.ir import Port, identifier
+from surctl.ir import Layout, Port, identifier
 from surctl.own_code import called, is_own, own_file
 from surctl.priority import Mode
-from surctl.system.parts import expression
+from surctl.system.parts import expression, symbolic
 from surctl.tasks import Task
 
 __all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "decision_of", "perceived_by", "thrust_of"]
@@ -29,6 +29,7 @@ PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoi
 the linear cascade of path following and velocity control; avoidance by equation (20); the barrier on closing speeds."""
 
 _VELOCITIES = 4
+_OPTIONS = ("avoidance", "barrier", "movers", "depths")  # of build_law
 _ALWAYS = frozenset({"progress", "integral", "drift"})
 _LATCHED = frozenset(port.name for port in DECISION_PORTS)
 
@@ -105,6 +106,20 @@ class LawSource:
 
     def __post_init__(self) -> None:
         identifier(self.name)
+        for name in ("decide", "thrust", "perceive", "steering"):
+            if not callable(function := getattr(self, name)) and (function is not None or name == "decide"):
+                key = f"{self.name}.{name}"
+                raise InputError(f"is of type {type(function).__name__}", key=key, remedy="give a function")
+        gains, state = cast(object, self.gains), cast(object, self.state)
+        if not isinstance(gains, Mapping):
+            remedy = 'write {"name": GainSpec(…)}'
+            raise InputError(f"is of type {type(gains).__name__}", key=f"{self.name}.gains", remedy=remedy)
+        _check_words("sensing", self.sensing, ("truth", "sonar"), self.name)
+        _check_words("options", self.options, _OPTIONS, self.name)
+        if self.modes is not None:
+            _check_words("modes", self.modes, get_args(Mode), self.name)
+        if isinstance(state, Port):
+            raise InputError("is one port", key=f"{self.name}.state", remedy="write (port,)")
         for port in self.state:
             if not isinstance(port, Port):
                 raise InputError("is not a Port", key=f"{self.name}.state", value=type(port).__name__)
@@ -114,12 +129,23 @@ class LawSource:
                 )
             reserved = _ALWAYS | _LATCHED if self.latches else _ALWAYS
             _check_port(port.name, port.unit, where=f"{self.name}.state", reserved=reserved)
+        Layout(self.ports)  # refuses two of one name
         for name, spec in self.gains.items():
             where = f"{self.name}.gains"
             if not isinstance(spec, GainSpec):
                 raise InputError("is not a GainSpec", key=f"{where}.{name}", value=type(spec).__name__)
             _check_port(name, spec.unit, where=where, reserved=frozenset(port.name for port in PARAMETERS))
             spec.check_default(f"{where}.{name}")
+
+
+def _check_words(key: str, words: object, known: Collection[str], name: str) -> None:
+    """Raise InputError unless `words` is a tuple, list or set of known words."""
+    if not isinstance(words, tuple | list | set | frozenset):
+        remedy = f'write ("{next(iter(sorted(known)))}",)'
+        raise InputError("is not a tuple of texts", key=f"{name}.{key}", value=words, remedy=remedy)
+    for word in words:
+        if word not in known:
+            raise InputError("is not known", key=f"{name}.{key}", value=word, remedy=nearest(str(word), known))
 
 
 def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -> None:
@@ -137,13 +163,14 @@ def decision_of(source: LawSource, situation: Situation, reference: str) -> Deci
     """Return the law's decision; an error in a law of the user's own is reported in one line that names its file."""
     if not is_own(reference):
         return source.decide(situation)
-    return _checked_decision(called(reference, source.decide, situation), source, file=own_file(reference))
+    decision = called(reference, symbolic, source.decide, situation)
+    return _checked_decision(decision, source, file=own_file(reference))
 
 
 def perceived_by(source: LawSource, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX], reference: str) -> Perception:
     """Return the law's own perception; an error in a law of the user's own is reported in one line with its file."""
     assert source.perceive is not None
-    return called(reference, source.perceive, u, p) if is_own(reference) else source.perceive(u, p)
+    return called(reference, symbolic, source.perceive, u, p) if is_own(reference) else source.perceive(u, p)
 
 
 def thrust_of(source: LawSource, reference: str) -> Thrust | None:
@@ -153,7 +180,7 @@ def thrust_of(source: LawSource, reference: str) -> Thrust | None:
         return thrust
 
     def checked(*arguments: Any) -> tuple[ca.SX, ca.SX]:
-        returned = called(reference, thrust, *arguments)
+        returned = called(reference, symbolic, thrust, *arguments)
         return _checked_thrust(returned, source, file=own_file(reference))
 
     return checked
@@ -173,6 +200,9 @@ def _checked_decision(decision: object, source: LawSource, *, file: object) -> D
 
     if not isinstance(decision, Decision):
         raise fail(f"returned {type(decision).__name__}, not Decision", "decide", "return Decision([task, …])")
+    if isinstance(cast(object, decision.levels), Task | TaskLevel):
+        raise fail("is one task", "levels", "write Decision([task])")
+    decision = replace(decision, levels=tuple(decision.levels))
     if not decision.levels:
         raise fail("has no task", "levels", "give at least one task or TaskLevel")
     for level in decision.levels:

@@ -113,6 +113,9 @@ def _in_python(
     # (status, whether the step is refused with zero thrust and an unchanged state) of each fault
     ends = np.cumsum([law.state.size, law.inputs.size])
     status = np.array([0 if fault.status is None else fault.status for fault in cases], dtype=np.int64)
+    if STALE in status:  # C compares with the last sample that it accepted
+        refused = law.step(*np.split(record, ends)).status
+        status[status == STALE] = min(refused, 0) or STALE
     safe = np.array([fault.status is not None for fault in cases])
     inside = [k for k, fault in enumerate(cases) if fault.at < record.size]
     for some in (inside[first : first + _TOGETHER] for first in range(0, len(inside), _TOGETHER)):

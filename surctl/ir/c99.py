@@ -62,7 +62,7 @@ def identifier(name: str) -> str:
             ...
         surctl.errors.InputError: name = 'double': is a reserved word in C or C++; choose another name
     """
-    if not _IDENTIFIER.fullmatch(name) or "__" in name:
+    if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or "__" in name:
         raise InputError(
             "is not a C identifier",
             key="name",

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, cast
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.units import is_number
 
 __all__ = ["Gap", "Layout", "Port"]
 
@@ -40,29 +41,56 @@ class Port:
     default: float = 0.0
     gap: Gap = "keep"
 
+    def __post_init__(self) -> None:
+        """Raise InputError, which names the part, if an attribute has the wrong type or the default is not finite."""
+        key = f"port {self.name}"
+        for attribute in ("name", "unit", "meaning"):
+            if not isinstance(value := getattr(self, attribute), str):
+                raise InputError("is not a text", key=f"{key}.{attribute}", value=value, remedy="write it in quotes")
+        shape: object = self.shape
+        sizes = shape if isinstance(shape, tuple) else ()
+        if len(sizes) not in (1, 2) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0 for n in sizes):
+            remedy = "write (n,) for a vector, (rows, columns) for a matrix"
+            raise InputError("is not a shape", key=f"{key}.shape", value=self.shape, remedy=remedy)
+        if not is_number(self.default):
+            remedy = "give one finite number, which all entries get"
+            raise InputError("is not a finite number", key=f"{key}.default", value=self.default, remedy=remedy)
+
     @cached_property
     def size(self) -> int:
         """Return how many numbers the port contains."""
         return math.prod(self.shape)
 
 
+class _Named(dict[str, ca.SX]):
+    """Parts by name; an unknown name raises an InputError that suggests a similar name."""
+
+    def __missing__(self, name: object) -> ca.SX:
+        raise InputError("no such name here", key=str(name), remedy=nearest(str(name), self))
+
+
 class Layout:
     """An ordered set of ports, stored one after another in one flat vector (row by row inside a port)."""
 
-    def __init__(self, ports: tuple[Port, ...]) -> None:
-        names = [p.name for p in ports]
+    def __init__(self, ports: Iterable[Port] | Port) -> None:
+        if isinstance(ports, Port):
+            raise InputError("is one port", key=f"port {ports.name}", remedy="write Layout((port,))")
+        self.ports: tuple[Port, ...] = tuple(ports)
+        for port in self.ports:
+            if not isinstance(cast(object, port), Port):
+                raise InputError("is no Port", key="Layout", value=port, remedy="give surctl.ir.Port(...)")
+        names = [p.name for p in self.ports]
         for name in names:
             if names.count(name) > 1:
                 raise InputError("is the name of two ports", key=name, remedy="rename one of them")
-        self.ports = ports
-        self._by_name = {p.name: p for p in ports}
+        self._by_name = {p.name: p for p in self.ports}
         self._slices: dict[str, slice] = {}
         at = 0
-        for port in ports:
+        for port in self.ports:
             self._slices[port.name] = slice(at, at + port.size)
             at += port.size
         self.size = at
-        self._defaults = np.concatenate([np.full(p.size, p.default, dtype=float) for p in ports] or [np.zeros(0)])
+        self._defaults = np.concatenate([np.full(p.size, p.default, dtype=float) for p in self.ports] or [np.zeros(0)])
 
     def __iter__(self) -> Iterator[Port]:
         return iter(self.ports)
@@ -105,7 +133,7 @@ class Layout:
 
     def split(self, flat: ca.SX) -> dict[str, ca.SX]:
         """Return the parts of a flat SX vector by port name; each part has the port's shape (vectors are columns)."""
-        parts: dict[str, ca.SX] = {}
+        parts: dict[str, ca.SX] = _Named()
         for port in self.ports:
             block = flat[self.slice(port.name)]
             parts[port.name] = ca.reshape(block, port.shape[1], port.shape[0]).T if len(port.shape) == 2 else block

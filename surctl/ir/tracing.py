@@ -13,6 +13,7 @@ conditional. Equal expressions are computed only once.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextvars import ContextVar, Token
 from dataclasses import dataclass
@@ -110,8 +111,10 @@ class Recording:
             output_names = [*outputs, *(f"of_loop{k}" for k in range(len(results) - len(outputs)))]
             function = ca.Function(name, arguments, results, names, output_names)
         except RuntimeError as error:
-            reason = next((line for line in str(error).splitlines() if "free" in line), "a symbol is not an input")
-            raise InputError(f"cannot be lowered ({reason.strip()})", key=name, remedy="add it to the inputs") from None
+            free = re.search(r"variables \[(.*?)\] are free", str(error))
+            which = f": {free[1]}" if free else ""
+            problem = f"uses symbols that are not its arguments{which}"
+            raise InputError(problem, key=name, remedy="compute the results from the arguments") from None
         program = lower(function)
         if not loops:
             return program

@@ -53,9 +53,13 @@ def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction | float]]) -> Gram:
         if not isinstance(zero[0], float)
     ]
     values += _rational(
-        np.array([
-            [float(Polynomial.monomial(m).value(zero)) for m in gram.basis] for zero in own if isinstance(zero[0], float)
-        ])
+        np.array(
+            [
+                [float(Polynomial.monomial(m).value(zero)) for m in gram.basis]
+                for zero in own
+                if isinstance(zero[0], float)
+            ]
+        )
     )
     pivots: dict[int, list[Fraction]] = {}
     for row in values:

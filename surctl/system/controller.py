@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir import Block, Layout, Port, Recording, identifier, replay, runnable, without_libm
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined, not_finite
+from surctl.units import is_number
 
 __all__ = [
     "NONFINITE",
@@ -30,6 +31,8 @@ __all__ = [
 Vector = NDArray[np.float64]
 
 _STATUS = Layout((Port("status", (1,), "1", "sum of bits"),))
+
+_RESERVED, _SHORTEST = "surctl_", 1e-9  # s
 
 NONFINITE = -2
 """Status of a step that had or gave a number that is not finite; its command is zero and its state unchanged."""
@@ -177,8 +180,13 @@ class Controller:
 
     def __post_init__(self) -> None:
         identifier(self.name)
-        if not (isinstance(self.dt, float | int) and np.isfinite(self.dt) and self.dt > 0):
-            raise InputError("is not a positive time", key=f"{self.name}.dt", value=self.dt, remedy="give seconds")
+        if self.name.startswith(_RESERVED):
+            problem = f"begins with {_RESERVED}, as the names of the built-in laws do"
+            raise InputError(problem, key="name", value=self.name, remedy="choose another name")
+        if not is_number(self.dt) or self.dt < _SHORTEST:
+            remedy = f"give seconds, at least {_SHORTEST:g}"
+            raise InputError("is not a control period", key=f"{self.name}.dt", value=self.dt, remedy=remedy)
+        object.__setattr__(self, "dt", float(self.dt))
         for name in ("inputs", "command", "state", "gains", "telemetry"):
             checked_layout(getattr(self, name), key=f"{self.name}.{name}")
         if not self.command.size:
@@ -195,10 +203,14 @@ class Controller:
         parts, key = (self.state.split(x), self.inputs.split(u), self.gains.split(p)), f"{self.name}.law"
         result = called(self.law, *parts, key=key)
         act = result if isinstance(result, Action) else Action(result)
+        status = joined(_STATUS, act.status, key=f"{key}.status")
+        if status.is_constant() and float(status) < 0:
+            remedy = "return 0 or a sum of bits; negative codes are those of failed steps"
+            raise InputError("is negative", key=f"{key}.status", value=float(status), remedy=remedy)
         return (
             joined(self.command, act.command, key=f"{key}.command"),
             joined(self.state, act.state if self.state.size else {}, key=f"{key}.state"),
-            joined(_STATUS, act.status, key=f"{key}.status"),
+            status,
             joined(self.telemetry, act.telemetry if self.telemetry.size else {}, key=f"{key}.telemetry"),
         )
 

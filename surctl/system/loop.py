@@ -17,10 +17,16 @@ from surctl.ir import Layout, Port, Recording, identifier
 from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
+from surctl.units import is_number
 
-__all__ = ["Cost", "How", "Signals", "System", "once_per_system"]
+__all__ = ["ENDED", "LOST", "Cost", "How", "Signals", "System", "once_per_system"]
 
 _FIGURE = Layout((Port("value", (1,), "1", "a figure"),))
+
+_MOST = 1000  # steps of integration in a control period
+
+ENDED, LOST = "time", "not finite"
+"""Why a run ended, where no stop of the system ended it: its time was over, or a number was no longer finite."""
 
 How = Literal["integral", "mean", "rms", "max", "min", "final", "last_time"]
 
@@ -130,13 +136,18 @@ class System:
         for key, part, attribute, remedy in (
             ("plant", self.plant, "ode", "give a surctl.system.Plant"),
             ("controller", self.controller, "block", "give a surctl.system.Controller"),
-            *((f"costs.{name}", cost, "how", "give a surctl.system.Cost") for name, cost in self.costs.items()),
         ):
-            if not hasattr(part, attribute):
-                raise InputError(f"is a {type(part).__name__}", key=key, remedy=remedy)
-        if not isinstance(self.substeps, int) or self.substeps < 1:
-            raise InputError("is not a number of steps", key="substeps", value=self.substeps, remedy="give 1, 2, …")
-        for kind, table in (("costs", self.costs), ("stops", self.stops)):
+            if isinstance(part, type) or not hasattr(part, attribute):
+                raise InputError(f"is of type {type(part).__name__}", key=key, remedy=remedy)
+        if not is_number(self.substeps) or self.substeps not in range(1, _MOST + 1):
+            remedy = f"give a whole number from 1 to {_MOST}"
+            raise InputError("is not a number of steps", key="substeps", value=self.substeps, remedy=remedy)
+        object.__setattr__(self, "substeps", int(self.substeps))
+        tables: tuple[tuple[str, Any], ...] = (("costs", self.costs), ("stops", self.stops))
+        for kind, table in tables:
+            if not isinstance(table, Mapping):
+                remedy = 'write {"name": …}'
+                raise InputError(f"is of type {type(table).__name__}", key=kind, remedy=remedy)
             for name in table:
                 identifier(name)
             object.__setattr__(self, kind, MappingProxyType(dict(table)))
@@ -148,7 +159,11 @@ class System:
             self.controller.gains,
         )
         named = {port.name for layout in layouts for port in layout}
+        if ENDED in self.stops:
+            remedy = "choose another name for the stop"
+            raise InputError("is the reason of a run that reaches its duration", key=f"stops.{ENDED}", remedy=remedy)
         for name, cost in self.costs.items():
+            _check_cost(name, cost)
             if name in named:
                 remedy = "choose another name for the cost"
                 raise InputError("is a signal or a gain of the system", key=f"costs.{name}", remedy=remedy)
@@ -159,6 +174,7 @@ class System:
                     value=cost.how,
                     remedy=nearest(str(cost.how), get_args(How)),
                 )
+        self._check_names()
         for port in self.plant.inputs:
             _connected(port, self.commands, key=f"{self.plant.name}.inputs", to=f"command of {self.controller.name}")
         for port in self.controller.inputs:
@@ -232,6 +248,18 @@ class System:
         }  # fmt: skip
         return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
 
+    def _check_names(self) -> None:
+        """Raise InputError if two signals of a record have one name; a measured output may have that of its state."""
+        kinds: dict[str, str] = {}
+        for kind, layout in (
+            ("state", self.plant.state), ("command", self.commands), ("measured output", self.plant.measurements),
+            ("reference", self.references), ("telemetry output", self.telemetry),
+        ):  # fmt: skip
+            for port in layout:
+                other = kinds.setdefault(port.name, kind)
+                if other != kind and (other, kind) != ("state", "measured output"):
+                    raise InputError(f"is the name of a {other} and of a {kind}", key=port.name, remedy="rename one")
+
     def _check_compiles(self) -> None:
         """Raise InputError if a function of the system cannot be compiled; the key of the error names this function."""
         symbols = self._symbols()
@@ -298,6 +326,18 @@ def _connected(port: Port, layout: Layout, *, key: str, to: str) -> None:
         raise InputError(
             f"is in {port.unit}, the {to} in {other.unit}", key=f"{key}.{port.name}", remedy="use one unit for both"
         )
+
+
+def _check_cost(name: str, cost: object) -> None:
+    """Raise InputError if a metric has no expression, no unit, or a bound that is no number."""
+    key = f"costs.{name}"
+    if not isinstance(cost, Cost):
+        raise InputError(f"is of type {type(cost).__name__}", key=key, remedy="give a surctl.system.Cost")
+    if not str(cost.unit or "").strip():
+        raise InputError("has no unit", key=key, remedy='name it in SI, "1" if it has none')
+    bound = cost.at_most
+    if bound is not None and not is_number(bound):
+        raise InputError("is not a number", key=f"{key}.at_most", value=bound, remedy=f"give a bound in {cost.unit}")
 
 
 def _scalar(value: Any, key: str) -> ca.SX:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, identifier
+from surctl.own_code import remedy_of
 
 __all__ = [
     "EMPTY",
@@ -22,10 +23,12 @@ __all__ = [
     "expression",
     "joined",
     "not_finite",
+    "symbolic",
 ]
 
 Parts: TypeAlias = Mapping[str, ca.SX]
 EMPTY = Layout(())
+_FLOAT = "__float__"
 
 
 def checked_layout(layout: object, *, key: str) -> Layout:
@@ -53,17 +56,35 @@ def called(function: Callable[..., Any], *arguments: object, key: str) -> Any:
     Raises:
         InputError: the function raises an error for symbols; the message repeats this error with the function's name.
     """
+    if not callable(function):
+        raise InputError(f"is of type {type(function).__name__}", key=key, remedy="give a function")
     try:
-        return function(*arguments)
-    except InputError:
-        raise
+        return symbolic(function, *arguments)
+    except InputError as error:
+        raise InputError(error.problem, key=f"{key}: {error.key}", value=error.value, remedy=error.remedy) from error
     except Exception as error:
         text = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"fails on CasADi symbols ({type(error).__name__}: {text})",
-            key=key,
-            remedy="write it with casadi functions; if_else instead of if",
-        ) from error
+        problem = f"fails on CasADi symbols ({type(error).__name__}: {text})"
+        raise InputError(problem, key=key, remedy=remedy_of(error)) from error
+
+
+def symbolic(function: Callable[..., Any], *arguments: object) -> Any:
+    """Return the result of a function; a call of float() on a symbolic expression raises TypeError.
+
+    `math.sin` and other functions for numbers call float(), which is NaN for an expression without this check.
+    """
+    number = ca.SX.__float__
+
+    def checked(value: ca.SX) -> float:
+        if not value.is_constant():
+            raise TypeError("a CasADi expression has no number")
+        return float(number(value))
+
+    setattr(ca.SX, _FLOAT, checked)
+    try:
+        return function(*arguments)
+    finally:
+        setattr(ca.SX, _FLOAT, number)
 
 
 def joined(layout: Layout, returned: object, *, key: str) -> ca.SX:

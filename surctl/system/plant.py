@@ -100,7 +100,11 @@ class Plant:
         """
         with Recording() as recording:
             symbols = self._symbols()
-            return without_libm(recording.block(self.name, symbols, {"xdot": self.derivative(*symbols.values())}))
+            rates = self.derivative(*symbols.values())
+            if rates.is_constant() and not rates.is_zero():
+                remedy = "compute the time derivatives from the states and inputs"
+                raise InputError("returns numbers, which depend on no argument", key=f"{self.name}.ode", remedy=remedy)
+            return without_libm(recording.block(self.name, symbols, {"xdot": rates}))
 
     @cached_property
     def measured(self) -> Block:

@@ -14,9 +14,9 @@ from surctl.ir import Layout, Port, on_vectors
 from surctl.plotted import Plotted
 from surctl.recorded_write import Column
 from surctl.system.controller import NONFINITE, lost_entry
-from surctl.system.loop import How, System, once_per_system
+from surctl.system.loop import ENDED, LOST, How, System, once_per_system
 from surctl.system.parts import entry_labels, entry_units, not_finite
-from surctl.system.runs import ENDED, LOST, moved_state, periods
+from surctl.system.runs import moved_state, periods
 from surctl.system.values import run_numbers
 
 __all__ = ["Record", "run_system"]
@@ -178,10 +178,7 @@ _KINDS = ("state", "command", "output", "reference", "telemetry", "controller")
 
 
 def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
-    """Return kind, layout and port name of each signal, by signal name.
-
-    If signals of several kinds have one name, the name stands for the signal of the first kind.
-    """
+    """Return kind, layout and port name of each signal, by signal name; an output with a state's name is the state."""
     layouts = (
         system.plant.state, system.commands, system.plant.measurements, system.references, system.telemetry,
         system.controller.state,

@@ -26,15 +26,12 @@ from surctl.ir import (
     without_libm,
 )
 from surctl.plotted import Plotted
-from surctl.system.loop import Cost, System, once_per_system
+from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
-__all__ = ["ENDED", "LOST", "Runs", "loop_step", "moved_state", "periods", "simulate_system"]
+__all__ = ["Runs", "loop_step", "moved_state", "periods", "simulate_system"]
 
 Array = NDArray[np.float64]
-
-ENDED, LOST = "time", "not finite"
-"""Why a run ended, where no stop of the system ended it: its time was over, or a number was no longer finite."""
 
 _FINITE = 1e300  # numbers with a larger absolute value count as infinite
 _FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})

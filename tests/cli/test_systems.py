@@ -56,6 +56,8 @@ def build():
 def bare():
     return loop(0.0, {})
 
+FILE = "text"
+
 def number():
     return 1.0
 
@@ -223,6 +225,22 @@ def test_a_system_is_exported_in_float_as_a_unit_with_its_proof_and_its_evidence
     assert "arrived" not in Path("c/README.md").read_text().split("## Evidence")[1]
 
 
+def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> None:
+    need_compiler()
+    words = ("study", file, "reference.goal=0.5", "k=0.5..2:3", "--seconds", "0.5", "--out", "s")
+    done = data(*words)
+    runs = simulate_system(own(file), 0.5, {"k": [0.5, 1.25, 2.0], "reference.goal": 0.5})
+    assert done["best"]["final"]["least"] == runs["final"].min() and done["sil"]["passed"] and done["passed"]
+    assert done["linear"]["equilibrium"] == data("verify", file, "reference.goal=0.5")["equilibrium"]
+    assert Path("s/export/pump.c").exists()
+    page = Path("s/report.html").read_text()
+    assert "https://" not in page and page.count("<img") == 3  # the run, and each cost over k
+    for text in ("Costs of the run", "Margins", "at the end", "turn[1]", "surctl sweep mine.py:build k=0.5..2:3"):
+        assert text in page
+    lost = data("study", file, "plant.blow=1", "k=0", "--seconds", "2", "--out", "s", status=1)
+    assert [check["passed"] for check in lost["checks"]].count(False) == 1 and "state x at" in lost["checks"][0]["text"]
+
+
 MISTAKES = {
     "no such file": (("simulate", "yours.py:build", "--seconds", "1"), "yours.py: system: cannot be read"),
     "no such function": (("verify", "mine.py:bild"), "no such function; did you mean 'build'"),
@@ -257,6 +275,14 @@ MISTAKES = {
     "no costs": (("sweep", "mine.py:bare", "k=1", "--seconds", "1"), "has no costs"),
     "an option of the robot": (("simulate", "mine.py:build", "--gains", "x"), "--gains: does not apply"),
     "its export": (("export", "mine.py:build", "--sensing", "truth", "--seconds", "1"), "--sensing: does not apply"),
+    "a name of a law": (
+        ("export", "mine.py:build", "--name", "guarded", "--seconds", "1"), "is the name of a built-in law",
+    ),
+    "a variable": (("verify", "mine.py:FILE"), "system = 'FILE': is of type str, not a function"),
+    "a study's value and axis": (("study", "mine.py:build", "k=1", "k=1..2:3", "--seconds", "1"), "k: is given twice"),
+    "a study without costs": (("study", "mine.py:bare", "k=1..2:3", "--seconds", "1"), "has no costs"),
+    "a study's duration": (("study", "mine.py:build"), "--seconds: is missing"),
+    "a study of the robot": (("study", "mine.py:build", "--vehicle", "sur400"), "--vehicle: does not apply"),
     "its target": (("export", "mine.py:build", "--target", "mjcf", "--seconds", "1"), "'mjcf': is not avail"),
     "its steps": (("export", "mine.py:build", "--steps", "9", "--seconds", "1"), "--steps: needs --check; add --check"),
     "its sweep": (("sweep", "mine.py:build", "k=1", "--seeds", "2", "--seconds", "1"), "--seeds: does not apply"),
@@ -344,6 +370,9 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     assert about["gains"] == {"k": [2.0]}
     assert run("export", "loop.py:build", "--seconds", "0.1", "--out", "c").exit_code == 0
     assert run("check", "p/cart.json", "--bundle", "c").exit_code == 0
+    stated = ("within.x=-2..2", "lyapunov.function=x^2", "lyapunov.level=1")
+    assert data("study", "loop.py:build", *stated, "--seconds", "0.1", "--out", "s")["region"]["verdict"] == "proved"
+    assert "<h2>Region of attraction" in re.sub(r"<h2[^>]*>", "<h2>", Path("s/report.html").read_text())
     for words, says in (
         (["within.y=-1..1"], "within.y: is not a state of the plant"),
         (["within.x=1"], "within.x = '1': is not a range; write within.x=-1..1"),

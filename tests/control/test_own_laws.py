@@ -166,7 +166,7 @@ def test_a_study_file_may_name_an_own_law(law: str, mission: Path, tmp_path: Pat
 
 BAD = {
     "return 3": "returns int, not LawSource",
-    "1 / 0": r"line 9: made: fails with ZeroDivisionError",
+    "1 / 0": r"line 10: made: fails with ZeroDivisionError",
     'return LawSource("guarded", hold)': "is the name of a built-in law",
     'return LawSource("surctl_guarded", hold)': "is the name of a built-in law",
     "return LawSource('a\"b', hold)": "is not a C identifier",
@@ -179,14 +179,25 @@ BAD = {
     'return LawSource("a", hold, gains={"k_v": GainSpec("m", "x", default=1.0)})': "or input of every law",
     'return LawSource("a", hold, state=(Port("side", (1,), "m", "x"),))': "or input of every law",
     'return LawSource("a", hold, state=(Port("z", (1,), "", "x"),))': "has no unit",
-    'return LawSource("a", lambda s: hold(s, ca.SX.sym("z")))': r"my_law.py:made: .*variables \[z\] are free",
+    'return LawSource("a", lambda s: hold(s, ca.SX.sym("z")))': r"my_law.py:made: .*not its arguments: z;",
+    'return LawSource("a", lambda s: hold(s, math.sin(s.eta[0])))': r"line \d+: made: .*use casadi.sin instead",
+    'return LawSource("a", None)': r"a\.decide: is of type NoneType; give a function",
+    'return LawSource("a", hold, gains=[])': r"a\.gains: is of type list",
+    'return LawSource("a", hold, gains={"g": GainSpec("m", "x", default="1")})': r"a\.gains\.g = '1': is not a number",
+    'return LawSource("a", hold, gains={"g": GainSpec("m", "x", default=1.0, range=(1,))})': r"range = \(1,\): is not",
+    'return LawSource("a", hold, gains={"g": GainSpec("m", "x", default=9.0, range=(1, 2))})': "is outside its range",
+    'return LawSource("a", hold, sensing="truth")': r"a\.sensing = 'truth': is not a tuple of texts",
+    'return LawSource("a", hold, sensing=("radar",))': r"a\.sensing = 'radar': is not known; known: sonar, truth",
+    'return LawSource("a", hold, modes=("fast",))': r"a\.modes = 'fast': is not known",
+    'return LawSource("a", hold, state=Port("z", (1,), "m", "x"))': r"a\.state: is one port; write \(port,\)",
+    'return LawSource("a", lambda s: Decision(hold(s).levels[0]))': "a.levels: is one task",
     'return LawSource("a", lambda s: hold(s, ca.erf(s.eta[0])))': "my_law.py:made: .*operation 'erf' is not supported",
     'return LawSource("a", lambda s: hold(s, 1 if s.eta[0] > 0 else 0))': "use casadi.if_else",
-    'return LawSource("a", lambda s: hold(s, s.p["dept"]))': "KeyError: 'dept'",
+    'return LawSource("a", lambda s: hold(s, s.p["dept"]))': "dept: no such name here; did you mean 'depth'",
     'return LawSource("a", lambda s: Decision(hold(s).levels, velocity=ca.SX.zeros(3)))': "has shape",
     'return LawSource("a", lambda s: Decision(hold(s).levels, state={"z": 1}))': "is not a state port of this law",
     'return LawSource("a", lambda s: Decision(hold(s).levels, state={"side": ca.MX.sym("q")}))': "is of type MX",
-    'return LawSource("a", hold, state=(Port("z", (-1,), "m", "x"),))': "has no entries",
+    'return LawSource("a", hold, state=(Port("z", (-1,), "m", "x"),))': "is not a shape",
     'return LawSource("a", hold, thrust=lambda w, nu, z, p, dt: w)': "returned SX; return",
 }
 
@@ -194,7 +205,8 @@ BAD = {
 @pytest.mark.parametrize("body", BAD)
 def test_each_mistake_is_one_line_with_the_file(tmp_path: Path, body: str) -> None:
     (tmp_path / "my_law.py").write_text(
-        "import casadi as ca\nfrom surctl.control import Decision, GainSpec, LawSource\nfrom surctl.ir import Port\n"
+        "import math\nimport casadi as ca\n"
+        "from surctl.control import Decision, GainSpec, LawSource\nfrom surctl.ir import Port\n"
         "from surctl.tasks import depth_task\n\ndef hold(s, depth=0):\n"
         '    return Decision([depth_task(s.eta, s.p["depth"] + depth, gain=0.4)])\n'
         f"def made():\n    {body}\n"

@@ -246,7 +246,7 @@ def test_mistakes_are_named() -> None:
         repeat("ends", lambda s, a: ([s], []), [ca.SX([0, 0])], [row], until=0)
     with Recording() as recording:
         total = fold("sums", lambda s, a: s + a[0], ca.SX(0), row)
-    with pytest.raises(InputError, match="sums_of: cannot be lowered"):
+    with pytest.raises(InputError, match="sums_of: uses symbols that are not its arguments: row_0"):
         recording.block("sums_of", {}, {"total": total})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -41,8 +42,46 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: plant(lambda x, f, d, p: {**GOOD, "rate": 1 if x["angle"] > 0 else 2}),
         r"body\.ode: fails on CasADi symbols",
     ),
+    "a number": (
+        lambda: plant(lambda x, f, d, p: {**GOOD, "rate": 3}),
+        r"body\.ode: returns numbers, which depend on no",
+    ),
+    "math": (
+        lambda: plant(lambda x, f, d, p: {**GOOD, "rate": math.sin(x["angle"])}),
+        r"body\.ode: fails on CasADi symbols .*use casadi\.sin instead of math\.sin",
+    ),
+    "math in a stop": (
+        lambda: replace(level(), stops={"s": lambda s: math.cos(s.x["height"]) > 1}),
+        r"^stops\.s: .*use casadi\.sin",
+    ),
+    "unknown name": (
+        lambda: plant(lambda x, f, d, p: {**GOOD, "rate": x["rat"]}),
+        r"body\.ode: rat: no such name here; did you mean 'rate'",
+    ),
+    "no function": (lambda: plant(3), r"body\.ode: is of type int; give a function"),
+    "unit None": (lambda: replace(ANGLE, unit=None), r"port angle\.unit: is not a text"),  # type: ignore[arg-type]
+    "shape": (lambda: replace(ANGLE, shape=1), r"port angle\.shape = 1: is not a shape; write \(n,\)"),  # type: ignore[arg-type]
+    "negative shape": (lambda: replace(ANGLE, shape=(-1,)), r"port angle\.shape = \(-1,\): is not a shape"),
+    "default NaN": (lambda: replace(ANGLE, default=np.nan), r"port angle\.default = nan: is not a finite number"),
+    "default text": (lambda: replace(ANGLE, default="1"), r"angle\.default = '1': is not a finite"),  # type: ignore[arg-type]
+    "one port": (lambda: Layout(ANGLE), r"port angle: is one port; write Layout"),  # type: ignore[arg-type]
+    "texts": (lambda: Layout(("angle",)), r"Layout = 'angle': is no Port"),  # type: ignore[arg-type]
+    "two ports": (lambda: Layout((ANGLE, ANGLE)), r"angle: is the name of two ports"),
+    "name None": (lambda: replace(state_feedback(), name=None), r"name: is not a C identifier"),  # type: ignore[arg-type]
+    "one name": (
+        lambda: System(
+            plant(lambda x, f, d, p: {**GOOD, "rate": f["angle"]}, inputs=Layout((replace(TORQUE, name="angle"),))),
+            controller(lambda x, u, p: 0, inputs=Layout((RATE,)), command=Layout((replace(TORQUE, name="angle"),))),
+        ),
+        r"^angle: is the name of a state and of a command; rename one",
+    ),
+    "status": (lambda: controller(lambda x, u, p: Action(0, status=-5)), r"law\.status = -5\.0: is negative; return 0"),
+    "built-in": (lambda: replace(state_feedback(), name="surctl_guarded"), r"surctl_guarded': begins with surctl_"),
     "numpy": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": np.interp(x["angle"], [0, 1], [0, 1])}), r"body\.ode"),
-    "free symbol": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": ca.SX.sym("q")}), r"body: cannot be lowered"),
+    "free symbol": (
+        lambda: plant(lambda x, f, d, p: {**GOOD, "rate": ca.SX.sym("q")}),
+        r"body: uses symbols that are not its arguments: q;",
+    ),
     "operation": (lambda: plant(lambda x, f, d, p: {**GOOD, "rate": ca.erf(x["angle"])}), r"erf"),
     "no unit": (
         lambda: plant(lambda x, f, d, p: GOOD, inputs=Layout((replace(TORQUE, unit=" "),))),
@@ -54,8 +93,13 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
         lambda: replace(pendulum_plant(), outputs=Layout((ANGLE,)), measure=None),
         r"pendulum\.measure: is missing",
     ),
-    "no period": (lambda: replace(state_feedback(), dt=0.0), r"state_feedback\.dt = 0\.0: is not a positive time"),
-    "NaN period": (lambda: replace(state_feedback(), dt=np.nan), r"dt = nan: is not a positive time"),
+    "no period": (lambda: replace(state_feedback(), dt=0.0), r"state_feedback\.dt = 0\.0: is not a control period"),
+    "period True": (lambda: replace(state_feedback(), dt=True), r"dt = True: is not a control period"),
+    "tiny period": (
+        lambda: replace(state_feedback(), dt=1e-300),
+        r"dt = 1e-300: is not .* give seconds, at least 1e-09",
+    ),
+    "NaN period": (lambda: replace(state_feedback(), dt=np.nan), r"dt = nan: is not a control period"),
     "no command": (lambda: controller(lambda x, u, p: 0, command=Layout(())), r"commands nothing"),
     "state lost": (
         lambda: controller(lambda x, u, p: u["angle"], state=Layout((Port("z", (1,), "1", ""),))),
@@ -95,7 +139,7 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "figure of a free symbol": (
         lambda: replace(level(), costs={"f": Cost(lambda s: ca.SX.sym("q"), "max", "1")}),
-        r"^costs\.f: cannot be lowered",
+        r"^costs\.f: uses symbols that are not",
     ),
     "figure size": (
         lambda: replace(level(), costs={"f": Cost(lambda s: ca.SX(2, 1), "max", "1")}),
@@ -103,6 +147,19 @@ MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     ),
     "reference": (lambda: replace(level(), reference=lambda t, r: {"target": t, "x": t}), r"reference\.x: is returned"),
     "substeps": (lambda: replace(level(), substeps=0), r"substeps = 0: is not a number of steps"),
+    "substeps True": (lambda: replace(level(), substeps=True), r"substeps = True: is not a number of steps"),
+    "too many substeps": (lambda: replace(level(), substeps=10**9), r"substeps = 1000000000: .* from 1 to 1000"),
+    "costs in a list": (lambda: replace(level(), costs=[]), r"costs: is of type list; write \{"),  # type: ignore[arg-type]
+    "a stop named time": (
+        lambda: replace(level(), stops={"time": lambda s: s.t > 9}),
+        r"^stops\.time: is the reason of",
+    ),
+    "figure without unit": (lambda: replace(level(), costs={"f": Cost(lambda s: s.t, "max", "")}), r"f: has no unit"),
+    "bound": (
+        lambda: replace(level(), costs={"f": Cost(lambda s: s.t, "max", "m", at_most=np.nan)}),
+        r"^costs\.f\.at_most = nan: is not a number; give a bound in m",
+    ),
+    "a class": (lambda: replace(level(), controller=Controller), r"^controller: is of type type; give a surctl"),  # type: ignore[arg-type]
 }
 
 

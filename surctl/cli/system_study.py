@@ -1,0 +1,134 @@
+"""`surctl study FILE.py:FUNCTION`: run, margins, region, sweep and C code of a system of the user's own on one page."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from surctl.cli.output import finish, progress
+from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
+from surctl.cli.system_simulate import cost_data, cost_lines, end_text
+
+if TYPE_CHECKING:
+    from surctl.tuning.design import Design
+
+__all__ = ["study_system"]
+
+_AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
+
+
+def study_system(words: Sequence[str], *, seconds: float | None, workers: int, out: Path, as_json: bool) -> None:
+    """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
+    from surctl import __version__
+    from surctl.cli.motion_verify import solution_lines
+    from surctl.cli.system_region import region_words
+    from surctl.cli.system_sweep import best_line, best_points
+    from surctl.cli.system_verify import disk_line, linear_loop
+    from surctl.errors import InputError
+    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.process import build_controller
+    from surctl.export.sil import compare_runs
+    from surctl.files import prepare_folder, write_file
+    from surctl.lyapunov import solve
+    from surctl.report.system_page import SystemStudy, render_system_page
+    from surctl.system import run_system, simulate_system
+
+    own = load_system(words)
+    axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
+    others, region = region_words([word for word in own.settings if word not in stated])
+    duration, values = own.seconds(seconds), assigned(others)
+    problem = None if region is None else region.problem(own.system, values)
+    axes = axes or _default_axes(own, values)
+    design = _design(own, axes, values)
+    prepare_folder(out)
+    check_folder(out / "export")
+    progress("run")
+    record = run_system(own.system, duration, values)
+    controller = own.system.controller
+    progress("comparing C with Python")
+    bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
+    files = write_bundle(bundle, out / "export")
+    with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
+        (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
+    try:
+        linear, why = linear_loop(own, values), ""
+    except InputError as error:
+        linear, why = None, error.problem
+    solution = None
+    if problem is not None:
+        progress("region of attraction")
+        solution = solve(problem, progress=progress)
+    runs, best, swept = None, {}, {}
+    if design is not None:
+        progress(f"sweep of {len(design.points)} points")
+        swept = {name: design.points[:, k] for k, name in enumerate(design.names)}
+        runs = simulate_system(own.system, duration, {**values, **swept}, threads=workers)
+        best = best_points(own, design, runs)
+    about = [word for word in others if not word.startswith("start.")]
+    study = SystemStudy(
+        title=f"Study of {own.title}", record=record, resting={} if linear is None else linear.resting,
+        stable=None if linear is None else linear.stable, mode=why if linear is None else linear.mode,
+        margins=() if linear is None else linear.margins,
+        disks=[] if linear is None else [disk_line(what, margin) for what, margin in linear.together.items()],
+        solution=solution,
+        claim=[] if solution is None else [" ".join(line.split()) for line in solution_lines(solution)],
+        swept=swept, runs=runs, best=[best_line(own, name, row) for name, row in best.items()], sil=sil,
+        commands={
+            "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
+            "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
+            "verify": command_line("verify", own, *[w for w in own.settings if w not in stated], "--out", "proofs"),
+            "sweep": command_line("sweep", own, *axes, *about, "--seconds", f"{duration:g}"),
+        },
+        version=__version__,
+    )  # fmt: skip
+    report = write_file(out / "report.html", render_system_page(study))
+    marks = {True: "ok  ", False: "FAIL", None: "    "}
+    lines = [f"study {own.title}: {'passed' if study.passed else 'NOT passed'}"]
+    lines += [f"{marks[check.good]} {check.text}" for check in study.checks]
+    lines += [end_text(own, record), *cost_lines(own.system, record.figures), *study.best]
+    lines += ["", f"code   {out / 'export'} ({len(files)} files)", f"report {report}"]
+    data: dict[str, Any] = {
+        **own.names,
+        "passed": study.passed,
+        "checks": [{"passed": check.good, "text": check.text} for check in study.checks],
+        "stopped": record.stopped,
+        "costs": cost_data(own.system, record.figures),
+        "linear": None if linear is None else linear.data,
+        "region": None if solution is None else solution.to_dict(),
+        "best": best,
+        "sil": sil.to_dict(),
+        "report": str(report),
+    }
+    then = [study.commands["run"]]
+    if best:
+        at = next(iter(best.values()))["at"]
+        then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
+    finish(data, lines, as_json=as_json, passed=study.passed, then=then if study.passed else ())
+
+
+def _default_axes(own: OwnSystem, values: Mapping[str, object]) -> list[str]:
+    """Return axes from half to twice the default of the first gains; none without costs."""
+    gains = [port for port in own.system.controller.gains if port.size == 1 and port.default > 0]
+    free = [port for port in gains if port.name not in values] if own.system.costs else []
+    return [f"{port.name}={port.default / 2:.4g}..{port.default * 2:.4g}:{_POINTS}" for port in free[:_AXES]]
+
+
+def _design(own: OwnSystem, axes: Sequence[str], values: Mapping[str, object]) -> Design | None:
+    """Return the grid of the sweep; None without axes."""
+    from surctl.errors import InputError
+    from surctl.system.values import check_scalar
+    from surctl.tuning.axes import parse_axis
+    from surctl.tuning.design import make_design
+
+    if axes and not own.system.costs:
+        raise InputError("has no costs", key="system", value=own.label, remedy="give System(..., costs={...})")
+    if not axes:
+        return None
+    design = make_design("grid", [parse_axis(text) for text in axes])
+    for name in design.names:
+        check_scalar(own.system, name)
+        if name in values:
+            raise InputError("is given twice", key=name, remedy="give a value or an axis")
+    return design

@@ -1,0 +1,221 @@
+"""The report of a study of a system of the user's own: run, margins, region, sweep, export and signals on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from surctl.export import SilReport
+from surctl.ir import Layout
+from surctl.lyapunov import Solution
+from surctl.report.document import Block, Cell, Check, Paragraph, Pictures, Section, Table, outcome_cell, picture
+from surctl.report.motion_plots import plot_motion
+from surctl.report.page import render_sections
+from surctl.report.system_plot import plot_record
+from surctl.report.system_plots import plot_dependence
+from surctl.report.words import number
+from surctl.system import ENDED, LOST, Record, Runs, entry_labels, entry_units
+from surctl.verification import LoopMargins
+
+__all__ = ["SystemStudy", "render_system_page"]
+
+
+@dataclass(frozen=True)
+class SystemStudy:
+    """The results of a study of a system.
+
+    Attributes:
+        title: names of plant and controller.
+        record: the run.
+        resting: (label, value, unit) of every number at the equilibrium, by kind; empty if there is none.
+        stable: whether the linear loop about the equilibrium is stable; None if it is not judged.
+        mode: what the slowest mode does; without an equilibrium, why the margins are not judged.
+        margins: margins of the loops opened at one command.
+        disks: lines with the disk margins of loops opened at once.
+        solution: the region of attraction; None if none was requested.
+        claim: lines that state the solution.
+        swept: numbers (n,) of the runs of the sweep by name; empty if nothing was swept.
+        runs: the runs of the sweep.
+        best: lines with the best point of each cost.
+        sil: comparison of C and Python.
+        commands: the command lines of the study, of the run, of the margins and claim, and of the sweep.
+        version: version of surctl.
+    """
+
+    title: str
+    record: Record
+    resting: Mapping[str, Sequence[tuple[str, float, str]]]
+    stable: bool | None
+    mode: str
+    margins: Sequence[LoopMargins]
+    disks: Sequence[str]
+    solution: Solution | None
+    claim: Sequence[str]
+    swept: Mapping[str, ArrayLike]
+    runs: Runs | None
+    best: Sequence[str]
+    sil: SilReport
+    commands: Mapping[str, str]
+    version: str
+
+    @property
+    def checks(self) -> list[Check]:
+        """Return the lines of the summary."""
+        record, sil = self.record, self.sil
+        ended = f"the run ends after {record.duration:.6g} s ({record.lost or record.stopped})"
+        checks = [Check(True if record.stopped == ENDED else False if record.stopped == LOST else None, ended, "run")]
+        for name, cost in record.system.costs.items():
+            if cost.at_most is not None:
+                text = (
+                    f"{name} = {number(record.figures[name])} {cost.unit}, at most {number(cost.at_most)} {cost.unit}"
+                )
+                checks.append(Check(record.figures[name] <= cost.at_most, text, "run"))
+        if self.stable is None:
+            checks.append(Check(None, f"margins not judged: {self.mode}", "margins"))
+        else:
+            disk = f"; {self.disks[0]}" if self.stable and self.disks else ""
+            text = f"the sampled linear loop is {'stable' if self.stable else 'UNSTABLE'}{disk}"
+            checks.append(Check(self.stable, text, "margins"))
+        if self.solution is not None:
+            checks.append(Check(self.solution.verdict == "proved", f"region of attraction: {self.claim[0]}", "region"))
+        most = max(sil.tau.mixed, sil.state.mixed, sil.telemetry.mixed)
+        text = (
+            f"C and Python differ by at most {most:.1e} over {sil.steps} steps, {sil.fault_cases} invalid inputs tried"
+        )
+        checks.append(Check(sil.passed, text, "export"))
+        return checks
+
+    @property
+    def passed(self) -> bool:
+        """Return whether no line of the summary fails."""
+        return all(check.good is not False for check in self.checks)
+
+
+def render_system_page(study: SystemStudy) -> str:
+    """Return the report as one HTML text without links to the network; all text is escaped.
+
+    `surctl study FILE.py:FUNCTION --seconds S` writes it.
+    """
+    failed = sum(check.good is False for check in study.checks)
+    outcome = ("bad", f"✗ {failed} {'check fails' if failed == 1 else 'checks fail'}.")
+    system = study.record.system
+    return render_sections(
+        title=study.title,
+        subject=f"Plant {system.plant.name}, controller {system.controller.name}, control period {system.dt:g} s.",
+        version=study.version,
+        command=study.commands["study"],
+        outcome=outcome if failed else ("good", "✓ All checks hold."),
+        summary=study.checks,
+        sections=[section for section in _sections(study) if section.blocks],
+    )
+
+
+def _sections(study: SystemStudy) -> list[Section]:
+    sil = [Paragraph(line.strip()) for line in study.sil.summary().splitlines()]
+    return [
+        Section("run", "Run", _run(study)),
+        Section("margins", "Equilibrium and margins", _margins(study)),
+        Section("region", "Region of attraction", _region(study)),
+        Section("sweep", "Sweep", _sweep(study)),
+        Section("export", "Export as C", tuple(sil)),
+        Section("signals", "Signals, parameters and gains", _ports(study.record)),
+    ]
+
+
+def _run(study: SystemStudy) -> tuple[Block, ...]:
+    record, command = study.record, study.commands["run"]
+    drawn = picture(
+        plot_record(record),
+        alt=f"States, commands and references over {record.duration:.6g} s",
+        caption="States, commands and references over time; commands are constant between control instants.",
+        command=command,
+    )
+    rows = tuple(
+        (Cell(name, code=True), Cell(number(record.figures[name]), number=True), cost.unit, cost.how, cost.meaning)
+        for name, cost in record.system.costs.items()
+    )
+    table = Table("Costs of the run", ("cost", "value", "unit", "over the run", "meaning"), rows)
+    return (Pictures((drawn,)), *([table] if rows else []))
+
+
+def _margins(study: SystemStudy) -> tuple[Block, ...]:
+    if study.stable is None:
+        return (Paragraph(f"Not judged: {study.mode}.", "note"),)
+    rest = tuple(
+        (kind, Cell(label, code=True), Cell(number(value, digits=6), number=True), unit)
+        for kind, rows in study.resting.items()
+        for label, value, unit in rows
+    )
+    rows = tuple(
+        (
+            Cell(m.name, code=True), outcome_cell(m.stable, "stable", "UNSTABLE"),
+            *(Cell(number(v), number=True) for v in (
+                m.gain_margin, m.least_gain, m.phase_margin_deg, m.delay_margin_s, m.disk_margin)),
+        )
+        for m in study.margins
+    )  # fmt: skip
+    heads = (
+        "opened at", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
+        "disk margin [1]",
+    )  # fmt: skip
+    text = "The sampled loop, linear about its equilibrium, is opened at one command while all others stay closed."
+    return (
+        Paragraph(text),
+        Table("Margins", heads, rows),
+        *map(Paragraph, study.disks if study.stable else ()),
+        Paragraph(f"Slowest mode: {study.mode}."),
+        Table("Equilibrium", ("kind", "entry", "value", "unit"), rest),
+    )
+
+
+def _region(study: SystemStudy) -> tuple[Block, ...]:
+    solution = study.solution
+    if solution is None:
+        return ()
+    proved = solution.verdict == "proved"
+    blocks: list[Block] = [Paragraph(study.claim[0], "good" if proved else "bad"), *map(Paragraph, study.claim[1:])]
+    claim = None if solution.decision is None else solution.decision.claim
+    if claim is not None and hasattr(claim, "level"):
+        drawn = plot_motion(claim.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+        text = "Level set of the Lyapunov function, with solutions of the dynamics."
+        blocks.append(Pictures((picture(drawn, alt=text, caption=text, command=study.commands["verify"]),)))
+    return (*blocks, Paragraph(f"Limits of the claim: {solution.problem.dynamics.source}."))
+
+
+def _sweep(study: SystemStudy) -> tuple[Block, ...]:
+    if study.runs is None:
+        return ()
+    drawn = tuple(
+        picture(
+            plot_dependence(study.swept, study.runs, name),
+            alt=f"{name} over each number of the sweep",
+            caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
+            command=study.commands["sweep"],
+        )
+        for name, cost in study.record.system.costs.items()
+    )
+    return (Paragraph(f"{len(study.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(drawn))
+
+
+def _ports(record: Record) -> tuple[Block, ...]:
+    system = record.system
+    layouts: dict[str, Layout] = {
+        "state": system.plant.state, "command": system.commands, "reference": system.references,
+        "measured output": system.plant.outputs, "disturbance": system.plant.disturbances,
+        "controller state": system.controller.state, "telemetry": system.telemetry,
+        "plant parameter": system.plant.parameters, "gain": system.controller.gains,
+    }  # fmt: skip
+    rows = []
+    for kind, layout in layouts.items():
+        meanings = [port.meaning for port in layout for _ in range(port.size)]
+        nominal = layout.pack()
+        if kind == "gain":
+            nominal = record.controller[2]
+        for label, unit, value, meaning in zip(
+            entry_labels(layout), entry_units(layout), nominal, meanings, strict=True
+        ):
+            rows.append((kind, Cell(label, code=True), Cell(number(float(value)), number=True), unit, meaning))
+    heads = ("kind", "entry", "value by default", "unit", "meaning")
+    return (Table("Signals, parameters and gains of this run", heads, tuple(rows)),)
