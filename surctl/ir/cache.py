@@ -11,8 +11,11 @@ import os
 import platform
 import stat
 import tempfile
+import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 
 from surctl.errors import SurctlError
@@ -21,6 +24,8 @@ from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_co
 __all__ = ["CacheUnused", "cache_folder", "cached_bytes", "shared_library"]
 
 _SHARED = ("-shared", "-fPIC")
+_LOCKS = "locks"
+_PATIENCE, _PAUSE = 120.0, 0.02  # [s] longest wait for another process, and time between two attempts
 _NOTE = hashlib.sha256().digest_size  # size of the digest, stored before the entry in the same file
 
 
@@ -49,8 +54,8 @@ def cache_folder() -> Path:
 def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: Path | None = None) -> bytes:
     """Return the bytes of the cache entry `key`; if there is no such entry, store and return the bytes of `build`.
 
-    If several processes build one entry at the same time, each process uses the bytes that it built itself, and the
-    bytes of the last process are stored.
+    If several processes need one entry at the same time, one of them builds it and the others wait. Without locks (in a
+    new folder, or on Windows) each uses the bytes that it built itself, and the bytes of the last one are stored.
 
     Args:
         key: hexadecimal digest of everything on which the bytes depend.
@@ -72,8 +77,12 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
     stored = _read(path)
     if stored is not None:
         return stored
-    built = build()
-    why = _write(path, built)
+    with _locked(place, key):
+        stored = _read(path)
+        if stored is not None:  # another process has built it in the meantime
+            return stored
+        built = build()
+        why = _write(path, built)
     if why:
         text = f"the cache folder {place} is not used: {why}; each process builds its own results (set SURCTL_CACHE)"
         warnings.warn(text, CacheUnused, stacklevel=2)
@@ -140,6 +149,45 @@ def _is_ours(path: Path) -> bool:
     if stat.S_ISLNK(status.st_mode) or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return False
     return not hasattr(os, "getuid") or status.st_uid == os.getuid()
+
+
+@contextmanager
+def _locked(folder: Path, key: str) -> Iterator[None]:
+    """Hold the lock of a cache entry, so that one process builds it while others wait; nothing else relies on it.
+
+    There is no lock if the folder does not exist yet or has no locks, nor after `_PATIENCE` if its owner is stopped.
+    """
+    # one byte of one file for each entry, since a file for each entry would have to be cleaned up
+    byte = int(hashlib.sha256(key.encode()).hexdigest()[:7], 16)
+    try:
+        import fcntl
+
+        file = _lock_file(folder) if _is_ours(folder) else None
+    except (OSError, ImportError):  # on a network, without the right to write, or on Windows
+        file = None
+    if file is None:
+        yield
+        return
+    began = time.monotonic()
+    while time.monotonic() - began < _PATIENCE:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, byte)
+            break
+        except BlockingIOError:
+            time.sleep(_PAUSE)
+        except OSError:
+            break
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            fcntl.lockf(file, fcntl.LOCK_UN, 1, byte)
+
+
+@cache
+def _lock_file(folder: Path) -> int:
+    # stays open: to close it would release all locks of this process, also those of an outer entry
+    return os.open(folder / _LOCKS, os.O_WRONLY | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o600)
 
 
 def _write(path: Path, body: bytes) -> str:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import multiprocessing
 import os
+import time
 from contextlib import nullcontext
+from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import casadi as ca
@@ -113,7 +115,7 @@ def test_any_bytes_are_stored_under_their_key_and_suffix(tmp_path: Path) -> None
         assert cached_bytes(key, suffix, lambda body=body: body, folder=tmp_path) == body  # type: ignore[misc]
     for (key, suffix), body in entries.items():
         assert cached_bytes(key, suffix, lambda: b"built anew", folder=tmp_path) == body
-    assert len(list(tmp_path.iterdir())) == len(entries)
+    assert len(list(tmp_path.glob("*.*"))) == len(entries)
 
 
 def test_what_cannot_be_built_leaves_nothing(tmp_path: Path) -> None:
@@ -131,7 +133,7 @@ def test_processes_that_build_at_once_all_succeed(tmp_path: Path) -> None:
     with multiprocessing.get_context("spawn").Pool(2) as pool:
         seen = pool.map(_written_and_read, [(tmp_path / "c", k) for k in range(4)], chunksize=1)
     assert sum(seen) > 0  # entries of another process were read, each of them whole
-    assert len(list((tmp_path / "c").iterdir())) == 40
+    assert len(list((tmp_path / "c").glob("*.law"))) == 40
 
 
 def _written_and_read(task: tuple[Path, int]) -> int:
@@ -145,6 +147,50 @@ def _written_and_read(task: tuple[Path, int]) -> int:
         assert len(found) == 100_000 and len(set(found)) == 1
         others += found[0] != own
     return others
+
+
+def test_of_processes_that_need_an_entry_at_once_one_builds_it_also_within_another(tmp_path: Path) -> None:
+    built = tmp_path / "built"
+    built.touch()
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        assert set(pool.map(_slowly, [tmp_path] * 2, chunksize=1)) == {b"outer inner"}
+    assert sorted(built.read_text().split()) == ["inner", "outer"]
+
+
+def _slowly(folder: Path) -> bytes:
+    def build(word: str, rest: bytes) -> bytes:
+        with (folder / "built").open("a") as file:
+            file.write(f"{word} ")
+        return word.encode() + rest
+
+    def outer() -> bytes:
+        inner = cached_bytes("01", ".law", lambda: build("inner", b""), folder=folder)
+        time.sleep(0.5)
+        return build("outer", b" " + inner)
+
+    (folder / f"ready {os.getpid()}").touch()
+    while len(list(folder.glob("ready *"))) < 2:
+        time.sleep(0.01)
+    return cached_bytes("00", ".law", outer, folder=folder)
+
+
+def test_an_entry_whose_owner_is_stopped_is_built_after_a_while(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_PATIENCE", 0.1)
+    taken = multiprocessing.get_context("spawn").Event()
+    owner = multiprocessing.get_context("spawn").Process(target=_taken, args=(tmp_path, taken))
+    owner.start()
+    taken.wait()
+    assert cached_bytes("00", ".law", lambda: b"law", folder=tmp_path) == b"law"
+    owner.kill()
+    owner.join()
+
+
+def _taken(folder: Path, taken: Event) -> None:
+    with module._locked(folder, "00"):
+        taken.set()
+        time.sleep(100.0)
 
 
 def test_without_a_place_to_write_it_works_and_leaves_nothing(builds: list[str], tmp_path: Path) -> None:
