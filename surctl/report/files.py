@@ -174,7 +174,7 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
         >>> [path.name for path in save_tuning(tuning, "pictures")]
         ['tuning-goals.png', 'tuning-front.png', 'tuning-soon.png', 'tuning-clear.png']
     """
