@@ -55,7 +55,7 @@ def test_the_study_of_the_prover() -> None:
     done = run(ANALYSIS / "14_claim_prover" / "run.py", "--quick")
     assert done.returncode == 0, done.stderr
     rows = [row for row in table(done.stdout) if len(row) == 7][2:]
-    assert len(rows) >= 10 and all(row[2] != "**not proved**" for row in rows)
+    assert len(rows) >= 5 and all(row[2] != "**not proved**" for row in rows)
 
 
 def test_the_study_of_hostile_gains_and_broken_time() -> None:
@@ -432,13 +432,13 @@ def test_the_sonar_s_filters_hold_their_bars(tmp_path: Path) -> None:
     done = run(SONAR, "--quick", "--out", str(out))
     assert done.returncode == 0, done.stdout + done.stderr
     bars = [line for line in done.stdout.splitlines() if line.startswith("- ")]
-    assert len(bars) == 9 and all(line.endswith(": holds") for line in bars)
+    assert len(bars) == 7 and all(line.endswith(": holds") for line in bars)
     accuracy = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 6}
     assert [name for name, row in accuracy.items() if row[-1] == "no"] == ["raw", "LMS printed"]
     faults = [row for row in table(done.stdout) if len(row) == 8 and row[0] != "fault"]
-    assert len(faults) == 3 * 10
-    for straight in (faults[:10], faults[10:20]):
-        assert all(row[2] == "100.0 %" for row in straight[1:]) and all(row[3] == "100.000 %" for row in straight)
+    assert len(faults) == 2 * 10
+    straight = faults[:10]
+    assert all(row[2] == "100.0 %" for row in straight[1:]) and all(row[3] == "100.000 %" for row in straight)
     assert len(list(out.glob("*.png"))) == 6
 
 

@@ -94,7 +94,7 @@ def main(arguments: list[str]) -> int:
         )
         eight = (proof, took, checked) if name == "region-heading-20" else eight
     if eight is not None:
-        limit = 2.0 if quick else CODAC_SECONDS
+        limit = 0.5 if quick else CODAC_SECONDS
         print(f"\nThe loop of 8 states: {against_codac(*eight, limit)}")
     return 0 if good else 1
 

@@ -75,10 +75,10 @@ def rate(x: Array, command: Array, p: Array) -> Array:
     psi, (u, v, w, r), tau = x[3], x[4:8], x[8:12]
     m, linear, quadratic, lag, constant = p[0:4], p[4:8], p[8:12], p[12], p[13:17]
     nu = x[4:8]
-    coriolis = np.stack([-m[1] * v * r, m[0] * u * r, 0.0 * u, (m[1] - m[0]) * u * v])
+    coriolis = np.array([-m[1] * v * r, m[0] * u * r, 0.0 * u, (m[1] - m[0]) * u * v])
     load = tau + constant - coriolis - linear * nu - quadratic * nu * np.abs(nu)
     c, s = np.cos(psi), np.sin(psi)
-    pose = np.stack([c * u - s * v, s * u + c * v, w, r])
+    pose = np.array([c * u - s * v, s * u + c * v, w, r])
     return np.concatenate([pose, load / m, (command - tau) / lag])
 
 

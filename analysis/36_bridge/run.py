@@ -193,7 +193,7 @@ def main() -> int:
     parts = (
         sessions(8 if chosen.quick else 1000),
         *([] if chosen.quick else [flights()]),
-        hour(20.0 if chosen.quick else HOUR),
+        hour(10.0 if chosen.quick else HOUR),
     )
     lines = [ABOUT.read_text(encoding="utf-8")]
     failures = 0

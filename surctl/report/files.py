@@ -133,7 +133,7 @@ def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
         >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
+        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=8)
         >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
         >>> print(save_sensitivity(found, "pictures").name)
         sensitivity-time_s.png
@@ -176,7 +176,7 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
         >>> [path.name for path in save_tuning(tuning, "pictures")]
         ['tuning-goals.png', 'tuning-front.png', 'tuning-soon.png', 'tuning-clear.png']
     """

@@ -121,7 +121,7 @@ def tune(
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
         >>> tuning.result.feasible, round(tuning.result.score, 2), tuning.result.gains["k_v"] > 1.5
         (True, 0.99, True)
     """

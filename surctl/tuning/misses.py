@@ -83,7 +83,7 @@ def misses(tuning: Tuning) -> tuple[Miss, ...]:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("fast", "time_s", "s", 15.0, kind="hard"),)
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
         >>> [miss] = misses(tuning)
         >>> miss.text
         'fast in pool-behind/sur400/truth, seed 0: time_s ... s (reached at ... s), bound ≤ 15 s; missed in 1 of 1 run'

@@ -26,7 +26,7 @@ def tuned_gains(tuning: Tuning) -> Gains:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
         >>> tuned = tuned_gains(tuning)
         >>> tuned.name, tuned["k_v"] > gains["k_v"], tuned["lookahead"] == gains["lookahead"]
         ('default-tuned', True, True)
@@ -80,7 +80,7 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
         >>> [row] = goal_rows(tuning)
         >>> row["name"], row["limit"], row["unit"], round(row["hand"], 2), round(row["tuned"], 1), row["met"]
         ('soon', 20.0, 's', 20.45, 19.9, True)
@@ -111,7 +111,7 @@ def summary(tuning: Tuning) -> list[str]:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
         >>> lines = summary(tuning)
         >>> print(lines[1])
         soon                    soft  s             ≤ 20       20.45        19.9     1.022 → 0.995
@@ -150,7 +150,7 @@ def tuning_dict(tuning: Tuning) -> dict[str, Any]:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=32, rounds=1, runs=0)
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
         >>> table = tuning_dict(tuning)
         >>> table["space"], table["goals"][0]["met"], table["best"]["feasible"], table["conflict"]
         ({'k_v': [0.375, 6.0]}, True, True, [])
