@@ -110,7 +110,7 @@ def _with(offset: float) -> dict[str, Any]:
 
 def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     rng, rejected, accepted = np.random.default_rng(5), 0, 0
-    for _ in range(60):
+    for _ in range(24):
         path, changed = altered(document(), ("claim", "proof"), rng)
         if not check_document(sealed(changed)).accepted:
             rejected += 1
@@ -119,7 +119,7 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
         p = _matrix(changed["proof"]["P"])
         assert quadratic(p, [Fraction(repr(changed["claim"]["motion"]["offset_m"])), *[Fraction(0)] * 5]) <= 1, path
         assert worst(changed, count=3000) <= 1e-9, path
-    assert rejected > 20 and accepted > 2  # neither everything nor nothing passes
+    assert rejected > 12 and accepted > 2  # neither everything nor nothing passes
 
 
 @pytest.mark.parametrize("terms", [{}, {"Yuv": 20.0, "Yur": -6.0, "Nuv": -9.0, "Nvv": 3.0, "Yvr": 2.0, "Nr": None}])

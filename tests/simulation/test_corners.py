@@ -19,9 +19,7 @@ VEHICLE, GAINS, SITE = load_vehicle("sur400"), load_gains("default"), load_scena
 FOLD = [[1, 2.5], [6, 2.5], [1.5, 2.9]]
 PATHS = {
     "closed": [[2, 1.5], [8, 1.5], [8, 3.5], [2, 3.5], [2, 1.5]],
-    "there and back": [[1, 2.5], [6, 2.5], [1, 2.5]],
     "ends beside its start": [[1, 2.5], [6, 2.5], [1.2, 2.5]],
-    "crossing": [[2, 1], [8, 4], [8, 1], [2, 4], [2, 1]],
     "a leg twice": [[2, 1.5], [6, 1.5], [6, 3.5], [2, 1.5], [6, 1.5]],
 }
 POST = Obstacle(name="post", shape="cylinder", centre_m=(5.2, 2.4), radius_m=0.15)

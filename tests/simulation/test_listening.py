@@ -36,16 +36,15 @@ SENSORS = {
         Sensors(replace(LATE, array=MOUNTED)),
     ),
     "two, every other instant, the truth about itself": ("tank-moving", Sensors(Equipment(array=SLOW, own=None))),
-    "a delay and chances": (
+    "faults and chances": (
         "pool-static",
         Sensors(
-            faults=(Fault(sensor=0, kind="delay", start_s=1.0, delay_s=0.3),),
+            faults=(
+                Fault(sensor=3, kind="delay", start_s=0.2, delay_s=0.3),
+                *(Fault(sensor=k % 4, kind=kind, start_s=1.0 + 0.7 * k) for k, kind in enumerate(KINDS)),
+            ),
             chances=FaultChances(dropout=0.1, spike=0.05, zero=0.02, maximum=0.05, second_echo=0.05, crosstalk=0.05),
         ),
-    ),
-    "every other fault": (
-        "pool-static",
-        Sensors(faults=tuple(Fault(sensor=k % 4, kind=kind, start_s=1.0 + k) for k, kind in enumerate(KINDS))),
     ),
 }
 
@@ -65,7 +64,7 @@ def test_the_compiled_loop_hears_what_the_reference_hears(name: str) -> None:
 
 def test_chances_are_knobs() -> None:
     need_compiler()
-    scenario = replace(load_scenario("pool-static"), time_limit=8.0)
+    scenario = replace(load_scenario("pool-static"), time_limit=4.0)
     case = Case(scenario, load_vehicle("sur400"), load_gains("default"), sensing="sonar")
     by_knob = simulate_batch(case, {"sonar.dropout": 0.4}, seeds=3).table
     by_file = replace(case, scenario=replace(scenario, sensors=Sensors(chances=FaultChances(dropout=0.4))))

@@ -134,7 +134,7 @@ def test_parameters_of_a_batch_hold_on_legs_that_do_not_say() -> None:
 
 
 def test_by_sonar_and_in_casadis_machine() -> None:
-    scenario = replace(written([[2, 5], [3, 5]], {"to_m": [4, 5], "depth_m": -1.1, "speed_m_per_s": 0.2}), time_limit=5)
+    scenario = replace(written([[2, 5], [3, 5]], {"to_m": [4, 5], "depth_m": -1.1, "speed_m_per_s": 0.2}), time_limit=3)
     case = Case(scenario, VEHICLE, GAINS, law="paper", sensing="sonar")
     run = simulate(scenario, VEHICLE, gains=GAINS, law=case.build(), sensing="sonar")
     same(case, np.array(run.metrics.row()))

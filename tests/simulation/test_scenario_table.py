@@ -56,7 +56,7 @@ def test_it_reads_back_the_same(name, sensors):
 
 
 def test_an_angle_of_a_file_comes_back_to_the_bit_and_any_other_to_the_next_number():
-    for k in range(1, 2000):
+    for k in range(1, 2000, 9):
         angle = k * 0.0893 * pi / 180.0
         for given, apart in ((angle, 0.0), (k * 0.0015 / 1.0000001, 2.0)):
             sonar = Sensors(Equipment(array=SonarArray(beam_angle=given)))

@@ -8,7 +8,7 @@ from surctl.errors import InputError
 from surctl.simulation.campaign import CHUNK, CampaignFolder, campaign, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 
-DRAWN = plan("tank-static", seconds=3.0)
+DRAWN = plan("tank-static", seconds=0.5)
 
 
 def fly(path, drawn, *, runs=5, fresh=False, threads=1):
@@ -64,8 +64,8 @@ OTHERS = {
     "another sensing": changed(sensing="sonar"),
     "another gains": changed(gains=replace(GAINS, name="mine")),
     "other numbers in the gains of this name": changed(gains=GAINS.with_values({"k_v": 1.234})),
-    "another scenario": plan("pool-static", seconds=3.0),
-    "other numbers in the scenario of this name": plan("tank-static", seconds=3.5),
+    "another scenario": plan("pool-static", seconds=0.5),
+    "other numbers in the scenario of this name": plan("tank-static", seconds=0.6),
     "other numbers in the vehicle of this name": changed(vehicle=DRAWN.case.vehicle.with_values({"m11": 99.0})),
     "another first seed": replace(DRAWN, first=1),
 }

@@ -15,17 +15,16 @@ from tests.simulation.campaign.test_worlds import worlds
 @pytest.mark.parametrize(
     "drawn",
     [
-        plan("tank-moving", first=3),
-        plan("tank-speed-015", law="paper", mode="nsb", avoidance="printed", seconds=20.0),
-        plan("tank-static", seconds=15.0, sensing="sonar"),
-        worlds(seconds=60.0, plant=True),
+        plan("tank-speed-015", law="paper", mode="nsb", avoidance="printed", seconds=10.0),
+        plan("tank-static", seconds=5.0, sensing="sonar"),
+        worlds(seconds=30.0, plant=True),
     ],
-    ids=["moving", "paper", "sonar", "worlds"],
+    ids=["paper", "sonar", "worlds"],
 )
 def test_a_worst_run_flown_again_equals_its_row(drawn, tmp_path):
     gains = GAINS.with_values({"k_v": 1.7})
     drawn = replace(drawn, case=replace(drawn.case, gains=gains))
-    flown = run_campaign(drawn, runs=12)
+    flown = run_campaign(drawn, runs=4)
     for kept, k in zip(flown.worst(2), flown.table.worst(2), strict=True):
         file = tmp_path / "run.toml"
         file.write_text(kept.to_toml())
