@@ -23,7 +23,7 @@ from surctl.ir import Layout, Port
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import load_scenario
 from surctl.vehicle import load_vehicle
-from tests.export.closed_form import exported, vehicle
+from tests.export.closed_form import SCENARIO, exported, vehicle
 from tests.export.standin import StandIn
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need, need_compiler, need_make
@@ -284,6 +284,20 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
     cleared = files["loop.c"].split("if ((loop->status >= 0) || (loop->refused >= ")[1]
     assert all(f"loop->input.{flag} = 0.0;" in cleared for flag in ("fix_fresh", "contacts_fresh", "fresh[k]"))
     assert 'FLAGS = ["fix_fresh", "contacts_fresh", "fresh"]' in files["surctl_guarded.py"]
+
+
+def test_what_the_readme_says_of_arrival_and_lost_fixes_holds() -> None:
+    _, bundle, flight = exported("float64")
+    mission = load_scenario(SCENARIO)
+    corners = np.array(mission.path.waypoints).reshape(-1, 2)
+    length = float(np.hypot(*np.diff(corners, axis=0).T).sum())
+    assert flight.X[-1, 0] == pytest.approx(length, abs=1e-9)  # progress at the end of a run that arrived
+    arrival = " ".join(bundle.files["README.md"].split("Arrival: ")[1].split())
+    assert "at the sum of the distances between the `waypoints`" in arrival
+    assert f"({mission.arrival_radius:g} m if it has none)" in arrival  # that of a mission file without the key
+    law = build_law(sonar=True)
+    lost = build_bundle(law, {}).files["README.md"].split("Lost fixes: ")[1]
+    assert f"({law.state.port('own_age').default:g} before the first;" in lost
 
 
 def test_a_module_of_whole_centimetres_with_one_number_a_firing_is_wired_as_such() -> None:
