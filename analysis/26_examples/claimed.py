@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -12,13 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.certcheck import check_document
-from surctl.lyapunov import Dynamics, Stability, State, decide_motion, find_stability
-from surctl.system import System, entry_labels, entry_units
+from surctl.lyapunov import Dynamics, Stability, continuous_dynamics, decide_motion, find_stability
+from surctl.system import System, entry_labels
 from surctl.system.values import run_numbers
 from surctl.verification.formula import from_casadi
 
 SECONDS = 20.0  # limit of the processor time of search and proof
-SAMPLES = 100
 
 Within = Mapping[str, tuple[float, float]]
 
@@ -27,37 +25,19 @@ def motion(system: System, within: Within, values: Mapping[str, ArrayLike], **op
     """Return the motion of some states with the law in continuous time, while the others stay at rest.
 
     Args:
-        system: the closed loop; the state z of its controller follows z' = (z⁺ - z) / dt.
-        within: lower and upper bound of the states that move, by the labels of `entry_labels`.
+        system: the closed loop.
+        within: lower and upper bound of the states that move, as in `continuous_dynamics`.
         values: numbers of one run; `start.…` is the equilibrium.
         options: further arguments of the controller's law.
     """
-    plant, law = system.plant, replace(system.controller, law=partial(system.controller.law, **options))
-    numbers = run_numbers(system, values)
-    start, d, p, r, gains = (
-        ca.SX(part[0].tolist())
-        for part in (numbers.start, numbers.disturbance, numbers.plant, numbers.reference, numbers.gains)
+    law = replace(system.controller, law=partial(system.controller.law, **options))
+    start = dict(zip(entry_labels(system.plant.state), run_numbers(system, values).start[0].tolist(), strict=True))
+    rest = start | dict(zip(entry_labels(law.state, "controller."), law.initial_state().tolist(), strict=True))
+    return continuous_dynamics(
+        replace(system, controller=law, reference=None, disturbance=None),
+        {label: (value, value) for label, value in rest.items()} | dict(within),
+        values={**values, **{f"start.{label}": value for label, value in start.items()}},
     )
-    labels = [*entry_labels(plant.state), *entry_labels(law.state)]
-    units = [*entry_units(plant.state), *entry_units(law.state)]
-    moves = [k for k, label in enumerate(labels) if label in within]
-    stays = [k for k, label in enumerate(labels) if label not in within]
-    whole, symbols = ca.vertcat(start, law.initial_state()), ca.SX.sym("x", len(moves))
-    states = [
-        State(re.sub(r"\W+", "_", labels[k]).strip("_"), *within[labels[k]], units[k], equilibrium=float(whole[k]))
-        for k in moves
-    ]
-    whole[moves] = symbols
-    x, z = whole[: plant.state.size], whole[plant.state.size :]
-    d, r = system.disturbance_at(ca.SX(0), d), system.reference_at(ca.SX(0), r)
-    command, after, *_ = law.action(z, system.inputs_of(plant.measurement(x, d, p), r), gains)
-    rates = ca.vertcat(plant.derivative(x, system.applied(command), d, p), (after - z) / system.dt)
-    low, high = np.array([[s.lower, s.upper] for s in states]).T[:, :, None]
-    samples = low + (high - low) * np.random.default_rng(0).random((len(states), SAMPLES))
-    if np.abs(np.asarray(ca.Function("rest", [symbols], [ca.densify(rates[stays])])(samples))).max(initial=0.0) > 1e-12:
-        raise SystemExit(f"other states of {plant.name} move too")
-    nodes = from_casadi(symbols, [s.name for s in states], ca.vertsplit(rates[moves]))
-    return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes))
 
 
 def print_claim(dynamics: Dynamics, about: str) -> bool:

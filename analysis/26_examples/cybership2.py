@@ -109,7 +109,9 @@ def main() -> int:
     record = run_system(system, 60.0, {**best, **start})
     print(f"the same run: cost {record['cost']:.4g}, within 0.05 m from {record['settling']:.1f} s on")
     stable = print_margins(linearise(system, {**best, **load}), *commands, "eta[2]")
-    dynamics = motion(system, {"eta[0]": (-2, 2), "nu[0]": (-1, 1), "total[0]": (-4, 4)}, best, limited=False)
+    dynamics = motion(
+        system, {"eta[0]": (-2, 2), "nu[0]": (-1, 1), "controller.total[0]": (-4, 4)}, best, limited=False
+    )
     proved = print_claim(dynamics, "motion along the hull, as long as no limit of thrust is reached")
     return 0 if back_to_back(record) and stable and proved else 1
 

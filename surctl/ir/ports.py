@@ -52,9 +52,11 @@ class Port:
         if len(sizes) not in (1, 2) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0 for n in sizes):
             remedy = "write (n,) for a vector, (rows, columns) for a matrix"
             raise InputError("is not a shape", key=f"{key}.shape", value=self.shape, remedy=remedy)
-        if not is_number(self.default):
-            remedy = "give one finite number, which all entries get"
-            raise InputError("is not a finite number", key=f"{key}.default", value=self.default, remedy=remedy)
+        default: object = self.default
+        entries = default.tolist() if isinstance(default, np.ndarray) and default.shape == (self.size,) else [default]
+        if not all(map(is_number, entries)):
+            remedy = "give one finite number, which all entries get, or an array with one for each"
+            raise InputError("is not a finite number", key=f"{key}.default", value=default, remedy=remedy)
 
     @cached_property
     def size(self) -> int:

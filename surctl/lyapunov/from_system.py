@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
+import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
@@ -18,7 +19,10 @@ from surctl.verification.formula import IDENTIFIER, from_casadi
 __all__ = ["NOT_COVERED", "continuous_dynamics"]
 
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
+_AS_FLOW = "; the controller state z follows z' = (z+ - z) / period"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
+
+_ROUNDING, _POINTS = 1e-12, 100
 
 Bounds = tuple[float, float]
 
@@ -32,19 +36,25 @@ def continuous_dynamics(
 ) -> Dynamics:
     """Return the dynamics x' = f(x, w) of plant and controller, as if the command followed the measurement at once.
 
+    A state z of the controller follows z' = (z⁺ - z) / period, which is the law that the controller samples.
+
     A claim that is proved about these dynamics does not cover the sampling of the controller: see `NOT_COVERED`. If all
     gains have values, the dynamics state the digests of plant and controller, so that `surctl check --bundle` can
     compare a certificate with an exported controller.
 
     Args:
-        system: the closed loop; its controller has no state, and reference and disturbance do not depend on time.
-        within: lower and upper bound of every state of the plant, by the labels of `entry_labels`, such as "angle".
+        system: the closed loop; reference and disturbance do not depend on time.
+        within: lower and upper bound of every state of the plant, by the labels of `entry_labels`, such as "angle", and
+            of every state of the controller, as "controller.sum". A state with equal bounds stays at this value; its
+            rate must be 0, up to rounding, whatever the other states are.
         values: numbers of one run as in `simulate_system`: gains, `plant.NAME`, `reference.NAME` and
-            `disturbance.NAME`, by default as there; `start.NAME` is the equilibrium, by default 0.
+            `disturbance.NAME`, by default as there; `start.NAME` is the equilibrium, by default 0. That of a
+            controller state is its initial value.
         ranges: lower and upper bound of single numbers, by the same names; each may vary in time between its bounds.
 
     Raises:
-        InputError: the controller has a state, an expression depends on time, a bound is missing, or a name is unknown.
+        InputError: an expression depends on time, a bound is missing, a name is unknown, or a state with equal bounds
+            moves.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -64,21 +74,20 @@ def continuous_dynamics(
     """
     plant, controller = system.plant, system.controller
     action = getattr(controller, "action", None)
-    if controller.state.size or action is None:
-        raise InputError(
-            "has a state of its own, so that its command is no function of the measurement", key=controller.name,
-            remedy="write plant and controller as one map x+ = f(x) in discrete time",
-        )  # fmt: skip
-    labels, units = entry_labels(plant.state), entry_units(plant.state)
+    if action is None:
+        remedy = "write plant and controller as one map x+ = f(x) in discrete time"
+        raise InputError("is compiled, without a symbolic law", key=controller.name, remedy=remedy)
+    labels = entry_labels(plant.state) + entry_labels(controller.state, "controller.")
+    units = entry_units(plant.state) + entry_units(controller.state)
     for label in within:
         if label not in labels:
-            raise InputError("is not a state of the plant", key=f"within.{label}", remedy=nearest(label, labels))
+            raise InputError("is not a state of the system", key=f"within.{label}", remedy=nearest(label, labels))
     missing = [label for label in labels if label not in within]
     if missing:
         raise InputError("is missing", key=f"within.{missing[0]}", remedy="give the lower and upper bound of the state")
     # start at 0, not at the defaults of the plant's state: the start is the equilibrium
-    rest = {f"start.{port.name}": 0.0 for port in plant.state}
-    numbers = run_numbers(system, {**rest, **(values or {})})
+    zero = {f"start.{port.name}": 0.0 for port in plant.state}
+    numbers = run_numbers(system, {**zero, **(values or {})})
     if numbers.count != 1:
         raise InputError("has several runs", key="values", remedy="give one number for each name")
     groups = ("plant", "gains", "reference", "disturbance")
@@ -92,26 +101,56 @@ def continuous_dynamics(
         free.append(ca.SX.sym(name))
         flat[group][place] = free[-1]
         parameters.append(Range(_identifier(name), float(low), float(high), unit_of(system, name)))
-    x, t = ca.SX.sym("x", plant.state.size), ca.SX.sym("t")
+    whole, t = ca.vertcat(numbers.start[0].tolist(), controller.initial_state().tolist()), ca.SX.sym("t")
+    moves = [k for k, label in enumerate(labels) if within[label][0] != within[label][1]]
+    for k in set(range(len(labels))) - set(moves):
+        whole[k] = within[labels[k]][0]
+    rest, symbols, whole = whole, ca.SX.sym("x", len(moves)), ca.SX(whole)
+    whole[moves] = symbols
+    x, z = whole[: plant.state.size], whole[plant.state.size :]
     reference = system.reference_at(t, flat["reference"])
     disturbance = system.disturbance_at(t, flat["disturbance"])
     y = plant.measurement(x, disturbance, flat["plant"])
-    command = action(ca.SX(0, 1), system.inputs_of(y, reference), flat["gains"])[0]
-    rates = plant.derivative(x, system.applied(command), disturbance, flat["plant"])
+    command, after, *_ = action(z, system.inputs_of(y, reference), flat["gains"])
+    flow = plant.derivative(x, system.applied(command), disturbance, flat["plant"])
+    rates = ca.densify(ca.vertcat(flow, (after - z) / system.dt))
     if ca.depends_on(rates, t):
         remedy = "use a constant reference and disturbance"
         raise InputError("depends on time", key=f"{plant.name}.reference", remedy=remedy)
     states = []
-    for label, unit, at in zip(labels, units, numbers.start[0].tolist(), strict=True):
-        low, high = within[label]
-        states.append(State(_identifier(label), float(low), float(high), unit, "", at))
+    for k in moves:
+        low, high = within[labels[k]]
+        states.append(State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k])))
     names = [v.name for v in (*states, *parameters)]
-    nodes = from_casadi(ca.vertcat(x, *free), names, ca.vertsplit(rates))
+    nodes = from_casadi(ca.vertcat(symbols, *free), names, ca.vertsplit(rates[moves]))
     gains = {port.name: numbers.gains[0, controller.gains.slice(port.name)].tolist() for port in controller.gains}
     about: dict[str, Any] = {"plant": plant.digest(), "controller": controller.block.digest(), "gains": gains}
     if any(place_of(system, name)[0] == "gains" for name in ranges or {}):
         about = {}
-    return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), NOT_COVERED, about)
+    limits = NOT_COVERED + _AS_FLOW * bool(controller.state.size)
+    resting = {label: rates[k] for k, label in enumerate(labels) if k not in moves}
+    limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters])
+    return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about)
+
+
+def _check_rest(resting: Mapping[str, ca.SX], symbols: ca.SX, variables: Sequence[State | Range]) -> str:
+    """Return what a claim leaves out of the states that rest: nothing, or the rounding errors of their rates.
+
+    Raises:
+        InputError: a rate is not 0.
+    """
+    apart = {label: rate for label, rate in resting.items() if not ca.simplify(rate).is_zero()}
+    if not apart:
+        return ""
+    low, high = np.array([[v.lower, v.upper] for v in variables]).T[:, :, None]
+    points = low + (high - low) * np.random.default_rng(0).random((len(variables), _POINTS))
+    rates = np.asarray(ca.Function("rates", [symbols], [ca.vertcat(*apart.values())])(points))
+    for label, row in zip(apart, np.abs(rates).max(axis=1), strict=True):
+        if not row <= _ROUNDING:
+            remedy = "give its lower and upper bound"
+            raise InputError("has equal bounds, but moves", key=f"within.{label}", remedy=remedy)
+    names = ", ".join(apart)
+    return f"; {names} stay at rest up to rounding (rates of at most {_ROUNDING:g} at {_POINTS} points)"
 
 
 def _identifier(label: str) -> str:

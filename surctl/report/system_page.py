@@ -126,7 +126,7 @@ def _sections(study: SystemStudy) -> list[Section]:
 
 def _run(study: SystemStudy) -> tuple[Block, ...]:
     record, command = study.record, study.commands["run"]
-    drawn = picture(
+    figures = picture(
         plot_record(record),
         alt=f"States, commands and references over {record.duration:.6g} s",
         caption="States, commands and references over time; commands are constant between control instants.",
@@ -137,7 +137,7 @@ def _run(study: SystemStudy) -> tuple[Block, ...]:
         for name, cost in record.system.costs.items()
     )
     table = Table("Costs of the run", ("cost", "value", "unit", "over the run", "meaning"), rows)
-    return (Pictures((drawn,)), *([table] if rows else []))
+    return (Pictures((figures,)), *([table] if rows else []))
 
 
 def _margins(study: SystemStudy) -> tuple[Block, ...]:
@@ -178,16 +178,16 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
     blocks: list[Block] = [Paragraph(study.claim[0], "good" if proved else "bad"), *map(Paragraph, study.claim[1:])]
     claim = None if solution.decision is None else solution.decision.claim
     if claim is not None and hasattr(claim, "level"):
-        drawn = plot_motion(claim.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+        figures = plot_motion(claim.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
         text = "Level set of the Lyapunov function, with solutions of the dynamics."
-        blocks.append(Pictures((picture(drawn, alt=text, caption=text, command=study.commands["verify"]),)))
+        blocks.append(Pictures((picture(figures, alt=text, caption=text, command=study.commands["verify"]),)))
     return (*blocks, Paragraph(f"Limits of the claim: {solution.problem.dynamics.source}."))
 
 
 def _sweep(study: SystemStudy) -> tuple[Block, ...]:
     if study.runs is None:
         return ()
-    drawn = tuple(
+    figures = tuple(
         picture(
             plot_dependence(study.swept, study.runs, name),
             alt=f"{name} over each number of the sweep",
@@ -196,7 +196,7 @@ def _sweep(study: SystemStudy) -> tuple[Block, ...]:
         )
         for name, cost in study.record.system.costs.items()
     )
-    return (Paragraph(f"{len(study.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(drawn))
+    return (Paragraph(f"{len(study.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
 
 
 def _ports(record: Record) -> tuple[Block, ...]:

@@ -374,7 +374,7 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     assert data("study", "loop.py:build", *stated, "--seconds", "0.1", "--out", "s")["region"]["verdict"] == "proved"
     assert "<h2>Region of attraction" in re.sub(r"<h2[^>]*>", "<h2>", Path("s/report.html").read_text())
     for words, says in (
-        (["within.y=-1..1"], "within.y: is not a state of the plant"),
+        (["within.y=-1..1"], "within.y: is not a state of the system"),
         (["within.x=1"], "within.x = '1': is not a range; write within.x=-1..1"),
         (["k=1..2"], "k: asks for a region of attraction, whose box is missing"),
         (["within.x=-1..1", "lyapunov.level=2"], "lyapunov.level: is given without a function"),

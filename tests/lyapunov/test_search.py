@@ -205,7 +205,10 @@ def _loop(*, integral: bool) -> System:
         command=plant.inputs,
         state=Layout((Port("sum", (1,), "rad s", "", 0.0),)) if integral else Layout(()),
         gains=Layout((Port("k_p", (1,), "N m/rad", "", 20.0),)),
-        law=lambda x, u, p: Action(-p["k_p"] * (u["angle"] - u["target"]) - 6 * u["rate"], x),
+        law=lambda x, u, p: Action(
+            -p["k_p"] * (u["angle"] - u["target"]) - 6 * u["rate"] - sum(x.values()),
+            {"sum": x["sum"] + 0.01 * u["angle"]} if integral else (),
+        ),
     )
     return System(plant, law)
 
@@ -224,5 +227,22 @@ def test_dynamics_of_a_closed_loop_are_exact_and_say_what_they_leave_out() -> No
         continuous_dynamics(_loop(integral=False), {"angle": (-1.0, 1.0)})
     with pytest.raises(InputError, match="grvity: no such number"):
         continuous_dynamics(_loop(integral=False), bounds, values={"grvity": 9.0})
-    with pytest.raises(InputError, match="has a state of its own"):
+    with pytest.raises(InputError, match=r"within\.controller\.sum: is missing"):
         continuous_dynamics(_loop(integral=True), bounds)
+
+
+def test_a_controller_state_is_a_state_and_a_state_that_rests_is_none() -> None:
+    bounds = {"angle": (-1.0, 1.0), "rate": (-4.0, 4.0), "controller.sum": (-2.0, 2.0)}
+    d = continuous_dynamics(_loop(integral=True), bounds)
+    assert d.names == ("angle", "rate", "controller_sum") and d.source.startswith(NOT_COVERED) and "z+" in d.source
+    rates = d.evaluate([[0.3], [0.1], [0.5]])[:, 0]
+    assert rates == pytest.approx([0.1, 9.81 * np.sin(0.3) - 20 * 0.3 - 6 * 0.1 - 0.5, 0.3])
+    with pytest.raises(InputError, match=r"within\.controller\.sum: has equal bounds, but moves"):
+        continuous_dynamics(_loop(integral=True), {**bounds, "controller.sum": (0.0, 0.0)})
+    pair, push = Port("pair", (2,), "m", ""), Port("push", (1,), "m/s", "")
+    plant = Plant("pair", Layout((pair,)), Layout((push,)), lambda x, f, d, p: {"pair": [f["push"], x["pair"][1] * 2]})
+    law = Controller("hold", 0.1, Layout((pair,)), Layout((push,)), lambda x, u, p: -u["pair"][0])
+    d = continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0), "pair[1]": (0.0, 0.0)})
+    assert d.names == ("pair_0",) and d.evaluate([[0.5]])[0, 0] == -0.5
+    with pytest.raises(InputError, match=r"within\.pair\[1\]: has equal bounds, but moves"):
+        continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0), "pair[1]": (0.5, 0.5)})
