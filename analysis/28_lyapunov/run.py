@@ -1,6 +1,7 @@
 """Study 28: public problems of stability and safety, found and proved; statements of known truth; and the checker.
 
     python analysis/28_lyapunov/run.py                  # an hour on two cores; continues where it stopped
+    python analysis/28_lyapunov/run.py --first          # any region is enough: a quarter of the time
     python analysis/28_lyapunov/run.py --quick          # a few problems
     python analysis/28_lyapunov/run.py --only van-der-pol pendulum-friction
 
@@ -33,11 +34,11 @@ QUICK_STATEMENTS = ("discrete-linear-rate-true", "discrete-linear-rate-false")
 WORKERS = 2
 
 
-def decided(kind: str, name: str, problem: Problem, limit: float) -> dict[str, Any]:
+def decided(kind: str, name: str, problem: Problem, limit: float, first: bool) -> dict[str, Any]:
     """Return the verdict, processor times [s] and size of the certificate [bytes] of a problem."""
     began = process_time()
     try:
-        decision = solve(problem, time_limit=limit)
+        decision = solve(problem, first=first, time_limit=limit)
     except InputError as error:
         verdict, reason, document = "refused", str(error), {}
     else:
@@ -52,31 +53,35 @@ def decided(kind: str, name: str, problem: Problem, limit: float) -> dict[str, A
     }  # fmt: skip
 
 
-def of_system(path: str, limit: float) -> dict[str, Any]:
+def of_system(path: str, limit: float, first: bool) -> dict[str, Any]:
     """Decide a problem file."""
-    return decided("system", Path(path).stem, load_problem(Path(path)), limit)
+    return decided("system", Path(path).stem, load_problem(Path(path)), limit, first)
 
 
-def of_statement(entry: dict[str, Any], limit: float) -> dict[str, Any]:
+def of_statement(entry: dict[str, Any], limit: float, first: bool) -> dict[str, Any]:
     """Decide a statement about a problem file."""
     kind = ("barrier", "multiplier") if "barrier" in entry else ("function", "level", "rate")
     changes = {key: entry.get(key) for key in kind} | {"expected": "proved" if entry["truth"] else "refuted"}
     problem = load_problem(HERE / "systems" / f"{entry['system']}.toml", changes=changes)
-    return decided("statement", entry["id"], problem, limit) | {"truth": entry["truth"]}
+    return decided("statement", entry["id"], problem, limit, first) | {"truth": entry["truth"]}
 
 
-def results(names: tuple[str, ...], statements: list[dict[str, Any]], limit: float) -> Iterator[dict[str, Any]]:
+def results(
+    names: tuple[str, ...], statements: list[dict[str, Any]], limit: float, first: bool
+) -> Iterator[dict[str, Any]]:
     """Yield the results as they come; those of `results.jsonl` come first."""
     saved = [json.loads(line) for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
     known = {(one["kind"], one["name"]) for one in saved}
     yield from (one for one in saved if one["name"] in {*names, *(s["id"] for s in statements)})
     with ProcessPoolExecutor(WORKERS) as pool:
         waiting = [
-            pool.submit(of_system, str(HERE / "systems" / f"{name}.toml"), limit)
+            pool.submit(of_system, str(HERE / "systems" / f"{name}.toml"), limit, first)
             for name in names
             if ("system", name) not in known
         ]
-        waiting += [pool.submit(of_statement, s, limit) for s in statements if ("statement", s["id"]) not in known]
+        waiting += [
+            pool.submit(of_statement, s, limit, first) for s in statements if ("statement", s["id"]) not in known
+        ]
         for done in as_completed(waiting):
             one = done.result()
             with RESULTS.open("a") as file:
@@ -106,15 +111,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--quick", action="store_true", help="a few problems, without saving")
     parser.add_argument("--only", nargs="+", default=(), metavar="NAME", help="these problems and no statements")
+    parser.add_argument("--first", action="store_true", help="stop at the first level of a search that is proved")
     parser.add_argument("--time-limit", type=float, default=60.0, help="processor time for each [s]")
     asked = parser.parse_args()
     names = tuple(asked.only) or tuple(sorted(path.stem for path in (HERE / "systems").glob("*.toml")))
     statements = tomllib.loads((HERE / "statements.toml").read_text(encoding="utf-8"))["statement"]
     if asked.quick:
-        some = [of_system(str(HERE / "systems" / f"{name}.toml"), asked.time_limit) for name in QUICK]
-        some += [of_statement(s, asked.time_limit) for s in statements if s["id"] in QUICK_STATEMENTS]
+        some = [of_system(str(HERE / "systems" / f"{name}.toml"), asked.time_limit, asked.first) for name in QUICK]
+        some += [of_statement(s, asked.time_limit, asked.first) for s in statements if s["id"] in QUICK_STATEMENTS]
     else:
-        some = list(results(names, [] if asked.only else statements, asked.time_limit))
+        some = list(results(names, [] if asked.only else statements, asked.time_limit, asked.first))
     print("| problem | states | time | function | verdict | processor time | certificate [bytes] | check |")
     print("|---|---|---|---|---|---|---|---|")
     for kind in ("system", "statement"):

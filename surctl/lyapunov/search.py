@@ -92,6 +92,7 @@ def find_stability(
     level: float | None = None,
     rate: float | Literal["largest"] | None = None,
     degree: int = 6,
+    first: bool = False,
     time_limit: float = 60.0,
     seed: int = 0,
     progress: Callable[[str], None] | None = None,
@@ -107,6 +108,7 @@ def find_stability(
         rate: with a number, V' ≤ −rate · V is demanded; "largest" proves a large rate for the region that was found;
             None means any strict decrease.
         degree: largest degree of V.
+        first: whether the first region that is proved is enough.
         time_limit: limit of the processor time [s].
         seed: seed of the random numbers.
         progress: function that receives a line of progress from time to time.
@@ -139,6 +141,13 @@ def find_stability(
         bound = least_level(d, candidate.function, demanded, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}, volume {candidate.volume:.3g}")
         trials.append((candidate, bound))
+        if first and function is None and rate != "largest" and len(trials) == 1:
+            share = _MOST * (until - time.process_time())
+            result = _proved(
+                d, candidate, bound, demanded, None, share, began, seed, progress, start=_SIMPLE, once=True
+            )
+            if result.verdict == "proved":
+                return replace(result, seconds=time.perf_counter() - began)
     if function is not None and linear.verdict == "stable" and not trials[0][1].level > 0:
         for candidate in strict_variants(d, linear, function):
             bound = least_level(d, candidate.function, demanded, seed=seed)
@@ -159,16 +168,16 @@ def find_stability(
     best = None
     for k, (candidate, bound) in enumerate([simplest, *largest, *others]):
         rest = until - time.process_time()
-        if best is not None and (rest <= 0 or (k > len(largest) and best.verdict == "proved")):
+        if best is not None and (rest <= 0 or (best.verdict == "proved" and (first or k > len(largest)))):
             break
         share = rest if k == len(largest) + len(others) else (_HALF if k else _MOST) * rest
-        first = _FIRST if k else _SIMPLE
-        result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, first=first)
+        start = _FIRST if k else _SIMPLE
+        result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=start, once=first)
         best = result if best is None or result.volume > best.volume else best
     assert best is not None
     rest = until - time.process_time()
     if best.verdict == "unknown" and level is None and rest > 0:
-        result = _proved(d, *simplest, demanded, level, rest, began, seed, progress, first=_EASY)
+        result = _proved(d, *simplest, demanded, level, rest, began, seed, progress, start=_EASY, once=first)
         best = result if result.verdict == "proved" else best
     if rate == "largest" and best.verdict == "proved":
         best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
@@ -186,7 +195,8 @@ def _proved(
     seed: int,
     progress: Callable[[str], None] | None,
     *,
-    first: int = _FIRST,
+    start: int,
+    once: bool,
 ) -> StabilityResult:
     """Return the largest level that is proved, of some shares of the least level with a counterexample."""
     until = time.process_time() + seconds
@@ -196,10 +206,10 @@ def _proved(
     levels = [level] if level is not None else [short(share * bound.level, digits=4) for share in _SHARES]
     decision: Decision | None = None
     proved: Decision | None = None
-    low, high, k = -1, len(levels), min(first, len(levels) - 1)
+    low, high, k = -1, len(levels), min(start, len(levels) - 1)
     while low < k < high and (left := until - time.process_time()) > 0:
         # a proof that fails takes all its time, so each level leaves time for the next one
-        part = _WHOLE if first == _SIMPLE and proved is None else _PART
+        part = _WHOLE if start == _SIMPLE and proved is None else _PART
         share = left if k == 0 and proved is None else part * left
         around = d if level is not None else hugged(d, candidate.function, levels[k])
         claim = Stability(around, candidate.function, levels[k], rate)
@@ -212,6 +222,8 @@ def _proved(
         _say(progress, f"{candidate.label}: level {levels[k]:.4g} {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
             proved, low = trial, k
+            if once:
+                break
             # the largest level first, then between
             k = high - 1 if high == len(levels) else (low + high) // 2
         else:

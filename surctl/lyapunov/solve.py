@@ -68,13 +68,19 @@ class Solution:
 
 
 def solve(
-    problem: Problem, *, time_limit: float = 60.0, seed: int = 0, progress: Callable[[str], None] | None = None
+    problem: Problem,
+    *,
+    first: bool = False,
+    time_limit: float = 60.0,
+    seed: int = 0,
+    progress: Callable[[str], None] | None = None,
 ) -> Solution:
     """Prove or refute the claim of a problem, and find what the problem leaves open.
 
     Args:
         problem: the problem. Without `function`, a function is searched; without `level`, the largest level that can be
             proved; without `multiplier` of a stated barrier, several numbers are tried.
+        first: whether the first region that is proved is enough.
         time_limit: limit of the processor time [s].
         seed: seed of the random numbers.
         progress: function that receives a line of progress from time to time.
@@ -103,8 +109,8 @@ def solve(
         return Solution(problem, decision.verdict, decision.reason, decision, None, "", decision.seconds)
     if problem.kind == "lyapunov":
         result = find_stability(
-            problem.dynamics, function=problem.function, rate=problem.rate, time_limit=time_limit, seed=seed,
-            progress=progress,
+            problem.dynamics, function=problem.function, rate=problem.rate, first=first, time_limit=time_limit,
+            seed=seed, progress=progress,
         )  # fmt: skip
         falsified = None if result.falsified is None else result.falsified.level
         origin = result.label if problem.function is None else ""

@@ -82,14 +82,14 @@ def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction | float]]) -> Gram:
 
 
 def _rational(rows: NDArray[np.float64]) -> list[list[Fraction]]:
-    """Return the reduced rows of a matrix whose rows span a rational subspace; nothing if the subspace is not rational."""
+    """Return the reduced rows of a matrix whose rows span a rational subspace; nothing if it is not rational."""
     reduced: list[list[Fraction]] = []
     rest, done = rows.copy(), 0
     while done < len(rest):
         size = np.abs(rest[done:])
         if size.max() <= _TINY:
             break
-        row, column = np.unravel_index(np.argmax(size), size.shape)
+        row, column = (int(k) for k in np.unravel_index(np.argmax(size), size.shape))
         rest[[done, done + row]] = rest[[done + row, done]]
         rest[done] /= rest[done, column]
         for other in range(len(rest)):

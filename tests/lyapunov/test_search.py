@@ -156,6 +156,23 @@ def test_a_region_is_proved_just_below_its_least_level() -> None:
     assert outcome.to_dict()["level"] < outcome.to_dict()["falsified_level"]
 
 
+def test_a_searched_region_is_claimed_in_the_box_that_hugs_it() -> None:
+    d = _dynamics({"x": (-9.0, 9.0), "y": (-9.0, 1.0)}, ["-x + y", "-y - x^3"])
+    outcome = find_stability(d, degree=2, first=True, time_limit=30.0)
+    assert outcome.verdict == "proved"
+    claim = outcome.claim
+    assert claim is not None
+    low, high = claim.dynamics.box
+    assert np.all(low >= d.box[0])
+    assert np.all(high <= d.box[1])
+    assert high[0] < 5
+    # the region touches the box nearly, and nowhere reaches it
+    v = d.compiled(claim.function)
+    edge = np.linspace(low[1], high[1], 200)
+    least = float(np.asarray(v(np.vstack([np.full(200, high[0]), edge]), np.zeros((0, 200)))).min())
+    assert claim.level <= least < 1.2 * claim.level
+
+
 def test_a_map_has_a_region_too() -> None:
     d = _dynamics({"x": (-1.0, 1.5, 0.25)}, ["0.25 + 0.5*(x - 0.25) + (x - 0.25)^2"], discrete=True)
     outcome = find_stability(d, degree=2, time_limit=30.0)

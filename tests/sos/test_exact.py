@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from surctl.sos import Certificate, Polynomial, Program, certify, is_semidefinite, monomials
 from surctl.sos.polynomial import joined
+from surctl.verification.proving.zeros import zeros_of
 
 X, Y, Z = Polynomial.variables(3)
 MOTZKIN = X**4 * Y**2 + X**2 * Y**4 + 1 - 3 * X**2 * Y**2
@@ -91,6 +92,15 @@ def test_a_statement_false_by_a_millionth_is_never_proved(count: int, seed: int,
     target = target * (root * root + 1) - Fraction(gap)
     assert target.value(point) < 0
     assert certify(target, bounds, degree=target.degree) is None
+
+
+def test_irrational_zeros_restrict_the_squares() -> None:
+    target = (X**2 - 2) ** 2 + X**2 * Y**2 + Y**2
+    ends = [(Fraction(-2), Fraction(2))] * 2
+    zeros = zeros_of(target, ends, [], scales=[Fraction(1)] * 2)
+    assert sorted(zeros) == [pytest.approx((-(2**0.5), 0.0), abs=1e-9), pytest.approx((2**0.5, 0.0), abs=1e-9)]
+    assert certify(target) is None  # no matrix of this identity is positive definite
+    assert_proves(certify(target, zeros=zeros), target)
 
 
 def test_infeasible_and_empty_programs() -> None:

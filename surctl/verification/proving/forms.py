@@ -18,7 +18,7 @@ from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import touching_form
 from surctl.verification.proving.turns import SplitAngles
 
-__all__ = ["Form", "forms_of", "signed", "signs_of"]
+__all__ = ["Form", "as_written", "forms_of", "signed", "signs_of"]
 
 _STEPS, _TRIALS = 4, 12
 _MOST_TERMS = 60
@@ -49,12 +49,17 @@ def forms_of(case: Case, names: Sequence[str], box: Ends) -> list[Form]:
         names: names of the variables.
         box: the root box (n, 1).
     """
-    plain = Form(case.margin, (), (number(0),) * len(case.constraints))
+    plain = as_written(case)
     try:
         forms = [*_rewritten(case, names, box), plain]
     except TooLarge:
         forms = [plain]
     return [*_touching(case, names, box), *forms]
+
+
+def as_written(case: Case) -> Form:
+    """Return the form without any rewriting."""
+    return Form(case.margin, (), (number(0),) * len(case.constraints))
 
 
 def _touching(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
-from surctl.verification.formula import FUNCTIONS, number, ordered, text_of
-from surctl.verification.proving.forms import Form, forms_of
+from surctl.verification.formula import FUNCTIONS, ordered, text_of
+from surctl.verification.proving.forms import Form, as_written, forms_of
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
 from surctl.verification.proving.squares import prove_by_squares
@@ -37,8 +37,8 @@ _SHORT, _EXACT_SHORT, _SHARE = 3, 1, 0.5
 _FEW = 3  # variables up to which boxes are tried longer, if the claim is not a polynomial
 
 _MANY, _MOST_OF_IT = 1, 0.9
-"""With more variables and equality somewhere, boxes that halving leaves are hopeless: number of boxes that are tried first,
-and share of the remaining time for sums of squares."""
+"""With more variables and equality at a point, all boxes around the point are hard: number of boxes to try first, and
+share of the remaining time for sums of squares."""
 
 _MOST_SHOWN = 500  # largest number of open boxes that are stored for plots
 
@@ -185,19 +185,20 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
         return outside
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
-    rounds, before, part_of_time = (*((_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)), _SHARE)
+    rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
+    portion = _SHARE
     if not attempt.slack and case.touching:
         if excluded(case.constraints, case.touching, names, root):
             before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
         elif len(names) <= _FEW and any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints)):
             before = _EXACT_SHORT + 1  # sums of squares with sines are large, and few dimensions have few boxes
         elif len(names) > _FEW:
-            rounds, part_of_time = ((_MANY, 0.0), *_EXACT_ROUNDS[1:]), _MOST_OF_IT
+            rounds, portion = ((_MANY, 0.0), *_EXACT_ROUNDS[1:]), _MOST_OF_IT
         usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
     everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(rounds):
         if number == before and attempt.with_squares and everywhere:
-            rest = part_of_time * max(seconds - (time.process_time() - began), 0.0)
+            rest = portion * max(seconds - (time.process_time() - began), 0.0)
             squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
             if squares.form is not None:
                 result = SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
@@ -230,7 +231,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
 
 def _outside(case: Case, written: Tape, constraints: Tape, root: Ends) -> _Shown | None:
     """Return the proof of a case whose branches occur nowhere in the box; None unless one box shows it."""
-    plain = Form(case.margin, (), (number(0),) * len(case.constraints))
+    plain = as_written(case)
     task = Task(constraints, constraints, written, (root[0][:, 0], root[1][:, 0]), 0.0)
     read = constraints.run(root)
     if not any(fine[0] and jet.value[0][0] > 0 for jet, fine in zip(read.jets, read.defined, strict=True)):
