@@ -109,7 +109,9 @@ class Evaluation:
         `RUN_COLUMNS`, followed by the columns of every case.
         """
         values = {name: points[:, k] for k, name in enumerate(self.names)}
-        return self._linear(values, len(points)) if index < self.linear_chunks else self._simulated(values, len(points))
+        if index < self.linear_chunks:
+            return self._linear(values, len(points))
+        return self._simulated(index, values, len(points))
 
     @property
     def linear_columns(self) -> Mapping[str, Quantity]:
@@ -132,30 +134,34 @@ class Evaluation:
         depends = case.scenario.seeded or case.sensing != "truth" or not gentle  # other parameters may add waves
         return self.seeds if depends else self.seeds[:1]
 
-    def _simulated(self, values: Mapping[str, Floats], count: int) -> Floats:
-        by_case: list[dict[str, Floats]] = []
+    def _simulated(self, index: int, values: Mapping[str, Floats], count: int) -> Floats:
+        # processes that begin with chunks side by side begin with different cases, so each compiles another loop
+        order = [(index + k) % len(self.cases) for k in range(len(self.cases))]
+        done = {at: self._runs(self.cases[at], values, count) for at in order}
+        by_case = [done[at] for at in range(len(self.cases))]
         strayed, ratios = [], []
-        for case in self.cases:
-            seeds = self.seeds_of(case)
-            known = case_parameters(case)
-            numbers = np.repeat(values[SEED], len(seeds)) if SEED in values else np.tile(seeds, count)
-            done = simulate_batch(
-                case,
-                {name: np.repeat(v, len(seeds)) for name, v in values.items() if name in known},
-                seeds=numbers.astype(np.int64),
-            )
-            # a run without seeds is repeated, so that every case has the same weight in a mean
-            often = len(self.seeds) // len(seeds)
-            by_case.append(
-                {name: np.tile(done.column(name).reshape(count, len(seeds)), (1, often)) for name in _AVERAGED}
-            )
+        for case, one in zip(self.cases, by_case, strict=True):
             radius = _own(values, ("plant.radius", "vehicle.radius"), case.vehicle["radius"])
             cruise = _own(values, (_CRUISE,), case.scenario.cruise)
-            strayed.append(by_case[-1]["deviation_m"] / radius)
-            ratios.append(by_case[-1]["time_s"] / (case.scenario.path.length / cruise))
+            strayed.append(one["deviation_m"] / radius)
+            ratios.append(one["time_s"] / (case.scenario.path.length / cruise))
         together = {name: np.concatenate([one[name] for one in by_case], axis=1) for name in _AVERAGED}
         of_all = [np.concatenate(strayed, axis=1).mean(axis=1), np.concatenate(ratios, axis=1).max(axis=1)]
         return np.stack([*_summary(together), *of_all, *(c for one in by_case for c in _summary(one))], axis=1)
+
+    def _runs(self, case: Case, values: Mapping[str, Floats], count: int) -> dict[str, Floats]:
+        # each metric of a case (points, seeds)
+        seeds = self.seeds_of(case)
+        known = case_parameters(case)
+        numbers = np.repeat(values[SEED], len(seeds)) if SEED in values else np.tile(seeds, count)
+        done = simulate_batch(
+            case,
+            {name: np.repeat(v, len(seeds)) for name, v in values.items() if name in known},
+            seeds=numbers.astype(np.int64),
+        )
+        # a run without seeds is repeated, so that every case has the same weight in a mean
+        often = len(self.seeds) // len(seeds)
+        return {name: np.tile(done.column(name).reshape(count, len(seeds)), (1, often)) for name in _AVERAGED}
 
     def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
         if not self.has_margins:  # the linear metrics of another law would mislead

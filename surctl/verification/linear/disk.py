@@ -45,7 +45,7 @@ _SHRINKS = 24
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _EXCESS = 2e-3  # the level for the proof exceeds the highest peak found by this share
 _SWEEPS = 12  # largest number of passes over the channels to balance a matrix
-_SETTLED = 1e-6  # the passes end if they change all squared scalings by at most this share
+_LITTLE = 1e-6  # the passes end if they change all squared scalings by at most this share
 _ROUNDS = 40
 _STEPS = 400
 _ON_AXIS = 1e-7  # an eigenvalue nearer to the imaginary axis than this share of its modulus counts as on the axis
@@ -187,7 +187,7 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
             # a channel with an empty row or column is scaled to the limit of the ratio
             floor = 1e-300
             square[:, k] = np.clip(np.sqrt((column + floor) / (row + floor)), 1 / _WIDEST**2, _WIDEST**2)
-        if (np.abs(square - before) <= _SETTLED * before).all():
+        if (np.abs(square - before) <= _LITTLE * before).all():
             break
     d = np.sqrt(square)
     scaled = d[:, :, None] * M / d[:, None]
