@@ -409,6 +409,12 @@ def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
     study = runpy.run_path(str(TUNING))
     config = study["load_model"](study["CONFIG"], study["Config"])
     plan = 'kind = "study"\nname = "one"\nvehicle = "sur400"\n[[runs]]\nscenario = "pool-behind"\n'
+    for name, bound in (
+        ("reached", 'at_least = "1"\nkind = "hard"'),
+        ("delay_margin_s", 'at_least = "0.2 s"\nkind = "hard"'),
+        ("time_s", 'at_most = "20 s"'),
+    ):
+        plan += f'[[goals]]\nname = "{name}"\nmetric = "{name}"\n{bound}\n'
     (tmp_path / "one.toml").write_text(plan + '[sweep]\naxes = [{ gain = "k_v", values = [1.5] }]\n')
     little = config.quick.model_copy(update={"seeds": 1, "trials": 4, "fresh": 2})
     config = config.model_copy(update={"study": str(tmp_path / "one.toml"), "rounds": 1, "workers": 1})
@@ -417,10 +423,10 @@ def test_the_study_of_tuning_compares_where_the_hand_gains_arrive(
     printed = capsys.readouterr().out
     assert "The hand gains arrive in all of them." in printed
     rows = [row for row in table(printed) if len(row) == 9 and row[0] != "goal"]
-    assert [row[0] for row in rows[:7]] == [row[0] for row in rows[7:]] and len(rows) == 14
+    assert [row[0] for row in rows[:3]] == [row[0] for row in rows[3:]] and len(rows) == 6
     by_hand = [float(row[4]) for row in rows]
-    assert all(by_hand) and by_hand[:7] == by_hand[7:], "figures, and the same ones"
-    worse = [any(row[-1] == "**not better**" for row in part) for part in (rows[:7], rows[7:])]
+    assert all(by_hand) and by_hand[:3] == by_hand[3:], "figures, and the same ones"
+    worse = [any(row[-1] == "**not better**" for row in part) for part in (rows[:3], rows[3:])]
     assert (f"| 0 | {'**no**' if worse[0] else 'yes'} |") in printed
     assert status == int(worse[0] or "named: **no**" in printed)
     for folder in ("seed0", "verified0"):

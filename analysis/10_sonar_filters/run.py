@@ -41,7 +41,7 @@ JUMP = 0.15  # m per step: an object entered or left the beam
 DRAWN = 11  # seed of the faults in the pictures: they begin during the approach
 RULES: tuple[StepRule, ...] = ("printed", "corrected")
 DRAWN_FAULTS: tuple[str, ...] = ("dropout", "stuck", "second echo", "crosstalk", "delay")
-QUICK_KINDS: tuple[Kind, ...] = ("wall", "tank, turning")
+QUICK_KINDS: tuple[Kind, ...] = ("obstacle", "tank, turning")
 # without a known object in the beam, an object that enters or leaves it looks like a fault
 UNKNOWN: tuple[Kind, ...] = ("obstacle, turning", "tank, turning")
 
