@@ -14,7 +14,8 @@ BLANK = "SURCTL_TESTS_BLANK_PICTURES"
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
-def _save(figure: Figure, file: Any, **options: Any) -> None:
+def save_blank(figure: Figure, file: Any, **options: Any) -> None:
+    """Instead of `Figure.savefig`."""
     if hasattr(file, "write"):
         file.write(PNG)
     else:
@@ -23,4 +24,4 @@ def _save(figure: Figure, file: Any, **options: Any) -> None:
 
 def blank_pictures() -> None:
     """From now on no figure of this process is rendered."""
-    Figure.savefig = _save  # type: ignore[method-assign, assignment]
+    Figure.savefig = save_blank  # type: ignore[method-assign, assignment]
