@@ -260,12 +260,22 @@ def test_export_believes_in_the_sensors_it_is_told_of(tmp_path):
     assert done.json["run"]["sensors"] != {}
 
 
+def fast_mission(folder):
+    """An empty and longer tank at 0.47 m/s, with waves that push it off the path."""
+    mission = (SCENARIOS / "tank-speed-015.toml").read_text()
+    mission = mission[: mission.index("[[obstacles]]")]
+    for old, new in (("= 0.22", "= 0.47"), ("9.5", "14.5"), ("length_m = 10.0", "length_m = 15.0")):
+        mission = mission.replace(old, new)
+    (folder / "fast.toml").write_text(f"{mission}[disturbance]\nwave_force_n = 0.2\n")
+
+
 def test_lint_warns_of_a_cap_above_the_bearable_speed(tmp_path):
-    text = 'kind = "study"\nname = "s"\nvehicle = "bluerov2-wu"\n{}[[runs]]\nscenario = "tank-speed-015"\n'
+    fast_mission(tmp_path)
+    text = 'kind = "study"\nname = "s"\nvehicle = "bluerov2-wu"\n{}[[runs]]\nscenario = "fast.toml"\n'
     for name, gains in (("named", 'gains = "default"\n'), ("derived", "")):
         (tmp_path / f"{name}.toml").write_text(text.format(gains))
     done = surctl("lint", "named.toml", cwd=tmp_path)
-    assert "warning: cap_m_per_s: the cap of 0.22 m/s is above the bearable speed of 0.2" in done.out
+    assert "warning: cap_m_per_s: the cap of 0.47 m/s is above the bearable speed of 0.2" in done.out
     for file in ("derived.toml", "pool-behind"):
         assert "bearable" not in surctl("lint", file, cwd=tmp_path).out
 
@@ -286,11 +296,7 @@ def test_gains_follow_from_the_vehicle_where_none_are_named(tmp_path):
 
 
 def test_simulate_says_that_the_hull_crabs_in_an_unstable_loop(tmp_path):
-    mission = (SCENARIOS / "tank-speed-015.toml").read_text()
-    mission = mission[: mission.index("[[obstacles]]")]  # an empty and longer tank
-    for old, new in (("= 0.22", "= 0.47"), ("9.5", "14.5"), ("length_m = 10.0", "length_m = 15.0")):
-        mission = mission.replace(old, new)
-    (tmp_path / "fast.toml").write_text(f"{mission}[disturbance]\nwave_force_n = 0.2\n")  # pushes it off the path
+    fast_mission(tmp_path)
     words = ("simulate", "fast.toml", "--vehicle", "bluerov2-wu")
     bad = surctl(*words, "--gains", "default", cwd=tmp_path)
     assert re.search(r"reached at .* s, but crabbing \d+ deg", bad.out), bad.out

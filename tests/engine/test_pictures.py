@@ -27,6 +27,7 @@ from surctl.reproduction import Simulations
 from surctl.reproduction.scenarios import _arrivals
 from surctl.simulation import build_world, load_scenario, simulate
 from tests.engine.tools import load_vehicle
+from tests.pictures import blank_pictures
 from tests.report.test_page import bare
 from tests.tools import _without
 
@@ -66,8 +67,9 @@ def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path) -> None:
     assert first.tobytes() == again.tobytes()
 
 
-def test_the_report_shows_the_scene_beside_the_plan_view() -> None:
+def test_the_report_shows_the_scene_beside_the_plan_view(monkeypatch: pytest.MonkeyPatch) -> None:
     scene().close()
+    blank_pictures(monkeypatch)
     short = replace(POOL, time_limit=0.2)
     run = simulate(short, BOAT, gains=load_gains("default"), law=build_law("closed_form"))
     steps, pictures = film_pictures(run)

@@ -35,23 +35,22 @@ def test_two_builds_give_the_same_bytes() -> None:
     assert dict(bundle_of(stand_in()).files) == dict(bundle_of(stand_in()).files)
 
 
-def test_other_processes_give_the_same_bytes() -> None:
+def test_another_process_gives_the_same_bytes() -> None:
     here = bundle_of(stand_in())
     script = (
         "from tests.export.test_bundle import bundle_of, stand_in; b = bundle_of(stand_in()); "
         "import hashlib; print(b.id, hashlib.sha256(''.join(b.files.values()).encode()).hexdigest())"
     )
     want = f"{here.id} {hashlib.sha256(''.join(here.files.values()).encode()).hexdigest()}\n"
-    for seed in ("1", "2"):
-        done = subprocess.run(
-            [sys.executable, "-c", script],
-            cwd=Path(__file__).parents[2],
-            env={**os.environ, "PYTHONHASHSEED": seed},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert done.stdout == want
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "PYTHONHASHSEED": "1"},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == want
 
 
 def test_the_id_follows_what_is_computed_and_not_the_name() -> None:

@@ -23,7 +23,7 @@ from surctl.ir import Layout, Port
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import load_scenario
 from surctl.vehicle import load_vehicle
-from tests.export.closed_form import SCENARIO, exported, vehicle
+from tests.export.closed_form import SCENARIO, exported
 from tests.export.standin import StandIn
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need, need_compiler, need_make
@@ -302,10 +302,8 @@ def test_what_the_readme_says_of_arrival_and_lost_fixes_holds() -> None:
 
 def test_a_module_of_whole_centimetres_with_one_number_a_firing_is_wired_as_such() -> None:
     sensors = Equipment(array=SonarArray(step=0.01, maximum=4.5, samples=1))
-    law = build_law(sonar=True, equipment=sensors)
-    assert law.inputs.port("samples").shape == (4, 1)
-    readme = build_bundle(law, {}, origin=origin_of(law, vehicle(), equipment=sensors)).files["README.md"]
-    assert "Conversion step 10 mm" in readme and "1 samples a firing" not in readme
+    told = " ".join(_sonars(sensors, origin_of(build_law("closed_form"), load_vehicle("sur400"))))
+    assert "Conversion step 10 mm" in told and "1 sample a firing" in told
 
 
 def test_thrusters_are_listed_with_place_direction_and_force() -> None:

@@ -316,13 +316,13 @@ def test_a_late_answer_is_flown_late_and_one_that_is_too_old_is_not() -> None:
 
 def test_losses_hold_the_command_then_end_in_zero_and_repeat_with_their_seed() -> None:
     assert thrusts(LinkFaults(loss=1.0), count=20) == [(0.0, LATE)] * 20
-    some = thrusts(LinkFaults(loss=0.4, deadline=0.05, seed=3), count=400)
-    assert some == thrusts(LinkFaults(loss=0.4, deadline=0.05, seed=3), count=400)
-    assert some != thrusts(LinkFaults(loss=0.4, deadline=0.05, seed=4), count=400)
+    some = thrusts(LinkFaults(loss=0.4, deadline=0.05, seed=3), count=100)
+    assert some == thrusts(LinkFaults(loss=0.4, deadline=0.05, seed=3), count=100)
+    assert some != thrusts(LinkFaults(loss=0.4, deadline=0.05, seed=4), count=100)
     ages = [k + 1 - value for k, (value, status) in enumerate(some) if status == 0]
     assert set(ages) == {0.0, 1.0}
     fresh = sum(age == 0.0 for age in ages) / len(some)
-    assert abs(fresh - 0.6**2) < 0.08  # both ways through
+    assert abs(fresh - 0.6**2) < 0.1  # both ways through
     assert all(value == 0.0 for value, status in some if status == LATE)
 
 
@@ -338,7 +338,7 @@ def test_faults_are_checked(bad: dict[str, float]) -> None:
 
 @dataclass(frozen=True)
 class Mission:
-    """The law with true positions, its numbers, and a way to fly it for three seconds."""
+    """The smallest law, its numbers, and a way to fly it for three seconds."""
 
     law: Law
     p: Vector
@@ -347,8 +347,8 @@ class Mission:
 
 @pytest.fixture(scope="module")
 def mission() -> Mission:
-    scenario = replace(load_scenario("pool-static"), time_limit=3.0)
-    vehicle, gains, law = load_vehicle(scenario.vehicle), load_gains("default"), build_law()
+    scenario = replace(load_scenario("pool-ahead"), time_limit=3.0)
+    vehicle, gains, law = load_vehicle(scenario.vehicle), load_gains("default"), build_law("closed_form")
 
     def fly(stepper: Callable[[Vector, Vector, Vector], LawStep], *, seconds: float = 3.0) -> Run:
         flown = replace(scenario, time_limit=seconds)

@@ -60,18 +60,16 @@ def self_test(bundle: Bundle, folder: Path, *flags: str, compiler: str = "gcc") 
     return run(folder / "sil", "--selftest", cwd=folder).stdout
 
 
-@pytest.mark.parametrize("real", ["float32", "float64"])
-def test_arithmetic_of_80_bits_passes_the_self_test_and_says_so(tmp_path: Path, real: Real) -> None:
+def test_arithmetic_of_80_bits_passes_the_self_test_and_says_so(tmp_path: Path) -> None:
     need_compiler()
-    for name, bundle in (("lean", exported(real)[1]), ("gains", guarded(real)[1])):
+    for name, bundle in (("lean", exported("float32")[1]), ("gains", guarded("float64")[1])):
         assert self_test(bundle, tmp_path / name, "-ffp-contract=off").endswith(" ok\n")
         wide = self_test(bundle, tmp_path / f"{name}-wide", "-ffp-contract=off", "-mfpmath=387")
         assert wide.endswith("ok, but not to the last bit: operations are merged or wider\n")
 
 
-@pytest.mark.parametrize("real", ["float32", "float64"])
-def test_i686_has_the_same_bytes_with_sse_and_says_so_without(tmp_path: Path, real: Real) -> None:
-    bundle = guarded(real)[1]
+def test_i686_has_the_same_bytes_with_sse_and_says_so_without(tmp_path: Path) -> None:
+    bundle = guarded("float32")[1]
     for name, flags, ending in (
         ("sse", ("-msse2", "-mfpmath=sse"), " ok\n"),
         ("x87", (), "ok, but not to the last bit: operations are merged or wider\n"),

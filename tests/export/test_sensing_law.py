@@ -45,13 +45,13 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Run, Contr
     """A flight past the cylinders, and the C of the law that flew it."""
     need_compiler()
     mission = load_scenario("pool-static")
-    scenario = replace(mission, sensors=replace(mission.sensors, faults=FAULTS))
+    scenario = replace(mission, sensors=replace(mission.sensors, faults=FAULTS), time_limit=16.0)
     vehicle = load_vehicle(scenario.vehicle)
     law = build_law(sonar=True, equipment=scenario.sensors.on(vehicle["radius"]))
     run = simulate(scenario, vehicle, gains=load_gains("default"), law=law, sensing="sonar", seed=0)
     bundle = build_bundle(law, law.gains.unpack(run.record.law_parameters))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SURCTL_CFLAGS", "-O1")  # compiles in half the time
+        patch.setenv("SURCTL_CFLAGS", "-O0")
         yield run, build_controller(law, bundle, tmp_path_factory.mktemp("c") / "bundle")
 
 
@@ -61,7 +61,7 @@ def test_a_flight_with_faults_agrees_to_the_last_bit(flown: tuple[Run, Controlle
     (report,) = compare_runs(controller, [Records(record.law_state, record.law_input, record.law_parameters)])
     assert report.conclusive, report.summary()
     assert report.tau.absolute == report.state.absolute == report.telemetry.absolute == 0.0
-    assert report.steps > 500
+    assert report.steps > 300
     # each number NaN and infinite; a repeated and an older sample; no state, gains, input, output
     assert report.fault_cases == 3 * (law.state.size + law.inputs.size + law.gains.size) + 6
     struck = (record.time > 5.0) & (record.time < 8.0)
@@ -89,7 +89,7 @@ def test_in_floats_it_keeps_its_senses_and_gets_another_tick(mode: Mode) -> None
 def test_single_steps_far_from_any_flight_agree_to_the_last_bit(flown: tuple[Run, Controller]) -> None:
     """A flight comes through few of the courses that the law weighs; obstacles on all sides come through most."""
     run, controller = flown
-    X, U, p = scattered_steps(run, 600)
+    X, U, p = scattered_steps(run, 200)
     (report,) = compare_runs(controller, [Records(X, U, p)])
     assert report.passed, report.summary()
     assert report.tau.absolute == report.state.absolute == report.telemetry.absolute == 0.0

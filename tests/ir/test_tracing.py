@@ -132,10 +132,9 @@ class Maker:
         return [*pool[-4:], tables[-1], tables[0]]
 
 
-@pytest.mark.parametrize("first", range(0, 40, 20))
-def test_random_nested_loops_give_the_numbers_of_the_unrolled_text(first: int) -> None:
+def test_random_nested_loops_give_the_numbers_of_the_unrolled_text() -> None:
     rolled = 0
-    for seed in range(first, first + 20):
+    for seed in range(20):
         block, plain = both(lambda *given, seed=seed: Maker(seed).build(*given))
         given = drawn(np.random.default_rng(seed))
         for a, b in zip(replay(block, *given), replay(plain, *given), strict=True):

@@ -29,10 +29,8 @@ Array = NDArray[np.float64]
 TEXTS: list[tuple[int, tuple[str, ...]]] = [
     (1, ("-O1",)),
     (2, ("-O1",)),
-    (4, ("-O3", "-mno-avx512f")),
-    (8, ("-O1",)),
-    (8, ("-O0", "-mno-avx512f")),
     (4, ("-O0", "-mno-avx")),
+    (8, ("-O1",)),
 ]
 Compiled = Callable[..., list[Array]]
 
@@ -212,10 +210,10 @@ def test_what_runs_on_this_machine_holds_no_function_that_a_compiler_needs_long_
     need_compiler()
     x = ca.SX.sym("x", 8)
     y = x
-    for k in range(400):
+    for k in range(150):
         y = y * x[::-1] + ca.sqrt(ca.fabs(y + k))
     long = lower(ca.Function("long", [x], [y]))
-    assert long.operations > 10_000
+    assert long.operations > 3_000
     bodies = re.findall(r"\n{\n.*?\n}\n", _source(long, "float64"), flags=re.DOTALL)
     assert max(body.count("\n") for body in bodies) < 2000
     given = np.random.default_rng(0).normal(size=(5, 8))

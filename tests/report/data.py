@@ -20,13 +20,9 @@ from surctl.verification import Verdict, claims, closed_loop_poles, falsify, loo
 from surctl.verification.linear import linear_side
 
 COLUMNS = {
-    "deviation_m": "m",
     "path_error_m": "m",
-    "time_s": "s",
     "min_clearance_m_worst": "m",
-    "effort_n": "N",
     "delay_margin_s": "s",
-    "disk_margin": "1",
     "score": "1",
     "feasible": "1",
 }

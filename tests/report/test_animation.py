@@ -98,11 +98,19 @@ def test_a_run_of_one_tick_is_one_picture(tmp_path: Path) -> None:
         assert getattr(read, "n_frames", 1) == 1
 
 
-def test_a_long_run_is_played_faster() -> None:
+def test_a_long_run_is_played_faster(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[list[int]] = []
+
+    def two(flown: Run, *, apart: float) -> list[int]:
+        told.append(frame_steps(flown, apart=apart))
+        return told[-1][:2]
+
+    monkeypatch.setattr("surctl.report.animation.frame_steps", two)
     flown = flight()
     longer = replace(flown.record, time=flown.record.time * 20)
     slow = replace(flown.law, dt=flown.law.dt * 20)
-    assert 15 < len(list(frames(replace(flown, record=longer, law=slow)))) <= 152
+    assert len(list(frames(replace(flown, record=longer, law=slow)))) == 2
+    assert 15 < len(told[0]) <= 152
 
 
 @pytest.mark.parametrize("name", ["run.webm", "run", "folder.gif"])
@@ -172,8 +180,10 @@ def test_several_runs_and_campaigns_are_refused_before_anything_is_made(tmp_path
 
 
 def test_the_command_writes_the_file_and_refuses_before_it_flies(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("surctl.report.animation.frame_steps", lambda run, apart: [0, len(run.record.time) - 1])
+
     def command(*words: str) -> int:
         return int(simulate.main(["pool-behind", *words], standalone_mode=False))
 

@@ -94,6 +94,7 @@ def test_a_name_cannot_end_the_script() -> None:
     assert "<" not in frames and json.loads(frames)["obstacles"][0]["name"] == evil
 
 
+@pytest.mark.usefixtures("blank")
 def test_only_the_player_may_run_and_it_adds_less_than_200_kilobytes() -> None:
     flown = (flight("sonar"), flight())
     page = render_page(bare(runs=flown))
@@ -111,6 +112,7 @@ def test_only_the_player_may_run_and_it_adds_less_than_200_kilobytes() -> None:
     assert 0 < len(page.encode()) - len(without.encode()) < 200_000
 
 
+@pytest.mark.usefixtures("blank")
 def test_the_run_that_fails_is_the_one_that_is_played() -> None:
     good, bad = flight(), flight(scenario="pool-static")
     arrived = replace(good, metrics=replace(good.metrics, reached=True))

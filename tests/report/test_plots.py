@@ -58,11 +58,9 @@ def first_tick(flown: Run) -> Run:
 
 
 RUNS = {
-    "moving": lambda: run(),
     "sonar": lambda: run(sensing="sonar"),
     "boxes": lambda: run("tank-static", limit=3.0),
     "drifting": lambda: run("pool-static", "sonar", 4.0),
-    "first tick": lambda: first_tick(run()),
     "first tick, sonar": lambda: first_tick(run(sensing="sonar")),
     "no obstacle": lambda: simulate(
         replace(load_scenario("pool-behind"), obstacles=(), time_limit=1.0), run().vehicle, gains=GAINS
