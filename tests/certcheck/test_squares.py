@@ -279,7 +279,7 @@ TERMS = st.dictionaries(
 
 
 @given(TERMS, TERMS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_packed_polynomials_multiply_like_their_values(a, b) -> None:
     point = [Fraction(1, 2), Fraction(-2, 3), Fraction(3)]
 
@@ -294,7 +294,7 @@ def test_packed_polynomials_multiply_like_their_values(a, b) -> None:
 
 
 @given(st.integers(1, 9), st.integers(0, 2**32 - 1), st.booleans())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_matrices_are_semidefinite_as_their_fractions_say(size: int, seed: int, singular: bool) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.integers(-9, 10, size=(size, max(size - singular, 1))).tolist()
@@ -321,7 +321,7 @@ NAMES = {"sin": math.sin, "cos": math.cos, "sqrt": math.sqrt, "atan": math.atan,
 
 @given(st.sampled_from(sorted(NAMES)), st.lists(st.floats(-2, 2), min_size=3, max_size=3), st.floats(-0.9, 0.8),
        st.floats(0.01, 0.15))  # fmt: skip
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_a_sign_that_is_shown_is_the_sign_at_points(op: str, c: list[float], low: float, width: float) -> None:
     table = ExpressionTable(["t"])
     text = f"{op}(t) - (({c[0]!r}) + ({c[1]!r})*t + ({c[2]!r})*t^2/(t + 3))"

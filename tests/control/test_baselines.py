@@ -82,10 +82,9 @@ def _disc(x: float, y: float, radius: float = 0.3, vx: float = 0.0, vy: float = 
 
 def test_every_law_of_the_registry_is_built_and_every_mode_is() -> None:
     assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES, "steered", "calm")
-    for k, name in enumerate(BASELINES):  # each law in two modes and each mode by two laws or more
-        for mode in (MODES[k % len(MODES)], MODES[(k + 1) % len(MODES)]):
-            assert build_law(name, mode=mode).name == f"surctl_{name}"
-    assert all(build_law(name, sonar=True).perception is not None for name in (BASELINES[0], BASELINES[-1]))
+    for name, mode in zip(BASELINES, MODES, strict=True):  # each law and each mode; study 13 flies the others
+        assert build_law(name, mode=mode).name == f"surctl_{name}"
+    assert build_law(BASELINES[-1], sonar=True).perception is not None
 
 
 def test_a_misspelt_law_is_told_the_nearest_and_a_form_that_is_not_taken() -> None:
@@ -348,10 +347,10 @@ def test_the_barrier_s_rows_are_kept_by_the_law_s_velocity() -> None:
 @pytest.mark.parametrize(
     ("name", "scenario", "sensing", "seconds"),
     [
-        ("apf", "pool-behind", "truth", 20.0),
-        ("dwa", "tank-static", "truth", 25.0),
-        ("vo", "pool-behind", "truth", 20.0),
-        ("cbf", "tank-speed-015", "truth", 15.0),  # study 13 flies them by sonar
+        ("apf", "pool-behind", "truth", 4.0),
+        ("dwa", "pool-behind", "truth", 4.0),
+        ("vo", "pool-behind", "truth", 4.0),
+        ("cbf", "pool-behind", "truth", 4.0),  # study 13 flies them by sonar
     ],
 )
 def test_a_run_of_the_batch_is_the_reference_run(name: str, scenario: str, sensing: Any, seconds: float) -> None:

@@ -165,14 +165,13 @@ FAULTS = {
 
 def with_fault(wrong, start, spin, **world):
     robot = Robot(TRUTH, at=OFF_CENTRE, spin=spin, seed=start, **world)
-    told = robot.steps(5.0 + start * DT)
+    told = robot.steps(3.0 + start * DT)
     assert told["sonars"][:, 2].all()
     robot.wrong[0] = wrong
     return robot
 
 
-@pytest.mark.parametrize("start", range(2))
-@pytest.mark.parametrize("spin", [0.0, 0.27])
+@pytest.mark.parametrize(("start", "spin"), [(0, 0.27), (1, 0.0)])
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_faulty_sonar_is_told_and_changes_no_map(fault, spin, start):
     """Three cycles and a step after its last honest firing; one that hangs repeats itself twice before.
@@ -202,7 +201,7 @@ def test_a_wall_that_is_silent_from_the_side_is_no_fault_of_the_sonar():
     robot = Robot(equipment, at=(4.0, 2.6, -0.15, 0.2), walls=(0.0, 10.0, 0.0, 5.0), spin=0.45)
     robot.array = replace(robot.array, incidence_limit=math.radians(22.5))
     robot.steps(3.0)
-    for _ in range(round(15.0 / DT)):
+    for _ in range(round(8.0 / DT)):
         told = robot.step()
         assert told["sonars"][:, 2].all() and not robot.state("sonar_distrust").any()
     assert not len(marks(told))
@@ -267,8 +266,7 @@ def test_a_mover_that_the_station_tells_of_is_not_marked():
     assert not len(marks(told)) and told["contacts"][0, 5] == 1.0
 
 
-@pytest.mark.parametrize("bias", [0.0011, 0.06])
-@pytest.mark.parametrize("calibrated_for", [None, 1600.0])
+@pytest.mark.parametrize(("bias", "calibrated_for"), [(0.0011, None), (0.06, 1600.0)])
 def test_a_known_bias_and_scale_are_taken_off_once(bias, calibrated_for):
     robot = Robot(exact(bias=bias, calibrated_for=calibrated_for), at=OFF_CENTRE, spin=0.0)
     told = robot.steps(3.0)
@@ -418,7 +416,7 @@ def test_any_finite_numbers_give_finite_ones():
     law, p = build_law(sonar=True), parameters()
     rng = np.random.default_rng(0)
     x = law.initial_state()
-    for scale in (1.0, 1e3, 1e6) * 20:
+    for scale in (1.0, 1e3, 1e6) * 8:
         u = scale * rng.standard_normal(law.inputs.size)
         step = law.step(x, u, p)
         assert step.status != NONFINITE

@@ -91,7 +91,8 @@ def test_the_tank_scaled_to_the_craft_without_collision() -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "end"), [((36, 20), (10, 20)), ((30, 28), (30, 8)), ((30, 12), (30, 32)), ((26, 20), (60, 20))]
+    ("start", "end"),
+    [((36, 20), (10, 20)), ((30, 28), (30, 8))],  # head on, and across
 )
 def test_moving_obstacles_are_evaded(start: tuple[float, float], end: tuple[float, float]) -> None:
     r, vehicle = radius_of("otter"), craft("otter")

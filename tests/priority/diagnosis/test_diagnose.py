@@ -6,7 +6,7 @@ import math
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
@@ -209,6 +209,7 @@ def test_a_task_met_at_some_samples_only_is_not_met():
     assert level.strict.largest == pytest.approx(1.0) and level.strict.where["x"] < 0
 
 
+@settings(max_examples=15)
 @given(st.lists(st.sampled_from(LIBRARY), min_size=1, max_size=6, unique_by=lambda task: task.name), st.integers(0, 99))
 def test_what_the_expressions_show_holds_at_every_sample(tasks, seed):
     stack = Stack(tuple(tasks))

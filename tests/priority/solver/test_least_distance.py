@@ -32,7 +32,7 @@ def test_names_and_multipliers_are_those_of_the_rows_as_given() -> None:
 def test_multipliers_of_several_rows_make_up_what_the_target_is_moved_by(n: int) -> None:
     """target − v = Aᵀλ with λ ≥ 0 of rows at their bounds is what makes v the nearest point."""
     rng = np.random.default_rng(n)
-    for _ in range(20):
+    for _ in range(8):
         A, v, wanted = rng.normal(size=(n + 2, n)), rng.normal(size=n), rng.uniform(0.5, 2.0, n)
         upper = A @ v + np.append(np.zeros(n), [0.5, 1.0])  # the last two are loose
         got = least_distance(v + A[:n].T @ wanted, A=A, lower=np.full(n + 2, -np.inf), upper=upper)
@@ -114,7 +114,7 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
 
 def test_the_backend_own_solves_whole_ticks_as_daqp_does() -> None:
     rng = np.random.default_rng(11)
-    for _ in range(150):
+    for _ in range(50):
         problem = draw_problem(rng)
         own, other = solve(problem, backend="own"), solve(problem, backend="daqp")
         assert own.status == other.status

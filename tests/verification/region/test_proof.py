@@ -44,7 +44,7 @@ def claimed(**changes: Any) -> RegionClaim:
 
 
 def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> None:
-    proof = prove_region(claimed(), attempts=12)
+    proof = prove_region(claimed(), attempts=2)
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.15 and proof.ultimate_bound[1] < proof.offset
     proof.write(tmp_path / "c.json")
@@ -72,7 +72,7 @@ def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
 
 
 def test_what_cannot_be_is_unknown_and_says_so() -> None:
-    proof = prove_region(claimed(rate=5.0), attempts=6)
+    proof = prove_region(claimed(rate=5.0), attempts=1)
     assert proof.verdict == "unknown" and not proof.certificate()
     assert "found no" in proof.to_dict()["remaining"] and "unknown" in proof.sentence
 
@@ -156,13 +156,11 @@ def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> No
     assert np.isclose(told.falsifier, 1 / 9, rtol=0.1) and np.isclose(told.thrust, 1 / 4, rtol=0.1)
 
 
-@pytest.mark.parametrize(
-    "name", ["region-cruise-20", "region-cruise-20-sampled", "region-cruise-20-lag", "region-cruise-20-spin"]
-)
+@pytest.mark.parametrize("name", ["region-cruise-20", "region-cruise-20-spin"])  # the least and the most of a loop
 def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
     whole = json.loads((KEPT / f"{name}.json").read_text())
     claim, P, floor = whole["claim"], matrix(whole), whole["proof"]["floor"]
-    n, steps, rng = 400, 10, np.random.default_rng(1)
+    n, steps, rng = 100, 5, np.random.default_rng(1)
     boat = boats(claim, n, rng)
     vehicle, law, a = claim["vehicle"], claim["law"], claim["motion"]["rate_per_s"]
     settled = rest(claim, boat)
@@ -262,13 +260,13 @@ def test_unequal_masses_are_proved_and_an_impossible_rate_is_not() -> None:
     claim = turning_claim(
         "test", load_vehicle("bluerov2-wu"), load_gains("default"), share=0.0, mass_share=0.0, rate=0.02, rest=True
     )
-    proof = prove_turning(claim, attempts=3)
+    proof = prove_turning(claim, attempts=2)
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.25 and proof.rest_offset is not None and proof.rest_offset > 0.2
     assert check_document(proof.certificate()).accepted and "for a start at rest" in proof.sentence
     again = prove_turning(replace(claim, rate=5.0), attempts=1)
     assert again.verdict == "unknown" and again.sentence.startswith("unknown: not provable for this vehicle")
-    weak = prove_turning(replace(claim, yaw_limit=0.01), attempts=3)
+    weak = prove_turning(replace(claim, yaw_limit=0.01), attempts=2)
     assert weak.verdict == "unknown" and "Munk moment" in weak.reason
     with pytest.raises(InputError, match="k_i"):
         turning_claim("test", load_vehicle("bluerov2-wu"), load_gains("default").with_values({"k_i": 0.1}))
