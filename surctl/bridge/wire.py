@@ -269,7 +269,7 @@ def _stick(value: float) -> float:
 
 
 def _is_level(q: list[float]) -> bool:
-    # whether a quaternion is a rotation (zeros: none is given) that turns a sensor to within 30° of the horizontal
+    # whether a quaternion is a rotation (zeros: it is not set) that turns a sensor to within 30° of the horizontal
     w, x, y, z = q
     return abs(sum(v * v for v in q) - 1.0) < 0.1 and abs(2 * (x * z - w * y)) < 0.5
 
