@@ -142,8 +142,8 @@ def _(mo):
     mo.md(r"""
     ## 4. Goals that cannot be met together
 
-    No gains within the range let the cart settle in 0.5 s with at most 2.5 N. `tune_system` does not present its best
-    attempt as a solution; it names what is unmet.
+    The search finds no gains that let the cart settle in 0.5 s with at most 2.5 N. `tune_system` does not present its
+    best attempt as a solution; it names what is unmet.
     """)
     return
 

@@ -64,7 +64,7 @@ NAMES = {
     "what-is-proved",
 }
 MADE = re.compile(
-    r"(?:\.\./)*(?:(?:reference/)?(?:commands|files|python)|gallery|notebooks)/[\w-]+\.md$"
+    r"(?:\.\./)*(?:(?:reference/)?(?:commands|files|python)|gallery|(?:tutorials/)?notebooks)/[\w-]+\.md$"
 )  # by tests/test_site.py
 RUN, SHOWN = {"console", "pycon"}, {"toml", "text", "c", ""}  # kinds of blocks: run here; files, fragments, output
 

@@ -28,8 +28,8 @@ PRINTED = {
         "surge mass 95.0 kg; from 0.2 m/s it stops after 0.30 m",
     ),
     "02_priorities": (
-        "lexicographic: [-0.298  0.24   0.3  ] rad/s. Task `straight` gave up 0.94 rad/s because `velocity.2` binds.",
-        "tip at the end [m]: [1.9 1.5]",
+        "lexicographic: [-0.16  -0.028  0.3  ] rad/s. Task `tip` gave up 0.2 m/s because `wall` binds; task `straight`",
+        "tip at the end [m]: [2.1 1.5]",
         "NSB differs from strict priority at `look`",
         "nsb: v is the null-space-based law. This mode ignores limits",
         "projected: Task `go` gave up 0.35 m/s because `wall` binds.",

@@ -8,7 +8,7 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import acos, cos, isfinite, pi, sin
+from math import acos, ceil, cos, isfinite, pi, sin
 
 from surctl.errors import InputError
 from surctl.sensing.sonar.mounting import inside_hull, open_cones
@@ -345,12 +345,13 @@ def _check_timing(array: SonarArray) -> None:
         value=array.cycle_limit,
         remedy="give s",
     )
+    fits = array.firing_period / max(1, ceil(array.cycle / array.cycle_limit - _SLACK))
     _require(
         array.cycle <= array.cycle_limit + _SLACK,
         f"gives a cycle of {array.cycle:g} s, longer than the cycle_limit of {array.cycle_limit:g} s",
         key="firing_period",
         value=array.firing_period,
-        remedy=f"give at most {array.cycle_limit / array.size:g} s for {array.size} sensors",
+        remedy=f"give {fits:g} s, or a longer cycle_limit",
     )
     echo = f"an echo from it takes {1e3 * array.echo_time:.1f} ms in {array.medium}"
     _require(
