@@ -1,4 +1,5 @@
 import csv
+import importlib
 import math
 import pickle
 import re
@@ -11,7 +12,9 @@ from typing import Any
 
 import pytest
 
+from surctl.lyapunov import Stability, decide_motion
 from surctl.vehicle import FITTED
+from surctl.verification.formula import parse, variable
 from tests.processes import run_python
 from tests.tools import need, need_compiler, need_module
 
@@ -537,6 +540,15 @@ def test_the_study_of_a_law_of_ones_own() -> None:
     done = run(ANALYSIS / "27_own_law" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     assert [row[2] for row in table(done.stdout)][1:] == ["yes"] * 3
+
+
+def test_the_speed_error_of_the_station_example_is_refuted_where_it_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ANALYSIS / "27_own_law"))
+    station, wall = (importlib.import_module(name) for name in ("station", "wall"))
+    assert wall.distance().evaluate([[0.1], [0.0]])[1, 0] < 0  # towards the wall if too far from it
+    V = parse("root^2 + 10 * z^2", {name: variable(name) for name in ("root", "z")})
+    assert decide_motion(Stability(station.speed_error(sampled=True), V, 0.01)).verdict == "refuted"
+    assert not station.speed_error(sampled=False).discrete
 
 
 def test_the_study_of_vehicles_with_unequal_masses() -> None:
