@@ -22,8 +22,7 @@ MASS, GRAVITY = 0.5, 9.81  # kg, m/s^2
 WEIGHT = MASS * GRAVITY
 BODY_DRAG = 0.01  # N s^2/m^2, vertical
 INFLOW = 4 * 2.32e-4 * math.sqrt(WEIGHT / (4 * 5.57e-6))  # N s/m, loss of thrust of four rotors at hover speed
-LIMIT, PERIOD = 3 * WEIGHT, 0.01  # N, assumed; s
-GUST = (5.0, 2.0)  # s, begin and duration of the gust
+LIMIT, PERIOD, GUST = 3 * WEIGHT, 0.01, (5.0, 2.0)  # N, assumed; s; begin and duration of the gust [s]
 
 HEIGHT, SPEED = Port("height", (1,), "m", "above the ground", 1.0), Port("speed", (1,), "m/s", "upwards")
 THRUST, TARGET = Port("thrust", (1,), "N", "of the rotors", WEIGHT), Port("target", (1,), "m", "desired height", 2.0)
@@ -102,8 +101,9 @@ def main() -> int:
     cost = sweep(system, 12.0, tried, starts)
     choose(system, tried, cost, ("tau",), {})
     tuned = tune_system(system, 12.0, ranges, cases=starts, objective="cost", trials=6 * sets, least_disk_margin=LEAST)
-    best = tuned.gains
-    print(f"search: {named(best)}, cost {tuned.costs['cost']:.4g}, {tuned.trials} gain sets of {states} runs")
+    print(
+        f"search: {named(best := tuned.gains)}, cost {tuned.costs['cost']:.4g}, {tuned.trials} gain sets of {states} runs"
+    )
     record = run_system(system, 12.0, {**best, "disturbance.wind": -3})
     print(f"the same run: cost {record['cost']:.4g}, in the gust {record['error_in_gust']:.3f} m")
     stable = print_margins(linearise(system, best), "tau", "height", "speed")
