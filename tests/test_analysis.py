@@ -1,4 +1,5 @@
 import csv
+import importlib
 import json
 import math
 import pickle
@@ -13,7 +14,9 @@ from typing import Any
 
 import pytest
 
+from surctl.lyapunov import Stability, decide_motion
 from surctl.vehicle import FITTED
+from surctl.verification.formula import parse, variable
 from tests.pictures import blank_pictures
 from tests.processes import run_python
 from tests.tools import need, need_compiler, need_module
@@ -559,6 +562,15 @@ def test_the_study_of_a_law_of_ones_own(monkeypatch: pytest.MonkeyPatch, capsys:
     monkeypatch.setattr(sys, "argv", ["run.py", "--quick"])
     assert study["main"]() == 0
     assert [row[2] for row in table(capsys.readouterr().out)][1:] == ["yes"] * 3
+
+
+def test_the_speed_error_of_the_station_example_is_refuted_where_it_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ANALYSIS / "27_own_law"))
+    station, wall = (importlib.import_module(name) for name in ("station", "wall"))
+    assert wall.distance().evaluate([[0.1], [0.0]])[1, 0] < 0  # towards the wall if too far from it
+    V = parse("root^2 + 10 * z^2", {name: variable(name) for name in ("root", "z")})
+    assert decide_motion(Stability(station.speed_error(sampled=True), V, 0.01)).verdict == "refuted"
+    assert not station.speed_error(sampled=False).discrete
 
 
 def test_the_study_of_vehicles_with_unequal_masses() -> None:

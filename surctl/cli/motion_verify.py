@@ -13,7 +13,7 @@ from surctl.cli.output import finish, progress, stoppable
 if TYPE_CHECKING:
     from surctl.lyapunov import Solution
 
-__all__ = ["are_problems", "solution_lines", "verify_motion", "write_solution"]
+__all__ = ["are_problems", "verify_motion", "write_solution"]
 
 
 def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
@@ -76,7 +76,7 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
                 solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
             except InputError as error:
                 raise (error if error.file else error.inside(Path(word))) from None
-        lines += solution_lines(solution)
+        lines += solution.lines()
         data = solution.to_dict() | {"expected": problem.expected}
         if out is not None:
             written = write_solution(solution, out)
@@ -93,26 +93,6 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
         then = [shlex.join(["surctl", "verify", *words, "--out", "proofs"])]
     result = {"claims": claims} | ({"failures": failures} if failures else {})
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
-
-
-def solution_lines(solution: Solution) -> list[str]:
-    """Return the lines that state a solution: verdict and claim, function, level, reason."""
-    from surctl.verification.formula import text_of
-
-    name, decision = solution.problem.dynamics.name, solution.decision
-    if decision is None:
-        return [f"{solution.verdict:<8} {name}: {solution.reason} ({solution.seconds:.1f} s)"]
-    claim = decision.claim
-    letter = "B" if claim.kind == "barrier" else "V"
-    lines = [
-        f"{solution.verdict:<8} {name}: {claim.statement} ({solution.seconds:.1f} s)",
-        f"  {letter} = {text_of(claim.function)}{f', from: {solution.origin}' if solution.origin else ''}",
-    ]
-    level = claim.plain().get("level")
-    if solution.falsified is not None and solution.verdict == "proved" and level is not None:
-        share = level / solution.falsified
-        lines.append(f"  level {level:g} is {100 * share:.1f} % of the least level with a counterexample")
-    return [*lines, f"  {solution.reason}"] if solution.reason else lines
 
 
 def write_solution(solution: Solution, out: Path) -> list[Path]:

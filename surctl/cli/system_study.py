@@ -22,7 +22,6 @@ _AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
 def study_system(words: Sequence[str], *, seconds: float | None, workers: int, out: Path, as_json: bool) -> None:
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
-    from surctl.cli.motion_verify import solution_lines
     from surctl.cli.system_region import region_words
     from surctl.cli.system_sweep import best_line, best_points
     from surctl.cli.system_verify import disk_line, linear_loop
@@ -73,7 +72,7 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
         margins=() if linear is None else linear.margins,
         disks=[] if linear is None else [disk_line(what, margin) for what, margin in linear.together.items()],
         solution=solution,
-        claim=[] if solution is None else [" ".join(line.split()) for line in solution_lines(solution)],
+        claim=[] if solution is None else [" ".join(line.split()) for line in solution.lines()],
         swept=swept, runs=runs, best=[best_line(own, name, row) for name, row in best.items()], sil=sil,
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),

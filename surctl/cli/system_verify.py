@@ -27,7 +27,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
 
     The exit status is 1 if the loop is unstable, or if no region is proved.
     """
-    from surctl.cli.motion_verify import solution_lines, write_solution
+    from surctl.cli.motion_verify import write_solution
     from surctl.cli.system_region import region_words
     from surctl.errors import InputError
     from surctl.files import prepare_folder
@@ -52,7 +52,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     passed, certificates = stable, list[str]()
     if problem is not None:
         solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
-        lines += ["region of attraction of the control law in continuous time:", *solution_lines(solution)]
+        lines += ["region of attraction of the control law in continuous time:", *solution.lines()]
         data["region"] = solution.to_dict()
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]

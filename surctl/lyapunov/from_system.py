@@ -107,7 +107,7 @@ def continuous_dynamics(
         whole[k] = within[labels[k]][0]
     rest, symbols, whole = whole, ca.SX.sym("x", len(moves)), ca.SX(whole)
     whole[moves] = symbols
-    x, z = whole[: plant.state.size], whole[plant.state.size :]
+    x, z = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
     reference = system.reference_at(t, flat["reference"])
     disturbance = system.disturbance_at(t, flat["disturbance"])
     y = plant.measurement(x, disturbance, flat["plant"])

@@ -11,7 +11,7 @@ from surctl.lyapunov.barrier_search import find_barrier
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.search import find_stability
-from surctl.verification.formula import parse
+from surctl.verification.formula import parse, text_of
 
 __all__ = ["Solution", "solve"]
 
@@ -49,6 +49,23 @@ class Solution:
     def counterexample(self) -> Mapping[str, float]:
         """Values of the variables where an inequality of the claim fails; empty unless the verdict is `refuted`."""
         return self.decision.counterexample if self.decision is not None and self.verdict == "refuted" else {}
+
+    def lines(self) -> list[str]:
+        """Return the lines that state the solution: verdict and claim, function, level, reason."""
+        name, decision = self.problem.dynamics.name, self.decision
+        if decision is None:
+            return [f"{self.verdict:<8} {name}: {self.reason} ({self.seconds:.1f} s)"]
+        claim = decision.claim
+        letter = "B" if claim.kind == "barrier" else "V"
+        lines = [
+            f"{self.verdict:<8} {name}: {claim.statement} ({self.seconds:.1f} s)",
+            f"  {letter} = {text_of(claim.function)}{f', from: {self.origin}' if self.origin else ''}",
+        ]
+        level = claim.plain().get("level")
+        if self.falsified is not None and self.verdict == "proved" and level is not None:
+            share = level / self.falsified
+            lines.append(f"  level {level:g} is {100 * share:.1f} % of the least level with a counterexample")
+        return [*lines, f"  {self.reason}"] if self.reason else lines
 
     def to_dict(self) -> dict[str, Any]:
         """Return the solution as plain data for JSON."""
