@@ -99,7 +99,8 @@ def find_stability(
 ) -> StabilityResult:
     """Find and prove a region of attraction: a Lyapunov function, its largest provable level, and optionally its rate.
 
-    The least level for which a counterexample exists is searched first; the proof is then tried at levels just below.
+    The least level for which a counterexample exists is searched first; the proof is then tried at levels below. The
+    states of a claim with a searched level have the bounds of the smallest box around the region.
 
     Args:
         dynamics: the dynamics; if the stated equilibrium is not one, the only one in the box is taken.
