@@ -23,11 +23,8 @@ __all__ = ["StabilityResult", "find_stability"]
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
 _SIMPLE, _EASY = 2, 1  # the same for the function that is easiest to prove, and when all larger ones failed
-_HALF, _MOST, _WHOLE = (
-    0.4,
-    0.6,
-    0.6,
-)  # shares of the remaining time: a function that is not the last, the easiest one, its first level
+_HALF = 0.4  # share of the remaining time for a function that is not the last
+_MOST, _WHOLE = 0.7, 0.8  # the same for the function that is easiest to prove, and share of it for its first level
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
