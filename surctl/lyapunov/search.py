@@ -171,7 +171,8 @@ def find_stability(
         share = rest if k == len(largest) + len(others) else (_HALF if k else _MOST) * rest
         start = _FIRST if k else _SIMPLE
         result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=start, once=first)
-        best = result if best is None or result.volume > best.volume else best
+        if best is None or (result.verdict == "proved", result.volume) > (best.verdict == "proved", best.volume):
+            best = result
     assert best is not None
     rest = until - time.process_time()
     if best.verdict == "unknown" and level is None and rest > 0:
