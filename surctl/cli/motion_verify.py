@@ -109,6 +109,6 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     text = json.dumps(solution.document, ensure_ascii=False, separators=(",", ":"))
     files = [write_file(out / f"{name}.json", text + "\n")]
     if not isinstance(claim, Safety):
-        figure = plot_motion(claim.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+        figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
         files.append(save_figure(figure, out, (name,)))
     return files

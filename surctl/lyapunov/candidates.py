@@ -102,6 +102,9 @@ def candidates(
     label = "quadratic" if len(template.basis) == len(restricted(2).basis) else "polynomial of degree 4"
     yield Candidate(label, template.function(coefficients), volume)
     if not volume > 0 or len(scales) >= 4:  # the proof of larger regions takes too long
+        if matrix is not None:  # shaping may end at a function that does not decrease close to the equilibrium
+            plain = template.function(_quadratic(template, matrix, scales))
+            yield Candidate("quadratic of the linearisation", plain, 0.0)
         return
     energy = with_cosines(template, scales)
     if len(energy.basis) > len(template.basis):

@@ -23,11 +23,8 @@ __all__ = ["StabilityResult", "find_stability"]
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
 _SIMPLE, _EASY = 2, 1  # the same for the function that is easiest to prove, and when all larger ones failed
-_HALF, _MOST, _WHOLE = (
-    0.4,
-    0.6,
-    0.6,
-)  # shares of the remaining time: a function that is not the last, the easiest one, its first level
+_HALF = 0.4  # share of the remaining time for a function that is not the last
+_MOST, _WHOLE = 0.7, 0.8  # the same for the function that is easiest to prove, and share of it for its first level
 _SEARCH = 0.3  # share of the time for the search of functions
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
@@ -99,7 +96,8 @@ def find_stability(
 ) -> StabilityResult:
     """Find and prove a region of attraction: a Lyapunov function, its largest provable level, and optionally its rate.
 
-    The least level for which a counterexample exists is searched first; the proof is then tried at levels just below.
+    The least level for which a counterexample exists is searched first; the proof is then tried at levels below. The
+    states of a claim with a searched level have the bounds of the smallest box around the region.
 
     Args:
         dynamics: the dynamics; if the stated equilibrium is not one, the only one in the box is taken.
@@ -173,7 +171,8 @@ def find_stability(
         share = rest if k == len(largest) + len(others) else (_HALF if k else _MOST) * rest
         start = _FIRST if k else _SIMPLE
         result = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=start, once=first)
-        best = result if best is None or result.volume > best.volume else best
+        if best is None or (result.verdict == "proved", result.volume) > (best.verdict == "proved", best.volume):
+            best = result
     assert best is not None
     rest = until - time.process_time()
     if best.verdict == "unknown" and level is None and rest > 0:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from surctl.lyapunov.barrier_search import find_barrier
 from surctl.lyapunov.decide import Decision, decide_motion
+from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.search import find_stability
 from surctl.verification.formula import parse, text_of
@@ -66,6 +67,12 @@ class Solution:
             share = level / self.falsified
             lines.append(f"  level {level:g} is {100 * share:.1f} % of the least level with a counterexample")
         return [*lines, f"  {self.reason}"] if self.reason else lines
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """The dynamics of the claim in the whole box of the problem; a searched region is proved in a smaller box."""
+        whole = {s.name: (s.lower, s.upper) for s in self.problem.dynamics.states}
+        return self.problem.dynamics if self.decision is None else self.decision.claim.dynamics.on(whole)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the solution as plain data for JSON."""

@@ -205,7 +205,7 @@ class SystemBench:
         if solution.falsified is not None:
             share = 100 * level / solution.falsified
             lines.append((f"{share:.1f} % of the least level with a counterexample, {solution.falsified:.4g}", ""))
-        figure = plot_motion(claim.dynamics, claim.function, level=level, falsified=solution.falsified)
+        figure = plot_motion(solution.dynamics, claim.function, level=level, falsified=solution.falsified)
         return SlowView(lines, (figure, "Region of attraction: certified level, and the least level that is falsified"))
 
     def command(self, values: Values, view: View) -> str:

@@ -82,6 +82,8 @@ def _polished(point: np.ndarray, slopes: Sequence[Polynomial]) -> np.ndarray:
         at = point.tolist()
         slope = np.array([float(s.value(at)) for s in slopes])
         bend = np.array([[float(b.value(at)) for b in row] for row in bends])
+        if not (np.all(np.isfinite(slope)) and np.all(np.isfinite(bend))):
+            break
         point = point - np.linalg.lstsq(bend, slope, rcond=None)[0]
     return point
 
