@@ -2,13 +2,13 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from mpmath import libmp, mp, mpf
 
 from surctl.certcheck.enclosure import Undefined, enclose, exact, span
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.verification.formula import text_of
+from surctl.verification.formula import parse, text_of, variable
 from surctl.verification.proving.tape import build_tape
 from tests.verification.expressions import NAMES, NoValue, TooClose, expressions, worth
 
@@ -73,6 +73,17 @@ def test_the_provers_ranges_hold_the_value_at_every_point(root, box, at) -> None
             assert low <= value <= high, text_of(root)
 
 
+def of_each_function(test):
+    """A property for a narrow box and each function as well, whatever is drawn."""
+    names = {n: variable(n) for n in NAMES}
+    texts = ("sqrt(x + 2)", "acos(x/3)", "sin(x)", "cos(x)", "tan(x)", "asin(x/3)", "exp(x)", "log(x + 2)", "tanh(x)")
+    for text in (*texts, "sinh(x)", "cosh(x)", "x^3", "x/(y + 4)", "atan2(x, y)", "(x + 2)^1.5"):
+        at = [(0.5, 0.5078125), (0.625, 0.6328125), (1.0, 1.0)]
+        test = example(parse(text, names), at, [0.5, 0.5, 0.5])(test)
+    return test
+
+
+@of_each_function
 @settings(max_examples=150, deadline=None, derandomize=True)
 @given(expressions(branching=False), boxes, shares)
 def test_derivatives_hold_the_slopes_and_bends_that_differences_show(root, box, at) -> None:
