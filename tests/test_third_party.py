@@ -81,9 +81,11 @@ from buoyant import law
 from buoyant.float_ import build
 from surctl.control import law_ref, load_gains
 from surctl.export import Records, build_bundle, software_in_the_loop, write_bundle
+from surctl.lyapunov import continuous_dynamics, find_stability
 from surctl.simulation import Case, load_scenario, simulate_batch
 from surctl.system import linearise, run_system, simulate_system
 from surctl.testing import check_controller, check_law, check_plant, check_task
+from surctl.tuning import tune_system
 from surctl.vehicle import load_vehicle
 from surctl.verification import system_disk_margin, system_margins
 
@@ -96,6 +98,10 @@ record = run_system(system, 60.0, {"k_p": best})
 assert record["late"] == swept["late"].min() < 30
 linear = linearise(system)
 assert system_disk_margin(linear).stable and all(m.stable for m in system_margins(linear))
+assert not tune_system(system, 60.0, {"k_p": (2e-4, 8e-4)}, trials=8).unmet
+around = {"depth": (1.0, 3.0), "speed": (-1.0, 1.0)}
+region = find_stability(continuous_dynamics(system, around, values={"start.depth": 2.0, "k_p": best}), first=True)
+assert region.verdict == "proved"
 bundle = build_bundle(system.controller, {"k_p": np.array([best])})
 write_bundle(bundle, out)
 sil = software_in_the_loop(system.controller, Records(*record.controller))
@@ -163,8 +169,11 @@ def test_a_package_of_a_third_party_runs_the_whole_chain(tmp_path: Path) -> None
     for words, line in (
         (["verify", system], "volume"),
         (["sweep", system, "k_p=2e-4..8e-4:5", "--seconds", "60", "--out", "swept"], "late"),
-        (["simulate", "tank-speed-010", "--law", law], "time limit at"),
         (["verify", str(claim)], "proved"),
+        (
+            ["export", "--scenario", "tank-speed-010", "--law", law, "--sensing", "truth", "--out", "hover"],
+            "thrust 0.0e+00, state 0.0e+00",
+        ),
     ):
         done = run_python(["-m", "surctl", *words], cwd=tmp_path)
         assert line in done.stdout, (words, done.stdout, done.stderr)
