@@ -107,11 +107,20 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
     """Turn Ctrl-C inside the `with` statement into `Stopped`, after `lines` are printed (except with --json)."""
     try:
         yield
-    except KeyboardInterrupt:
+    except BaseException as error:
+        if not _interrupted(error):
+            raise
         if lines and not as_json:
             sys.stdout.write("\n".join(lines) + "\n")
             sys.stdout.flush()
         raise Stopped(message) from None
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    # CasADi answers Ctrl-C inside a conversion to NumPy by an exception of its own
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def refusal_line(refused: Inapplicable) -> str:

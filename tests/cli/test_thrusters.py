@@ -11,7 +11,7 @@ from tests.cli.process import surctl
 
 def test_the_thrusters_and_an_allocation_are_printed(tmp_path):
     words = ("vehicle", "thrusters", "bluerov2-heavy", "--failed", "T2", "--force", "40", "40", "0", "5", "--json")
-    found = surctl(*words, "--out", "pictures", cwd=tmp_path).json
+    found = surctl(*words, "--out", "pictures", cwd=tmp_path, drawn=True).json
     assert found["failed"] == ["T2"] and found["order"] == ["yaw", "force", "effort"]
     assert found["intervals"]["heave"] == pytest.approx([-138.0, 177.2])
     assert found["box_share"] == pytest.approx(0.61, abs=0.001)
