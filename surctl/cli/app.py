@@ -20,7 +20,7 @@ from surctl.cli.lint import lint
 from surctl.cli.listing import listing
 from surctl.cli.mission import scenario
 from surctl.cli.new import new
-from surctl.cli.output import Stopped
+from surctl.cli.output import Stopped, interrupted
 from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
@@ -100,7 +100,9 @@ def main() -> None:
         _print_message(lost)
         discard_stdout()
         status = 1
-    except (KeyboardInterrupt, click.Abort):
+    except (Exception, KeyboardInterrupt) as error:
+        if not (isinstance(error, click.Abort) or interrupted(error)):
+            raise
         _print_message("stopped before a result was finished")
         status = 130
     sys.exit(status if isinstance(status, int) else 0)

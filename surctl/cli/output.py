@@ -24,6 +24,7 @@ __all__ = [
     "as_json",
     "finish",
     "finite",
+    "interrupted",
     "out_folder",
     "printable",
     "progress",
@@ -107,8 +108,8 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
     """Turn Ctrl-C inside the `with` statement into `Stopped`, after `lines` are printed (except with --json)."""
     try:
         yield
-    except BaseException as error:
-        if not _interrupted(error):
+    except (Exception, KeyboardInterrupt) as error:
+        if not interrupted(error):
             raise
         if lines and not as_json:
             sys.stdout.write("\n".join(lines) + "\n")
@@ -116,10 +117,10 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
         raise Stopped(message) from None
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    # CasADi answers Ctrl-C inside a conversion to NumPy by an exception of its own
+def interrupted(error: BaseException | None) -> bool:
+    """Return whether an exception is due to Ctrl-C: CasADi answers it inside a conversion to NumPy by its own."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
+        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
     return error is not None
 
 
