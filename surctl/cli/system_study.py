@@ -116,18 +116,13 @@ def _default_axes(own: OwnSystem, values: Mapping[str, object]) -> list[str]:
 
 def _design(own: OwnSystem, axes: Sequence[str], values: Mapping[str, object]) -> Design | None:
     """Return the grid of the sweep; None without axes."""
+    from surctl.cli.system_sweep import grid_of
     from surctl.errors import InputError
-    from surctl.system.values import check_scalar
-    from surctl.tuning.axes import parse_axis
-    from surctl.tuning.design import make_design
 
-    if axes and not own.system.costs:
-        raise InputError("has no costs", key="system", value=own.label, remedy="give System(..., costs={...})")
     if not axes:
         return None
-    design = make_design("grid", [parse_axis(text) for text in axes])
+    design = grid_of(own, axes)
     for name in design.names:
-        check_scalar(own.system, name)
         if name in values:
             raise InputError("is given twice", key=name, remedy="give a value or an axis")
     return design

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from surctl.system import Runs
     from surctl.tuning.design import Design
 
-__all__ = ["best_line", "best_points", "sweep_system"]
+__all__ = ["best_line", "best_points", "grid_of", "sweep_system"]
 
 _SHOWN = 40  # largest number of points in the text output
 _MOST_JSON = 100_000  # largest number of points printed as JSON
@@ -28,20 +28,13 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
     from surctl.system import LOST, simulate_system
-    from surctl.system.values import check_scalar
-    from surctl.tuning.axes import parse_axis
-    from surctl.tuning.design import make_design
 
     own = load_system(words)
     duration = own.seconds(seconds)
-    if not own.system.costs:
-        raise InputError("has no costs", key="system", value=own.label, remedy="give System(..., costs={...})")
-    design = make_design("grid", [parse_axis(text) for text in own.settings])
+    design = grid_of(own, own.settings)
     if as_json and len(design.points) > _MOST_JSON:
         problem = f"would print {len(design.points)} points"
         raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
-    for name in design.names:
-        check_scalar(own.system, name)
     values = {name: design.points[:, k] for k, name in enumerate(design.names)}
     prepare_folder(out)
     runs = simulate_system(own.system, duration, values, threads=workers or 2)
@@ -73,6 +66,25 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         at = next(iter(best.values()))["at"]
         then = [command_line("simulate", own, *(f"{n}={v!r}" for n, v in at.items()), "--seconds", f"{duration:g}")]
     finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+
+
+def grid_of(own: OwnSystem, axes: Sequence[str]) -> Design:
+    """Return the grid of a sweep.
+
+    Raises:
+        InputError: the system has no costs, an axis is not valid, or its name is not that of one number.
+    """
+    from surctl.errors import InputError
+    from surctl.system.values import check_scalar
+    from surctl.tuning.axes import parse_axis
+    from surctl.tuning.design import make_design
+
+    if not own.system.costs:
+        raise InputError("has no costs", key="system", value=own.label, remedy="give System(..., costs={...})")
+    design = make_design("grid", [parse_axis(text) for text in axes])
+    for name in design.names:
+        check_scalar(own.system, name)
+    return design
 
 
 def _lost_number(own: OwnSystem, design: Design, runs: Runs, k: int) -> str:

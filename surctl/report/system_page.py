@@ -178,7 +178,7 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
     blocks: list[Block] = [Paragraph(study.claim[0], "good" if proved else "bad"), *map(Paragraph, study.claim[1:])]
     claim = None if solution.decision is None else solution.decision.claim
     if claim is not None and hasattr(claim, "level"):
-        figures = plot_motion(claim.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+        figures = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
         text = "Level set of the Lyapunov function, with solutions of the dynamics."
         blocks.append(Pictures((picture(figures, alt=text, caption=text, command=study.commands["verify"]),)))
     return (*blocks, Paragraph(f"Limits of the claim: {solution.problem.dynamics.source}."))
