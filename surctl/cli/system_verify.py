@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from surctl.verification.linear.disk import DiskMargin
     from surctl.verification.margins import LoopMargins
 
-__all__ = ["LinearLoop", "disk_line", "linear_loop", "verify_system"]
+__all__ = ["LinearResults", "disk_line", "linear_loop", "verify_system"]
 
 
 def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
@@ -66,7 +66,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
 
 
-class LinearLoop(NamedTuple):
+class LinearResults(NamedTuple):
     """Equilibrium, sampled poles and margins of a system.
 
     Attributes:
@@ -87,7 +87,7 @@ class LinearLoop(NamedTuple):
     data: dict[str, Any]
 
 
-def linear_loop(own: OwnSystem, values: Mapping[str, ArrayLike]) -> LinearLoop:
+def linear_loop(own: OwnSystem, values: Mapping[str, ArrayLike]) -> LinearResults:
     """Return the linear loop about the equilibrium.
 
     Raises:
@@ -121,7 +121,7 @@ def linear_loop(own: OwnSystem, values: Mapping[str, ArrayLike]) -> LinearLoop:
         "margins": [margin.to_dict() for margin in margins],
         "disk_margins": [margin.to_dict() for margin in together.values()],
     }
-    return LinearLoop(resting, stable, _mode_text(mode), margins, together, lines, data)
+    return LinearResults(resting, stable, _mode_text(mode), margins, together, lines, data)
 
 
 def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:

@@ -19,8 +19,9 @@ from surctl.verification.formula import IDENTIFIER, from_casadi
 __all__ = ["NOT_COVERED", "continuous_dynamics"]
 
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
-_AS_FLOW = "; the controller state z follows z' = (z+ - z) / period"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
+
+_AS_FLOW = "; the controller state z follows z' = (z+ - z) / period"
 
 _ROUNDING, _POINTS = 1e-12, 100
 

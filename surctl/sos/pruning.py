@@ -47,20 +47,10 @@ def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction | float]]) -> Gram:
     together have rational coefficients.
     """
     own = [zero for zero in zeros if gram.weight.value(zero) > _POSITIVE]
-    values = [
-        [Fraction(Polynomial.monomial(m).value(zero)) for m in gram.basis]
-        for zero in own
-        if not isinstance(zero[0], float)
-    ]
-    values += _rational(
-        np.array(
-            [
-                [float(Polynomial.monomial(m).value(zero)) for m in gram.basis]
-                for zero in own
-                if isinstance(zero[0], float)
-            ]
-        )
-    )
+    rows = [[Polynomial.monomial(m).value(zero) for m in gram.basis] for zero in own]
+    exact = [not isinstance(zero[0], float) for zero in own]
+    values = [[Fraction(x) for x in row] for row, known in zip(rows, exact, strict=True) if known]
+    values += _rational(np.array([row for row, known in zip(rows, exact, strict=True) if not known], dtype=float))
     pivots: dict[int, list[Fraction]] = {}
     for row in values:
         for at, other in pivots.items():

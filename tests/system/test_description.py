@@ -28,6 +28,7 @@ def controller(law: Callable[..., Any], **changes: Any) -> Controller:
 
 
 GOOD = {"angle": ca.SX(0), "rate": ca.SX(0)}
+# arguments of a wrong type are the point of some mistakes, so the type checker is silenced there
 MISTAKES: dict[str, tuple[Callable[[], object], str]] = {
     "missing state": (lambda: plant(lambda x, f, d, p: {"angle": x["rate"]}), r"body\.ode\.rate: is not returned"),
     "unknown state": (

@@ -18,6 +18,7 @@ def linear(name: str, row: list[float], gain: float = 1.0) -> Task:
 
 
 def told(*tasks: Task, region: object = REGION) -> StackConditions:
+    # the tests of mistakes give regions of a wrong type
     return stack_conditions(Stack(tasks), region, samples=128)  # type: ignore[arg-type]
 
 
