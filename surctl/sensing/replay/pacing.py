@@ -25,7 +25,7 @@ def usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
         file: name of the file, for error messages.
 
     Raises:
-        InputError: no sensor has readings at two different times, or the cycle time is outside the limits of the filter.
+        InputError: no sensor has readings at two different times, or the cycle time is outside the filter's limits.
     """
     waits = np.concatenate([np.diff(time[sensor == i]) for i in np.unique(sensor)])
     waits = waits[waits > 0]
