@@ -150,7 +150,7 @@ class Design:
 
     @cached_property
     def effort(self) -> tuple[tuple[tuple[int, ...], Rows], ...]:
-        """The last level in independent parts: coordinates in the null space, and the limits on them.
+        """The level `effort` in parts that do not affect each other: (coordinates in the null space, limits on them).
 
         The known numbers of the rows are the forces (4,) of the higher levels.
         """

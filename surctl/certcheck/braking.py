@@ -29,9 +29,8 @@ from surctl.certcheck.braking_distance import (
     read_distance,
     rounded,
 )
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_claim import record
 
 __all__ = ["check"]
 

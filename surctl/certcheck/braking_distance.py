@@ -18,8 +18,8 @@ from itertools import pairwise
 from typing import Any
 
 from surctl.certcheck.braking_claim import BrakingClaim
-from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.region_claim import number
 
 __all__ = ["BrakingDistance", "drag", "forces", "read_distance", "rounded"]
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from surctl.errors import InputError
 
-__all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "listed", "number", "read", "seal"]
+__all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "listed", "number", "read", "record", "seal"]
 
 FORMAT, VERSION = "surctl-certificate", 2
 LARGEST = 8_000_000
@@ -121,6 +122,15 @@ def listed(value: object) -> list[Any]:
     return value
 
 
+def record(value: object, keys: Iterable[str], where: str) -> Mapping[str, Any]:
+    """Return `value` if it is a JSON object with exactly these keys; raise Rejected otherwise."""
+    keys = set(keys)
+    if not isinstance(value, dict) or set(value) != keys:
+        actual = sorted(value) if isinstance(value, dict) else type(value).__name__
+        raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {actual}")
+    return value
+
+
 def number(value: object) -> float:
     """Return a number of the document as a double; raise Rejected unless it is finite and exact."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
@@ -137,7 +147,9 @@ def _refuse(name: str) -> float:
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
-        raise ValueError("a key occurs twice")
-    if any(isinstance(v, float) and not math.isfinite(v) for v in table.values()):
-        raise ValueError("a number is not finite")
+        key, times = Counter(name for name, _ in pairs).most_common(1)[0]
+        raise ValueError(f"the key {key!r} occurs {times} times")
+    for key, value in table.items():
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ValueError(f"the number {key!r} is too large for a double")
     return table

@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.heading_cells import check_cells
 from surctl.certcheck.heading_claim import HeadingClaim, read_claim
 from surctl.certcheck.heading_law import check_identity
-from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.region_claim import number
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up
 
 __all__ = ["check"]

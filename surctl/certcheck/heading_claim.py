@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.region_claim import number
 
 __all__ = ["EXCLUDES", "HeadingClaim", "read_claim"]
 

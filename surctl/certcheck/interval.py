@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.enclosure import Undefined
 from surctl.certcheck.expressions import RESERVED, ExpressionTable
 from surctl.certcheck.inequality import DIMENSIONS, Box, Inequality, listed, number
@@ -26,8 +26,8 @@ _CLAIM = {"name", "statement", "unit", "variables", "left", "right", "constraint
 def check(document: Mapping[str, Any]) -> None:
     """Raise Rejected unless the certificate proves its claim."""
     claim = document["claim"]
-    if set(claim) != _CLAIM or set(document) != {"format", "version", "kind", "claim", "cases", "sha256"}:
-        raise Rejected("the certificate has missing or unknown keys")
+    record(claim, _CLAIM, "claim")
+    record(document, {"format", "version", "kind", "claim", "cases", "sha256"}, "the certificate")
     names, box = variables_of(claim["variables"])
     printable(claim["name"], claim["unit"])
     slack = number(claim["slack"])
@@ -53,8 +53,8 @@ def variables_of(variables: object) -> tuple[list[str], Box]:
         if name in RESERVED:
             raise Rejected(f"the variable {name!r} has the name of a number or a function")
     printable(*(v["unit"] for v in entries))
-    if any(set(v) != {"name", "unit", "lower", "upper"} for v in entries):
-        raise Rejected("a variable has missing or unknown keys")
+    for variable in entries:
+        record(variable, {"name", "unit", "lower", "upper"}, "a variable")
     box = [(number(v["lower"]), number(v["upper"])) for v in entries]
     if any(low > high for low, high in box):
         raise Rejected("a variable's lower end lies above its upper end")

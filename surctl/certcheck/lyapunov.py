@@ -25,7 +25,7 @@ from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.inequality import listed, number
 from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion
 
@@ -58,8 +58,8 @@ def _stability(
     document: Mapping[str, Any], motion: Motion, function: str, change: str, inside: Sequence[str]
 ) -> list[Obligation]:
     claim = document["claim"]
-    if set(claim) != _MOTION | {"equilibrium"} or set(document) != _FRAME | {"scales", "positive", "decrease"}:
-        raise Rejected("the certificate has missing or unknown keys")
+    record(claim, _MOTION | {"equilibrium"}, "claim")
+    record(document, _FRAME | {"scales", "positive", "decrease"}, "the certificate")
     level = decimal_text(claim["level"])
     distance = _distance(motion, claim["equilibrium"], listed(document["scales"]))
     motion.require_inside(function, claim["level"], claim["equilibrium"])
@@ -79,8 +79,8 @@ def _bound(
     document: Mapping[str, Any], motion: Motion, function: str, change: str, inside: Sequence[str]
 ) -> list[Obligation]:
     claim = document["claim"]
-    if set(claim) != _MOTION | {"inner", "gains"} or set(document) != _FRAME:
-        raise Rejected("the certificate has missing or unknown keys")
+    record(claim, _MOTION | {"inner", "gains"}, "claim")
+    record(document, _FRAME, "the certificate")
     rate, inner, level = (Fraction(repr(number(claim[key]))) for key in ("rate", "inner", "level"))
     ranges = dict(zip(motion.names, motion.box, strict=True))
     driving, most = "0", Fraction(0)

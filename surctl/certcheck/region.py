@@ -18,10 +18,10 @@ from collections.abc import Mapping
 from fractions import Fraction
 from typing import Any
 
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_bounds import shell
-from surctl.certcheck.region_claim import CruiseClaim, number, read_claim, record
+from surctl.certcheck.region_claim import CruiseClaim, number, read_claim
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up, scaled
 from surctl.certcheck.region_flow import steady_trim
 from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, vertices

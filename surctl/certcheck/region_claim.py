@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 
-__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "read_top", "record"]
+__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "read_top"]
 
 _LARGEST = 10**9
 
@@ -76,14 +76,6 @@ class CruiseClaim:
     rate: Fraction
     offset: Fraction
     ultimate_bound: tuple[Fraction, Fraction]
-
-
-def record(value: Any, keys: tuple[str, ...], where: str) -> Mapping[str, Any]:
-    """Return `value` if it is a JSON object with exactly the given keys; raise Rejected otherwise."""
-    if not isinstance(value, dict) or set(value) != set(keys):
-        actual = sorted(value) if isinstance(value, dict) else type(value).__name__
-        raise Rejected(f"{where} must have exactly the keys {', '.join(sorted(keys))}, not {actual}")
-    return value
 
 
 def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = False) -> Fraction:

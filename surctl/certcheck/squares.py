@@ -31,7 +31,7 @@ from math import lcm
 from typing import Any
 
 from surctl.certcheck.definite import is_semidefinite
-from surctl.certcheck.document import Rejected, listed
+from surctl.certcheck.document import Rejected, listed, record
 from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact, Sum
@@ -71,8 +71,7 @@ class Claimed:
 
 def check_squares(entry: Mapping[str, Any], claimed: Claimed) -> None:
     """Raise Rejected unless the entry `squares` proves the inequality; it must be defined on the whole box."""
-    if not isinstance(entry, dict) or set(entry) != {"symbols", "facts", "blocks", "relations"}:
-        raise Rejected("the sums of squares have missing or unknown keys")
+    entry = record(entry, {"symbols", "facts", "blocks", "relations"}, "squares")
     ring = _Ring(claimed, entry)
     rest = ring.target()
     plain: list[_Block] = []
@@ -213,8 +212,7 @@ class _Ring:
 
     def relation(self, entry: object) -> tuple[Packed, Packed]:
         """Return a multiplier and a polynomial that is 0."""
-        if not isinstance(entry, dict) or set(entry) != {"symbol", "monomials", "factors"}:
-            raise Rejected("a relation has missing or unknown keys")
+        entry = record(entry, {"symbol", "monomials", "factors"}, "a relation")
         atom = next((a for a, (at, _, _) in self._atoms.items() if at == entry["symbol"]), "")
         if atom.startswith("sine{"):
             zero: Sum = {((atom, 2),): Fraction(1), (("cosi{" + atom[5:], 2),): Fraction(1), (): Fraction(-1)}
@@ -236,8 +234,7 @@ class _Block:
     """A sum of squares z' G z: its monomials, and the lower triangle of G as integers over one denominator."""
 
     def __init__(self, entry: object, count: int) -> None:
-        if not isinstance(entry, dict) or set(entry) != {"factors", "monomials", "over", "gram"}:
-            raise Rejected("a sum of squares has missing or unknown keys")
+        entry = record(entry, {"factors", "monomials", "over", "gram"}, "a sum of squares")
         self.monomials = [_monomial(m, count) for m in listed(entry["monomials"])]
         size, numbers = len(self.monomials), listed(entry["gram"])
         if size > _LARGEST:

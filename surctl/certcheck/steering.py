@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.region_claim import number
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up
 from surctl.certcheck.steering_claim import STATES, SteeringClaim, read_claim
 from surctl.certcheck.steering_law import check_samples

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import number, read_top, record
+from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.region_claim import number, read_top
 from surctl.certcheck.turning_claim import read_terms
 
 __all__ = ["EXCLUDES", "STATES", "SteeringClaim", "read_claim"]

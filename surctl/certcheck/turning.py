@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import number, record
+from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.region_claim import number
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,

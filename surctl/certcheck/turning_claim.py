@@ -9,8 +9,8 @@ from fractions import Fraction
 from itertools import product
 from typing import Any
 
-from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_claim import number, read_top, record
+from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.region_claim import number, read_top
 
 __all__ = ["EXCLUDES", "Pair", "TurningClaim", "drag_factors", "factors", "read_claim", "read_terms"]
 

@@ -13,7 +13,7 @@ barrier_options = together(
         "--barrier",
         default="simple",
         metavar="NAME",
-        help="Approach bound: simple (default) or inertia.",
+        help="Bound on approach speed: simple (default) or inertia.",
     ),
     click.option("--movers", default="predict", metavar="NAME", help="Moving obstacles: predict (default) or barrier."),
 )

@@ -30,9 +30,7 @@ campaign_options = together(
         "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N worlds."
     ),
     click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
-    click.option(
-        "--threads", type=click.IntRange(1, 1024), metavar="N", help="Threads (default 2); MuJoCo: processes."
-    ),
+    click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),
     click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
     click.option(
         "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Repeat a run saved in DIR/worst."

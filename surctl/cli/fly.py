@@ -30,7 +30,7 @@ _SYSTEM = click.IntRange(1, 255)
 @click.option("--sensing", default="truth", metavar="NAME", help="Obstacles as reported: truth (default), or sonar.")
 @click.option("--mode", default="alt_hold", metavar="NAME", help="Mode: alt_hold (default), manual or guided.")
 @click.option(
-    "--send", default="rc", metavar="NAME", help="Channel overrides, rc (default), or manual control, manual."
+    "--send", default="rc", metavar="NAME", help="Messages: rc (channel overrides, default) or manual (MANUAL_CONTROL)."
 )
 @click.option(
     "--origin",

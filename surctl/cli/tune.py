@@ -53,7 +53,7 @@ __all__ = ["tune"]
     type=click.IntRange(min=1),
     default=256,
     metavar="N",
-    help="Gain sets tried by each of the two searches of a round (default 256).",
+    help="Gain sets that NSGA-II tries in a round (default 256); the descent tries about as many.",
 )
 @click.option(
     "--seed",

@@ -56,7 +56,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 @click.option(
     "--cap", type=_SPEED, metavar="V", help="Largest commanded speed [m/s] (default: the scenario's, else 0.22)."
 )
-@click.option("--scenario", metavar="FILE", help="Scenario, also for the safety claim: name or file.")
+@click.option("--scenario", metavar="FILE", help="Scenario: name or file; adds the safety claim.")
 @click.option("--law", metavar="NAME", help="Law: name or FILE.py:FUNCTION (default: the vehicle's).")
 @click.option(
     "--stack", "stacks", multiple=True, metavar="LAW", help="Analyse the task stack of a law: guarded or paper."

@@ -34,8 +34,8 @@ class Fault(NamedTuple):
 
     Attributes:
         label: description such as "u.clearance[2] = nan".
-        at: index of the invalid number in the vector that joins state, input and gains; an index beyond this vector
-            means a fault that follows a valid step.
+        at: index of the invalid number in the vector that joins state, input and gains; from the length of
+            this vector on, the faults that follow a valid step (such as a repeated sample) and the jumps of inputs.
         value: the invalid number.
         status: required status; None if the status that Python computes is required.
     """

@@ -147,13 +147,13 @@ class SetTask:
             column = as_column(getattr(self, bound))
         except ValueError:
             raise InputError(
-                "is neither numbers nor a vector expression", key=key, remedy=f"give one number or {k}"
+                "is neither numbers nor a vector expression", key=key, remedy=f"give 1 or {k} numbers"
             ) from None
         if column.numel() == 1:
             column = ca.repmat(column, k, 1)
         if column.numel() != k:
             raise InputError(
-                f"has {column.numel()} entries, but sigma has {k}", key=key, remedy=f"give one number or {k}"
+                f"has {column.numel()} entries, but sigma has {k}", key=key, remedy=f"give 1 or {k} numbers"
             )
         return column
 

@@ -204,11 +204,11 @@ def _column_of(task: Task, field: str, size: int) -> ca.SX:
     try:
         column = as_column(getattr(task, field))
     except ValueError:
-        raise _wrong(task, field, "is neither numbers nor a vector expression", f"give one number or {size}") from None
+        raise _wrong(task, field, "is neither numbers nor a vector expression", f"give 1 or {size} numbers") from None
     if column.numel() == 1:
         column = ca.repmat(column, size, 1)
     if column.numel() != size:
-        raise _wrong(task, field, f"has {column.numel()} entries, but sigma has {size}", f"give one number or {size}")
+        raise _wrong(task, field, f"has {column.numel()} entries, but sigma has {size}", f"give 1 or {size} numbers")
     for number in _numbers(column):
         if not math.isfinite(number):
             raise _wrong(task, field, "is not finite", "give a finite number", number)

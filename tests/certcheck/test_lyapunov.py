@@ -59,7 +59,7 @@ def test_a_proof_is_accepted(name: str) -> None:
         ("van-der-pol", ("claim", "equilibrium", "x"), 0.5, "inequality"),
         ("van-der-pol", ("claim", "states", 0, "upper"), 1.0, "inequality"),
         ("van-der-pol", ("claim", "time"), "discrete", "does not follow from the dynamics"),
-        ("van-der-pol", ("claim", "property"), "bound", "missing or unknown keys"),
+        ("van-der-pol", ("claim", "property"), "bound", "claim must have exactly the keys"),
         ("van-der-pol", ("change",), "-(x^2 + y^2)", "does not follow from the dynamics"),
         ("van-der-pol", ("positive", "factor"), 0.0, "no positive factor"),
         ("van-der-pol", ("positive", "factor"), 10.0, "inequality 1"),

@@ -25,12 +25,12 @@ def usual_cycle(time: Array, sensor: NDArray[np.int64], *, file: str) -> float:
         file: name of the file, for error messages.
 
     Raises:
-        InputError: if no sensor has readings at two times, or the cycle time is outside the limits of the filter.
+        InputError: no sensor has readings at two different times, or the cycle time is outside the filter's limits.
     """
     waits = np.concatenate([np.diff(time[sensor == i]) for i in np.unique(sensor)])
     waits = waits[waits > 0]
     if not len(waits):
-        raise InputError("no sensor has two readings at two times", file=file, remedy="give a longer recording")
+        raise InputError("no sensor has readings at two different times", file=file, remedy="give a longer recording")
     cycle = _pace(time, sensor, float(np.median(waits)))
     if not _FASTEST <= cycle <= _SLOWEST:
         raise InputError(

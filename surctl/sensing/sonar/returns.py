@@ -2,7 +2,8 @@
 
 Several surfaces in a beam answer the same ping, and the module measures the first echo that it detects. So the measured
 range is the minimum over the returns that are detected. `certain_range` gives the nearest return that is always
-detected, `weak_range` the nearest one of the returns with a probability, and of the corners of the site.
+detected. `weak_range` gives the nearest of the other returns, if detected in this firing: edges and cylinders, which
+are detected with a probability, and corners of the site.
 
 Upright surfaces are met in the horizontal plane of the sensor: for a beam with pitch 0 this is exact, because the
 nearest point of an upright surface in a circular cone about a horizontal axis lies in that plane. The water surface and
