@@ -59,10 +59,10 @@ def true_rate(law: dict[str, float], boat: Boat, state: list[float], thrust: tup
 
 
 def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
-    """Compare the derivative of law and vehicle with A ξ at sampled points.
+    """Compare the state derivative of vehicle and law with A ξ at sampled points.
 
     Raises:
-        Rejected: the derivative of law and vehicle differs from A ξ.
+        Rejected: the state derivative of vehicle and law differs from A ξ.
     """
     law = {key: float(value) for key, value in claim.law.items()}
     v, velocity_gain = law["cruise"], float(claim.velocity_gain)

@@ -54,7 +54,8 @@ _SYSTEM = click.IntRange(1, 255)
     "acts",
     multiple=True,
     metavar="S:ACT",
-    help="Rehearsal: at time S arm, disarm, reboot, cut, join, quit, blind or a mode.",
+    help="Rehearsal: event at S [s]: arm, disarm, a mode, reboot (of the autopilot), cut (the link), blind (no pose), "
+    "join (ends cut and blind) or quit (the bridge is killed).",
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Rehearsal: seed (default 0).")
 @click.option(

@@ -19,7 +19,7 @@ priority_options = together(
         "--fallback",
         default="exact",
         metavar="NAME",
-        help="If limits are infeasible: exact (default) or bounded.",
+        help="If limits conflict: exact (default), or bounded cost.",
     ),
 )
 """A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""

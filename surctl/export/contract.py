@@ -147,7 +147,10 @@ def command_word(law: Exportable) -> str:
 
 
 def status_table(law: Exportable) -> tuple[tuple[str, int, str], ...]:
-    """Return (name, code, meaning) of each status; a controller of another plant defines its own status bits."""
+    """Return (name, code, meaning) of each status of a law of the robot, or of those that other controllers share.
+
+    A controller of another plant defines its further status bits itself.
+    """
     if is_robot_law(law):
         return STATUS
     return tuple(

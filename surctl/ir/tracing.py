@@ -357,6 +357,6 @@ def _columns(values: Vectors) -> list[ca.SX]:
 def _check(name: str, state: Vectors, after: Vectors, collected: Vectors, until: int | None) -> None:
     before, behind = [part.numel() for part in state], [part.numel() for part in after]
     if before != behind:
-        raise InputError(f"has a state of {before} numbers at first, then of {behind}", key=name)
+        raise InputError(f"changes the sizes of its state from {before} to {behind}", key=name)
     if until is not None and (before[until] != 1 or collected):
         raise InputError("ends at a flag: the flag must be one number, and no tables can be stacked", key=name)

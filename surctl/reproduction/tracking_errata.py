@@ -64,7 +64,10 @@ def followed_path(x: float, y: float) -> float:
 
 
 def printed_position_error(x: float, y: float, z: float) -> float:
-    """Return the position error E_p as our copy of the paper reads: the root ends after its first term (m plus m²)."""
+    """Return the position error E_p as our copy of the paper reads: metres plus square metres.
+
+    There the root ends after its first term.
+    """
     return float(np.sqrt(x * x)) + y * y + z * z
 
 

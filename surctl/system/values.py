@@ -114,7 +114,7 @@ def every_combination(*groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 
 def check_scalar(system: System, name: str) -> None:
-    """Raise InputError if a name does not denote a single number of the system; the message names the entries.
+    """Raise InputError if a name does not denote a scalar of the system; for a vector, the message lists its entries.
 
     Args:
         system: the closed loop.

@@ -237,7 +237,7 @@ def test_mistakes_are_named() -> None:
     row = ca.SX.sym("row", 2, 2)
     with pytest.raises(InputError, match=r"sums: runs over tables of \[2, 3\] rows"):
         fold("sums", lambda s, a, b: s, ca.SX(0), ca.SX(2, 1), ca.SX(3, 1))
-    with pytest.raises(InputError, match=r"sums: has a state of \[1\] numbers at first, then of \[2\]"):
+    with pytest.raises(InputError, match=r"sums: changes the sizes of its state from \[1\] to \[2\]"):
         fold("sums", lambda s, a: ca.vertcat(s, s), ca.SX(0), row)
     with pytest.raises(InputError, match="first: reads a row of an empty table"):
         picked("first", ca.SX(0, 2), ca.SX(0))

@@ -54,9 +54,11 @@ class RegionStatement(Strict):
         speed_share: largest relative deviation of the surge speed from the cruise speed (`steered` only).
         ranges: whether the ranges of the vehicle file replace `share`.
         thrust_share: largest relative reduction of the thrust limits.
-        asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean
-            (`turning`: of the factors of the two linear, and of the two quadratic drag coefficients).
-        mass_asymmetry: largest difference of the factors of the two masses, divided by their mean (`turning` only).
+        asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean. For
+            `turning`, the difference is that of the ratios of true to stated coefficient (of the two linear, and of
+            the two quadratic ones).
+        mass_asymmetry: largest difference of the ratios of true to stated mass in surge and in sway, divided by their
+            mean (`turning` only).
         sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
         yaw_rate_rad_per_s: largest yaw rate.
         spinning: whether the value of the gain `spin` replaces `yaw_rate_rad_per_s`.
