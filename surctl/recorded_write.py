@@ -83,7 +83,7 @@ def write_mat(path: Path, columns: Mapping[str, Column], *, texts: Mapping[str, 
 def write_netcdf(
     path: Path, columns: Mapping[str, Column], *, sizes: Mapping[str, int], attributes: Mapping[str, Any]
 ) -> Path:
-    """Write a netCDF-4 file, which gets its name when it is complete; return the path.
+    """Write a netCDF-4 file under a temporary name, rename it when it is complete, and return its path.
 
     Args:
         path: the file.

@@ -91,4 +91,4 @@ def check_identity(claim: HeadingClaim, draw: random.Random) -> None:
         spin = float(at.yaw.mid[0] @ xi) - boat["yaw_linear"] * r - boat["yaw_quadratic"] * r * abs(r)
         own = [*xi[3:], moved[3], moved[4], spin / boat["yaw_inertia_kg_m2"]]
         if max(abs(a - b) for a, b in zip(expected, own, strict=True)) > 1e-9:
-            raise Rejected("the linear inclusion differs from the true loop at a sampled point")
+            raise Rejected("the linear inclusion does not reproduce the nonlinear loop at a sampled point")

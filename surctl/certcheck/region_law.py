@@ -235,7 +235,7 @@ def _compare(
             for value, row in zip(predicted, rows, strict=True)
         ]
     if predicted != rate:
-        raise Rejected("the linear inclusion differs from the true loop at a sampled point")
+        raise Rejected("the linear inclusion does not reproduce the nonlinear loop at a sampled point")
 
 
 def _trim_slope(claim: CruiseClaim, omega: Fraction, heading: Pair) -> Pair:

@@ -108,7 +108,10 @@ class _Ring:
         self.symbols = listed(entry["symbols"])
         self._facts = listed(entry["facts"])
         if len(self.symbols) > _SYMBOLS or len(self._facts) > _FACTS:
-            raise Rejected("the sums of squares have too many symbols or facts")
+            raise Rejected(
+                f"the proof has {len(self.symbols)} variables and {len(self._facts)} inequalities that it may use; "
+                f"the limits are {_SYMBOLS} and {_FACTS}"
+            )
         self._atoms: dict[str, tuple[int, Fraction, Fraction]] = {}  # atom = factor · symbol + offset
         positions = [claimed.expressions.read(text) for text in self.symbols]
         enclose(claimed.expressions, positions, self._root)  # a symbol that is not a real number proves nothing

@@ -64,7 +64,7 @@ __all__ = ["export"]
     is_flag=True,
     help="Prove that no run-time error occurs (Frama-C's Eva).",
 )
-@click.option("--targets", metavar="A,B", help="Compilers and processors of --check (default: all available).")
+@click.option("--targets", metavar="A,B", help="Compilers and processors that --check uses (default: all available).")
 @click.option(
     "--steps", type=click.IntRange(min=1), metavar="N", help="Single steps that --check tries (default 100000)."
 )

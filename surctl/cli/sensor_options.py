@@ -62,7 +62,7 @@ class SensorOptions:
         faults: faults in the form of `parse_fault`; they replace all faults of the scenario.
         chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
         beam: full opening angle of the sonars [°].
-        own_state: whether the law uses its own state as `measured`, or the `truth`.
+        own_state: which state of the robot the law receives: `measured` (with errors) or `truth` (exact).
         echoes: name of an echo model, see `surctl.simulation.ECHOES`.
     """
 

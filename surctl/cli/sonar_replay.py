@@ -28,7 +28,11 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     help="Longest range of a sensor [m] (default 4.5); the reading if no echo is received.",
 )
 @click.option(
-    "--bits", type=click.IntRange(1, 24), default=8, metavar="N", help="Bits of the analogue conversion (default 8)."
+    "--bits",
+    type=click.IntRange(1, 24),
+    default=8,
+    metavar="N",
+    help="Resolution of the A/D converter in bits (default 8).",
 )
 @click.option(
     "--bias", type=float, default=0.0, metavar="M", help="Bias of a sample [m], from surctl calibrate (default 0)."

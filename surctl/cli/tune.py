@@ -74,7 +74,7 @@ __all__ = ["tune"]
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle of every scenario: name or file; may be repeated (default: the study's).",
+    help="Vehicle (name or file) instead of the study's. Repeat: every scenario is run with each.",
 )
 @click.option(
     "--guidance",

@@ -1,4 +1,4 @@
-"""The law `closed_form`, the smallest law that avoids an obstacle: the paper's tasks for one known obstacle.
+"""The law `closed_form`, the simplest law that avoids an obstacle: the paper's tasks for one known obstacle.
 
 The law combines the guidance (8)–(12) of the paper, one sensor sub-task, the corrected avoidance course (20), the depth
 task and the heading task by the null-space projection (16). The position of the obstacle is an input, and the path must

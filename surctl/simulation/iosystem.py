@@ -88,7 +88,7 @@ def closed_loop_system(
     chosen = law or build_law(depths=scenario.depths is not None, actuators=vehicle.actuators)
     if "samples" in chosen.inputs:
         raise InputError(
-            "uses sonars, but this system has true positions only",
+            "uses sonars, but this system provides only the true positions of the obstacles",
             key="law",
             value=chosen.name,
             remedy="build the law with sonar=False",

@@ -143,8 +143,8 @@ def heading_claim(
 class Limits:
     """Bounds at n points: on surge speed minus cruise speed, sway speed and yaw rate, and on the thrust shares.
 
-    The thrust share φ of an axis is the share of the deviation of the commanded thrust that remains under the thrust
-    limit; `shares` holds the least values of φ for surge, sway and yaw.
+    The thrust share φ of an axis is the deviation of the thrust from its value at cruise after saturation, divided by
+    that before saturation (1: no saturation); `shares` holds the least values of φ for surge, sway and yaw.
     """
 
     surge: Array
