@@ -227,7 +227,7 @@ HIDDEN = ca.sumsqr(ECHO - ca.DM([0.31, -0.62])) - 0.003
                 row("other", "actuator", a=(0, 1, 0, 0)),
                 row("mine.v", "actuator", lower=0.3, upper=0.4),
             ),
-            "actuator rows mine.u and mine.v contradict each other by 0.1",
+            "actuator rows mine.u and mine.v contradict each other: smallest violation 0.1",
         ),
         (
             Rows(

@@ -257,7 +257,8 @@ def hyperbolic_tangent(a: Interval) -> Interval | None:
 def real_power(a: Interval, exponent: Fraction) -> Interval | None:
     """Return the range of x^exponent on an interval of numbers ≥ 0 (> 0 if the exponent is negative).
 
-    None if a value exceeds e^(2^20). The power increases with x if the exponent is positive, and decreases otherwise.
+    Return None if the result exceeds e^(2^20). The power increases with x if the exponent is positive, and decreases
+    otherwise.
     """
     ends = a if exponent > 0 else (a[1], a[0])
     if not _bounded(a):

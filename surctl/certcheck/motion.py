@@ -179,7 +179,7 @@ def read_motion(claim: Mapping[str, Any]) -> Motion:
 def _require_loop(about: object) -> None:
     """Raise Rejected unless the entry `about` states the digests of plant and controller, and the values of gains."""
     if not isinstance(about, dict) or set(about) != {"plant", "controller", "gains"}:
-        raise Rejected("the certificate does not state the plant, the controller and the gains of the dynamics")
+        raise Rejected("the certificate must state the plant, the controller and the gains that define the dynamics")
     printable(about["plant"], about["controller"])
     if not isinstance(about["gains"], dict):
         raise Rejected("the certificate does not state the gains by name")

@@ -317,7 +317,7 @@ def _common(numbers: Iterable[Fraction]) -> int:
     for q in {x.denominator for x in numbers}:
         whole = lcm(whole, q)
         if whole.bit_length() > 4 * _BITS:
-            raise Rejected("a number of a sum of squares has too many digits")
+            raise Rejected("an integer in a sum of squares has too many digits")
     return whole
 
 
@@ -327,7 +327,7 @@ def _less(a: Packed, b: Packed) -> Packed:
     for m, x in b.items():
         total[m] = total.get(m, Fraction(0)) - x
         if total[m].denominator.bit_length() > 4 * _BITS:
-            raise Rejected("a number of a sum of squares has too many digits")
+            raise Rejected("an integer in a sum of squares has too many digits")
     return {m: x for m, x in total.items() if x}
 
 
@@ -340,7 +340,7 @@ def _monomial(exponents: object, count: int) -> int:
 
 def _integer(x: object) -> int:
     if type(x) is not int or x.bit_length() > _BITS:
-        raise Rejected("a number of a sum of squares is not an integer, or has too many digits")
+        raise Rejected("an entry of a sum of squares is not an integer, or has too many digits")
     return x
 
 

@@ -24,9 +24,9 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
 
     The file has the columns true_m and measured_m (or both in _cm or _mm), and the columns sensor and medium if it has
     several of them. Each sensor and medium needs at least 6 rows at 3 or more distances. --out writes a residual plot
-    and a [sonar] table to paste into a scenario. The built-in file table-ii holds the paper's range test.
+    and a [sonar] table to paste into a scenario. The paper's range test is built in: table-ii.
 
-    Examples: surctl calibrate range-test.csv --out calibration; surctl calibrate table-ii
+    Examples: surctl calibrate table-ii; surctl calibrate range-test.csv --out lab
     """
     from surctl.files import prepare_folder, write_file
     from surctl.sensing import OUTLIER_RULE, calibration_rows, file_stems, pick_calibration, sonar_fragment

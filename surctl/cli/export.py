@@ -29,7 +29,7 @@ __all__ = ["export"]
 @click.option("--gains", metavar="FILE", help=GAINS_HELP)
 @click.option("--vehicle", metavar="FILE", help="Vehicle: name or file (default: the scenario's).")
 @click.option(
-    "--scenario", default=MISSION, metavar="FILE", help="Mission and sensors: name or file (default pool-static)."
+    "--scenario", default=MISSION, metavar="FILE", help="Mission, sensors: name or file (default pool-static)."
 )
 @law_option
 @click.option(

@@ -20,7 +20,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
 def gains() -> None:
     """Write a gain file: derive, gains that follow from a vehicle.
 
-    Example: surctl gains derive my-vehicle.toml --cruise 0.3 --out my-gains.toml
+    Example: surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
 
 
@@ -38,7 +38,7 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
     VEHICLE is a name or a file. If no gains reach the disk margin at the cruise speed, the largest speed at which
     derived gains reach it is printed. Exit status: 1 if the margin is not reached.
 
-    Examples: surctl gains derive bluerov2-wu; surctl gains derive my-vehicle.toml --cruise 0.3 --out my-gains.toml
+    Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
     from surctl.control import write_gains
     from surctl.tuning import default_cruise, derive_gains

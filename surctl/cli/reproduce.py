@@ -33,7 +33,7 @@ def reproduce(
     arrive. A travel time that differs from the paper's is printed with the reason. --out writes a page with the paper's
     figures drawn again.
 
-    Examples: surctl reproduce --quick; surctl reproduce E5 v1-printed tank-static; surctl reproduce --out paper
+    Examples: surctl reproduce --quick; surctl reproduce tank-static E5 v1-printed; surctl reproduce --out paper
     """
     from surctl.files import prepare_folder
     from surctl.reproduction import reproduce as compute

@@ -52,7 +52,7 @@ _METRES = FiniteRange(min=0.0, min_open=True)
     type=click.Path(path_type=Path),
     default=Path("surctl-out", "sonar-replay"),
     metavar="DIR",
-    help="Folder of filtered.csv and the plot (default surctl-out/sonar-replay).",
+    help="Folder of the files (default surctl-out/sonar-replay).",
 )
 @as_json
 def sonar_replay(

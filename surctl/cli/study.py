@@ -39,7 +39,7 @@ __all__ = ["study"]
     help="Number of processes of the sweep (default 2).",
 )
 @click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; a large one gets scaled missions.")
-@click.option("--film", is_flag=True, help="Show the decisive run in MuJoCo's scene, too, beside its plan view.")
+@click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo's scene.")
 @seconds_option
 @trust_option
 @as_json
@@ -56,8 +56,8 @@ def study(
     """Sweep gains, select the best point, verify the claims, simulate the scenarios, and export and check the C code.
 
     FILE is a study file or a vehicle file; without FILE, the built-in study runs. A vehicle that cannot sway, or fits
-    no built-in scenario, gets three missions scaled to it: a straight path, a path of two legs, and the obstacles of
-    tank-static.
+    no built-in scenario, gets three missions scaled to it: a straight path, two legs, and the obstacles of the
+    scenario tank-static.
 
     FILE.py:FUNCTION names a system of your own: the page has its run, margins, costs over gains, and C code. A WORD is
     NAME=VALUE of the run, GAIN=LOW..HIGH:COUNT of the sweep, or within.STATE=LOW..HIGH of a region of attraction.

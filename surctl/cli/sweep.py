@@ -149,7 +149,7 @@ def sweep(
     FILE.py:FUNCTION names a system of your own: its costs over a grid of gains (k) and of plant.NAME, reference.NAME,
     disturbance.NAME, start.NAME.
 
-    Examples: surctl sweep lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log --scenario pool-static --out sweep;
+    Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
     surctl sweep k_v=1..3 plant.m11=30..60 --design sobol --points 128;
     surctl sweep k_v=1..3 k_r=1..3 --sensitivity deviation_m;
     surctl sweep my_system.py:build k=1..8:20:log --seconds 5

@@ -20,7 +20,10 @@ _SPEEDS = f"--cruise {Setting.speed:g} --cap {Setting.speed_max:g}"
 
 
 def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item]:
-    """Return the comparisons for all claims with these gains; the falsifier takes `samples` samples per claim."""
+    """Return, for each claim of the paper, the comparison of its verdict with the expected one, for these gains.
+
+    The falsifier takes `samples` samples per claim.
+    """
     return [
         Item(
             claim.name,

@@ -228,7 +228,7 @@ class _Check:
             guilty = " and ".join(dict.fromkeys(self.rows[i].name for i in names))
             raise CheckFailed(
                 "limit",
-                f"actuator rows {guilty} contradict each other by {result.x[n]:.3g}",
+                f"actuator rows {guilty} contradict each other: smallest violation {result.x[n]:.3g}",
                 at=self.ranges.text(point),
             )
 

@@ -114,7 +114,7 @@ class Judgement:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopGoal(ABC):
-    """Base of all goals of a linear loop.
+    """Base class of all goals for a linear loop.
 
     Attributes:
         name: name of the goal in tables and pictures.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -60,7 +61,9 @@ def test_each_help_has_examples(words: tuple[str, ...]) -> None:
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_each_help_fits_a_screen(words: tuple[str, ...]) -> None:
     context = click.Context(COMMANDS[words], info_name=" ".join(["surctl", *words]), terminal_width=80)
-    assert len(context.get_help().split("\n")) <= 50
+    lines = context.get_help().split("\n")
+    assert len(lines) <= 50
+    assert not [line for line in lines if re.search(r"\w-$", line)], "a copied line must not break a name"
 
 
 @pytest.mark.parametrize("example", EXAMPLES)

@@ -121,7 +121,9 @@ class RegionStatement(Strict):
         cruise = self.cruise_m_per_s if cruise is None or own else cruise
         cap = self.cap_m_per_s if cap is None or own else cap
         if own and cruise >= cap:  # a mistake in the claim file, not in the caller's speeds
-            raise InputError("must be below the cap", key="cruise", value=cruise, remedy="raise the cap")
+            raise InputError(
+                "must be below the cap on commanded speed", key="cruise", value=cruise, remedy="raise the cap"
+            )
         if self.loop == "steered":
             self._used(_STEERED_KNOWS, "the heading loop of craft without sway force")
             own_gains = {**gains.own, **law_source("steered").gains}

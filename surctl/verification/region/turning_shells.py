@@ -29,7 +29,14 @@ _LEAST_GROWTH, _LARGEST_GROWTH = 3e-3, 4.0  # [1/s]
 
 @dataclass(frozen=True)
 class TurningCandidate:
-    """A proof before its check: P (4, 4), levels (k + 1,) from floor to 1, growth (k,) of each shell, steady cruise."""
+    """A candidate of a proof, which is not yet checked.
+
+    Attributes:
+        P: matrix (4, 4) of the Lyapunov function V = zᵀ P z.
+        levels: levels of V that divide the region into k shells, in ascending order; the last is 1.
+        growths: for each of the k shells, the coefficient η [1/s] in the condition on the decay rate.
+        cruise: the steady motion on the path.
+    """
 
     P: Array
     levels: tuple[float, ...]
