@@ -70,7 +70,7 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     failures: list[str] = []
     files: list[Path] = []
     for word, problem in problems.items():
-        progress(problem.dynamics.name)
+        progress(f"{problem.dynamics.name}: at most {time_limit:g} s of processor time (--time-limit)")
         with stoppable("the finished claims are above", lines, as_json=as_json):
             try:
                 solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)

@@ -51,6 +51,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     data = {**own.names, "values": {name: value.ravel().tolist() for name, value in values.items()}, **linear.data}
     passed, certificates = stable, list[str]()
     if problem is not None:
+        progress(f"region of attraction: at most {time_limit:g} s of processor time (--time-limit)")
         solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
         lines += ["region of attraction of the control law in continuous time:", *solution.lines()]
         data["region"] = solution.to_dict()

@@ -19,7 +19,8 @@ from surctl.cli.system_tune import tune_own_system
 from surctl.cli.vehicle_choice import at_hand
 
 if TYPE_CHECKING:
-    from surctl.simulation import Case
+    from surctl.control import Gains
+    from surctl.simulation import Case, Scenario
     from surctl.study import Plan
     from surctl.tuning import Goal, Miss
     from surctl.vehicle import Vehicle
@@ -53,7 +54,8 @@ __all__ = ["tune"]
     type=click.IntRange(min=1),
     default=256,
     metavar="N",
-    help="Gain sets that NSGA-II tries in a round (default 256); the descent tries about as many.",
+    help="Gain sets of NSGA-II in a round (default 256), and about as many of the descent. "
+    "Each is simulated in all scenarios and seeds.",
 )
 @click.option(
     "--seed",
@@ -182,7 +184,7 @@ def tune(
         return
     if scenario or gains_file or law or port or no_browser:
         raise click.UsageError(_needs_page(scenario, gains_file, law))
-    from surctl.control import law_source, write_gains
+    from surctl.control import default_law, write_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
     from surctl.own_code import label
@@ -270,14 +272,14 @@ def tune(
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = pairs[0]
     about = at_hand(mission, robot, str(gains_path))
-    region = _region(robot)
+    region = _region(plan.law, mission, robot, tuned_gains(tuning))
     # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
-    arguments = [*region, *(speeds if region else about[:2]), *about[2:], "--out", str(out / "proofs")]
+    chosen = [] if plan.law == default_law(robot) else law_words(plan.law)
+    arguments = [*region, *(speeds if region else about[:2]), *about[2:], *chosen, "--out", str(out / "proofs")]
     options = [*law_words(plan.law), "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
     then = export_command(about[1], about[3], str(gains_path), law=plan.law, guidance=kind["guidance"], sensing="truth")
-    if law_source(plan.law).parts:  # the claims are about parts of the built-in laws
-        then = [shlex.join(["surctl", "verify", *arguments]), *then]
+    then = [shlex.join(["surctl", "verify", *arguments]), *then]
     if not tuning.accepted:
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
@@ -333,16 +335,17 @@ def _look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
     return [shlex.join(["surctl", "simulate", mission, *about, *law, "--seed", str(runs[0].seed), "--explain"])]
 
 
-def _region(vehicle: Vehicle) -> list[str]:
+def _region(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[str]:
     # the region claim to suggest next
+    from surctl.control import PATH_FOLLOWING, default_law, law_source
     from surctl.errors import NotApplicable
-    from surctl.verification.assumptions import check_alike
+    from surctl.verification.region import applicable_region
 
-    try:
-        check_alike(vehicle)
-    except NotApplicable:
+    if law != default_law(vehicle) and PATH_FOLLOWING not in law_source(law).parts:
         return []
-    return ["region-cruise-20"]
+    names = ("region-cruise-20", "region-steered-20")
+    claim = applicable_region(names, vehicle, gains, cruise=scenario.cruise, cap=scenario.cap)
+    return [] if isinstance(claim, NotApplicable) else [claim.name]
 
 
 def _gain(text: str) -> tuple[str, tuple[float, float] | None]:

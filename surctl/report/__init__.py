@@ -35,7 +35,13 @@ from surctl.report.replay_plots import plot_replay_sensor, plot_sonar_replay
 from surctl.report.signals import plot_run_signals
 from surctl.report.sweep_plots import plot_parallel, plot_sensitivity
 from surctl.report.system_plot import plot_record, save_record_plot
-from surctl.report.system_plots import plot_dependence, plot_fan, plot_phase_plane, plot_runs
+from surctl.report.system_plots import (
+    plot_attainable_rates,
+    plot_dependence,
+    plot_fan,
+    plot_phase_plane,
+    plot_runs,
+)
 from surctl.report.theme import darkened
 from surctl.report.thruster_plot import plot_attainable, save_attainable
 from surctl.report.verify_files import save_margins, save_regions, save_verdicts
@@ -61,6 +67,7 @@ __all__ = [
     "margin_slice",
     "moment_of",
     "plot_attainable",
+    "plot_attainable_rates",
     "plot_bode",
     "plot_calibration",
     "plot_coordinates",
