@@ -83,7 +83,7 @@ def check_squares(entry: Mapping[str, Any], claimed: Claimed) -> None:
         block = _Block(each, len(ring.symbols))
         names = listed(each["factors"])
         if len(names) > _FACTORS:
-            raise Rejected("a sum of squares has too many factors")
+            raise Rejected(f"a sum of squares has {len(names)} factors beside it; the limit is {_FACTORS}")
         weight = {0: Fraction(1)}
         for name in names:
             weight = _product(weight, ring.factor(name))

@@ -42,7 +42,7 @@ __all__ = ["export"]
 @priority_options
 @click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles: sonar (default), or truth (as inputs).")
 @sensor_options
-@click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law).")
+@click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
 @click.option("--real", default="float64", metavar="NAME", help="Number type: float64 (default) or float32.")
 @click.option(

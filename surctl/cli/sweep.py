@@ -89,7 +89,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
 @click.option(
     "--sensitivity",
     metavar="COLUMN",
-    help="Compute the Sobol' indices of a column from N (axes + 2) points, N = --points (default 64).",
+    help="Sobol' indices of a result column; needs N (number of axes + 2) points, N = --points (default 64).",
 )
 @click.option("--locus", metavar="PARAMETER", help="Plot the closed-loop poles over this axis, for the selected gains.")
 @click.option(

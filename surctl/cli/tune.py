@@ -76,7 +76,7 @@ __all__ = ["tune"]
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle (name or file) instead of the study's. Repeat: every scenario is run with each.",
+    help="Vehicle: name or file; repeat for several (default: the study's).",
 )
 @click.option(
     "--guidance",

@@ -99,7 +99,7 @@ class ExportedController:
             self._library.surctl_sizes(0) != 8 * len(self._input)
             or self._library.surctl_sizes(1) != 8 * law.outputs.size
         ):
-            raise SurctlError(f"{bundle.name}: the compiler lays out structs of doubles in an unknown way")
+            raise SurctlError(f"{bundle.name}: the compiler lays out structs of doubles with unexpected padding")
         self._sample = ctypes.c_uint32.from_buffer(self._input, 8 * law.inputs.size)
         self._unit = ctypes.c_void_p(self._library.surctl_unit())
         self.reset()

@@ -34,7 +34,7 @@ def shortened(block: Block) -> Block:
 
 
 def split(program: Program, size: int) -> Block:
-    """Return a routine that calls parts of the program with at most `size` operations; short programs are unchanged.
+    """Return a routine that calls parts of a program, each of at most `size` operations; short programs are unchanged.
 
     A part returns, as one array, the values that later parts or the outputs need. Constants and the reading of inputs
     are repeated in each part.

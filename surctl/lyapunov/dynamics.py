@@ -54,7 +54,7 @@ class State(Range):
 class Dynamics:
     """Differential equations x' = f(x, w) (continuous time) or a map x⁺ = f(x, w) (discrete time).
 
-    The numbers in `rates` are exact: a decimal number has exactly the value of its notation.
+    The numbers in `rates` are exact: 0.1 is exactly 1/10, not the nearest binary number.
 
     Attributes:
         name: short name, used in file names.

@@ -1,8 +1,8 @@
 """Findings about reflectors: faces of obstacles that no sonar can hear, weak echoes, and echoes of surface and floor.
 
-A smooth face reflects sound like a mirror. It answers a sonar only if the sonar looks at it within a limited angle of
-its normal (`incidence_limit` of the array or of its reflector). A face is unheard if the hull fits nowhere from where
-it answers.
+A smooth face reflects sound like a mirror. It returns an echo only to a sonar that looks at it within a limited angle
+of its normal (`incidence_limit` of the sonar array, or of the reflector that the face has). A face is unheard if the
+hull fits in no place to which the face returns an echo.
 """
 
 from __future__ import annotations

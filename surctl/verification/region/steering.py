@@ -49,7 +49,7 @@ class SteeringClaim:
     digest: str = field(default="0" * 64)
 
     def document(self, *, offset: float) -> dict[str, Any]:
-        """Return the claim as data of a certificate, with the offset [m] to be stated."""
+        """Return the claim as data of a certificate. `offset` [m] is the distance beside the path that it states."""
         craft = self.vehicle
         return {
             "system": "steered",

@@ -90,7 +90,7 @@ def worst_rate(matrices: Array, first: Numbers) -> tuple[float, Numbers]:
 
 
 def best_growth(P: Array, at: Vertices, rate: float, low: float, guess: float) -> tuple[float, float]:
-    """Return the growth η [1/s] with nearly the least of the largest eigenvalues, and this eigenvalue.
+    """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
 
     The matrices that matter at one η are those that matter close to it, so few of them are searched.
     """
