@@ -69,14 +69,14 @@ __all__ = ["tune"]
     type=click.IntRange(1, 1_000_000),
     default=4,
     metavar="N",
-    help="Simulate every scenario with the seeds 0 to N-1 (default 4).",
+    help="Simulate with the seeds 0 to N-1 (default 4).",
 )
 @click.option(
     "--vehicle",
     "vehicles",
     multiple=True,
     metavar="FILE",
-    help="Vehicle: name or file; repeat for several (default: the study's).",
+    help="Vehicle (name or file) of the runs; may be repeated.",
 )
 @click.option(
     "--guidance",
