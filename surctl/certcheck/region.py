@@ -8,6 +8,9 @@ region into shells. In each shell the closed loop is a linear inclusion, and one
 vertex of the inclusion proves V̇ < −a V. All numbers are exact rational numbers, except the bounds for a current in
 `region_flow`.
 
+Without thrust lag, held commands, current, force and errors of measurement, a proof may also divide the headings into
+cells: the claim is then that of a turning cruise (`turning`) with equal masses and the same ω, with a larger region.
+
 If the commands are held between control instants, the decay is proved for a functional W ≥ V that equals V at the
 control instants; `region_inclusion` derives W.
 """
@@ -26,7 +29,9 @@ from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite,
 from surctl.certcheck.region_flow import steady_trim
 from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, vertices
 from surctl.certcheck.region_law import check_identity
-from surctl.certcheck.region_trim import Trim
+from surctl.certcheck.region_trim import MEAN_SHARE, Trim
+from surctl.certcheck.turning import check_cells
+from surctl.certcheck.turning_claim import TurningClaim
 
 __all__ = ["check"]
 
@@ -40,8 +45,11 @@ def check(document: Mapping[str, Any]) -> None:
         Rejected: the certificate does not prove its claim; the message names the first failure.
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
-    claim = read_claim(document.get("claim"))
-    proof = record(document.get("proof"), ("P", "floor", "hold", "shells"), "proof")
+    claim, proof = read_claim(document.get("claim")), document.get("proof")
+    if isinstance(proof, dict) and "cells" in proof:
+        check_cells(_turning(claim), record(proof, ("P", "floor", "cells", "shells"), "proof"), _slopes(claim))
+        return
+    proof = record(proof, ("P", "floor", "hold", "shells"), "proof")
     p = _matrix(proof["P"], 6 if claim.lag[1] else 4)
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
@@ -62,6 +70,55 @@ def check(document: Mapping[str, Any]) -> None:
                 raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and "
                                f"{float(high):g}, vertex {j}")  # fmt: skip
         check_identity(claim, at, steady, covariance, high, len(p))
+
+
+def _turning(claim: CruiseClaim) -> TurningClaim:
+    """Return the same claim about a turning cruise with equal masses; the drag factors have one range that holds both.
+
+    Raises:
+        Rejected: the claim states more than a turning cruise does.
+    """
+    more = (claim.lag[1], claim.period, claim.current, claim.force, claim.place_error, claim.velocity_error)
+    drag = (claim.linear, claim.linear_model), (claim.quadratic, claim.quadratic_model)
+    if any(more) or any(high and not model for (_, high), model in drag) or claim.asymmetry >= 2:
+        raise Rejected("a proof by cells of headings needs a loop without lag, held commands, current, force and error "
+                       "of measurement, the true drag in the law's model, and an asymmetry below 2")  # fmt: skip
+    ends = [end / model for pair, model in drag for end in pair if model] or [Fraction(1)]
+    zero = Fraction(0)
+    return TurningClaim(
+        mass_factor=(claim.mass[0] / claim.mass_model, claim.mass[1] / claim.mass_model),
+        drag_factor=(min(ends), max(ends)),
+        mass_asymmetry=zero,
+        drag_asymmetry=claim.asymmetry,
+        thrust=(claim.thrust,) * 2,
+        yaw_rate=claim.yaw_rate,
+        munk_moment=zero,
+        terms={},
+        heave=zero,
+        heave_rate=zero,
+        turn_rate=zero,
+        mass=(claim.mass_model,) * 2,
+        linear=(claim.linear_model,) * 2,
+        quadratic=(claim.quadratic_model,) * 2,
+        k1=claim.k1,
+        lookahead=claim.lookahead,
+        k_v=claim.k_v,
+        wait=claim.wait,
+        cruise=claim.cruise,
+        cap=claim.cap,
+        rate=claim.rate,
+        offset=claim.offset,
+        rest_offset=None,
+        ultimate_bound=claim.ultimate_bound,
+        curvature=zero,
+    )
+
+
+def _slopes(claim: CruiseClaim) -> tuple[Fraction, Fraction]:
+    """Return the slopes of `region_trim.offset_speed` in the mean factors of the linear and of the quadratic drag."""
+    v, linear, quadratic = claim.cruise, claim.linear_model, MEAN_SHARE * claim.quadratic_model
+    stiffness = claim.mass_model * claim.k_v + linear + 2 * quadratic * v
+    return linear * v / stiffness, quadratic * v * v / stiffness
 
 
 def _matrix(rows: Any, size: int) -> Matrix:

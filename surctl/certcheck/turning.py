@@ -33,7 +33,7 @@ from surctl.certcheck.turning_claim import TurningClaim, factors, read_claim
 from surctl.certcheck.turning_law import check_samples
 from surctl.certcheck.turning_terms import other_forces, other_moment
 
-__all__ = ["check"]
+__all__ = ["check", "check_cells"]
 
 _MOST_SHELLS = 24
 _CELLS = (4, 96)  # least and largest number of cells of headings
@@ -49,12 +49,21 @@ def check(document: Mapping[str, Any]) -> None:
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
     proof = record(document.get("proof"), ("P", "floor", "trim", "cells", "shells"), "proof")
+    check_cells(claim, proof, _slopes(proof["trim"]))
+
+
+def check_cells(claim: TurningClaim, proof: Mapping[str, Any], slopes: tuple[Fraction, Fraction]) -> None:
+    """Check the P, floor, cells and shells of a proof for the steady cruise with ω = slopes · (mean factors − 1).
+
+    Raises:
+        Rejected: the proof does not prove the claim; the message names the first failure.
+    """
     p = _matrix(proof["P"])
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
     if any(p[i][j] for i, j in _UNMIRRORED):
         raise Rejected("P is not symmetric under reflection in the path")
-    trim, cells = steady(claim, _slopes(proof["trim"])), proof["cells"]
+    trim, cells = steady(claim, slopes), proof["cells"]
     if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:
         raise Rejected(f"proof.cells must be a whole number from {_CELLS[0]} to {_CELLS[1]}")
     levels, growths = _shells(proof)

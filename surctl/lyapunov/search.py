@@ -135,17 +135,16 @@ def find_stability(
     else:
         offered = candidates(d, linear, degree=degree, seconds=_SEARCH * time_limit, rate=demanded or 0.0, seed=seed)
     trials = []
+    best: StabilityResult | None = None
     for candidate in offered:
         bound = least_level(d, candidate.function, demanded, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}, volume {candidate.volume:.3g}")
         trials.append((candidate, bound))
         if first and function is None and rate != "largest" and len(trials) == 1:
             share = _MOST * (until - time.process_time())
-            result = _proved(
-                d, candidate, bound, demanded, None, share, began, seed, progress, start=_SIMPLE, once=True
-            )
-            if result.verdict == "proved":
-                return replace(result, seconds=time.perf_counter() - began)
+            best = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=_SIMPLE, once=True)
+            if best.verdict == "proved":
+                return replace(best, seconds=time.perf_counter() - began)
     if function is not None and linear.verdict == "stable" and not trials[0][1].level > 0:
         for candidate in strict_variants(d, linear, function):
             bound = least_level(d, candidate.function, demanded, seed=seed)
@@ -163,8 +162,8 @@ def find_stability(
     # first the function that is easiest to prove, then those with the largest regions, then what was not tried yet
     largest = [trial for trial in trials[:_TRIED] if trial is not simplest]
     others = [trial for trial in trials[_TRIED:] if trial is not simplest]
-    best = None
-    for k, (candidate, bound) in enumerate([simplest, *largest, *others]):
+    tried = int(best is not None)
+    for k, (candidate, bound) in enumerate([simplest, *largest, *others][tried:], start=tried):
         rest = until - time.process_time()
         if best is not None and (rest <= 0 or (best.verdict == "proved" and (first or k > len(largest)))):
             break

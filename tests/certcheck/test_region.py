@@ -27,7 +27,7 @@ HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("region-cruise-*.json"))
 
 
-def document(name: str = "region-cruise-20") -> dict[str, Any]:
+def document(name: str = "region-cruise-20-norms") -> dict[str, Any]:
     return json.loads((HERE / f"{name}.json").read_text())
 
 
@@ -76,6 +76,28 @@ def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
         changed = document()
         STRONGER[kind](changed, float(share))
         assert not check_document(sealed(changed)).accepted, (kind, share)
+
+
+CELLS = {key: change for key, change in STRONGER.items() if key not in ("multiplier", "size of P")} | {
+    "growth": lambda d, f: d["proof"]["shells"][-1].update(growth=1e-4 * f),
+    "asymmetry": lambda d, f: d["claim"]["vehicle"].update(asymmetry=1 + f),
+    "asymmetry 2": lambda d, f: d["claim"]["vehicle"].update(asymmetry=2.0),
+    "drag that the law does not know": lambda d, f: d["claim"]["law"].update(linear_drag=0.0),
+    "held commands": lambda d, f: d["claim"]["law"].update(period_s=0.05),
+    "lag": lambda d, f: d["claim"]["vehicle"].update(lag_s=[0.2, 0.2]),
+    "current": lambda d, f: d["claim"]["vehicle"].update(current_m_per_s=0.01),
+    "force": lambda d, f: d["claim"]["vehicle"].update(force_n=0.01),
+    "place": lambda d, f: d["claim"]["vehicle"].update(place_error_m=0.001),
+    "velocity": lambda d, f: d["claim"]["vehicle"].update(velocity_error_m_per_s=0.001),
+    "slopes": lambda d, f: d["proof"].update(trim=[0.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_proof_by_cells_of_headings_proves_no_more_either(kind: str) -> None:
+    changed = document("region-cruise-20")
+    CELLS[kind](changed, 0.3)
+    assert not check_document(sealed(changed)).accepted
 
 
 @pytest.mark.parametrize(

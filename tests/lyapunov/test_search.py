@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,6 +14,8 @@ from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_barrier, find_stability, least_level
 from surctl.lyapunov.candidates import candidates
+from surctl.lyapunov.claims import Stability
+from surctl.lyapunov.decide import Decision, prove_motion, short
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
 from surctl.lyapunov.from_system import NOT_COVERED
 from surctl.system import Action, Controller, Plant, System
@@ -171,6 +175,20 @@ def test_a_searched_region_is_claimed_in_the_box_that_hugs_it() -> None:
     edge = np.linspace(low[1], high[1], 200)
     least = float(np.asarray(v(np.vstack([np.full(200, high[0]), edge]), np.zeros((0, 200)))).min())
     assert claim.level <= least < 1.2 * claim.level
+
+
+def test_the_first_function_is_not_tried_again_at_a_level_that_was_not_proved(monkeypatch: pytest.MonkeyPatch) -> None:
+    levels: list[float] = []
+
+    def unproved(claim: Stability, **asked: Any) -> Decision:
+        levels.append(claim.level)
+        return replace(prove_motion(claim, **asked), verdict="unknown", document={})
+
+    monkeypatch.setattr("surctl.lyapunov.search.prove_motion", unproved)
+    outcome = find_stability(_dynamics({"x": (-2.0, 2.0)}, ["-x + x^3"]), degree=2, first=True, time_limit=30.0)
+    assert outcome.verdict == "unknown"
+    assert outcome.falsified is not None
+    assert levels.count(short(0.1 * outcome.falsified.level, digits=4)) == 1
 
 
 def test_a_map_has_a_region_too() -> None:

@@ -11,6 +11,7 @@ from surctl.control import Gains, build_law
 from surctl.errors import InputError, NotApplicable
 from surctl.vehicle import Vehicle
 from surctl.verification.assumptions import check_alike, check_no_integral
+from surctl.verification.region.turning import TurningClaim
 
 __all__ = ["RegionClaim", "region_claim"]
 
@@ -92,6 +93,37 @@ class RegionClaim:
     def size(self) -> int:
         """Return the number of states: position and velocity in the path frame, and also the thrust if it has a lag."""
         return 6 if self.lag[1] > 0 else 4
+
+    @property
+    def ideal(self) -> bool:
+        """Return whether the loop has no lag, held commands, current, disturbance force or error of measurement."""
+        more = (self.period, self.current, self.force, self.place_error, self.velocity_error)
+        return self.size == 4 and not any(more)
+
+    def turning(self) -> TurningClaim | None:
+        """Return the same claim about a turning cruise, for a proof by cells of headings; None if there is none."""
+        drag = (self.linear, self.model[1]), (self.quadratic, self.model[2])
+        if not self.ideal or any(high and not model for (_, high), model in drag) or self.asymmetry >= 2:
+            return None
+        ends = [end / model for pair, model in drag for end in pair if model] or [1.0]
+        mass, linear, quadratic = self.model
+        return TurningClaim(
+            name=self.name,
+            mass_factor=(self.mass[0] / mass, self.mass[1] / mass),
+            drag_factor=(min(ends), max(ends)),
+            mass_asymmetry=0.0,
+            drag_asymmetry=self.asymmetry,
+            thrust=(self.thrust, self.thrust),
+            yaw_limit=0.0,  # equal masses have no Munk moment
+            yaw_rate=self.yaw_rate,
+            mass=(mass, mass),
+            linear=(linear, linear),
+            quadratic=(quadratic, quadratic),
+            gains=self.gains,
+            cruise=self.cruise,
+            cap=self.cap,
+            rate=self.rate,
+        )
 
     def document(self, *, offset: float, ultimate_bound: tuple[float, float]) -> dict[str, Any]:
         """Return the claim as data of a certificate, with the offset [m] and the ultimate bound [m] to be stated."""

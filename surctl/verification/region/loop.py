@@ -19,7 +19,18 @@ from surctl.certcheck.region_claim import read_claim
 from surctl.certcheck.region_flow import steady_trim
 from surctl.verification.region.claim import RegionClaim
 
-__all__ = ["Bounds", "Gains", "Loop", "Steady", "bounds", "force_gain", "gains_of", "loops", "steady_cruise"]
+__all__ = [
+    "Bounds",
+    "Gains",
+    "Loop",
+    "Steady",
+    "bounds",
+    "force_gain",
+    "gains_of",
+    "loops",
+    "offset_slopes",
+    "steady_cruise",
+]
 
 Array = NDArray[np.float64]
 
@@ -58,6 +69,14 @@ def _pairs(low: float, high: float, asymmetry: float) -> list[tuple[float, float
     ratio = np.inf if asymmetry >= 2 else (2 + asymmetry) / (2 - asymmetry)
     return [(low, low), (high, high), (low, min(low * ratio, high) if low else high if ratio == np.inf else 0.0),
             (max(high / ratio, low), high)]  # fmt: skip
+
+
+def offset_slopes(claim: RegionClaim) -> tuple[float, float]:
+    """Return the slopes of ω [m/s] of `steady_cruise` in the mean factors of the linear and of the quadratic drag."""
+    mass, linear, quadratic = claim.model
+    v, mean = claim.cruise, _SHARE * quadratic
+    stiffness = mass * claim.gains["k_v"] + linear + 2 * mean * v
+    return linear * v / stiffness, mean * v * v / stiffness
 
 
 def steady_cruise(claim: RegionClaim) -> Steady:

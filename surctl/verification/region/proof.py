@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -19,13 +19,15 @@ from surctl.ir import cached_bytes, source_digest
 from surctl.verification.certified import Certified
 from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.heading import HeadingClaim
-from surctl.verification.region.loop import Steady, steady_cruise
+from surctl.verification.region.loop import Steady, offset_slopes, steady_cruise
 from surctl.verification.region.rates import cruise_loop
 from surctl.verification.region.ratio import LevelRatios, level_ratios
 from surctl.verification.region.search import search
 from surctl.verification.region.steering import SteeringClaim
 from surctl.verification.region.synthesis import Candidate
 from surctl.verification.region.turning import TurningClaim
+from surctl.verification.region.turning_certificate import raised, region_of
+from surctl.verification.region.turning_search import turning_search
 
 __all__ = ["RegionProof", "prove_region"]
 
@@ -143,24 +145,35 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
 def _searched(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any], Checked | None]:
     steady = steady_cruise(claim)
     reason = "the search found no quadratic V with this decay rate"
-    for candidate in search(claim, steady, attempts=attempts, seed=seed):
-        document = certificate_of(claim, steady, candidate)
+    for document, P in _proposed(claim, steady, attempts, seed):
         checked = check_document(document)
         if checked.accepted:
-            motion, P = document["claim"]["motion"], candidate.P
-            plain = claim.size == 4 and not any(
-                (claim.period, claim.current, claim.force, claim.place_error, claim.velocity_error)
-            )
+            motion = document["claim"]["motion"]
             result = {
                 "proof": document["proof"],
                 "offset": motion["offset_m"],
                 "ultimate_bound": motion["ultimate_bound_m"],
                 "extent": float(np.sqrt(np.linalg.inv(P)[1, 1])),
-                "ratios": level_ratios(cruise_loop(claim), P, claim.rate) if plain else None,
+                "ratios": level_ratios(cruise_loop(claim), P, claim.rate) if claim.ideal else None,
             }
             return result, checked
         reason = checked.reason
     return {"reason": reason}, None
+
+
+def _proposed(
+    claim: RegionClaim, steady: Steady, attempts: int, seed: int
+) -> Iterator[tuple[dict[str, Any], NDArray[np.float64]]]:
+    """Yield certificates and their P: those by cells of headings first, because their regions are larger."""
+    turning = claim.turning()
+    if turning is not None:
+        for found in turning_search(turning, attempts=attempts, seed=seed, slopes=offset_slopes(claim)):
+            for one in raised(found):
+                region = region_of(turning, one)
+                stated = claim.document(offset=region.offset, ultimate_bound=region.ultimate_bound)
+                yield seal("region", stated, {"proof": region.proof}), one.P
+    for candidate in search(claim, steady, attempts=attempts, seed=seed):
+        yield certificate_of(claim, steady, candidate), candidate.P
 
 
 def _document(claim: RegionClaim, result: Mapping[str, Any]) -> dict[str, Any]:

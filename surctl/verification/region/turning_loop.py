@@ -132,13 +132,11 @@ def corner_factors(ends: tuple[float, float], asymmetry: float) -> Array:
     return np.array(sorted({one for pair in pairs for one in product(pair, repeat=2)}))
 
 
-def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
-    """Return the steady cruise whose ω leaves the least error of the trim force at the worst heading.
+def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, float] | None = None) -> Cruise:
+    """Return the steady cruise with these slopes of ω; by default ω leaves the least trim error at the worst heading.
 
     The error at a heading is the largest one up to half a cell away.
     """
-    from scipy.optimize import linprog
-
     v, psi = claim.cruise, np.linspace(0, np.pi / 2, 2 * cells + 1)
     n = np.stack([np.cos(psi), np.sin(psi)], 1)  # (2 cells + 1, 2)
     corners = corner_factors(claim.drag_factor, claim.drag_asymmetry)
@@ -147,14 +145,9 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
     own = (gain + claim.linear) * n + 2 * np.array(claim.quadratic) * v * n * n  # force per ω
     missing = (1 - f)[:, None] * claim.linear * n * v + (1 - g)[:, None] * claim.quadratic * (n * v) ** 2
     means = np.stack([f.mean(axis=1) - 1, g.mean(axis=1) - 1], 1)  # (k, 2)
-    rows = (means[:, None, None, :] * own[None, :, :, None] / np.array(claim.mass)[:, None]).reshape(-1, 2)
-    sides = (missing / claim.mass).reshape(-1)
-    ones = np.ones((len(rows), 1))
-    solution = linprog(
-        [0, 0, 1], A_ub=np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones])]),
-        b_ub=np.concatenate([-sides, sides]), bounds=[(None, None)] * 3,
-    )  # fmt: skip
-    slopes = np.round(solution.x[:2], 6)
+    if slopes is None:
+        rows = (means[:, None, None, :] * own[None, :, :, None] / np.array(claim.mass)[:, None]).reshape(-1, 2)
+        slopes = _least_error(rows, (missing / claim.mass).reshape(-1))
     omegas = means @ slopes
     lack = (
         np.abs(missing + omegas[:, None, None] * own).max(axis=0)
@@ -162,7 +155,20 @@ def steady_turning(claim: TurningClaim, *, cells: int) -> Cruise:
     )
     near = np.pad(lack, ((1, 1), (0, 0)), mode="edge")
     lack = np.max([near[:-2], near[1:-1], near[2:]], axis=0)[::2]
-    return Cruise((float(slopes[0]), float(slopes[1])), (float(omegas.min()), float(omegas.max())), psi[::2], lack)
+    return Cruise(slopes, (float(omegas.min()), float(omegas.max())), psi[::2], lack)
+
+
+def _least_error(rows: Array, sides: Array) -> tuple[float, float]:
+    """Return x (2,) that minimises the largest |rows x + sides|, with six decimals."""
+    from scipy.optimize import linprog
+
+    ones = np.ones((len(rows), 1))
+    solution = linprog(
+        [0, 0, 1], A_ub=np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones])]),
+        b_ub=np.concatenate([-sides, sides]), bounds=[(None, None)] * 3,
+    )  # fmt: skip
+    first, second = np.round(solution.x[:2], 6)
+    return float(first), float(second)
 
 
 def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Vertices | None:

@@ -165,13 +165,16 @@ def _first_steps(claim: TurningClaim, away: float, rng: np.random.Generator, k: 
     return np.asarray(start)
 
 
-def turning_search(claim: TurningClaim, *, attempts: int, seed: int = 0) -> Iterator[TurningCandidate]:
+def turning_search(
+    claim: TurningClaim, *, attempts: int, seed: int = 0, slopes: tuple[float, float] | None = None
+) -> Iterator[TurningCandidate]:
     """Yield candidates, the largest region first.
 
     The size of a region is that of its start beside the path, and also that of its start at rest if the claim asks for
-    it. `attempts` is the number of start values of the search; equal seeds give equal candidates.
+    it. `attempts` is the number of start values of the search; equal seeds give equal candidates. `slopes` are those
+    of ω in the mean drag factors; by default those with the least error of the trim force.
     """
-    fine = steady_turning(claim, cells=_CELLS)
+    fine = steady_turning(claim, cells=_CELLS, slopes=slopes)
     cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
     away = max(map(abs, cruise.omega)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)

@@ -59,7 +59,8 @@ def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
 ) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     first = prove_region(claimed(), attempts=1)
-    monkeypatch.setattr("surctl.verification.region.proof.search", None)  # from here on nothing is searched
+    monkeypatch.setattr("surctl.verification.region.proof.search", None)
+    monkeypatch.setattr("surctl.verification.region.proof.turning_search", None)  # from here on nothing is searched
     again = prove_region(claimed(name="another"), attempts=1)
     assert first.verdict == again.verdict == "proved" and again.ratios == first.ratios
     assert again.certificate()["claim"] == first.certificate()["claim"]
