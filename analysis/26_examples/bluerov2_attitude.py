@@ -112,7 +112,7 @@ def main() -> int:
     record = run_system(system, 20.0, {**best, **task})
     print(f"the first run: depth {record['z'][-1, 0]:.3f} m, surge {record['nu'][-1, 0]:.3f} m/s")
     depth = motion(system, {"z": (-1, 1), "nu[2]": (-1, 1)}, best, limited=False)
-    proved = print_claim(depth, "depth at level attitude, while no force is at its limit")
+    proved = print_claim(depth, "depth at level attitude, while no force is at its limit", first=sets < 100)
     return 0 if back_to_back(record) and stable and proved else 1
 
 

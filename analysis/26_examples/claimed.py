@@ -40,9 +40,12 @@ def motion(system: System, within: Within, values: Mapping[str, ArrayLike], **op
     )
 
 
-def print_claim(dynamics: Dynamics, about: str, seconds: float = SECONDS) -> bool:
-    """Search and prove a region of attraction, print the verdict; return whether the checker accepts the proof."""
-    result = find_stability(dynamics, degree=2, time_limit=seconds)
+def print_claim(dynamics: Dynamics, about: str, seconds: float = SECONDS, *, first: bool = False) -> bool:
+    """Search and prove a region of attraction, print the verdict; return whether the checker accepts the proof.
+
+    With `first` the first region that is proved is enough.
+    """
+    result = find_stability(dynamics, degree=2, time_limit=seconds, first=first)
     if result.verdict != "proved" or result.decision is None or result.claim is None:
         print(f"claim, {about}: {result.verdict}, {result.reason}")
         return False

@@ -112,7 +112,7 @@ def main() -> int:
     dynamics = motion(
         system, {"eta[0]": (-2, 2), "nu[0]": (-1, 1), "controller.total[0]": (-4, 4)}, best, limited=False
     )
-    proved = print_claim(dynamics, "motion along the hull, as long as no limit of thrust is reached")
+    proved = print_claim(dynamics, "motion along the hull, as long as no limit of thrust is reached", first=sets < 100)
     return 0 if back_to_back(record) and stable and proved else 1
 
 
