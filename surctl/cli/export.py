@@ -260,7 +260,7 @@ def export(
         "time_s": metrics.time_s,
         "failure": failure(run),
     }
-    evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof)
+    evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof, statuses=record.status, period=built.dt)
     # a bundle appears when it is complete and checked, at once
     files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), out)
     result: dict[str, Any] = {

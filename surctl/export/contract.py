@@ -23,6 +23,7 @@ __all__ = [
     "command_size",
     "command_word",
     "commands",
+    "glance",
     "is_robot_law",
     "status_table",
     "telemetry_ports",
@@ -132,6 +133,12 @@ def command_size(law: Exportable) -> int:
 def telemetry_ports(law: Exportable) -> tuple[Port, ...]:
     """Return the name and size of each telemetry output; the telemetry follows the commands."""
     return law.outputs.ports[len(commands(law)) :]
+
+
+def glance(law: Exportable) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
+    """Return the states and telemetry that a compact reply of the link carries: what says where the mission stands."""
+    states = tuple(law.state.port(name) for name in ("progress", "own_age") if name in law.state)
+    return states, tuple(port for port in telemetry_ports(law) if port.name == "healthy")
 
 
 def is_robot_law(law: Exportable) -> bool:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import groupby
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from surctl.export.bundle import Bundle, manifest_with
 from surctl.export.check import CheckReport
+from surctl.export.contract import STATUS
 from surctl.export.prove import ProofReport
 from surctl.export.sil import SilReport
 
@@ -19,7 +24,13 @@ _MARK = "## Evidence\n"
 
 
 def evidence_of(
-    *, run: Mapping[str, Any], sil: SilReport, check: CheckReport | None = None, proof: ProofReport | None = None
+    *,
+    run: Mapping[str, Any],
+    sil: SilReport,
+    check: CheckReport | None = None,
+    proof: ProofReport | None = None,
+    statuses: NDArray[np.int_] | None = None,
+    period: float = 0.05,
 ) -> dict[str, Any]:
     """Return what was checked as plain data: the simulated run, the comparison with Python, builds and proof.
 
@@ -29,6 +40,8 @@ def evidence_of(
         sil: comparison of the compiled controller with Python over this run.
         check: comparison over several compilers and processors, or None.
         proof: proof of the absence of run-time errors, or None.
+        statuses: status (n,) of each step of the simulated run of a robot, or None.
+        period: time between two steps [s].
 
     Example:
         >>> from pathlib import Path
@@ -48,12 +61,23 @@ def evidence_of(
         (True, True)
     """
     return {
-        "run": dict(run),
+        "run": {**run, "bits": {} if statuses is None else _bits(statuses, period)},
         "sil": sil.to_dict(),
         "check": None if check is None else check.to_dict(),
         "proof": None if proof is None else {k: v for k, v in proof.to_dict().items() if k != "alarms"},
         "instruction_bound": None,  # instructions are measured; no bound of them is proved
     }
+
+
+def _bits(statuses: NDArray[np.int_], period: float) -> dict[str, dict[str, float]]:
+    # how often, and how long in a row, a healthy run has these bits
+    result = {}
+    for name, code, _ in STATUS:
+        if name in ("SATURATED", "DEGRADED"):
+            on = (statuses > 0) & (statuses & code > 0)
+            longest = max((len(list(same)) for value, same in groupby(on) if value), default=0)
+            result[name] = {"share": float(on.mean()), "longest_s": longest * period}
+    return result
 
 
 def with_evidence(
@@ -96,6 +120,11 @@ def _lines(evidence: Mapping[str, Any]) -> list[str]:
         simulated = run["text"] + (f": {result}" if result else "")
     else:
         simulated = f"{run['scenario']} by {run['vehicle']}, {run['sensing']}, seed {run['seed']}: {result}"
+    if bits := run.get("bits"):
+        often = (
+            f"`{k}` in {b['share']:.1%} of the steps, at most {b['longest_s']:.4g} s in a row" for k, b in bits.items()
+        )
+        simulated += f". Its statuses: {'; '.join(often)}"
     lines = [
         f"- Simulated run: {simulated}.",
         f"- The compiled C over {sil['steps']} steps of this run, against Python: largest difference of the "

@@ -18,13 +18,13 @@ __all__ = ["VERSION", "Identity", "Line", "LineDown", "Reply", "connect"]
 
 Vector = NDArray[np.float64]
 
-VERSION = 1
+VERSION = 2
 """Version of the messages; `Line` refuses a controller with another version, with an error that says so."""
 
 _MAGIC = b"SURL"
 _HEAD = struct.Struct("<4sHHII")
 _REQUEST, _IDENTITY, _START, _STARTED, _STEP, _STEPPED, _REFUSED, _COMPACT, _COMMAND = range(1, 10)
-_SIZES = struct.Struct("<64s5I")
+_SIZES = struct.Struct("<64s6I")
 _GLANCE = 0.25  # s: longest wait in one system call, so that Ctrl-C takes effect soon
 _MOST = 1_000_000  # largest count of inputs, states or other numbers that a controller may report
 _REFUSALS = {
@@ -49,6 +49,7 @@ class Identity(NamedTuple):
         id: hash of what the controller computes, see `law_id`.
         real: "float64" or "float32".
         inputs, thrusts, states, telemetry: numbers of inputs, thrusts, states and telemetry values.
+        glance: number of values after the thrust in a compact reply, see `contract.glance`.
     """
 
     id: str
@@ -57,6 +58,7 @@ class Identity(NamedTuple):
     thrusts: int
     states: int
     telemetry: int
+    glance: int = 0
 
 
 class Reply(NamedTuple):
@@ -67,7 +69,7 @@ class Reply(NamedTuple):
         tau: thrust (n_tau,) [N, N m].
         state: state after the step (nx,).
         telemetry: telemetry (k,).
-        raw: received bytes of thrust, state and telemetry.
+        raw: received bytes of all these numbers; in a compact reply, of the thrust and the values of `glance`.
     """
 
     status: int
@@ -130,7 +132,8 @@ class Line:
         Args:
             sequence: number of the step, at least 1 and larger than the number of every earlier step since `start`.
             inputs: inputs u of the law (nu,), which are rounded to the controller's precision.
-            compact: True requests status and thrust only, for a slow line; state and telemetry are then empty.
+            compact: True requests few bytes, for a slow line: status, thrust and the values of `glance`, which `raw`
+                has; state and telemetry are then empty.
 
         Raises:
             LineDown: the controller sent no valid reply.
@@ -141,10 +144,11 @@ class Line:
         with np.errstate(over="ignore"):
             sent = np.asarray(inputs, dtype=kind).tobytes()
         ends = np.cumsum([who.thrusts, *((0, 0) if compact else (who.states, who.telemetry))])
+        more = who.glance if compact else 0
         kinds = (_COMPACT, _COMMAND) if compact else (_STEP, _STEPPED)
-        body = self._exchange(kinds[0], sequence, sent, kinds[1], 4 + kind.itemsize * int(ends[-1]))
+        body = self._exchange(kinds[0], sequence, sent, kinds[1], 4 + kind.itemsize * (int(ends[-1]) + more))
         numbers = np.frombuffer(body, dtype=kind, offset=4).astype(np.float64)
-        tau, state, telemetry = np.split(numbers, ends[:-1])
+        tau, state, telemetry = np.split(numbers[: ends[-1]], ends[:-1])
         return Reply(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])
 
     def _exchange(self, kind: int, sequence: int, body: bytes, expected: int, length: int) -> bytes:

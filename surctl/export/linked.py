@@ -19,7 +19,7 @@ from surctl.control import Law, LawStep
 from surctl.errors import InputError
 from surctl.export.bundle import law_id
 from surctl.export.closed import closed_form
-from surctl.export.contract import Exportable, command_size
+from surctl.export.contract import Exportable, command_size, glance
 from surctl.export.envelope import Envelope
 from surctl.export.link import Line, LineDown, Reply
 from surctl.export.precision import Guarded, Rounded, replayed, rounded
@@ -140,7 +140,7 @@ class LinkedLaw:
         line: connection to the controller.
         faults: simulated faults of the connection.
         envelope: ranges that the controller's input check accepts; None accepts any finite number.
-        compact: True requests replies with status and thrust only, for a slow line; the state is then Python's own.
+        compact: True requests replies of few bytes, for a slow line; the state is then Python's own.
         fed: True if the controller feeds itself with a mission, so that the simulation's window is its own.
     """
 
@@ -293,9 +293,19 @@ class LinkedLaw:
         X, U, P = (np.array([row[k] for row in self._log]) for k in (0, 1, 4))
         counts = np.array([row[3] for row in self._log])
         rows = replayed(self._checked, Records(X, U, P), counts < 0, counts=counts)
-        mine = np.hstack([rows.tau] if self.compact else [rows.tau, rows.state, rows.telemetry]).astype(self.real)
+        whole = [rows.tau, rows.state, rows.telemetry]
+        mine = np.hstack(self._glance(*whole) if self.compact else whole).astype(self.real)
         theirs = np.array([np.frombuffer(row[2].raw, dtype=np.dtype(self.real).newbyteorder("<")) for row in self._log])
         bits = f"u{mine.itemsize}"
         same = (mine.view(bits) == theirs.astype(self.real).view(bits)) | (np.isnan(mine) & np.isnan(theirs))
         status = np.array([row[2].status for row in self._log])
         return np.flatnonzero(~same.all(axis=1) | (status != rows.status))
+
+    def _glance(self, tau: Vector, state: Vector, telemetry: Vector) -> list[Vector]:
+        # the numbers of a compact reply
+        states, outputs = glance(self.law)
+        return [
+            tau,
+            *(state[:, self.law.state.slice(port.name)] for port in states),
+            *(np.hstack([tau, telemetry])[:, self.law.outputs.slice(port.name)] for port in outputs),
+        ]

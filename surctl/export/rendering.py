@@ -18,6 +18,7 @@ from surctl.export.contract import (
     command_size,
     command_word,
     commands,
+    glance,
     is_robot_law,
     status_table,
     telemetry_ports,
@@ -240,6 +241,13 @@ def _values(
         "telemetry": telemetry_ports(law),
         "n_tau": n_tau,
         "n_telemetry": law.outputs.size - n_tau,
+        "glance": glance(law),
+        "n_glance": sum(port.size for ports in glance(law) for port in ports),
+        "index": {
+            (struct, port.name): layout.slice(port.name).start
+            for struct, layout in (("state", law.state), ("input", law.inputs), ("output", law.outputs))
+            for port in layout
+        },
         "field": field,
         "starts": starts,
         "ram": _ram(law, within, np.dtype(real).itemsize),

@@ -43,7 +43,7 @@ def robot_wiring(law: Exportable, origin: Origin | None) -> dict[str, Any]:
     equipment = None if origin is None else origin.equipment
     array = None if equipment is None else equipment.array
     return {
-        "wires": [(port.name, _source(port.name, array)) for port in law.inputs],
+        "wires": [(port.name, _source(port.name, array, listening="samples" in law.inputs)) for port in law.inputs],
         "sonar_lines": _sonars(equipment, origin) if equipment and origin and "samples" in law.inputs else [],
         **({} if equipment is None else {"rate_lines": _rates(law, equipment)}),
         "thruster_rows": _thrusters(origin) if "working" in law.inputs else [],
@@ -51,16 +51,22 @@ def robot_wiring(law: Exportable, origin: Origin | None) -> dict[str, Any]:
         "oldest_fix": f"{LONGEST_LATENCY:g}",
         "never_fixed": f"{LONGEST_AGE:g}",
         "arriving": "progress" in law.state,
+        "stalling": "stalled" in law.state,
+        "listening": "samples" in law.inputs,
+        "plant_line": "" if origin is None else _plant(origin),
     }
 
 
-def _source(name: str, array: SonarArray | None) -> str:
+def _source(name: str, array: SonarArray | None, *, listening: bool) -> str:
+    if name == "contacts" and listening:
+        return f"Moving obstacles only: the sonars find what stands still, and the walls are gains. {_PLAIN[name]}"
     if name == "samples":
+        none = "the longest range" if array is None else f"{array.maximum:g}"
         count = "all columns" if array is None else f"all {array.samples} columns"
         return (
             f"One row per sonar. A row is one echo: {count} are conversions of the same firing. A module that gives "
             "one number per firing is best exported with `samples = 1`; else it fills all columns. Without an echo, "
-            f"every column is {'the longest range' if array is None else f'{array.maximum:g}'}, not 0 and not −1."
+            f"every column is {none}, not 0 and not −1; the same before the first firing."
         )
     return _PLAIN.get(name, UNKNOWN)
 
@@ -104,6 +110,9 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
         f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "
         f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
+        f"In the simulated run, each sample of an echo is {array.scale:.4g} r + bias + noise, limited to "
+        f"{array.lowest:.4g} to {array.maximum:g} m, then rounded to the conversion step; r is the horizontal distance "
+        "from the sonar to the nearest point of any face in the beam.",
         f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm (standard deviation of each sample, independent "
         f"also within a firing), bias {1000 * array.bias:.3g} mm, {samples}. A row that repeats exactly "
         "from firing to firing is taken as a stuck sensor. A quiet module in front of a robot at rest repeats "
@@ -128,8 +137,26 @@ def _rates(law: Exportable, equipment: Equipment) -> list[str]:
         messages = equipment.station.messages
         lines.append(f"Messages with moving obstacles: every {messages.period:g} s, {messages.latency:g} s old.")
     if "fresh" in law.inputs:
-        lines.append("Firings: complete within the period before the step in which their flag is 1.")
+        lines.append(
+            "Firings: complete within the period before the step in which their flag is 1. In the simulated run they "
+            "are then 0 or 0.025 s old. Which sonar fires first, and when within the period, is free."
+        )
     return lines
+
+
+def _plant(origin: Origin) -> str:
+    # the equation of motion of the simulated run
+    vehicle = origin.vehicle
+    mass, linear, quadratic = (
+        ", ".join(f"{v:g}" for v in row) for row in (vehicle.mass, vehicle.linear_drag, vehicle.quadratic_drag)
+    )
+    more = f"; further terms of the vehicle file: {', '.join(vehicle.form.terms)}" if vehicle.form.terms else ""
+    return (
+        f"M ν̇ = τ − C(ν) ν − (D + D₂ |ν|) ν with ν = (u, v, w, r) through the water, M = diag({mass}), "
+        f"D = diag({linear}), D₂ = diag({quadratic}) in SI units, and C(ν) ν = (−m₂₂ v r, m₁₁ u r, 0, (m₂₂ − m₁₁) u v)"
+        f"{more}. τ follows the command, within ± {', '.join(f'{v:g}' for v in vehicle.delivered_limit)} N and N m, "
+        f"with a first-order lag of {vehicle['thrust_lag']:g} s"
+    )
 
 
 def _thrusters(origin: Origin | None) -> Sequence[tuple[str, ...]]:

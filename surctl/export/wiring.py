@@ -14,11 +14,15 @@ __all__ = ["DEMANDS", "UNKNOWN", "step_line", "wiring_values"]
 DEMANDS: Mapping[str, str] = MappingProxyType(
     {
         "OK": "Apply the command.",
-        "SATURATED": "Apply it. If the bit stays for seconds, the robot cannot follow: lower `cruise`, or surface.",
+        "SATURATED": "Apply it. Alone it is no sign of trouble: a robot that brakes or evades uses all its thrust, by "
+        "sonar in a third to a half of the steps, for seconds in a row (the simulated run: see Evidence). If it comes "
+        "with a `path_error` that grows, the robot cannot follow: lower `cruise`, or surface.",
         "SWITCHED": "Apply it, and log.",
-        "DEGRADED": "Apply it, and log. If the bit stays, an obstacle is too near or too fast: be ready to stop.",
-        "TRAPPED": "Apply it: the robot holds its place. To end it, the operator disarms; then `initialize`, which "
-        "also sets the tuned gains, and after it the gains of another mission.",
+        "DEGRADED": "Apply it, and log. Normal in the first steps, before a position and echoes have arrived. If the "
+        "bit stays for a second later on, an obstacle is too near or too fast: be ready to stop.",
+        "TRAPPED": "Apply it: the robot holds its place. To end it, the operator disarms and arms: `loop.c` then "
+        "begins the mission anew, with an empty map. A program of your own calls `initialize`, which also sets the "
+        "tuned gains. If the way is closed, give it another mission before.",
         "RESTARTED": "Apply it, and log: the board that counts samples was started again; every age is at its largest.",
         "NULL": "Thrusters to zero. A mistake in the program: stop.",
         "NONFINITE": "Thrusters to zero in this period. Go on calling the step; find the input that is no number.",
@@ -63,6 +67,9 @@ def wiring_values(law: Exportable) -> dict[str, Any]:
         "flag_names": [port.name for port in law.inputs if port.name == "fresh" or port.name.endswith("_fresh")],
         "own_age": False,
         "arriving": False,
+        "stalling": False,
+        "listening": False,
+        "plant_line": "",
         "fed": False,
         "rows": [],
         "safe_periods": max(1, round(1.0 / law.dt)),

@@ -128,6 +128,8 @@ status, out = c.step(eta=[1.0, 0.8, -0.15, 0.0], nu=[0.05, 0.05, 0.0, 0.1])
 print(status, out["tau"].tolist(), c.gains_id)
 stored = c.save_gains()
 c.set_gains(k_v=1.25)
+c.begin()
+assert c.state[0] == 0 and c.input["eta"][0] == 1.0
 try:
     c.set_gains(k_v=1.0, mass=[0, 0, 0, 0])
 except ValueError as wrong:
@@ -231,9 +233,58 @@ def test_lost_fixes_hold_the_robot_though_every_step_is_accepted(tmp_path: Path)
     words = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
     applied, mode = (np.array([int(word[k]) for word in words]) for k in range(2))
     steps = np.arange(1, 151)
-    # armed after 20 steps with a fix; held 1 s after the last one, and 1 s later only the operator arms again
-    assert (applied == (((steps >= 50) & (steps <= 79)) | (steps >= 131))).all(), "".join(map(str, applied))
+    # armed after 20 steps with a fix; held 1 s after the last one; 1 s later only the operator arms again, in step 131
+    assert (applied == (((steps >= 50) & (steps <= 79)) | (steps == 150))).all(), "".join(map(str, applied))
     assert set(mode[79:98]) == {2} and set(mode[98:129]) == {3}
+
+
+STALL = """#include "loop.h"
+#include <stdio.h>
+int main(void)
+{
+    static stall_loop_t loop;
+    if (stall_loop_start(&loop) != 0) { return 1; }
+    loop.gains.k = 0.5; /* as if it were stored */
+    for (int k = 0; k < 430; ++k) { /* armed from 2 s on, but not from 4 to 10 s, and not in one step at 17 s */
+        const int armed = (k >= 40) && !((k >= 80) && (k < 200)) && (k != 340);
+        const int applied = stall_loop_step(&loop, 1u, 1, armed);
+        (void)printf("%d,%d,%.0f,%g ", applied, loop.status, 20.0 * loop.state.x[stall_at_progress], loop.gains.k);
+        stall_loop_end(&loop);
+    }
+    return 0;
+}
+"""
+
+
+def test_a_pause_is_no_dead_end_and_arming_ends_one(tmp_path: Path) -> None:
+    """The law moves on for 2 s, and is trapped after 3 s without progress."""
+    need_compiler()
+    x, u, p = ca.SX.sym("x", 3), ca.SX.sym("u"), ca.SX.sym("p")
+    progress, stalled, trapped = ca.vertsplit(x)
+    moved = progress < 1.99
+    stalled = ca.if_else(moved, 0, stalled + 0.05)
+    trapped = ca.logic_or(trapped, stalled > 2.99)
+    after = ca.vertcat(progress + 0.05 * moved, stalled, trapped)
+    layouts = (
+        Layout(tuple(Port(name, (1,), "1", name) for name in ("progress", "stalled", "trapped"))),
+        Layout((Port("depth", (1,), "m", "depth"),)),
+        Layout((Port("k", (1,), "1", "gain", default=1.0),)),
+        Layout((Port("tau", (4,), "N, N, N, N m", "thrust"),)),
+    )
+    function = ca.Function("law", [x, u, p], [p * ca.SX.ones(4), after, 8 * trapped, ca.SX(0, 1)])
+    bundle = build_bundle(StandIn("stall", 0.05, *layouts, function), {})
+    write_bundle(bundle, tmp_path)
+    (tmp_path / "main_stall.c").write_text(STALL)
+    program = build("gcc", tmp_path, ["main_stall.c", "loop.c", *code(bundle)], "run")
+    words = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
+    applied, status, progress, gain = np.array([word.split(",") for word in words], dtype=float).T
+    steps = np.arange(430)
+    # applied 1 s after the first arming, at once after a pause, 1 s after the arming that ends the dead end
+    expected = (steps >= 59) & (steps < 80) | (steps >= 200) & (steps < 340) | (steps >= 360)
+    assert (applied == expected).all(), applied.astype(int).tolist()
+    assert (progress[[39, 40, 79, 200]] == [40, 1, 40, 40]).all()  # begun at the arming, kept in the pause
+    assert (status == 8 * ((steps >= 259) & (steps <= 340))).all(), np.flatnonzero(status)[[0, -1]]
+    assert progress[341] == 1 and (gain == 0.5).all()
 
 
 def test_the_smallest_bundle_has_an_example_too(tmp_path: Path) -> None:
@@ -269,6 +320,11 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
         "the robot coasts",
         "a step whose age is above 1 s counts as\na refused one",
         "The robot has arrived when",
+        "the robot turns without pause",
+        "`output.healthy` of a sonar is 0",
+        "The mission begins when the operator arms",
+        "Moving obstacles only",
+        "Place the robot at the first waypoint",
         "is refused 10 times",
         "one sonar every 0.025 s in the order 0, 1, 2, 3",
         "Fixes: every 0.1 s, 0.1 s old when they arrive",
@@ -281,6 +337,10 @@ def test_the_readme_says_where_every_input_comes_from_and_what_every_status_dema
     ):
         assert words in wiring, words
     assert "memset(&input, 0, sizeof input);" in readme
+    assert "for (int k0 = 0; k0 < 4; ++k0) for (int k1 = 0; k1 < 5; ++k1) { input.samples[k0][k1] = 4.5; }" in readme
+    assert '"samples": 4.5' in files["surctl_guarded.py"].split("UNMEASURED = ")[1]
+    assert re.search(rf"\| state \| `own_age` \| s \| .* \| {law.state.slice('own_age').start} \|\n", readme)
+    assert "then `state.progress`, then `state.own_age`, then `output.healthy[4]`: 100 bytes" in readme
     cleared = files["loop.c"].split("if ((loop->status >= 0) || (loop->refused >= ")[1]
     assert all(f"loop->input.{flag} = 0.0;" in cleared for flag in ("fix_fresh", "contacts_fresh", "fresh[k]"))
     assert 'FLAGS = ["fix_fresh", "contacts_fresh", "fresh"]' in files["surctl_guarded.py"]

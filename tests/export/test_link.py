@@ -35,18 +35,31 @@ from surctl.export import (
     emulated_target,
     write_bundle,
 )
-from surctl.export.link import Identity
+from surctl.export.link import VERSION, Identity
 from surctl.export.precision import Rounded
-from surctl.ir import Real, compile_program
+from surctl.ir import Layout, Real, compile_program
 from surctl.simulation import GONE, LATE, LINK_LOST, Run, law_numbers, load_scenario, simulate
 from surctl.vehicle import load_vehicle
+from tests.export import test_check
 from tests.export.altered import altered
-from tests.export.test_check import Exact, exact
+from tests.export.test_check import Exact
 from tests.tools import need, need_compiler
 
 Vector = NDArray[np.float64]
 REALS: tuple[Real, ...] = ("float64", "float32")
 HEAD = struct.Struct("<4sHHII")
+GLANCED = {"latch": "progress", "report": "healthy"}
+
+
+@cache
+def exact() -> Exact:
+    """The stand-in with names that a compact reply carries."""
+    law = test_check.exact()
+    state, outputs = (
+        Layout(tuple(replace(port, name=GLANCED.get(port.name, port.name)) for port in layout))
+        for layout in (law.state, law.outputs)
+    )
+    return replace(law, state=state, outputs=outputs)
 
 
 def program(
@@ -165,13 +178,13 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
         for sent, code in (
             (b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", 1),
             (bytes(16), 1),
-            (HEAD.pack(b"SURL", 2, 1, 0, 0), 2),
-            (HEAD.pack(b"SURL", 1, 99, 7, 0), 3),
-            (HEAD.pack(b"SURL", 1, 5, 7, 0xFFFFFFFF) + bytes(40_000), 4),
-            (HEAD.pack(b"SURL", 1, 5, 7, width) + bytes(width), 6),
+            (HEAD.pack(b"SURL", 1, 1, 0, 0), 2),
+            (HEAD.pack(b"SURL", VERSION, 99, 7, 0), 3),
+            (HEAD.pack(b"SURL", VERSION, 5, 7, 0xFFFFFFFF) + bytes(40_000), 4),
+            (HEAD.pack(b"SURL", VERSION, 5, 7, width) + bytes(width), 6),
         ):
             told = raw(where, sent)
-            assert HEAD.unpack(told[:16])[:3] == (b"SURL", 1, 7) and struct.unpack("<I", told[16:]) == (code,)
+            assert HEAD.unpack(told[:16])[:3] == (b"SURL", VERSION, 7) and struct.unpack("<I", told[16:]) == (code,)
         assert raw(where, b"SURL") == b"" and process.poll() is None  # cut short
         with connect(where) as opened:
             opened.start(opened.request().id)
@@ -186,13 +199,13 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
     [
         (b"HTTP/1.1 400 Bad Request\r\n", "is not a controller of this kind"),
         (
-            HEAD.pack(b"SURL", 2, 2, 0, 84) + bytes(84),
-            "speaks version 2 of the link protocol, this program version 1",
+            HEAD.pack(b"SURL", 1, 2, 0, 88) + bytes(88),
+            "speaks version 1 of the link protocol, this program version 2",
         ),
-        (HEAD.pack(b"SURL", 1, 4, 0, 0), "a reply that does not fit the request"),
-        (HEAD.pack(b"SURL", 1, 7, 0, 4) + struct.pack("<I", 77), "refuses, with code 77"),
-        (HEAD.pack(b"SURL", 1, 2, 0, 84) + bytes(84), "that is not possible"),
-        (HEAD.pack(b"SURL", 1, 2, 0, 84) + bytes(3), "was silent"),
+        (HEAD.pack(b"SURL", VERSION, 4, 0, 0), "a reply that does not fit the request"),
+        (HEAD.pack(b"SURL", VERSION, 7, 0, 4) + struct.pack("<I", 77), "refuses, with code 77"),
+        (HEAD.pack(b"SURL", VERSION, 2, 0, 88) + bytes(88), "that is not possible"),
+        (HEAD.pack(b"SURL", VERSION, 2, 0, 88) + bytes(3), "was silent"),
         (None, "closed the connection"),
     ],
 )
@@ -420,8 +433,9 @@ def test_what_is_no_emulated_processor(name: str) -> None:
         emulated_target(name)
 
 
-def test_a_compact_step_carries_status_and_thrust_only(line: Line) -> None:
+def test_a_compact_step_carries_status_thrust_and_where_the_mission_stands(line: Line) -> None:
     law, identity = exact(), line.request()
+    at = law.state.slice("progress")
     for k in range(1, 6):
         u = law.inputs.pack() + 0.1 * k
         line.start(identity.id)
@@ -429,7 +443,9 @@ def test_a_compact_step_carries_status_and_thrust_only(line: Line) -> None:
         line.start(identity.id)
         few = line.step(1, u, compact=True)
         assert (few.status, few.tau.tolist()) == (whole.status, whole.tau.tolist())
-        assert few.tau.size == 4 and not few.state.size and not few.telemetry.size and len(few.raw) == 16
+        assert few.tau.size == 4 and not few.state.size and not few.telemetry.size
+        carried = np.frombuffer(few.raw, "<f4")
+        assert np.array_equal(carried, np.hstack([whole.tau, whole.state[at], whole.telemetry]))
 
 
 def test_a_message_whose_bytes_drip_ends_the_connection_within_seconds(small: dict[Real, Path]) -> None:
@@ -437,7 +453,7 @@ def test_a_message_whose_bytes_drip_ends_the_connection_within_seconds(small: di
         host, port = where.removeprefix("tcp://").rsplit(":", 1)
         began = time.monotonic()
         with socket.create_connection((host, int(port)), timeout=20) as wire, contextlib.suppress(OSError):
-            for byte in HEAD.pack(b"SURL", 1, 1, 0, 0)[:-1] * 9:
+            for byte in HEAD.pack(b"SURL", VERSION, 1, 0, 0)[:-1] * 9:
                 wire.sendall(bytes([byte]))
                 time.sleep(0.25)
         assert time.monotonic() - began < 20  # it closes after 2 s; not after the 34 s of all bytes
