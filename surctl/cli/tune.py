@@ -54,8 +54,7 @@ __all__ = ["tune"]
     type=click.IntRange(min=1),
     default=256,
     metavar="N",
-    help="Gain sets of NSGA-II in a round (default 256), and about as many of the descent. "
-    "Each is simulated in all scenarios and seeds.",
+    help="Gain sets per round (default 256), each simulated in all scenarios; the descent adds as many.",
 )
 @click.option(
     "--seed",
