@@ -162,12 +162,20 @@ def speed_lines(
 
     Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
+    from surctl.ir.stored_numbers import stored_numbers
     from surctl.verification.linear import LEAST_DISK_MARGIN, bearable_speed, corners, margin_speed
 
     tried = corners(vehicle, uncertainty or None)
-    nominal = bearable_speed(vehicle, gains, dt=dt)
-    stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0)
-    robust = margin_speed(tried, gains, dt=dt, highest=stable)
+
+    def searched() -> dict[str, float]:
+        nominal = bearable_speed(vehicle, gains, dt=dt)
+        stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0)
+        robust = margin_speed(tried, gains, dt=dt, highest=stable)
+        return {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
+
+    key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt)
+    numbers: dict[str, float] = stored_numbers(("surctl.verification", "surctl.vehicle"), key, searched)
+    nominal, stable, robust, _ = numbers.values()
     whom = "the nominal vehicle and the corners" if len(tried.vehicles) > 1 else "the nominal vehicle"
     margin = f"disk margin of all loops at least {LEAST_DISK_MARGIN:g}"
     held = f"up to {robust:.3g} m/s" if robust > 0 else "at no speed with these gains (surctl tune searches others)"
@@ -181,7 +189,6 @@ def speed_lines(
     lines += [] if over is None else [f"  warning: the cap, {cap:g} m/s, {over}; lower it"]
     if robust < cruise:
         lines.append(_change(vehicle, cruise=cruise, dt=dt, robust=robust))
-    numbers = {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
     return lines, numbers
 
 

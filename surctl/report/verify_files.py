@@ -18,7 +18,8 @@ from surctl.report.pictures import save_figure
 from surctl.report.region_plots import plot_region
 from surctl.vehicle import Vehicle
 from surctl.verification import Verdict, build_cascade, loop_margins
-from surctl.verification.linear import DISK_PLACES, disk_margin, open_loop
+from surctl.verification.linear import DISK_PLACES, open_loop
+from surctl.verification.linear.disk import stored_disk_margin
 
 __all__ = ["save_margins", "save_regions", "save_verdicts"]
 
@@ -63,7 +64,7 @@ def save_margins(
         figures[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
     opened = [open_loop(cascade, place) for place in DISK_PLACES]
-    pairs = [(loop, disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
+    pairs = [(loop, stored_disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
     figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
     figures["sensitivity"] = plot_s_and_t(sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2]))
     return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from surctl.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
 from surctl.errors import InputError
-from surctl.tuning.stored import HashedVehicle, stored_numbers
+from surctl.ir.stored_numbers import stored_numbers
+from surctl.tuning.hashed import HashedVehicle
 from surctl.tuning.vehicle_rule import DEPENDENT, held_speed, inner_start, munk_rate, rule, top_speed
 from surctl.vehicle import LIBRARY, Vehicle, load_vehicle, plant_parameters
 from surctl.vehicle.linearise import check_cruise
@@ -262,7 +263,8 @@ def _tuned_digests() -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _derive(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
-    numbers: Any = stored_numbers((*hashed.key, cruise, dt), lambda: asdict(_derivation(hashed, cruise, dt)))
+    key = (*hashed.key, cruise, dt)
+    numbers: Any = stored_numbers(["surctl"], key, lambda: asdict(_derivation(hashed, cruise, dt)))
     return Derivation(**(numbers | {"gains": Gains(**numbers["gains"])}))
 
 

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.ir.stored_numbers import stored_numbers
 from surctl.verification.linear.open_loop import OpenLoop
 
 __all__ = ["LEAST_DISK_MARGIN", "DiskMargin", "disk_margin", "disk_profile", "screened_peaks", "structured_bounds"]
@@ -121,6 +122,18 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
         level *= 1 + _EXCESS / 4  # raise the level, because rounding decides if it lies just below the peak
     nothing = float("nan")
     return DiskMargin(place, True, nothing, 1 / least, where, (nothing, nothing), nothing)
+
+
+def stored_disk_margin(loop: OpenLoop, place: str) -> DiskMargin:
+    """Return the disk margin of a loop of the cascade, from the cache on disk if it was computed before."""
+    matrices = [np.asarray(matrix, dtype=float) for matrix in (loop.A, loop.B, loop.C, loop.D)]
+    values = stored_numbers(
+        ("surctl.verification.linear.disk", "surctl.verification.linear.open_loop"),
+        [(matrix.shape, matrix.tobytes()) for matrix in matrices],
+        lambda: asdict(disk_margin(loop)),
+        suffix=".disk",
+    )
+    return DiskMargin(**{**values, "place": place, "gain": tuple(values["gain"])})
 
 
 def disk_profile(loop: OpenLoop, omega: Array) -> Array:

@@ -6,8 +6,6 @@ and needs no Padé approximation. The integral state ξ is computed inside the c
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cache, partial
@@ -16,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, SurctlError
-from surctl.ir import cached_bytes, source_digest
+from surctl.errors import InputError
+from surctl.ir.stored_numbers import stored_numbers
 from surctl.system.exponential import expm
 from surctl.vehicle import Vehicle
 from surctl.verification.cascade import Cascade, build_cascade
@@ -127,22 +125,13 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
     """
     if undelayed.A.ndim == 2:
         return _sampled_limits(undelayed, period)
-    try:
-        parts = [
-            source_digest("surctl.verification.linear.sampled", "surctl.system.exponential").encode(),
-            repr(period).encode(),
-        ]
-    except SurctlError:  # without a digest of the sources nothing is cached
-        return _sampled_limits(undelayed, period)
-    for name in ("A", "B", "C", "K"):
-        matrix = np.ascontiguousarray(getattr(undelayed, name), dtype=float)
-        parts += [repr(matrix.shape).encode(), matrix.tobytes()]
-    stored = cached_bytes(
-        hashlib.sha256(b"\0".join(parts)).hexdigest(),
-        ".sampled",
-        lambda: json.dumps(asdict(_sampled_limits(undelayed, period))).encode(),
+    matrices = [np.asarray(getattr(undelayed, name), dtype=float) for name in ("A", "B", "C", "K")]
+    values = stored_numbers(
+        ("surctl.verification.linear.sampled", "surctl.system.exponential"),
+        (period, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
+        lambda: asdict(_sampled_limits(undelayed, period)),
+        suffix=".sampled",
     )
-    values = json.loads(stored)
     return SampledLimits(**{**values, "largest_period_s": tuple(values["largest_period_s"])})
 
 

@@ -15,7 +15,7 @@ from surctl.vehicle.dynamics import trim_function
 from surctl.vehicle.linearise import can_hold
 from surctl.verification.cascade import Cascade, build_cascade, build_cascades
 from surctl.verification.linear.corners import Corners
-from surctl.verification.linear.disk import DiskMargin, disk_margin, screened_peaks
+from surctl.verification.linear.disk import DiskMargin, screened_peaks, stored_disk_margin
 from surctl.verification.linear.places import DISK_PLACES, open_loop
 from surctl.verification.linear.sampled import SampledLimits, sampled_limits
 
@@ -121,7 +121,7 @@ def linear_side(
     poles = _poles(delayed.poles)
     return LinearSide(
         of=f"{vehicle.name}, nominal",
-        disks=tuple(disk_margin(open_loop(delayed, place), place) for place in DISK_PLACES),
+        disks=tuple(stored_disk_margin(open_loop(delayed, place), place) for place in DISK_PLACES),
         poles=poles,
         slowest_per_s=float(delayed.poles[0].real),
         least_damping=min(p.damping for p in poles),
@@ -155,7 +155,7 @@ def worst_linear_side(
         peaks = [screened_peaks(loop) for loop in loops]
         worst = int(np.argmax([each.max() for each in peaks]))
         at = int(np.argmax(peaks[worst]))
-        disks.append(disk_margin(loops[worst][np.asarray(at)], place))
+        disks.append(stored_disk_margin(loops[worst][np.asarray(at)], place))
         lowest.append(groups[worst][at])
     slowest = [group.poles[:, 0].real for group in delayed]
     fastest = int(np.argmax([each.max() for each in slowest]))

@@ -1,5 +1,7 @@
 """The slowest mode: its states, its cause, and what makes an unstable loop stable."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -61,7 +63,10 @@ def _moved(closed: np.ndarray, k: int) -> float:
     return float((np.linalg.eigvals(nudged).real.max() - np.linalg.eigvals(closed).real.max()) / 1e-6)
 
 
-def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))  # this result must not be stored for others
     monkeypatch.setattr("surctl.verification.linear.disk._STEPS", 0)
     loop = open_loop(build_cascade(WU, GAINS, cruise=0.15, dt=0.05), "thrust")
     found: DiskMargin = disk_margin(loop, "thrust")
