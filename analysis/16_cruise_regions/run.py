@@ -48,6 +48,10 @@ BARS: Mapping[str, Bar] = {
     ),
     "region-heading-20-slow": Bar("y_e ≥ 0.65 m, saturated", lambda p, *_: p.offset >= 0.65),
     "region-heading-ranges": Bar("y_e ≥ 0.29 m in ≤ 60 s", lambda p, proof, _: beside(p) >= 0.29 and proof <= 60),
+    "region-cruise-20": Bar(
+        "y_e ≥ 0.34 m in ≤ 60 s, check ≤ 5 s, ≤ 50 kB",
+        lambda p, proof, check: p.offset >= 0.34 and proof <= 60 and check <= 5 and len(p.text()) <= 50_000,
+    ),
     "region-cruise-20-soft": Bar("y_e ≥ 0.34 m", lambda p, *_: p.offset >= 0.34),
     "region-cruise-current": Bar("settles within 0.06 m", lambda p, *_: max(p.settled) <= 0.06),
 }

@@ -39,6 +39,8 @@ PAIRS = (
     ("region-turning-20-rest", "bluerov2-vonbenzon"),
     ("region-turning-20-rest", "bluerov2-wu"),
     ("region-turning-20-scale", "sur540-flooded"),
+    ("region-cruise-20", "sur540-flooded"),
+    ("region-cruise-20-soft", "sur540-flooded"),
     (CURVED, "sur540-flooded"),
     ("region-turning-20", "bluerov2-heavy"),
     ("region-turning-20-rest", "bluerov2-heavy"),
@@ -123,8 +125,33 @@ class Plant:
         return np.stack([along - law["cruise"] + bend * y_e, across - bend * x_e, r - bend, *turned])
 
 
+def as_turning(document: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the document of a cruise with equal masses, with its claim as that of a turning cruise."""
+    claim, proof = document["claim"], document["proof"]
+    vehicle, law, both = claim["vehicle"], claim["law"], ("mass_kg", "linear_drag", "quadratic_drag")
+    factors = {key: [end / law[key] for end in vehicle[key]] for key in both}
+    v, linear, quadratic = law["cruise"], law["linear_drag"], 0.85 * law["quadratic_drag"]
+    stiffness = law["mass_kg"] * law["k_v"] + linear + 2 * quadratic * v
+    own = {
+        "mass_factor": factors["mass_kg"], "mass_asymmetry": 0.0,
+        "drag_factor": [pick(factors[key][k] for key in both[1:]) for k, pick in enumerate((min, max))],
+        "drag_asymmetry": vehicle["asymmetry"], "thrust_n": [vehicle["thrust_n"]] * 2, "terms": {},
+        "yaw_rate_rad_per_s": vehicle["yaw_rate_rad_per_s"],
+        "heave_m_per_s": 0.0, "heave_m_per_s2": 0.0, "yaw_rad_per_s2": 0.0,
+    }  # fmt: skip
+    return {
+        "claim": {
+            "vehicle": own, "law": {**law, **{key: [law[key]] * 2 for key in both}},
+            "motion": {**claim["motion"], "curvature_per_m": 0.0},
+        },
+        "proof": {**proof, "trim": [linear * v / stiffness, quadratic * v * v / stiffness]},
+    }  # fmt: skip
+
+
 def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: int = 1) -> Motions:
     """Simulate motions from the boundary V = 1 with a greedy (half of them) or a random yaw rate within its limit."""
+    if document["kind"] == "region":
+        document = as_turning(document)
     claim, proof, rng = document["claim"], document["proof"], np.random.default_rng(seed)
     P = np.array([[proof["P"][max(i, j)][min(i, j)] for j in range(4)] for i in range(4)])
     plant, law, most = Plant(claim, count, rng), claim["law"], claim["vehicle"]["yaw_rate_rad_per_s"]
@@ -234,10 +261,9 @@ def row(
 ) -> str:
     """Return a row of the table."""
     motion, size = document["claim"]["motion"], len(json.dumps(document, separators=(",", ":"))) + 1
-    moment, settles = document["claim"]["vehicle"].get("munk_moment_nm"), "0, 0 m"
-    if moment is not None:
-        settles = "{:.3f}, {:.3f} m".format(*motion["ultimate_bound_m"])
-    motion = {"rest_offset_m": None, **motion}
+    moment = document["claim"]["vehicle"].get("munk_moment_nm")
+    motion = {"rest_offset_m": None, "ultimate_bound_m": (0.0, 0.0), **motion}
+    settles = "{:.3f}, {:.3f} m".format(*motion["ultimate_bound_m"])
     rest = "–" if motion["rest_offset_m"] is None else f"{motion['rest_offset_m']:.3f} m"
     return (
         f"| `{name}` | {vehicle} | {motion['offset_m']:.3f} m | {rest} | {settles} "

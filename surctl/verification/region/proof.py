@@ -167,8 +167,8 @@ def _proposed(
     """Yield certificates and their P: those by cells of headings first, because their regions are larger."""
     turning = claim.turning()
     if turning is not None:
-        for found in turning_search(turning, attempts=attempts, seed=seed, slopes=offset_slopes(claim)):
-            for one in raised(found):
+        for shaped in turning_search(turning, attempts=attempts, seed=seed, slopes=offset_slopes(claim)):
+            for one in raised(shaped):
                 region = region_of(turning, one)
                 stated = claim.document(offset=region.offset, ultimate_bound=region.ultimate_bound)
                 yield seal("region", stated, {"proof": region.proof}), one.P
