@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
+from typing import IO, TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError, model_validator
 
@@ -25,6 +25,7 @@ __all__ = [
     "Quantity",
     "Strict",
     "load_model",
+    "opened",
     "pick",
     "prepare_folder",
     "quoted",
@@ -288,6 +289,21 @@ def quoted(text: str) -> str:
         "a \\"clear\\" pool"
     """
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def opened(path: Path, *, new: bool, buffering: int = -1) -> IO[bytes]:
+    """Open a file of a session for writing; if it has to be `new`, refuse to overwrite one.
+
+    Raises:
+        InputError: the file cannot be written, or is there already.
+    """
+    try:
+        return path.open("xb" if new else "wb", buffering=buffering)
+    except FileExistsError:
+        problem = "exists already: a session never overwrites another"
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror})"
+    raise InputError(problem, file=path, remedy="name another folder")
 
 
 def write_file(target: Path, content: str | bytes) -> Path:

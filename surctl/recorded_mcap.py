@@ -13,7 +13,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from surctl.errors import InputError, ToolMissing
+from surctl.errors import ToolMissing
+from surctl.files import opened
 
 __all__ = ["SCHEMAS", "McapFile", "stamp"]
 
@@ -127,14 +128,7 @@ class McapFile:
                 key=path.suffix,
                 remedy="install it: pip install 'surctl[field]'",
             ) from None
-        try:
-            self._file = path.open("xb" if new else "wb")
-        except FileExistsError:
-            raise InputError(
-                "exists already: a session never overwrites another", file=path, remedy="name another folder"
-            ) from None
-        except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", file=path, remedy="name another folder") from None
+        self._file = opened(path, new=new)
         self.path, self.epoch = path, epoch
         self._writer = writer.Writer(self._file, chunk_size=chunk)
         self._writer.start(library="surctl")

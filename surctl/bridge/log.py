@@ -12,6 +12,7 @@ import numpy as np
 
 from surctl.bridge.bridge import Bridge, Moment
 from surctl.errors import InputError
+from surctl.files import opened
 from surctl.recorded_mcap import McapFile
 from surctl.simulation import Body, SceneFile, write_layout
 from surctl.world import Disc
@@ -44,14 +45,7 @@ class FrameLog:
     def __init__(self, path: Path, *, epoch: float | None = None, new: bool = True) -> None:
         self.path = path
         self.epoch = time.time() if epoch is None else epoch
-        try:
-            self._file = path.open("xb" if new else "wb", buffering=0)
-        except FileExistsError:
-            raise InputError(
-                "exists already: a session never overwrites another", file=path, remedy="name another folder"
-            ) from None
-        except OSError as error:
-            raise InputError(f"cannot be written ({error.strerror})", file=path, remedy="name another folder") from None
+        self._file = opened(path, new=new, buffering=0)
 
     def __enter__(self) -> FrameLog:
         return self

@@ -24,7 +24,7 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     from surctl import __version__
     from surctl.cli.system_region import region_words
     from surctl.cli.system_sweep import best_line, best_points
-    from surctl.cli.system_verify import disk_line, linear_loop
+    from surctl.cli.system_verify import linear_loop
     from surctl.errors import InputError
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.process import build_controller
@@ -70,7 +70,7 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
         title=f"Study of {own.title}", record=record, resting={} if linear is None else linear.resting,
         stable=None if linear is None else linear.stable, mode=why if linear is None else linear.mode,
         margins=() if linear is None else linear.margins,
-        disks=[] if linear is None else [disk_line(what, margin) for what, margin in linear.together.items()],
+        disks=[] if linear is None else [margin.line(what) for what, margin in linear.together.items()],
         solution=solution,
         claim=[] if solution is None else [" ".join(line.split()) for line in solution.lines()],
         swept=swept, runs=runs, best=[best_line(own, name, row) for name, row in best.items()], sil=sil,

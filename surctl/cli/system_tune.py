@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from surctl.tuning.systems import SystemTuning
-
 __all__ = ["ranges_of", "tune_own_system"]
 
 
@@ -55,7 +53,11 @@ def tune_own_system(
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
     table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
     runs = f", runs of {duration:g} s" if own.system.costs else ""
-    lines = [f"{own.title}: {result.trials} gain sets{runs}", *_lines(own, result), f"gains {table}"]
+    lines = [
+        f"{own.title}: {result.trials} gain sets{runs}",
+        *(f"  {line}" for line in result.lines(own.system)),
+        f"gains {table}",
+    ]
     data = {
         **own.names,
         "seconds": duration,
@@ -107,22 +109,3 @@ def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:
         if len(values[name]) > 1:
             check_scalar(own.system, name)
     return {name: np.array(v[0] if len(v) == 1 else v) for name, v in values.items()}
-
-
-def _lines(own: OwnSystem, result: SystemTuning) -> list[str]:
-    lines = [f"  {name} = {value:.6g}" for name, value in result.gains.items()]
-    for name, cost in own.system.costs.items():
-        bound = "" if cost.at_most is None else f", at most {cost.at_most:g}"
-        what = "minimised" if name == result.objective else "not bounded" if cost.at_most is None else "bounded"
-        mark = "NOT MET  " if name in result.unmet else ""
-        known = math.isfinite(result.costs[name])
-        value = f"{result.costs[name]:.6g} {cost.unit}" if known else "none, because a run is not finite"
-        change = f"{value} (before {result.before[name]:.6g})"
-        lines.append(f"  {mark}{name}: {change}, {what}{bound}")
-    margin = "not judged, there is no equilibrium" if result.disk_margin is None else f"{result.disk_margin:.3f}"
-    mark = "NOT MET  " if "disk margin" in result.unmet else ""
-    lines += [] if result.goals is None else [f"  {line}" for line in result.goals.lines()]
-    return [
-        *lines,
-        f"  {mark}disk margin, all commands opened at once: {margin}, at least {result.least_disk_margin:g}",
-    ]

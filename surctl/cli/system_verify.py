@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from surctl.verification.linear.disk import DiskMargin
     from surctl.verification.margins import LoopMargins
 
-__all__ = ["LinearResults", "disk_line", "linear_loop", "verify_system"]
+__all__ = ["LinearResults", "linear_loop", "verify_system"]
 
 
 def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
@@ -112,8 +112,8 @@ def linear_loop(own: OwnSystem, values: Mapping[str, ArrayLike]) -> LinearResult
     lines.append(f"sampled every {own.system.dt:g} s: {'stable' if stable else 'UNSTABLE'}, {len(poles)} poles")
     lines.append(f"  slowest mode: {_mode_text(mode)}")
     if stable:
-        lines += ["loop opened at a command, all others closed:", *map(_margin_line, margins)]
-        lines += [disk_line(what, margin) for what, margin in together.items()]
+        lines += ["loop opened at a command, all others closed:", *(f"  {m.line()}" for m in margins)]
+        lines += [margin.line(what) for what, margin in together.items()]
     data = {
         "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in resting.items()},
         "stable": stable,
@@ -158,20 +158,3 @@ def _mode_text(mode: dict[str, Any]) -> str:
     change = f"{'decays' if constant >= 0 else 'grows'} with time constant {abs(constant):.4g} s"
     beat = f", oscillates at {frequency:.4g} rad/s" if frequency > 0 else ""
     return f"|z| = {mode['size']:.6g}, {'does not decay' if math.isinf(constant) else change}{beat}"
-
-
-def _margin_line(margin: LoopMargins) -> str:
-    least = f" (and above {margin.least_gain:.3g})" if margin.least_gain > 0 else ""
-    return (
-        f"  {margin.name}: gain factor below {margin.gain_margin:.4g}{least}, phase {margin.phase_margin_deg:.4g} deg, "
-        f"delay {margin.delay_margin_s:.4g} s, disk margin {margin.disk_margin:.3g}"
-    )
-
-
-def disk_line(what: str, margin: DiskMargin) -> str:
-    """Return one line with the disk margin of loops that are opened at once."""
-    low, high = margin.gain
-    return (
-        f"all {what} at once: disk margin {margin.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "
-        f"or phase ±{margin.phase_deg:.3g} deg, tightest at {margin.frequency_rad_s:.4g} rad/s"
-    )

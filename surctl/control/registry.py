@@ -148,7 +148,8 @@ def law_source(reference: str) -> LawSource:
         return LAWS[reference]
     if not is_own(reference):
         raise InputError("is not known", key=_KEY, value=reference, remedy=nearest(reference, LAW_NAMES))
-    source: LawSource = object_of(reference if "#" in reference else pinned(reference, key=_KEY), LawSource, key=_KEY)
+    whole = reference if "#" in reference else pinned(reference, key=_KEY)
+    source: LawSource = object_of(whole, LawSource, key=_KEY)
     if source.name in {law.name for law in LAWS.values()} or source.name in LAWS:
         raise InputError(
             "is the name of a built-in law",
@@ -157,8 +158,20 @@ def law_source(reference: str) -> LawSource:
             value=source.name,
             remedy="choose another name",
         )
+    path, _, function = own_file(whole).rpartition(":")
+    if (other := _FUNCTIONS.setdefault((path, whole.rpartition("#")[2], source.name), function)) != function:
+        raise InputError(
+            f"is the name of two laws, those of {other} and {function}",
+            file=own_file(reference),
+            key="name",
+            value=source.name,
+            remedy="choose another name for one",
+        )
     return source
 
+
+_FUNCTIONS: dict[tuple[str, str, str], str] = {}
+"""Function that returns the law with a name, by file, its SHA-256, and name: in one file, a name denotes one law."""
 
 _FORCES = {"Fu_max": "surge force", "Fv_max": "sway force", "Fr_max": "yaw moment"}
 

@@ -13,6 +13,7 @@ __all__ = ["EngineOptions", "parse_plant"]
 PLANTS = ("own", "mujoco")
 _FORM = "write --plant mujoco or --plant mujoco:KEY=VALUE,..."
 _BOX = "write LENGTHxWIDTHxHEIGHT in m, such as 1.2x0.6x0.4"
+_UNLIKE = 20.0  # largest ratio of a side of a box to the diameter in the vehicle file, and of this to a side
 _WORDS = {"drag": ("axis", "speed", "ellipsoid"), "rays": ("cone", "fan"), "ballast": ("path", "none")}
 _SWITCHES = ("floor", "surface_echo")
 
@@ -81,7 +82,7 @@ class EngineOptions:
         """Return the options for a vehicle, with its degrees of freedom.
 
         Raises:
-            InputError: the vehicle has no roll and pitch, but `dof` is 6.
+            InputError: the vehicle has no roll and pitch, but `dof` is 6; or the sides of the box are not in m.
         """
         if self.dof == 6 and not vehicle.form.tilts:
             raise InputError(
@@ -90,6 +91,10 @@ class EngineOptions:
                 value=6,
                 remedy="add [attitude], mpp and mqq to the file, use sur540-tilting or sur400-tilting, or dof=4",
             )
+        width = 2 * vehicle["radius"]
+        if self.box is not None and not all(width / _UNLIKE <= side <= width * _UNLIKE for side in self.box):
+            problem = f"is not plausible in m for {vehicle.name}, whose file has a diameter of {width:g} m"
+            raise InputError(problem, key="--plant mujoco:box", value=_written(self.box), remedy=_BOX)
         return replace(self, dof=self.dof or (6 if vehicle.form.tilts else 4))
 
     @property

@@ -111,31 +111,10 @@ def build_bundle(
     envelope: Envelope | None = None,
     supplement: Supplement | None = None,
 ) -> Bundle:
-    """Return the C bundle of a control law with tuned gains.
-
-    Args:
-        law: the control law.
-        gains: values of the gains by name; a gain without a value has its default.
-        name: prefix of file names and C symbols; by default the name of the law.
-        real: "float32" for a processor with a single-precision unit; every number in the C text is then a float.
-        envelope: ranges that the input check of the exported C accepts; None accepts any finite number.
-        supplement: what an application adds to the bundle; None: nothing.
+    """Return the C bundle of a controller, as `surctl.export.build_bundle`, with what an application adds to it.
 
     Raises:
-        InputError: a name is not a valid C identifier, a gain is unknown or not finite, the sizes that the law declares
-            differ from those of its code, an addition does not belong to this controller, or a float32 law calls
-            functions of the C library such as sin.
-
-    Example:
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
-        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
-        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
-        >>> bundle = build_bundle(law, law.gains.unpack(p), real="float32")
-        >>> bundle.name, bundle.real, len(bundle.sources)
-        ('surctl_closed_form', 'float32', 3)
+        InputError: as there, or an addition does not belong to this controller.
     """
     prefix = checked_name(law, name)
     if real == "float32" and law.block.libm:

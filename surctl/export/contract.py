@@ -206,7 +206,7 @@ def _check_files(name: str) -> None:
             f"is the name of a Python module, which {small}.py of the bundle would hide",
             key="name",
             value=name,
-            remedy="choose another name",
+            remedy=f"choose another name, such as my_{small}",
         )
     for ending in ("_link", "_loop"):
         if small.endswith(ending):

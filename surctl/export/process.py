@@ -87,11 +87,6 @@ class Controller:
         return Rows(status[:, 0].astype(np.int64), tau, state, telemetry)
 
     @property
-    def row_bytes(self) -> int:
-        """Return the number of bytes in the results of one step."""
-        return sum(self._widths) * self._dtype.itemsize
-
-    @property
     def _widths(self) -> tuple[int, int, int, int]:
         n_tau = command_size(self.law)
         return 1, n_tau, self.law.state.size, self.law.outputs.size - n_tau

@@ -98,6 +98,11 @@ class SilReport:
         return near and self.status_mismatches == 0 and not self.fault_failures and self.self_test
 
     @property
+    def exact(self) -> bool:
+        """True if C passed, was also compared with Python in accepted steps, and no number differs."""
+        return self.conclusive and not any(part.absolute for part in (self.tau, self.state, self.telemetry))
+
+    @property
     def conclusive(self) -> bool:
         """Return whether the test passed, and C continued from its own state at every step after the first."""
         return self.passed and not self.resets

@@ -45,17 +45,17 @@ def continuous_dynamics(
 
     Args:
         system: the closed loop; reference and disturbance do not depend on time.
-        within: lower and upper bound of every state of the plant, by the labels of `entry_labels`, such as "angle", and
-            of every state of the controller, as "controller.sum". A state with equal bounds stays at this value; its
-            rate must be 0, up to rounding, whatever the other states are.
+        within: lower and upper bound of every state of the plant that moves, by the labels of `entry_labels`, such as
+            "angle", and of every state of the controller, as "controller.sum". A state with equal bounds stays at this
+            value, and a state without bounds at its equilibrium; the rate of such a state must be 0, up to rounding,
+            whatever the other states are.
         values: numbers of one run as in `simulate_system`: gains, `plant.NAME`, `reference.NAME` and
             `disturbance.NAME`, by default as there; `start.NAME` is the equilibrium, by default 0. That of a
             controller state is its initial value.
         ranges: lower and upper bound of single numbers, by the same names; each may vary in time between its bounds.
 
     Raises:
-        InputError: an expression depends on time, a bound is missing, a name is unknown, or a state with equal bounds
-            moves.
+        InputError: an expression depends on time, a name is unknown, or a state with equal or without bounds moves.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -83,9 +83,6 @@ def continuous_dynamics(
     for label in within:
         if label not in labels:
             raise InputError("is not a state of the system", key=f"within.{label}", remedy=nearest(label, labels))
-    missing = [label for label in labels if label not in within]
-    if missing:
-        raise InputError("is missing", key=f"within.{missing[0]}", remedy="give the lower and upper bound of the state")
     # start at 0, not at the defaults of the plant's state: the start is the equilibrium
     zero = {f"start.{port.name}": 0.0 for port in plant.state}
     numbers = run_numbers(system, {**zero, **(values or {})})
@@ -103,9 +100,9 @@ def continuous_dynamics(
         flat[group][place] = free[-1]
         parameters.append(Range(_identifier(name), float(low), float(high), unit_of(system, name)))
     whole, t = ca.vertcat(numbers.start[0].tolist(), controller.initial_state().tolist()), ca.SX.sym("t")
-    moves = [k for k, label in enumerate(labels) if within[label][0] != within[label][1]]
+    moves = [k for k, label in enumerate(labels) if label in within and within[label][0] != within[label][1]]
     for k in set(range(len(labels))) - set(moves):
-        whole[k] = within[labels[k]][0]
+        whole[k] = within.get(labels[k], [whole[k]])[0]
     rest, symbols, whole = whole, ca.SX.sym("x", len(moves)), ca.SX(whole)
     whole[moves] = symbols
     x, z = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
@@ -130,11 +127,13 @@ def continuous_dynamics(
         about = {}
     limits = NOT_COVERED + _AS_FLOW * bool(controller.state.size)
     resting = {label: rates[k] for k, label in enumerate(labels) if k not in moves}
-    limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters])
+    limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters], within)
     return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about)
 
 
-def _check_rest(resting: Mapping[str, ca.SX], symbols: ca.SX, variables: Sequence[State | Range]) -> str:
+def _check_rest(
+    resting: Mapping[str, ca.SX], symbols: ca.SX, variables: Sequence[State | Range], within: Mapping[str, Bounds]
+) -> str:
     """Return what a claim leaves out of the states that rest: nothing, or the rounding errors of their rates.
 
     Raises:
@@ -148,8 +147,8 @@ def _check_rest(resting: Mapping[str, ca.SX], symbols: ca.SX, variables: Sequenc
     rates = np.asarray(ca.Function("rates", [symbols], [ca.vertcat(*apart.values())])(points))
     for label, row in zip(apart, np.abs(rates).max(axis=1), strict=True):
         if not row <= _ROUNDING:
-            remedy = "give its lower and upper bound"
-            raise InputError("has equal bounds, but moves", key=f"within.{label}", remedy=remedy)
+            problem = "has equal bounds, but moves" if label in within else "is missing, but the state moves"
+            raise InputError(problem, key=f"within.{label}", remedy="give the lower and upper bound of the state")
     names = ", ".join(apart)
     return f"; {names} stay at rest up to rounding (rates of at most {_ROUNDING:g} at {_POINTS} points)"
 

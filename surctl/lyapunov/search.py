@@ -66,6 +66,11 @@ class StabilityResult:
             return 0.0
         return self.claim.level / self.falsified.level
 
+    def line(self) -> str:
+        """Return verdict, and size of the region or reason, as one line of text."""
+        about = f"{self.volume:.0%} of the box, level {self.ratio:.2f} of the least with a counterexample"
+        return f"{self.verdict}: {self.reason or about}"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON."""
         known = self.claim is not None

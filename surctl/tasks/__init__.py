@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from surctl.tasks.acceleration import AccelerationLimit
 from surctl.tasks.actuators import ActuatorLimits
+from surctl.tasks.angle import wrap
 from surctl.tasks.barrier import Barrier
 from surctl.tasks.braking import BrakingBarrier, allowed_closing_speed
 from surctl.tasks.library import (
@@ -45,4 +46,5 @@ __all__ = [
     "line_of_sight_task",
     "position_task",
     "velocity_task",
+    "wrap",
 ]

@@ -14,6 +14,12 @@ def wrap(angle: ca.SX) -> ca.SX:
 
     After a wrap with the floor function, a rounding error can leave the angle just outside the interval (an angle just
     above 3π becomes just above π). So two corrections by one turn follow.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import wrap
+        >>> wrap(ca.SX(4.0))
+        SX(-2.28319)
     """
     turn = 2.0 * math.pi
     once = angle + turn * ca.floor((math.pi - angle) / turn)

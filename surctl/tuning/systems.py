@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -57,6 +58,25 @@ class SystemTuning:
     unmet: tuple[str, ...]
     goals: LoopScores | None = None
     goals_before: LoopScores | None = None
+
+    def lines(self, system: System) -> list[str]:
+        """Return lines of text: gains, costs with bounds, goals, and disk margin; `system` is the tuned one."""
+        lines = [f"{name} = {value:.6g}" for name, value in self.gains.items()]
+        for name, cost in system.costs.items():
+            bound = "" if cost.at_most is None else f", at most {cost.at_most:g}"
+            what = "minimised" if name == self.objective else "not bounded" if cost.at_most is None else "bounded"
+            known = math.isfinite(self.costs[name])
+            value = f"{self.costs[name]:.6g} {cost.unit}" if known else "none, because a run is not finite"
+            lines.append(f"{self._mark(name)}{name}: {value} (before {self.before[name]:.6g}), {what}{bound}")
+        margin = "not judged, there is no equilibrium" if self.disk_margin is None else f"{self.disk_margin:.3f}"
+        lines += [] if self.goals is None else self.goals.lines()
+        mark = self._mark("disk margin")
+        return [
+            *lines, f"{mark}disk margin, all commands opened at once: {margin}, at least {self.least_disk_margin:g}"
+        ]  # fmt: skip
+
+    def _mark(self, name: str) -> str:
+        return "NOT MET  " if name in self.unmet else ""
 
 
 def tune_system(

@@ -51,6 +51,14 @@ class LoopMargins:
         """The margins as plain data for JSON; infinite margins stay inf."""
         return asdict(self)
 
+    def line(self) -> str:
+        """Return the margins as one line of text."""
+        least = f" (and above {self.least_gain:.3g})" if self.least_gain > 0 else ""
+        return (
+            f"{self.name}: gain factor below {self.gain_margin:.4g}{least}, phase {self.phase_margin_deg:.4g} deg, "
+            f"delay {self.delay_margin_s:.4g} s, disk margin {self.disk_margin:.3g}"
+        )
+
 
 def margins_of(
     name: str, A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], *, highest: float

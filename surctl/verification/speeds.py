@@ -126,10 +126,6 @@ class OverSpeeds:
         place = int(worst_place(self._ill(name)))
         return float(self.figures[name][place]), self.cruise[place]
 
-    def worst_at(self, name: str) -> str:
-        """Return the cruise speed at which a metric is worst, as text."""
-        return worst_text(self._ill(name), self.cruise)
-
     def _ill(self, name: str) -> NDArray[np.float64]:
         values = self.figures[name]
         return values if LINEAR_METRICS[name].better == "low" else -values

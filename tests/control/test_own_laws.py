@@ -216,6 +216,14 @@ def test_each_mistake_is_one_line_with_the_file(tmp_path: Path, body: str) -> No
     assert "\n" not in str(caught.value)
 
 
+def test_two_laws_of_a_file_have_two_names(tmp_path: Path, law: str) -> None:
+    (tmp_path / "two.py").write_text(LAW + "\n\ndef copied():\n    return wall()\n")
+    first = law_ref("two.py:wall", folder=tmp_path)
+    assert law_ref("two.py:wall", folder=tmp_path) == first != law  # another file may have a law with this name
+    with pytest.raises(InputError, match=r"two\.py:copied: name = '\w+': is the name of two laws, those of wall and"):
+        law_ref("two.py:copied", folder=tmp_path)
+
+
 def test_what_is_not_there_is_said(tmp_path: Path, law: str) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         law_ref("none.py:wall", folder=tmp_path)

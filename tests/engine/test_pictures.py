@@ -107,6 +107,8 @@ def invoke(*words: str) -> str:
         ("--plant mujoco:box=1x2", "mujoco:box = '1.0x2.0': is not a box"),
         ("--plant mujoco:box=1x2x0.3", "add surface=1.0"),
         ("--plant mujoco:surface=1,box=axb", "such as 1.2x0.6x0.4"),
+        ("--plant mujoco:surface=1,box=0.001x0.001x0.001", "is not plausible in m"),
+        ("--plant mujoco:surface=1,box=120x60x40", "whose file has a diameter of"),
         ("--plant mujoco:ballast=none", "ballast = 'none': needs a water surface; add surface=1.0"),
         ("--plant mujoco:count=300", "mujoco:count: has no effect with true positions"),
         ("--plant mujoco --view --threads 2", "--view: opens one window"),

@@ -188,6 +188,7 @@ def test_an_unstable_integration_ends_with_the_reason_and_is_no_result(
 ) -> None:
     """MuJoCo itself would begin again from its first state, and write a file into the current folder."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("surctl.engine.options._UNLIKE", 1000)
     scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
     tossed = mujoco_physics(EngineOptions(surface=0.2, box=(100.0, 100.0, 100.0)))
     with pytest.raises(InputError, match=r"step = 0.0125: becomes unstable at 0.\d\d s; give a smaller step"):

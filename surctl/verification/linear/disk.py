@@ -86,6 +86,14 @@ class DiskMargin:
         """The disk margin as plain data for JSON."""
         return {**asdict(self), "gain": list(self.gain)}
 
+    def line(self, what: str) -> str:
+        """Return the disk margin as one line of text; `what` says which loops are opened."""
+        low, high = self.gain
+        return (
+            f"all {what} at once: disk margin {self.guaranteed:.3g}, gain factors {low:.3g} … {high:.3g} "
+            f"or phase ±{self.phase_deg:.3g} deg, tightest at {self.frequency_rad_s:.4g} rad/s"
+        )
+
 
 def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
     """Compute the disk margin of a loop under unit negative feedback.
