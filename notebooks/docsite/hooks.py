@@ -143,7 +143,25 @@ def on_page_content(html: str, page: Any, config: Any, files: Files) -> str:
         html = equation_links(html, f"{up}reference/equations.html")
     if not uri.startswith(("reference/python/", "studies/", "glossary", "changelog")):
         html = link_terms(html, _TERMS, f"{up}glossary.html")
-    return html
+    return _TABLE.sub(_labelled, html)
+
+
+_TABLE = re.compile(r"<table>.*?</table>", re.DOTALL)
+
+
+def _labelled(table: re.Match[str]) -> str:
+    """Write the head of its column into every cell: on a phone, each row is a card (see site.css)."""
+    heads = [re.sub(r"<[^>]*>", "", head).strip() for head in re.findall(r"<th\b[^>]*>(.*?)</th>", table[0], re.DOTALL)]
+
+    def row(found: re.Match[str]) -> str:
+        columns = iter(heads)
+        return re.sub(r"<td(?=[ >])", lambda cell: f'<td data-label="{_attribute(next(columns, ""))}"', found[0])
+
+    return re.sub(r"<tr>.*?</tr>", row, table[0], flags=re.DOTALL)
+
+
+def _attribute(text: str) -> str:
+    return text.replace('"', "&quot;")
 
 
 def on_post_page(output: str, page: Any, config: Any) -> str:
