@@ -145,6 +145,7 @@ def in_tank(vehicle: Vehicle, gains: Gains, cruise: float, size: float, seeds: i
     reached, collided = (int(runs.column(name).sum()) for name in ("reached", "collided"))
     least = float(runs.column("min_clearance_m").min())
     defects = [f"tank: {collided} collisions"] * (collided > 0)
+    defects += [f"tank: {reached} of {seeds} reached"] * (reached < seeds)
     return defects, [f"{reached}, {collided} of {seeds}", f"{least / vehicle['radius']:.2f}"]
 
 

@@ -20,7 +20,7 @@ import casadi as ca
 
 from surctl.control.baselines.situation import Situation, length
 from surctl.control.closing import thrust_bounds
-from surctl.control.courses import CLEAR, INADMISSIBLE, best_course, sided
+from surctl.control.courses import CLEAR, INADMISSIBLE, SEARCH_PORTS, best_course, sided
 from surctl.control.decision import Decision, TaskLevel
 from surctl.control.gains import GainSpec
 from surctl.control.steering import (
@@ -56,6 +56,7 @@ STEERED_PORTS = (
     Port("sway", (1,), "m/s", "sway speed through the water that the model predicts from surge speed and yaw rate"),
     Port("surge", (1,), "m/s", "surge speed through the water that the model predicts from the thrust"),
     Port("away", (1,), "1", "1 while a craft with fins goes away from a point at rest to turn back to it"),
+    *SEARCH_PORTS,
 )
 
 _RUN_IN = 2.0  # distance in turning radii to which such a craft goes before it turns back (*chosen*)
@@ -78,7 +79,7 @@ def steered_law(s: Situation) -> Decision:
     away = _leaves(s, hull, s.steering)
     course = ca.if_else(away, _turned(hull, crab), course)  # over ground: along the hull, the drift of a turn goes on
     water = _through_water(s)
-    offset, share, cost = best_course(s, course, desired_speed, hull, water, s.steering)
+    offset, share, cost, searched = best_course(s, course, desired_speed, hull, water, s.steering)
     blocked, clear = cost >= INADMISSIBLE, cost < CLEAR
     course, speed = _turned(course, offset), ca.if_else(blocked, 0, share * desired_speed)
 
@@ -110,7 +111,8 @@ def steered_law(s: Situation) -> Decision:
         avoiding=length(velocity - s.desired.velocity) > _CHANGED,
         degraded=blocked,
         state={"side": side, "blocker": s.x["blocker"], "last_velocity": velocity, "crab": crab, "sway": sway}
-        | {"surge": _propelled(s, surge), "away": away},
+        | {"surge": _propelled(s, surge), "away": away}
+        | searched,
     )
 
 
