@@ -65,7 +65,7 @@ def _option(parameter: click.Parameter, context: click.Context) -> tuple[str, st
 
 def _plain(text: str) -> str:
     """Return text that Markdown shows as it is; words like FILE.toml and NAME=VALUE are set as code."""
-    return re.sub(r"([\[\]*_<>|])", r"\\\1", text)
+    return re.sub(r"([\[\]*_>|])", r"\\\1", text).replace("<", "&lt;")  # Markdown has no escape for <
 
 
 def _paragraphs(text: str) -> str:

@@ -50,6 +50,8 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
         lines += [f"  in the first of them: {name}" for name in [_lost_number(own, design, runs, lost[0])] if name]
     lines.append(f"table {table}, netCDF {dataset}")
+    pictures = _pictures(own, design, runs, out)
+    lines += [f"plot  {picture}" for picture in pictures]
     data = {
         **own.names,
         "seconds": duration,
@@ -60,12 +62,33 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         "not_finite": [_at(design, k) for k in lost],
         "table": str(table),
         "netcdf": str(dataset),
+        "pictures": [str(picture) for picture in pictures],
     }
     then = []
     if best:
         at = next(iter(best.values()))["at"]
         then = [command_line("simulate", own, *(f"{n}={v!r}" for n, v in at.items()), "--seconds", f"{duration:g}")]
     finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+
+
+def _pictures(own: OwnSystem, design: Design, runs: Runs, out: Path) -> list[Path]:
+    """Write a heat map of each cost if two axes have several values; return the files."""
+    import numpy as np
+
+    swept = [(name, np.unique(design.points[:, k])) for k, name in enumerate(design.names) if design.shape[k] > 1]
+    if len(swept) != 2:
+        return []
+    from surctl.report import plot_cost_map
+    from surctl.report.pictures import save_figure
+    from surctl.system.values import unit_of
+
+    axes = {f"{name} [{unit_of(own.system, name)}]": values for name, values in swept}
+    files = []
+    for name, cost in own.system.costs.items():
+        table = runs[name].reshape([len(values) for _, values in swept])
+        figure = plot_cost_map(axes, table, f"{name} [{cost.unit}]").figure.figure
+        files.append(save_figure(figure, out, ("sweep", *(axis for axis, _ in swept), name)))
+    return files
 
 
 def grid_of(own: OwnSystem, axes: Sequence[str]) -> Design:

@@ -143,7 +143,8 @@ def find_stability(
     best: StabilityResult | None = None
     for candidate in offered:
         bound = least_level(d, candidate.function, demanded, seed=seed)
-        _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}, volume {candidate.volume:.3g}")
+        size = f", volume {candidate.volume:.3g} of the box" if function is None else ""
+        _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}{size}")
         trials.append((candidate, bound))
         if first and function is None and rate != "largest" and len(trials) == 1:
             share = _MOST * (until - time.process_time())

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import Colormap
-from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.report.theme import AVOIDING, INK, dress, finite, new_axes, printable
+from surctl.report.cost_map import draw_cells, draw_frame
+from surctl.report.theme import dress, finite, new_axes, printable
 from surctl.tuning import SweepTable, SweptAxis
 
 __all__ = ["COLUMN_TITLES", "axis_title", "column_title", "plot_heat_map"]
@@ -26,8 +24,6 @@ COLUMN_TITLES = {
     "disk_margin": "least disk margin (high is good)",
     "feasible": "feasible (1) or not (0)",
 }
-_NUMBERS = 80  # largest number of cells in which values are written
-_TICKS = 12  # largest number of labels on an axis
 
 
 def plot_heat_map(
@@ -76,22 +72,10 @@ def plot_heat_map(
     dress(ax, title=column_title(table, column), x=axis_title(one), y=axis_title(other))
     if fixed:
         ax.set_title(f"{ax.get_title(loc='left')}\nat {printable(', '.join(fixed))}", loc="left", parse_math=False)
-    ax.grid(visible=False)
-    colours = mpl.colormaps["cividis"].with_extremes(bad="#E8EAED")
-    low, high = _range(values)
-    # all cells have the same size, for any spacing of the values; the axis labels give the values
-    image = ax.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
-    bar = ax.figure.colorbar(image, ax=ax)
-    bar.ax.tick_params(labelsize=8.5)
-    ax.set_xticks(*_ticks(one))
-    ax.set_yticks(*_ticks(other))
-    _hatch(ax, ~feasible)
-    if values.size <= _NUMBERS and len(one.values) <= _TICKS:
-        _write_numbers(ax, measured, colours, low, high)
+    draw_cells(ax, values, one.values, other.values, written=measured, hatched=~feasible)
     if table.picked is not None:
         i, j = at[names.index(across)], at[names.index(up)]
-        ax.add_patch(Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, edgecolor="white", linewidth=5, zorder=4))
-        ax.add_patch(Rectangle((i - 0.5, j - 0.5), 1, 1, fill=False, edgecolor=AVOIDING, linewidth=2.5, zorder=5))
+        draw_frame(ax, i, j)
     return ax
 
 
@@ -115,39 +99,3 @@ def _slice(
     place = tuple(slice(None) if name in (across, up) else k for name, k in zip(names, at, strict=True))
     plane = values[place]
     return plane.T if names.index(across) < names.index(up) else plane
-
-
-def _ticks(axis: SweptAxis) -> tuple[list[int], list[str]]:
-    # no more labels than are legible
-    places = list(range(0, len(axis.values), -(-len(axis.values) // _TICKS)))
-    return places, [f"{axis.values[k]:.4g}" for k in places]
-
-
-def _range(values: NDArray[np.float64]) -> tuple[float, float]:
-    # never empty, even if all values are equal or none is finite
-    known = values[np.isfinite(values)]
-    if known.size == 0:
-        return 0.0, 1.0
-    low, high = float(known.min()), float(known.max())
-    return (low, high) if high > low else (low - 0.5, high + 0.5)
-
-
-def _hatch(ax: Axes, cells: NDArray[np.bool_]) -> None:
-    for row, column in np.argwhere(cells):
-        frame = Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, hatch="xx", linewidth=0.0)
-        frame.set(edgecolor="white", alpha=0.75, zorder=3)
-        ax.add_patch(frame)
-
-
-def _write_numbers(ax: Axes, values: NDArray[np.float64], colours: Colormap, low: float, high: float) -> None:
-    for (row, column), value in np.ndenumerate(values):
-        if not np.isfinite(value):
-            ax.text(column, row, "–" if np.isnan(value) else "∞", ha="center", va="center", fontsize=8.5, color=INK)
-            continue
-        red, green, blue, _ = colours((value - low) / (high - low))
-        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-        ground = {"facecolor": (red, green, blue), "edgecolor": "none", "boxstyle": "round,pad=0.15"}
-        colour = "white" if dark else INK
-        ax.text(
-            column, row, f"{value:.3g}", ha="center", va="center", fontsize=8.5, color=colour, bbox=ground, zorder=6
-        )

@@ -194,6 +194,10 @@ def test_a_sweep_gives_the_costs_of_each_run(file: str) -> None:
         assert (read["k"].units, read["final"].units, read["final"].long_name) == ("1/s", "m", "at the end")
         assert read["run.stopped"].values.ravel().tolist() == runs.stopped.tolist()
         assert read.attrs["controller_sha256"] == own(file).controller.block.digest()
+    assert [Path(name).name for name in done["pictures"]] == [
+        f"sweep-k-plant.blow-{cost}.png" for cost in ("final", "work")
+    ]
+    assert all(Path(name).is_file() for name in done["pictures"])
     text = run(*words).stdout
     assert (
         f"{np.count_nonzero(~finite)} of 6 runs are not finite: k=0, plant.blow=1" in text and "least final: " in text
