@@ -16,6 +16,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,12 @@ def thrusters_of(name: str) -> Actuators:
     return actuators
 
 
+@cache
+def allocator(name: str) -> Runner:
+    """Return their allocation, to be run."""
+    return runnable(allocation_block(thrusters_of(name)))
+
+
 def commands(actuators: Actuators, count: int, *, seed: int = 0) -> Array:
     """Force commands (count, 4): normally distributed, from well inside the attainable set to ten times beyond it."""
     rng = np.random.default_rng(seed)
@@ -89,7 +96,7 @@ def exactness(count: int) -> tuple[list[str], float, float]:
         (SIX, (), 1.0), ("skewed", (), 1.0), (EIGHT, (), 1.0),
         (SIX, (1,), 0.1), ("skewed", (1,), 0.1), (EIGHT, (1,), 0.1), (EIGHT, (1, 6), 0.1),
     ):  # fmt: skip
-        actuators, runner = thrusters_of(name), runnable(allocation_block(thrusters_of(name)))
+        actuators, runner = thrusters_of(name), allocator(name)
         working = np.ones(len(actuators.thrusters))
         working[list(failed)] = 0.0
         reference = Enumeration(actuators, working)
@@ -133,7 +140,7 @@ def against_the_lexicographic_solver(count: int) -> tuple[list[str], float]:
     lines, worst = ["| thrusters | commands | largest difference of a force, N |", "|---|---|---|"], 0.0
     for name in (SIX, EIGHT, "sur540-jets"):
         actuators = thrusters_of(name)
-        runner, rows = runnable(allocation_block(actuators)), list[Row]()
+        runner, rows = allocator(name), list[Row]()
         for thruster, where in zip(actuators.thrusters, actuators.slices, strict=True):
             for k, (normal, bound) in enumerate(zip(*thruster.sides, strict=True)):
                 wide = np.zeros(actuators.matrix.shape[1])
