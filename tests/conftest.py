@@ -26,6 +26,10 @@ SPENT = "processor time [s]"
 # files and rooms; elsewhere compiling is what takes the time
 MANY_RUNS = ("cli/test_tune.py", "simulation/test_closed_loop.py", "simulation/test_depth_escape.py", "tuning")
 
+# rooms in which a loop flies a few runs: one run at a time compiles in two thirds of the time
+FEW_RUNS = ("simulation", "control", "vehicle", "reproduction")
+SIDE_BY_SIDE = ("simulation/test_batch.py", "simulation/campaign")
+
 LONG = (
     *("test_analysis.py", "test_guides.py", "test_architecture.py", "cli/test_commands.py", "test_examples.py"),
     *("study/test_study.py", "simulation/test_closed_loop.py", "test_notebooks.py"),
@@ -105,6 +109,10 @@ def _compiled_soon(request: pytest.FixtureRequest) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         if "SURCTL_CFLAGS" not in os.environ:
             file = request.path.relative_to(HERE)
-            many = not {file.as_posix(), file.parts[0]}.isdisjoint(MANY_RUNS)
-            patch.setenv("SURCTL_CFLAGS", "-O1" if many else "-O0")
+            names = {file.as_posix(), file.parent.as_posix(), file.parts[0]}
+            if not names.isdisjoint(MANY_RUNS):
+                flags = "-O1"
+            else:
+                flags = "-O0" if names.isdisjoint(FEW_RUNS) or not names.isdisjoint(SIDE_BY_SIDE) else "-O0 -DLANES=1"
+            patch.setenv("SURCTL_CFLAGS", flags)
         yield
