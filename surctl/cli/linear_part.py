@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from surctl.control import Gains
+    from surctl.control import Gains, Law
     from surctl.simulation import Scenario
     from surctl.vehicle import Vehicle
     from surctl.verification import OperatingPoint
@@ -55,16 +55,19 @@ def law_part(
         uncertainty: relative uncertainty of mass and drag; 0: the ranges of the vehicle file, or the default of
             `law_corners`.
         mission: scenario of the simulated run, whose waves and drift are left out; None: a straight path in open water.
+
+    Raises:
+        InputError: the law is a user's own and fails.
     """
     from surctl.control import build_law, law_source
     from surctl.errors import InputError
     from surctl.verification import law_corners
 
-    source = law_source(law)
+    source, built = law_source(law), build_law(law)  # a mistake in a law of the user's own is an error
     own = gains.with_own(source.gains)
     try:
-        at = None if source.steering is not None else _steady(law, vehicle, own, cruise=cruise, mission=mission)
-        corners = law_corners(build_law(law), vehicle, own, cruise=cruise, uncertainty=uncertainty or None, at=at)
+        at = None if source.steering is not None else _steady(built, vehicle, own, cruise=cruise, mission=mission)
+        corners = law_corners(built, vehicle, own, cruise=cruise, uncertainty=uncertainty or None, at=at)
     except InputError as error:
         which = f"a cruise at {cruise:g} m/s" if error.key in (None, "cruise") else error.key
         why = f"not applicable to this vehicle, because {which} {error.problem}"
@@ -77,8 +80,7 @@ def law_part(
     return LinearPart(lines, data, corners.stable, cruise, delay, disk)
 
 
-def _steady(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> OperatingPoint:
-    from surctl.control import build_law
+def _steady(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> OperatingPoint:
     from surctl.simulation import Disturbance, mission_size, simulate, straight_mission
     from surctl.verification import steady_motion
 
@@ -87,7 +89,7 @@ def _steady(law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, mission:
     else:
         calm = Disturbance(current_m_per_s=mission.disturbance.current_m_per_s)
         scenario = replace(mission, cruise=cruise, cap=max(mission.cap, cruise), disturbance=calm)
-    return steady_motion(simulate(scenario, vehicle, gains=gains, law=build_law(law)))
+    return steady_motion(simulate(scenario, vehicle, gains=gains, law=law))
 
 
 def linear_part(

@@ -113,3 +113,12 @@ def test_the_command_line_judges_an_own_law_and_no_claim_of_another() -> None:
     region = CliRunner().invoke(app, [*words, "region-cruise-20"], standalone_mode=False)
     assert isinstance(region.exception, InputError)
     assert "does not concern the law wall_law.py:wall" in str(region.exception)
+
+
+def test_a_mistake_in_a_law_is_an_error_and_no_missing_margin(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from surctl.control import LawSource\ndef made():\n    return LawSource('mine', lambda s: 4)\n"
+    )
+    words = ["verify", "--scenario", str(FILES / "wall.toml"), "--law", f"{tmp_path / 'mine.py'}:made"]
+    with pytest.raises(InputError, match=r"mine\.py:made: mine\.decide: returned int, not Decision"):
+        CliRunner().invoke(app, words, catch_exceptions=False, standalone_mode=False)
