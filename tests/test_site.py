@@ -164,6 +164,9 @@ def test_an_example_runs_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -
     assert shown.printed.strip() and shown.picture.startswith(b"\x89PNG")
 
 
+# cells of tables beside the screen of a phone: a row is a card there
+_HIDDEN = """() => [...document.querySelectorAll("td[data-label]")]
+  .filter((cell) => cell.getBoundingClientRect().right > innerWidth).map((cell) => cell.textContent)"""
 PAGES = ("index", "tune", "explanation/priorities", "reference/files/vehicle", "gallery/index", "coming-from/matlab")
 
 
@@ -179,6 +182,7 @@ def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
                 assert opened.page.evaluate(_CONTRAST) == [], (name, scheme)
                 for width in (1280, 400):
                     assert opened.overflow(width) <= 0, (name, width)
+                assert opened.page.evaluate(_HIDDEN) == [], name
         search(opened, "pendulum")
         opened.page.select_option("select.versions", "0.1")  # which has no such page
         opened.page.wait_for_url((site.parent / "0.1" / "index.html").as_uri())
@@ -193,3 +197,24 @@ def search(opened: Opened, word: str) -> None:
     page.keyboard.type(word)
     page.wait_for_selector(".md-search-result__item", timeout=20_000)
     assert page.locator(".md-search-result__item").count() >= 2
+
+
+ABSENT = re.compile(
+    r"absent|use python-control|use it on|python-control's|with python-control|python-control has|use Drake"
+)
+ELSEWHERE = {"dlqr", "hinfsyn"}  # functions of python-control
+
+
+@pytest.mark.parametrize("tool", ["acados", "drake", "matlab", "pink", "python-control"])
+def test_each_row_of_a_comparison_names_what_exists_or_says_why_not(tool: str) -> None:
+    source = "\n".join(p.read_text(encoding="utf-8") for ext in ("py", "toml") for p in ROOT.glob(f"surctl/**/*.{ext}"))
+    source = source.replace("-", "_")
+    text = (GUIDES / "coming-from" / f"{tool}.md").read_text(encoding="utf-8")
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line[:2] == "| "]
+    rows = [row for row in rows if row[1] != "here"]
+    assert len(rows) > 15
+    for feature, here, link in rows:
+        code = re.findall(r"`([^`]*)`", here)
+        assert code or "](" in link or ABSENT.search(here), feature
+        for name in (n for part in code for n in re.findall(r"[A-Za-z_][\w-]{3,}", part)):
+            assert name in ELSEWHERE or name.replace("-", "_") in source, (feature, name)
