@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import doctest
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FunctionType
+from typing import Any
 
 import pytest
 
@@ -43,6 +45,32 @@ TOOLS = {  # beside a C compiler
 MCAP = ("simulation.SceneFile", "simulation.save_scene")
 MUJOCO = ("report.film_frames", "report.film_pictures", "report.moment_of", "report.save_film")
 
+LONG = {"falsify", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
+_KNOWN: dict[tuple[str, ...], Any] = {}
+
+
+def computed_once(examples: list[doctest.Example]) -> None:
+    """Change `x = tune(...)` and its like: where another example had the same lines up to there, x is that one's."""
+    before: tuple[str, ...] = ()
+    home: dict[str, str | None] = {}
+    for example in examples:
+        (line,) = ast.parse(example.source).body
+        if isinstance(line, ast.ImportFrom):
+            home |= {alias.asname or alias.name: line.module for alias in line.names}
+            continue
+        names = {node.id for node in ast.walk(line) if isinstance(node, ast.Name)}
+        before = (*before, *(f"{name} of {home[name]}" for name in sorted(names & home.keys())), example.source)
+        if isinstance(line, ast.Assign) and names & LONG:
+            line.value = ast.parse(f"once({before!r}, lambda: {ast.unparse(line.value)})", mode="eval").body
+            example.source = f"{ast.unparse(line)}\n"
+
+
+def once(key: tuple[str, ...], compute: Callable[[], Any]) -> Any:
+    """The value of these lines."""
+    if key not in _KNOWN:
+        _KNOWN[key] = compute()
+    return _KNOWN[key]
+
 
 @pytest.mark.parametrize("name", EXPORTED)
 def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,8 +85,9 @@ def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)  # what an example writes goes there
     monkeypatch.setenv("MPLBACKEND", "agg")
     blank_pictures(monkeypatch)
-    (test,) = doctest.DocTestFinder(recurse=False).find(EXPORTED[name], name, globs={})
+    (test,) = doctest.DocTestFinder(recurse=False).find(EXPORTED[name], name, globs={"once": once})
     assert test.examples, "no example"
+    computed_once(test.examples)
     said: list[str] = []
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
     runner.run(test, out=said.append)
