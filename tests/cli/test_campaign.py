@@ -57,7 +57,7 @@ def test_an_altered_figure_is_found_out(tmp_path):
 
 def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
     need_compiler()
-    command = [*MANY, "--runs", "512", "--threads", "1"]
+    command = [*MANY, "--runs", "300", "--threads", "1"]  # three chunks
     surctl(*MANY[:3], "--runs", "1", cwd=tmp_path)  # compiled
     root = str(Path(__file__).parents[2])
     process = subprocess.Popen(
@@ -70,7 +70,7 @@ def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     done = {p.name: p.stat().st_mtime_ns for p in chunks.glob("*.chunk")}
-    assert 1 <= len(done) < 4 and not (tmp_path / "mc" / "pool-speed-010.csv").exists()
+    assert 1 <= len(done) < 3 and not (tmp_path / "mc" / "pool-speed-010.csv").exists()
     again = surctl(*command[:-1], "2", cwd=tmp_path)
     assert again.status == 0
     assert all((chunks / name).stat().st_mtime_ns == made for name, made in done.items())

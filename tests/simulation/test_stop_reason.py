@@ -60,10 +60,10 @@ def test_a_halt_without_a_break_ends_the_run_and_a_shorter_one_does_not() -> Non
 
 
 def test_the_compiled_loop_halts_as_the_reference_does() -> None:
-    found = simulate_batch(_case(DEAF_TWICE), seeds=[0, 1, 2])
+    found = simulate_batch(_case(DEAF_TWICE), seeds=[1])
     assert np.all(found.column("stopped") == STOPS.index("standstill"))
     wanted = _flown(DEAF_TWICE).metrics.row()
-    for name, a, b in zip(METRICS, found.table[1], wanted, strict=True):
+    for name, a, b in zip(METRICS, found.table[0], wanted, strict=True):
         assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), (name, a, b)
 
 

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+import xarray
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
@@ -22,7 +23,6 @@ from surctl.tuning import grid, sweep
 from surctl.vehicle import LIBRARY, load_vehicle
 from surctl.verification.linear import slowest_mode
 from tests.cli.process import surctl
-from tests.pictures import blank_pictures
 from tests.tools import PATIENCE, need_compiler
 
 OWN_LAW = Path(__file__).parents[2] / "analysis" / "27_own_law"
@@ -34,14 +34,20 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("study")
 
 
+WIDE = (SCENARIOS / "pool-behind.toml").read_text().replace('"pool-behind"', '"wide"') + "\n[sonar]\nbeam_deg = 25.0\n"
+
 # half of the runs and of the sweep of the built-in study
 MAIN = """kind = "study"
 name = "main"
 vehicle = "sur540-flooded"
+cruise_m_per_s = [0.05, 0.15]
 [[runs]]
 scenario = "tank-speed-015"
 [[runs]]
 scenario = "pool-behind"
+vehicle = "sur400"
+[[runs]]
+scenario = "wide.toml"
 vehicle = "sur400"
 [sweep]
 seeds = [0, 1]
@@ -59,6 +65,7 @@ POINTS = 8
 def study(folder):
     """The main job, killed in the middle of its sweep once, then run to the end."""
     (folder / "main.toml").write_text(MAIN)
+    (folder / "wide.toml").write_text(WIDE)
     command = [sys.executable, "-m", "surctl", "study", "main.toml", "--json"]
     begun = subprocess.Popen(
         command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
@@ -92,11 +99,11 @@ def test_the_main_job_ends_well(study):
 
 def test_runs_with_true_positions_decide_and_sonar_ones_are_shown(study):
     runs = {(r["scenario"], r["sensing"]): r for r in study.json["runs"]}
-    scenarios = ("tank-speed-015", "pool-behind")
+    scenarios = ("tank-speed-015", "pool-behind", "wide")
     assert set(runs) == {(s, how) for s in scenarios for how in ("truth", "sonar")}
     for (scenario, sensing), run in runs.items():
         assert run["decides"] == (sensing == "truth")
-        assert run["vehicle"] == ("sur400" if scenario.startswith("pool") else "sur540-flooded")
+        assert run["vehicle"] == ("sur540-flooded" if scenario.startswith("tank") else "sur400")
         if run["decides"]:
             assert run["reached"]
             assert run["min_clearance_m"] > 0
@@ -106,7 +113,7 @@ def test_the_exported_law_senses_and_c_equals_python_over_every_flight_by_sonar(
     data = study.json
     reports = data["export"]["sil"]
     assert data["export"]["sensing"] == "sonar"
-    flown = [run for run in data["runs"] if run["sensing"] == "sonar"]
+    flown = [run for run in data["runs"] if run["sensing"] == "sonar" and run["scenario"] != "wide"]
     assert [(r["scenario"], r["vehicle"]) for r in reports] == [(run["scenario"], run["vehicle"]) for run in flown]
     assert len(reports) == 2
     for report, run in zip(reports, flown, strict=True):
@@ -147,26 +154,24 @@ def test_the_report_stands_alone(study, folder):
         assert word in page
 
 
-def test_only_flights_by_the_exported_law_are_replayed(tmp_path, monkeypatch):
-    need_compiler()
-    wide = (SCENARIOS / "pool-behind.toml").read_text() + "\n[sonar]\nbeam_deg = 25.0\n"
-    (tmp_path / "wide.toml").write_text(wide.replace('"pool-behind"', '"wide"'))
-    sweep = '[sweep]\nseeds = [0]\n[[sweep.axes]]\ngain = "k_v"\nvalues = [1.5]\n'
-    flights = "".join(f'[[runs]]\nscenario = "{name}"\nvehicle = "sur400"\n' for name in ("pool-behind", "wide.toml"))
-    head = 'kind = "study"\nname = "two"\nvehicle = "sur400"\nclaims = ["v1-printed"]\ncruise_m_per_s = [0.05, 0.2]\n'
-    (tmp_path / "two.toml").write_text(head + flights + sweep)
-    blank_pictures(monkeypatch)
-    done = conduct(load_plan(str(tmp_path / "two.toml")), tmp_path / "out", workers=1)
-    assert [run.scenario.name for run in done.replayed] == ["pool-behind"]
-    assert len(done.runs) == 4 and len(done.sil) == 1 and done.sil[0].conclusive
-    (note,) = [note for note in done.notes if "other sensors" in note.text]
-    assert note.passed is None and note.text.startswith("wide by sur400, sonar")
-    # the study's own cruise speeds: its sweep, its summary and its JSON have the worst of them
-    (speeds,) = [note for note in done.notes if note.text.startswith("margins at 0.05 and 0.2 m/s: least delay")]
-    assert speeds.passed is True and done.sweep.column("disk_margin_at_m_per_s").shape == (1,)
-    told = done.to_dict()["linear"]["speeds"]
-    assert [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.2]
-    assert done.sweep.column("sensitivity_peak")[0] == pytest.approx(told["worst"]["sensitivity_peak"]["value"])
+def test_only_flights_by_the_exported_law_are_replayed(study):
+    data = study.json
+    flown = [run["scenario"] for run in data["runs"] if run["sensing"] == "sonar"]
+    assert flown == ["tank-speed-015", "pool-behind", "wide"]
+    assert [report["scenario"] for report in data["export"]["sil"]] == flown[:2]
+    (note,) = [note for note in data["summary"] if "other sensors" in note["text"]]
+    assert note["passed"] is None and note["text"].startswith("wide by sur400, sonar")
+
+
+def test_the_cruise_speeds_of_the_study_are_those_of_its_sweep_its_summary_and_its_json(study, folder):
+    data = study.json
+    (speeds,) = [n for n in data["summary"] if n["text"].startswith("margins at 0.05 and 0.15 m/s: least delay")]
+    told = data["linear"]["speeds"]
+    assert speeds["passed"] is True and [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.15]
+    with xarray.open_dataset(folder / "surctl-out" / "sweep.nc") as swept:
+        picked = swept.sel({axis: data["gains"]["values"][axis] for axis in ("lookahead", "k_v")}, method="nearest")
+        assert float(picked["sensitivity_peak"]) == pytest.approx(told["worst"]["sensitivity_peak"]["value"])
+        assert picked["disk_margin_at_m_per_s"].shape == ()
 
 
 def test_sonars_that_the_law_cannot_hear_are_told_before_the_sweep(tmp_path):
@@ -176,8 +181,7 @@ def test_sonars_that_the_law_cannot_hear_are_told_before_the_sweep(tmp_path):
         .read_text()
         .replace('vehicle = "sur540-flooded"', 'law = "paper"\nvehicle = "sur540-flooded"')
     )
-    wide = (SCENARIOS / "pool-behind.toml").read_text() + "\n[sonar]\nbeam_deg = 25.0\n"
-    (tmp_path / "wide.toml").write_text(wide)
+    (tmp_path / "wide.toml").write_text(WIDE)
     (tmp_path / "s.toml").write_text(text.replace('"pool-behind"', '"wide.toml"'))
     with pytest.raises(InputError, match="four sonars of the paper"):
         conduct(load_plan(str(tmp_path / "s.toml")), tmp_path / "out")

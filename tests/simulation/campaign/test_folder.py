@@ -5,17 +5,18 @@ from dataclasses import replace
 import pytest
 
 from surctl.errors import InputError
-from surctl.simulation.campaign import CHUNK, CampaignFolder, campaign, run_campaign
+from surctl.simulation.campaign import CampaignFolder, campaign, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 
 DRAWN = plan("tank-static", seconds=0.5)
+SIZE = 16  # runs of a chunk
 
 
 def fly(path, drawn, *, runs=5, fresh=False, threads=1):
     folder = CampaignFolder(path, (drawn,))
     folder.prepare(fresh=fresh)
     with folder.store(drawn) as store:
-        flown = run_campaign(drawn, runs=runs, store=store, threads=threads)
+        flown = run_campaign(drawn, runs=runs, store=store, threads=threads, chunk=SIZE)
     folder.write(flown, worst=2)
     return flown
 
@@ -38,17 +39,17 @@ def flown(monkeypatch):
 
 
 def test_what_is_there_is_not_flown_again(tmp_path, flown):
-    fly(tmp_path, DRAWN, runs=2 * CHUNK + 3)
+    fly(tmp_path, DRAWN, runs=2 * SIZE + 3)
     first = files(tmp_path)
     assert len(flown) == 3
-    fly(tmp_path, DRAWN, runs=2 * CHUNK + 3)
+    fly(tmp_path, DRAWN, runs=2 * SIZE + 3)
     assert len(flown) == 3 and files(tmp_path) == first
     (tmp_path / "campaign.chunks" / "tank-static" / "0000001.chunk").unlink()
-    fly(tmp_path, DRAWN, runs=2 * CHUNK + 3, threads=2)
-    assert flown[3:] == [(CHUNK, CHUNK)] and files(tmp_path) == first
-    fly(tmp_path, DRAWN, runs=3 * CHUNK)
-    assert flown[4:] == [(2 * CHUNK, CHUNK)]
-    fly(tmp_path, DRAWN, runs=3 * CHUNK, fresh=True)
+    fly(tmp_path, DRAWN, runs=2 * SIZE + 3, threads=2)
+    assert flown[3:] == [(SIZE, SIZE)] and files(tmp_path) == first
+    fly(tmp_path, DRAWN, runs=3 * SIZE)
+    assert flown[4:] == [(2 * SIZE, SIZE)]
+    fly(tmp_path, DRAWN, runs=3 * SIZE, fresh=True)
     assert len(flown) == 8
 
 
