@@ -1,7 +1,7 @@
 """Study 28: public problems of stability and safety, found and proved; statements of known truth; and the checker.
 
     python analysis/28_lyapunov/run.py                  # an hour on two cores; continues where it stopped
-    python analysis/28_lyapunov/run.py --first          # any region is enough: a quarter of the time
+    python analysis/28_lyapunov/run.py --first          # any region is enough: 17 minutes of one core
     python analysis/28_lyapunov/run.py --quick          # a few problems
     python analysis/28_lyapunov/run.py --only van-der-pol pendulum-friction
 

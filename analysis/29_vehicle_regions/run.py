@@ -46,8 +46,9 @@ PAIRS = (
     ("region-turning-20-rest", "bluerov2-heavy"),
     ("region-turning-20", "rexrov"),
     (STEERED, "otter"),
+    (STEERED, "remus100"),
 )
-OWN = {"bluerov2-heavy": 0.17, "rexrov": 0.95, "otter": 1.1}
+OWN = {"bluerov2-heavy": 0.17, "rexrov": 0.95, "otter": 1.1, "remus100": 0.87}
 """Vehicles with gains derived at their cruise speed [m/s]; the others have the gains `default` at 0.15 m/s."""
 
 MOTIONS, SECONDS, STEP = 10_000, 40.0, 0.02
@@ -202,13 +203,14 @@ def steered(document: Mapping[str, Any], count: int, seconds: float, *, seed: in
     P = np.array([[lower[max(i, j)][min(i, j)] for j in range(6)] for i in range(6)])
     law, vehicle = claim["law"], claim["vehicle"]
     m1, m2, m4 = law["mass"]
-    limit, moment = vehicle["moment_nm"], 0.85 * vehicle["moment_nm"]
-    fastest = (np.sqrt(law["linear_drag"][1] ** 2 + 4 * law["quadratic_drag"][1] * moment) - law["linear_drag"][1]) / (
-        2 * law["quadratic_drag"][1]
-    )
     mass, drag = (rng.choice(vehicle[f"{key}_factor"], size=(n, count)) for key, n in (("mass", 4), ("drag", 20)))
 
+    def available(u: Array | float) -> Any:
+        return vehicle["moment_nm"] * (np.minimum(u / law["cruise"], 1) ** 2 if law["fin_share"] else 1.0)
+
     def planned(u: Array | float) -> Any:
+        limit, a, b = available(u), law["linear_drag"][1], law["quadratic_drag"][1]
+        fastest = (np.sqrt(a * a + 4 * b * 0.85 * limit) - a) / (2 * b)
         drift = np.minimum(law["sideslip"] * u, 0.5 * limit / (abs(law["munk"]) * u))
         side = law["linear_drag"][0] * drift + law["quadratic_drag"][0] * drift**2
         return np.minimum(side / (law["centripetal"] * u), fastest)
@@ -218,6 +220,7 @@ def steered(document: Mapping[str, Any], count: int, seconds: float, *, seed: in
     def rate(state: Array, u: Array) -> Array:
         y, psi, v, r, crab, sway = state
         error = -np.arctan(y / ahead) - crab - psi
+        limit = available(u)
         most = np.minimum(planned(u), np.sqrt(limit / m4 * np.abs(error)))
         turn = np.clip(law["k_psi"] * error, -most, most)
         yaw = law["linear_drag"][1] * turn + law["quadratic_drag"][1] * np.abs(turn) * turn
@@ -227,7 +230,10 @@ def steered(document: Mapping[str, Any], count: int, seconds: float, *, seed: in
         yv, nr = vehicle["linear_drag"]
         sideways = drag[0] * (yv + law["quadratic_drag"][0] * np.abs(v)) * v
         turning = drag[1] * (nr + law["quadratic_drag"][1] * np.abs(r)) * r
-        load = [-a1 * u * r - sideways, yaw - u * (a2 * v + a24 * r) + a1 * u * v - turning]
+        load = [
+            vehicle["side_per_m"] * yaw - a1 * u * r - sideways,
+            yaw - u * (a2 * v + a24 * r) + a1 * u * v - turning,
+        ]
         for k, (name, value) in enumerate(vehicle["terms"].items()):
             if name[0] in "YN" and set(name[1:]) <= set("uvr"):
                 first, *second = ({"u": u, "v": v, "r": r}[axis] for axis in name[1:])

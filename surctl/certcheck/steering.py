@@ -9,6 +9,7 @@ them, with a bound on all rounding errors (Rump 2006). P > 0 and the offset are 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
@@ -21,7 +22,7 @@ from surctl.certcheck.region_claim import number
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up
 from surctl.certcheck.steering_claim import STATES, SteeringClaim, read_claim
 from surctl.certcheck.steering_law import check_samples
-from surctl.certcheck.steering_loop import Extent, command_rows, parameters, vertices
+from surctl.certcheck.steering_loop import Extent, command_rows, moment_rows, parameters, vertices
 
 __all__ = ["check", "extent_of"]
 
@@ -64,7 +65,8 @@ def extent_of(claim: SteeringClaim, p: Matrix) -> Extent:
     covariance = inverse(p)
     y, psi, v, r, _, s = (root_up(covariance[k][k]) for k in range(_SIZE))
     command = max(root_up(quadratic(covariance, row)) for row in command_rows(claim, y))
-    return Extent(y, psi, v, r, s, command)
+    at = Extent(y, psi, v, r, s, command, Fraction(0))
+    return replace(at, moment=max(root_up(quadratic(covariance, row)) for row in moment_rows(claim, at)))
 
 
 def _check_decay(p: Matrix, A: Array, rate: float) -> None:

@@ -22,9 +22,11 @@ of the law: crab angle [rad] and modelled sway speed [m/s]."""
 EXCLUDES = (
     "the path is one straight leg, on which the law commands a positive speed; guidance is los",
     "no obstacle is near, so that the law chooses the desired course and speed",
-    "the surge loop is not covered: the surge speed may vary in any way within speed_m_per_s",
+    "the surge loop is not covered: the surge speed, and that of the law's model, may vary in any way within "
+    "speed_m_per_s",
     "measured position, heading and velocity are exact; there is no current and no wave",
-    "the thrusters deliver every commanded yaw moment up to moment_nm, whatever the surge force",
+    "the thrusters deliver every commanded yaw moment up to moment_nm, whatever the surge force; fins do so up to the "
+    "share (speed / cruise)^2 of it below the cruise speed, with the side force of side_per_m times the moment",
     "the thrust has no lag; commands are not held, and the two filters of the law are continuous in time",
     "heave is 0, and roll and pitch are left out",
 )
@@ -45,7 +47,9 @@ class SteeringClaim:
         linear, quadratic: drag (sway, yaw) in the law's model.
         vehicle_linear: linear drag (sway, yaw) of the vehicle before its factor.
         terms: the vehicle's terms beside equation (3), by name.
-        moment: largest yaw moment of the thrusters and of the law [N m].
+        moment: largest yaw moment of the thrusters and of the law [N m]; that of fins holds at the cruise speed.
+        finned: whether the yaw moment is that of fins, which grows with the square of the surge speed.
+        side: sway force for each N m of yaw moment [1/m], with its sign; 0 without fins.
         munk, centripetal: the law's yaw moment by u v and its sway force by u r [kg].
         k_psi, k_r, crab_time, sideslip, lookahead: the law's gains of these names.
         cruise, cap: cruise speed and largest commanded speed.
@@ -62,6 +66,8 @@ class SteeringClaim:
     vehicle_linear: Pair
     terms: Mapping[str, Fraction]
     moment: Fraction
+    finned: bool
+    side: Fraction
     munk: Fraction
     centripetal: Fraction
     k_psi: Fraction
@@ -98,7 +104,7 @@ def read_claim(claim: Any) -> SteeringClaim:
     top = read_top(claim, "steered", EXCLUDES)
     vehicle = record(
         top["vehicle"],
-        ("mass_factor", "drag_factor", "speed_m_per_s", "linear_drag", "terms", "moment_nm"),
+        ("mass_factor", "drag_factor", "speed_m_per_s", "linear_drag", "terms", "moment_nm", "side_per_m"),
         "claim.vehicle",
     )
     gains = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead", "cruise", "cap")
@@ -110,8 +116,11 @@ def read_claim(claim: Any) -> SteeringClaim:
     motion = record(top["motion"], ("rate_per_s", "offset_m"), "claim.motion")
     if number(law["k_i"], "claim.law.k_i"):
         raise Rejected("claim.law.k_i must be 0: the certified loop has no integral action")
-    if number(law["fin_share"], "claim.law.fin_share"):
-        raise Rejected("claim.law.fin_share must be 0: the yaw moment of fins comes with a side force")
+    share = number(law["fin_share"], "claim.law.fin_share")
+    side = number(vehicle["side_per_m"], "claim.vehicle.side_per_m", least=-(10**9))
+    if share not in (0, 1) or bool(share) != bool(side):
+        raise Rejected("claim.law.fin_share must be 0 without a side force, or 1 with it: fins and thrusters together "
+                       "are not covered")  # fmt: skip
     terms = read_terms(vehicle["terms"])
     for name, value in terms.items():
         if value and (name in ("m12", "m14", "Y0", "N0") or (name[0] in "YN" and name[-1] == "u")):
@@ -129,6 +138,8 @@ def read_claim(claim: Any) -> SteeringClaim:
         vehicle_linear=(own[0], own[1]),
         terms=terms,
         moment=number(vehicle["moment_nm"], "claim.vehicle.moment_nm", above=True),
+        finned=bool(share),
+        side=side,
         munk=number(law["munk"], "claim.law.munk", least=-(10**9)),
         centripetal=number(law["centripetal"], "claim.law.centripetal", above=True),
         **{key: number(law[key], f"claim.law.{key}", above=True) for key in gains},

@@ -46,23 +46,27 @@ def true_rate(claim: SteeringClaim, craft: Mapping[str, Array], state: Array) ->
     m11, m22, m44 = (float(m) for m in claim.mass)
     (yv, nr), (yvv, nrr) = ([float(n) for n in pair] for pair in (claim.linear, claim.quadratic))
     most, cruise = float(claim.moment), float(claim.cruise)
-    limit = 1.7 * most / (nr + np.sqrt(nr * nr + 3.4 * nrr * most))
+
+    def available(speed: Array) -> Array:
+        return most * np.minimum(speed / cruise, 1) ** 2 if claim.finned else np.full_like(speed, most)
 
     def planned(speed: Array) -> Array:
+        most = available(speed)
+        limit = 1.7 * most / (nr + np.sqrt(nr * nr + 3.4 * nrr * most))
         drift = np.minimum(float(claim.sideslip) * speed, 0.5 * most / max(abs(float(claim.munk)), 1e-9) / speed)
         return np.asarray(np.minimum((yv * drift + yvv * drift**2) / (float(claim.centripetal) * speed), limit))
 
     ahead = max(float(claim.lookahead), cruise / float(planned(np.array([cruise]))[0]))
     desired = -np.arctan2(y, ahead) - crab
     error = np.arctan2(np.sin(desired - psi), np.cos(desired - psi))
-    swing = np.sqrt(most / m44 * np.abs(error))
+    swing = np.sqrt(available(u) / m44 * np.abs(error))
     largest = np.minimum(planned(np.maximum(u, cruise / 4)), swing)
     turn = np.clip(float(claim.k_psi) * error, -largest, largest)
     carried = s * float(claim.cap) / np.hypot(float(claim.cap), s)
     moment = (
         nr * turn + nrr * turn * np.abs(turn) + m44 * float(claim.k_r) * (turn - r) + float(claim.munk) * u * carried
     )
-    moment = np.clip(moment, -most, most)
+    moment = np.clip(moment, -available(u), available(u))
     f, d = craft["mass"].T, craft["drag"].T
     t1, t2, t4 = m11 * f[0], m22 * f[1], m44 * f[2]
     t24 = float(claim.terms.get("m24", 0)) * f[3]
@@ -75,7 +79,7 @@ def true_rate(claim: SteeringClaim, craft: Mapping[str, Array], state: Array) ->
             force = d[2 + k % 6] * float(value) * (speeds[0] if len(speeds) == 1 else np.abs(speeds[0]) * speeds[1])
             sway, yaw = (sway + force, yaw) if name[0] == "Y" else (sway, yaw + force)
     momentum = t1 * u, t2 * v + t24 * r
-    loads = -r * momentum[0] - sway, moment - (u * momentum[1] - v * momentum[0]) - yaw
+    loads = float(claim.side) * moment - r * momentum[0] - sway, moment - (u * momentum[1] - v * momentum[0]) - yaw
     size = t2 * t4 - t24 * t24
     rates = (t4 * loads[0] - t24 * loads[1]) / size, (t2 * loads[1] - t24 * loads[0]) / size
     slip = np.arctan2(v, np.maximum(u, cruise / 4))

@@ -4,14 +4,15 @@
 speed. With surge speed u, e = −atan(y_e/Δ) − c − ψ and r_d = k_ψ e, law and vehicle are
 
     ẏ_e = u sin ψ + v cos ψ,   ψ̇ = r,   ċ = (atan(v/u) − c)/T_c,   ṡ = −(m_c/m̂22) u r − (Ŷ_v + Ŷ_vv |s|) s/m̂22,
-    N = (N̂_r + N̂_rr |r_d|) r_d + m̂44 k_r (r_d − r) + μ u k s,
-    [[m22, m24], [m24, m44]] (v̇, ṙ) = (−C_vv v − C_vr r, N − C_rv v − C_rr r).
+    N = φ ((N̂_r + N̂_rr |r_d|) r_d + m̂44 k_r (r_d − r) + μ u k s),
+    [[m22, m24], [m24, m44]] (v̇, ṙ) = (b N − C_vv v − C_vr r, N − C_rv v − C_rr r).
 
 C_vv = Y_v + Y_vv |v| + Y_uv u + …, C_vr = m11 u + Y_r + …, C_rv = (m22 − m11) u + N_v + …, C_rr = m24 u + N_r + …
-contain all drag by v and r. μ and m_c are numbers of the law, and k ≤ 1 is the share that the speed cap leaves of the
-modelled sway speed. Each secant slope (u sin ψ/ψ, cos ψ, atan(y_e/Δ)/y_e, atan(v/u)/v, |r_d|, |s|, …) lies in an
-interval for ξ in V ≤ 1, and A is affine in each of them: the matrices at the ends of all intervals enclose A. Intervals
-are exact fractions, rounded outward.
+contain all drag by v and r. b N is the side force of fins (b = `side`). μ and m_c are numbers of the law, and k ≤ 1
+is the share that the speed cap leaves of the modelled sway speed. Where the law limits the yaw rate, r_d is a share
+of k_ψ e. φ is the share of the yaw moment that thrusters or fins deliver at the least surge speed. Each secant slope
+(u sin ψ/ψ, cos ψ, atan(y_e/Δ)/y_e, atan(v/u)/v, |r_d|, |s|, …) lies in an interval for ξ in V ≤ 1, and A is affine in
+each of them: the matrices at the ends of all intervals enclose A. Intervals are exact fractions, rounded outward.
 """
 
 from __future__ import annotations
@@ -28,18 +29,19 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_exact import root_down, root_up
 from surctl.certcheck.steering_claim import SteeringClaim
 
-__all__ = ["Extent", "command_rows", "lookahead", "parameters", "planned_rate", "vertices"]
+__all__ = ["Extent", "command_rows", "lookahead", "moment_rows", "parameters", "planned_rate", "vertices"]
 
 Array = NDArray[np.float64]
 Pair = tuple[Fraction, Fraction]
 
 _UP = 1 + 1e-9  # covers the rounding of an interval's end
+_EXACT = 15  # number of the parameters before the two shares that limits leave, which end at exactly 1
 _SHARE, _MUNK, _SLOWEST = Fraction(85, 100), Fraction(1, 2), Fraction(1, 4)  # constants of the law `steered`
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Bounds in the region: |y_e|, |ψ|, |v|, |r|, |s| and the commanded yaw rate |r_d|; SI units."""
+    """Bounds in the region: |y_e|, |ψ|, |v|, |r|, |s|, and commanded yaw rate and moment before limits; SI units."""
 
     beside: Fraction
     heading: Fraction
@@ -47,6 +49,7 @@ class Extent:
     yaw_rate: Fraction
     model: Fraction
     command: Fraction
+    moment: Fraction
 
 
 def _times(*factors: Pair) -> Pair:
@@ -60,26 +63,31 @@ def _plus(*terms: Pair) -> Pair:
     return sum((low for low, _ in terms), Fraction(0)), sum((high for _, high in terms), Fraction(0))
 
 
-def _yaw_limit(claim: SteeringClaim) -> Pair:
-    moment, (_, linear), (_, square) = _SHARE * claim.moment, claim.linear, claim.quadratic
+def _moment(claim: SteeringClaim, u: Fraction) -> Fraction:
+    """Return the largest yaw moment at a surge speed; fins need the cruise speed for all of it."""
+    return claim.moment * min(u / claim.cruise, Fraction(1)) ** 2 if claim.finned else claim.moment
+
+
+def _yaw_limit(claim: SteeringClaim, most: Fraction) -> Pair:
+    moment, (_, linear), (_, square) = _SHARE * most, claim.linear, claim.quadratic
     under = linear * linear + 4 * square * moment
     return 2 * moment / (linear + root_up(under)), 2 * moment / (linear + root_down(under))
 
 
 def planned_rate(claim: SteeringClaim, speeds: Pair) -> Pair:
     """Return the range of the largest yaw rate that the law plans at surge speeds [m/s] in an interval."""
-    munk = abs(claim.munk)
-    limit = _yaw_limit(claim)
+    munk, moments = abs(claim.munk), [_moment(claim, u) for u in speeds]
+    limits = [_yaw_limit(claim, most) for most in moments]
 
     def sideways(drift: Fraction, u: Fraction) -> Fraction:
         return (claim.linear[0] * drift + claim.quadratic[0] * drift * drift) / (claim.centripetal * u)
 
-    # the limit by the drift angle grows with u, and that by the Munk moment decreases
+    # the limit by the drift angle grows with u, and that by the Munk moment decreases for a given moment, which grows
     rates = [
-        (sideways(claim.sideslip * u, u), sideways(_MUNK * claim.moment / (munk * w), w) if munk else limit[1])
-        for u, w in (speeds, speeds[::-1])
+        (sideways(claim.sideslip * u, u), sideways(_MUNK * most / (munk * w), w) if munk else limit[1])
+        for u, w, most, limit in zip(speeds, speeds[::-1], moments, limits, strict=True)
     ]
-    return min(*rates[0], limit[0]), min(*rates[1], limit[1])
+    return min(*rates[0], limits[0][0]), min(*rates[1], limits[1][1])
 
 
 def lookahead(claim: SteeringClaim) -> Pair:
@@ -91,6 +99,37 @@ def lookahead(claim: SteeringClaim) -> Pair:
 def command_rows(claim: SteeringClaim, beside: Fraction) -> list[list[Fraction]]:
     """Return rows of which the hull contains the slopes of the commanded yaw rate r_d in ξ."""
     return [[-claim.k_psi * n for n in (slope, 1, 0, 0, 1, 0)] for slope in _bearing(claim, beside)]
+
+
+def moment_rows(claim: SteeringClaim, at: Extent) -> list[list[Fraction]]:
+    """Return rows of which the hull contains the slopes of the commanded moment N in ξ, before its limit."""
+    k, stiff = claim.k_psi, claim.mass[2] * claim.k_r
+    rows = []
+    for feed, bearing, cancelled, share in product(
+        _feed(claim, at), _bearing(claim, at.beside), _cancelled(claim, at), _limited(claim, at)
+    ):
+        turn = -k * share * (feed + stiff)
+        rows.append([turn * bearing, turn, Fraction(0), -stiff, turn, cancelled])
+    return rows
+
+
+def _limited(claim: SteeringClaim, at: Extent) -> Pair:
+    """Return the range of the share that the limits of the commanded yaw rate leave of it."""
+    one = Fraction(1)
+    if not at.command:
+        return one, one
+    swing = _moment(claim, claim.speed[0]) / (claim.mass[2] * claim.k_psi * at.command)
+    return min(one, planned_rate(claim, claim.speed)[0] / at.command, root_down(swing)), one
+
+
+def _feed(claim: SteeringClaim, at: Extent) -> Pair:
+    most = min(at.command, planned_rate(claim, claim.speed)[1])
+    return claim.linear[1], claim.linear[1] + claim.quadratic[1] * most
+
+
+def _cancelled(claim: SteeringClaim, at: Extent) -> Pair:
+    share = claim.cap / root_up(claim.cap**2 + at.model**2), Fraction(1)
+    return _times((claim.munk,) * 2, claim.speed, share)
 
 
 def _bearing(claim: SteeringClaim, beside: Fraction) -> Pair:
@@ -113,13 +152,11 @@ def parameters(claim: SteeringClaim, at: Extent) -> list[Pair]:
     """Return the intervals of the parameters θ in the region.
 
     Raises:
-        Rejected: the law has another form in a part of the region, or the inertia matrix is not positive definite.
+        Rejected: the region is too large for the bounds, or the inertia matrix is not positive definite.
     """
     one, u = Fraction(1), claim.speed
     if u[0] < _SLOWEST * claim.cruise:
         raise Rejected("the surge speed falls below a quarter of the cruise speed")
-    if at.command > planned_rate(claim, u)[0] or claim.k_psi * at.command > claim.moment / claim.mass[2]:
-        raise Rejected("the law limits the commanded yaw rate in a part of the region")
     if max(at.heading, at.beside / lookahead(claim)[0], at.sway / u[0]) >= 1:
         raise Rejected("the region is too large for the bounds on sine, cosine and arc tangent")
     zero, exact = Fraction(0), claim.mass
@@ -141,17 +178,14 @@ def parameters(claim: SteeringClaim, at: Extent) -> list[Pair]:
     c_vr = _plus(_times(m11, u), _drag(claim, "Y", "r", sizes))
     c_rv = _plus(_times(munk, u), _drag(claim, "N", "v", sizes))
     c_rr = _plus(_times(m24, u), own[1], _drag(claim, "N", "r", sizes))
-    feed = claim.linear[1], claim.linear[1] + claim.quadratic[1] * at.command
-    share = claim.cap / root_up(claim.cap**2 + at.model**2), one
-    cancelled = _times((claim.munk,) * 2, u, share)
-    peak = feed[1] * at.command + exact[2] * claim.k_r * (at.command + at.yaw_rate)
-    if peak + max(map(abs, cancelled)) * at.model > claim.moment:
-        raise Rejected("the yaw thrust reaches its limit in a part of the region")
+    feed, cancelled, limited = _feed(claim, at), _cancelled(claim, at), _limited(claim, at)
+    delivered = min(one, _moment(claim, u[0]) / at.moment) if at.moment else one, one
     drift = (1 - (at.sway / u[0]) ** 2 / 3) / u[1], 1 / u[0]
     damped = claim.linear[0] / exact[1], (claim.linear[0] + claim.quadratic[0] * at.model) / exact[1]
     return [
         _times(u, (1 - at.heading**2 / 6, one)), (1 - at.heading**2 / 2, one), _bearing(claim, at.beside), drift, feed,
-        cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, per22, _times((-m24[1], -m24[0]), per_det), per44,
+        cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, per22, _times((-m24[1], -m24[0]), per_det), per44, limited,
+        delivered,
     ]  # fmt: skip
 
 
@@ -159,11 +193,13 @@ def vertices(claim: SteeringClaim, theta: Sequence[Pair]) -> Array:
     """Return A (n, 6, 6) at all ends of the intervals, rounded outward."""
     ends = [
         sorted({float(low) - abs(float(low)) * (_UP - 1), float(high) + abs(float(high)) * (_UP - 1)})
-        for low, high in theta
+        for low, high in theta[:_EXACT]
     ]
-    sine, cosine, bearing, drift, feed, cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, i_vv, i_vr, i_rr = np.array(
-        list(product(*ends))
-    ).T
+    ends += [sorted({float(low) / _UP if low < 1 else 1.0, 1.0}) for low, _ in theta[_EXACT:]]
+    (
+        sine, cosine, bearing, drift, feed, cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, i_vv, i_vr, i_rr, limited,
+        delivered,
+    ) = np.array(list(product(*ends))).T  # fmt: skip
     k_psi, k_r, mass = float(claim.k_psi), float(claim.k_r), [float(m) for m in claim.mass]
     A = np.zeros((len(u), 6, 6))
     A[:, 0, 1], A[:, 0, 2], A[:, 1, 3] = sine, cosine, 1.0
@@ -171,9 +207,13 @@ def vertices(claim: SteeringClaim, theta: Sequence[Pair]) -> Array:
     A[:, 5, 3], A[:, 5, 5] = -float(claim.centripetal) / mass[1] * u, -damped
     force, moment = np.zeros((2, len(u), 6))
     force[:, 2], force[:, 3] = -c_vv, -c_vr
-    turn = -k_psi * (feed + mass[2] * k_r)
+    turn = -k_psi * limited * (feed + mass[2] * k_r)
     moment[:, 0], moment[:, 1], moment[:, 4], moment[:, 5] = turn * bearing, turn, turn, cancelled
-    moment[:, 2], moment[:, 3] = -c_rv, -c_rr - mass[2] * k_r
+    moment[:, 3] = -mass[2] * k_r
+    moment *= delivered[:, None]
+    force += float(claim.side) * moment
+    moment[:, 2] -= c_rv
+    moment[:, 3] -= c_rr
     A[:, 2] = i_vv[:, None] * force + i_vr[:, None] * moment
     A[:, 3] = i_vr[:, None] * force + i_rr[:, None] * moment
     return A

@@ -29,8 +29,11 @@ from tests.certcheck.altering import altered, put, sealed
 KEPT = Path(__file__).parent / "region-steered-20.json"
 
 
-def document() -> dict[str, Any]:
-    return json.loads(KEPT.read_text())
+FINS = KEPT.with_name("region-steered-20-remus100.json")
+
+
+def document(path: Path = KEPT) -> dict[str, Any]:
+    return json.loads(path.read_text())
 
 
 def worst(whole: dict[str, Any], *, level: float = 1.0, count: int = 20_000) -> float:
@@ -43,11 +46,12 @@ def worst(whole: dict[str, Any], *, level: float = 1.0, count: int = 20_000) -> 
     return float(np.max(2 * np.einsum("ni,ij,nj->n", xi, P, rate))) / level + float(claim.rate)
 
 
-def test_the_kept_certificate_is_accepted_and_small() -> None:
-    whole = document()
+@pytest.mark.parametrize("path", [KEPT, FINS], ids=lambda path: path.stem)
+def test_the_kept_certificate_is_accepted_and_small(path: Path) -> None:
+    whole = document(path)
     found = check_document(whole)
     assert found.accepted, found.reason
-    assert KEPT.stat().st_size < 5_000 and found.seconds < 20 and whole["claim"]["motion"]["offset_m"] >= 0.25
+    assert path.stat().st_size < 5_000 and found.seconds < 20 and whole["claim"]["motion"]["offset_m"] >= 0.25
     assert worst(whole) < 0 < worst(whole, level=400.0)
 
 
@@ -70,6 +74,7 @@ STRONGER: dict[str, Callable[[dict[str, Any]], Any]] = {
     "crab_time": lambda d: d["claim"]["law"].update(crab_time=0.01),
     "model": lambda d: d["claim"]["law"].update(mass=[60.2815, 137.5, 3.9]),
     "fins": lambda d: d["claim"]["law"].update(fin_share=0.5),
+    "a side force without fins": lambda d: d["claim"]["vehicle"].update(side_per_m=-1.0),
     "munk": lambda d: d["claim"]["law"].update(munk=-900.0),
     "integral": lambda d: d["claim"]["law"].update(k_i=0.1),
     "size of P": lambda d: d["proof"].update(P=[[e * 0.002 for e in row] for row in d["proof"]["P"]]),
@@ -122,9 +127,24 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     assert rejected > 12 and accepted > 2  # neither everything nor nothing passes
 
 
-@pytest.mark.parametrize("terms", [{}, {"Yuv": 20.0, "Yur": -6.0, "Nuv": -9.0, "Nvv": 3.0, "Yvr": 2.0, "Nr": None}])
-def test_the_matrices_enclose_the_loop(terms: dict[str, float]) -> None:
-    whole, rng = document(), np.random.default_rng(2)
+@pytest.mark.parametrize("change", ["side", "no fins", "drag"])
+def test_a_rudder_is_not_taken_for_something_else(change: str) -> None:
+    changed = document(FINS)
+    if change == "side":
+        changed["claim"]["vehicle"]["side_per_m"] = 0.0
+    elif change == "no fins":
+        changed["claim"]["law"]["fin_share"] = 0.0
+    else:
+        changed["claim"]["vehicle"]["drag_factor"] = [0.6, 1.4]
+    assert not check_document(sealed(changed)).accepted
+
+
+@pytest.mark.parametrize(
+    ("path", "terms"),
+    [(KEPT, {}), (KEPT, {"Yuv": 20.0, "Yur": -6.0, "Nuv": -9.0, "Nvv": 3.0, "Yvr": 2.0, "Nr": None}), (FINS, {})],
+)
+def test_the_matrices_enclose_the_loop(path: Path, terms: dict[str, float]) -> None:
+    whole, rng = document(path), np.random.default_rng(2)
     whole["claim"]["vehicle"]["terms"] |= {name: value for name, value in terms.items() if value is not None}
     claim = read_claim(whole["claim"])
     p = _matrix(whole["proof"]["P"])
@@ -137,29 +157,34 @@ def test_the_matrices_enclose_the_loop(terms: dict[str, float]) -> None:
     assert np.all(np.einsum("ni,ni->n", direction, rate) <= most + 1e-12)
 
 
-def test_the_checkers_loop_is_the_law_and_the_vehicle_of_the_toolkit() -> None:
-    whole, craft, rng, n = document(), load_vehicle("otter"), np.random.default_rng(3), 8
+@pytest.mark.parametrize(("name", "path"), [("otter", KEPT), ("remus100", FINS)])
+def test_the_checkers_loop_is_the_law_and_the_vehicle_of_the_toolkit(name: str, path: Path) -> None:
+    whole, rng, n = document(path), np.random.default_rng(3), 8
     claim, law, far, dt = read_claim(whole["claim"]), build_law("steered"), 60.0, 0.05
-    own = derived_gains(craft, cruise=1.1).with_own(law_source("steered").gains)
+    cruise = float(claim.cruise)
+    craft = load_vehicle(name).at_speed(cruise)
+    own = derived_gains(craft, cruise=cruise).with_own(law_source("steered").gains)
     p = law_parameters(
-        own, craft, path=Route(np.array([[0.0, 0.0], [190.0, 0.0]])), depth=0.0, cruise=1.1,
+        own, craft, path=Route(np.array([[0.0, 0.0], [190.0, 0.0]])), depth=0.0, cruise=cruise,
         cap=whole["claim"]["law"]["cap"], walls=(-1e3, 1e3, -1e3, 1e3),
     )  # fmt: skip
     low, high = lookahead(claim)
-    ahead = max(own["lookahead"], turning_radius(craft, own.values, 1.1))
+    ahead = max(own["lookahead"], turning_radius(craft, own.values, cruise))
     assert float(low) - 1e-9 <= ahead <= float(high) + 1e-6
     size = np.array([0.3, 0.05, 0.02, 0.05, 0.03, 0.02])
+    size *= 1.0 if name == "otter" else 0.2  # within the limit of the rudder's moment
     state = rng.uniform(-1, 1, size=(n, 6)) * size
-    u = rng.uniform(1.0, 1.2, size=n)
+    u = cruise * rng.uniform(0.92, 1.08, size=n)
     found = true_rate(claim, {"mass": np.ones((n, 4)), "drag": np.ones((n, 8)), "u": u}, state)
     plant, still = build_plant(craft.form), PLANT_DISTURBANCE.pack()
     for k in range(n):
         y, psi, v, r, crab, s = state[k]
         inputs = law.inputs.pack({"eta": [far, y, 0.0, psi], "nu": [u[k], v, 0.0, r]})
-        x = law.state.pack({"progress": [far], "crab": [crab], "sway": [s]})
+        x = law.state.pack({"progress": [far], "crab": [crab], "sway": [s], "surge": [u[k]]})
         step = law.step(x, inputs, p)
         after = law.state.split(step.x_next)
         tau = [float(t) for t in step.tau]
+        tau[1] += float(claim.side) * tau[3]  # the rudder's force, which the allocation adds
         at = PLANT_STATE.pack({"eta": [0, 0, 0, psi], "nu": [u[k], v, 0, r], "tau": tau})
         rate = np.asarray(plant.ode(at, tau, still, plant_parameters(craft)))[:, 0]
         assert np.allclose(found[k, :2], rate[[1, 3]], atol=1e-9)

@@ -61,12 +61,13 @@ class SteeringClaim:
                 "linear_drag": [craft["Yv"], craft["Nr"]],
                 "terms": {name: craft[name] for name in craft.form.terms},
                 "moment_nm": float(craft.thrust_limit[3]),
+                "side_per_m": _side(craft),
             },
             "law": {
                 "mass": [craft["m11"], craft["m22"], craft["m44"]],
                 "linear_drag": [float(n) for n in craft.drag_at(self.cruise)[[1, 3]]],
                 "quadratic_drag": [craft["Yvv"], craft["Nrr"]],
-                "fin_share": craft.fin_share(self.cruise),
+                "fin_share": round(craft.fin_share(self.cruise), 12),
                 "munk": craft.munk(self.cruise),
                 "centripetal": craft.centripetal(self.cruise),
                 **{key: self.gains[key] for key in (*_GAINS, "k_i")},
@@ -120,8 +121,9 @@ def steering_claim(
     """
     if vehicle["Fv_max"] > 0:
         raise NotApplicable("it has a sway force, and the claim is about craft that are steered by their heading")
-    if vehicle.fin_share(cruise) > 0:
-        raise NotApplicable("it steers by fins, whose side force the claim does not cover")
+    vehicle = vehicle.at_speed(cruise)
+    if 0 < round(vehicle.fin_share(cruise), 12) < 1:
+        raise NotApplicable("it steers by fins and thrusters together, which the claim does not cover")
     if vehicle.form.tilts:
         raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
     if not rate > 0:
@@ -142,3 +144,14 @@ def steering_claim(
     )
     claim.stated()
     return claim
+
+
+def _side(craft: Vehicle) -> float:
+    """Return the sway force of the fins for each N m of their yaw moment [1/m]; 0 without fins."""
+    if craft.actuators is None or not craft.actuators.fins:
+        return 0.0
+    columns = [craft.actuators.matrix[:, craft.actuators.slices[k]] for k in craft.actuators.fins]
+    ratios = {round(float(y / n), 9) for column in columns for y, n in column[[1, 3]].T if n}
+    if len(ratios) != 1:
+        raise NotApplicable("its fins are not at one place along the hull, so that their side force has no fixed share")
+    return ratios.pop()

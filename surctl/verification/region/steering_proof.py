@@ -7,6 +7,7 @@ extent of the region, so the region starts small and grows until no P is found.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from fractions import Fraction
 from typing import Any
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected, check_document, seal
 from surctl.certcheck.steering_claim import SteeringClaim as Stated
-from surctl.certcheck.steering_loop import Extent, command_rows, lookahead, parameters, planned_rate, vertices
+from surctl.certcheck.steering_loop import Extent, command_rows, lookahead, moment_rows, parameters, vertices
 from surctl.verification.region.conic import Inequality, minimise, symmetric_basis
 from surctl.verification.region.proof import RegionProof
 from surctl.verification.region.steering import SteeringClaim
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 _BASIS = symmetric_basis(6)
 _ROUNDS, _CUTS, _FEW = 14, 25, 60
 _GROWTH, _STEPS = 1.8, 24  # first factor and largest number of the enlargements of the region
-_LEAST = 1.05  # the search ends when the factor is smaller
+_LEAST = 1.02  # the search ends when the factor is smaller
 _FIRST = 0.002  # |y_e| of the first region, divided by the look-ahead distance
 _WIDER = 1.15  # how much more the next region may extend in the other states
 _MARGIN = 0.02  # relative reserve of the decay rate
@@ -73,13 +74,22 @@ def _certificate(claim: SteeringClaim, P: Array) -> dict[str, Any]:
 
 
 def _extent(claim: SteeringClaim, stated: Stated, P: Array) -> tuple[Extent, Array]:
-    """Return the extent of V ≤ 1 as exact bounds, and as an array with the commanded yaw rate at its end."""
+    """Return the extent of V ≤ 1 as exact bounds, and as an array (8,)."""
     covariance = np.linalg.inv(P)
     sizes = np.sqrt(np.diag(covariance)) * 1.0001
     rows = np.array([[float(n) for n in row] for row in command_rows(stated, Fraction(float(sizes[0])))])
     command = np.sqrt(np.einsum("ki,ij,kj->k", rows, covariance, rows).max()) * 1.0001
-    y, psi, v, r, _, s = (Fraction(float(n)) for n in sizes)
-    return Extent(y, psi, v, r, s, Fraction(float(command))), np.append(sizes, command)
+    at = _extent_of([*sizes, command, 0.0])
+    rows = np.array([[float(n) for n in row] for row in moment_rows(stated, at)])
+    moment = np.sqrt(np.einsum("ki,ij,kj->k", rows, covariance, rows).max()) * 1.0001
+    bounds = np.array([*sizes, command, moment])
+    return _extent_of(bounds), bounds
+
+
+def _extent_of(bounds: Iterable[float]) -> Extent:
+    """Return the bounds on the six states, the commanded yaw rate and the moment as exact numbers."""
+    y, psi, v, r, _, s, command, moment = (Fraction(float(n)) for n in bounds)
+    return Extent(y, psi, v, r, s, command, moment)
 
 
 def _region(claim: SteeringClaim, stated: Stated, target: float, before: Array | None) -> Array | None:
@@ -87,13 +97,11 @@ def _region(claim: SteeringClaim, stated: Stated, target: float, before: Array |
     units = _units(claim, stated) * target
     if before is None:
         bounds: Array | None = None
-        at = Extent(*(Fraction(0),) * 6)
+        at = _extent_of(np.zeros(8))
     else:
         _, sizes = _extent(claim, stated, before)
         bounds = sizes * (target / sizes[0]) * _WIDER
-        y, psi, v, r, _, s, command = (Fraction(float(n)) for n in bounds)
-        at = Extent(y, psi, v, r, s, min(command, planned_rate(stated, stated.speed)[0]))
-        bounds[6] = float(at.command)
+        at = _extent_of(bounds)
     for _ in range(2 if before is None else 1):
         P = _shape(claim, stated, at, units, bounds, target)
         if P is None or bounds is not None:
@@ -115,7 +123,7 @@ def _units(claim: SteeringClaim, stated: Stated) -> Array:
 def _shape(
     claim: SteeringClaim, stated: Stated, at: Extent, units: Array, bounds: Array | None, target: float
 ) -> Array | None:
-    """Return P that decays for all matrices of the extent `at`, within the bounds (7,), with the least V beside."""
+    """Return P that decays for all matrices of the extent `at`, within the bounds (8,), with the least V beside."""
     try:
         A = vertices(stated, parameters(stated, at)) * units / units[:, None]
     except Rejected:
@@ -128,11 +136,14 @@ def _shape(
         fixed[0] = (-np.eye(6)[None], fixed[0][1])
         cost = np.append(np.zeros(21), 1.0)
     else:
-        corner, wide = np.zeros((8, 7, 7)), np.zeros((8, 22, 7, 7))
-        rows = np.array([[float(n) for n in row] for row in command_rows(stated, at.beside)]) * units
-        for k, (row, size) in enumerate(
-            zip([*np.eye(6), *rows], [*(bounds[:6] / units), *bounds[[6, 6]]], strict=True)
-        ):
+        turns, moments = (
+            np.array([[float(n) for n in row] for row in rows]) * units
+            for rows in (command_rows(stated, at.beside), moment_rows(stated, at))
+        )
+        limited = [*zip(np.eye(6), bounds[:6] / units, strict=True)]
+        limited += [(row, bounds[6]) for row in turns] + [(row, bounds[7]) for row in moments]
+        corner, wide = np.zeros((len(limited), 7, 7)), np.zeros((len(limited), 22, 7, 7))
+        for k, (row, size) in enumerate(limited):
             corner[k, :6, 6] = corner[k, 6, :6] = row / size
             corner[k, 6, 6] = 1.0
         wide[:, :21, :6, :6] = _BASIS
