@@ -66,7 +66,9 @@ def study(
     study.json; surctl study my_system.py:build --seconds 5
     """
     if is_system(words, "words", "out", "workers", "seconds", "as_json"):
-        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json)
+        from surctl.control import LAW_NAMES
+
+        study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json, reserved=LAW_NAMES)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     file = words[0] if words else None

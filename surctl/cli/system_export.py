@@ -68,15 +68,13 @@ def export_system(
     real = REALS[REALS.index(options.real)]
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
-    if (name := options.name or own.system.controller.name) in reserved:
-        where = {"key": "--name"} if options.name else {"file": own.word, "key": "controller"}
-        raise InputError("is the name of a built-in law", **where, value=name, remedy="choose another name")
+    name = own.exported_name(options.name, reserved=reserved)
     find_compiler()
     check_folder(options.out)
     controller = own.system.controller
     record = run_system(own.system, duration, values)
     gains = controller.gains.unpack(record.controller[2])
-    bundle = build_bundle(controller, gains, name=options.name, real=real)
+    bundle = build_bundle(controller, gains, name=name, real=real)
     proof = None
     if options.prove:
         progress("proving")

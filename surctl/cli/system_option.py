@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -83,6 +83,26 @@ class OwnSystem:
             remedy = f"give at most {_MOST_PERIODS * self.system.dt:g} s"
             raise InputError(f"is {steps} control periods", key="--seconds", value=seconds, remedy=remedy)
         return seconds
+
+    def exported_name(self, name: str | None = None, *, reserved: Collection[str]) -> str:
+        """Return the name of the bundle: `name`, or that of the controller.
+
+        Raises:
+            InputError: it cannot be the name of a bundle, or it is one of `reserved`.
+        """
+        from surctl.errors import InputError
+        from surctl.export.contract import checked_name
+
+        try:
+            chosen = checked_name(self.system.controller, name)
+            if chosen in reserved:
+                problem, remedy = "is the name of a built-in law", "choose another name"
+                raise InputError(problem, key="name", value=chosen, remedy=remedy)
+        except InputError as error:
+            if error.key == "name" and name:
+                raise InputError(error.problem, key="--name", value=name, remedy=error.remedy) from None
+            raise error.inside(self.word, "controller" if error.key == "name" else error.key) from None
+        return chosen
 
 
 def is_system(words: Sequence[str], *allowed: str) -> bool:

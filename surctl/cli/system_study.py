@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,15 @@ __all__ = ["study_system"]
 _AXES, _POINTS = 2, 9  # of the sweep, if no axis is given
 
 
-def study_system(words: Sequence[str], *, seconds: float | None, workers: int, out: Path, as_json: bool) -> None:
+def study_system(
+    words: Sequence[str],
+    *,
+    seconds: float | None,
+    workers: int,
+    out: Path,
+    as_json: bool,
+    reserved: Collection[str] = (),
+) -> None:
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
     from surctl.cli.system_region import region_words
@@ -35,6 +43,7 @@ def study_system(words: Sequence[str], *, seconds: float | None, workers: int, o
     from surctl.system import run_system, simulate_system
 
     own = load_system(words)
+    own.exported_name(reserved=reserved)
     axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
     others, region = region_words([word for word in own.settings if word not in stated])
     duration, values = own.seconds(seconds), assigned(others)

@@ -282,6 +282,15 @@ MISTAKES = {
     "a name of a law": (
         ("export", "mine.py:build", "--name", "guarded", "--seconds", "1"), "is the name of a built-in law",
     ),
+    "a name of a module": (
+        ("export", "mine.py:build", "--name", "queue", "--seconds", "1"), "--name = 'queue': is the name of a Python",
+    ),
+    "a study's name of a law": (
+        ("study", "named.py:build", "--seconds", "1"), "named.py:build: controller = 'guarded': is the name of a b",
+    ),
+    "a study's name of a module": (
+        ("study", "module.py:build", "--seconds", "1"), "module.py:build: controller = 'queue': is the name of a Pyt",
+    ),
     "a variable": (("verify", "mine.py:FILE"), "system = 'FILE': is of type str, not a function"),
     "a study's value and axis": (("study", "mine.py:build", "k=1", "k=1..2:3", "--seconds", "1"), "k: is given twice"),
     "a study without costs": (("study", "mine.py:bare", "k=1..2:3", "--seconds", "1"), "has no costs"),
@@ -301,6 +310,11 @@ MISTAKES = {
 @pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_is_one_line(file: str, case: str) -> None:
     Path("broken.py").write_text("import no_such_module\n")
+    for other, name in (("named", "guarded"), ("module", "queue")):
+        Path(f"{other}.py").write_text(
+            "from dataclasses import replace\nfrom mine import build as made\n\ndef build():\n    system = made()\n"
+            f"    return replace(system, controller=replace(system.controller, name={name!r}))\n"
+        )
     words, fragment = MISTAKES[case]
     said = complaint(*words)
     assert fragment in said and "\n" not in said
