@@ -1,3 +1,6 @@
+from dataclasses import replace
+from pathlib import Path
+
 import control
 import numpy as np
 import pytest
@@ -7,7 +10,7 @@ from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
 from surctl.verification import build_cascade, loop_margins
 from surctl.verification.linear import DISK_PLACES, OpenLoop, disk_margin, open_loop, structured_bounds
-from surctl.verification.linear.disk import _balanced
+from surctl.verification.linear.disk import _balanced, stored_disk_margin
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
@@ -136,3 +139,20 @@ def test_an_unstable_loop_has_nothing_left_and_a_wrong_place_is_named() -> None:
     assert not found.stable and (found.guaranteed, found.gain) == (0.0, (1.0, 1.0))
     with pytest.raises(InputError, match=r"place = .*thrust"):
         open_loop(CASCADE, "thrusts")
+
+
+def test_a_stored_margin_is_the_computed_one_and_another_loop_has_its_own(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))
+    loop, faster = (open_loop(build_cascade(VEHICLE, GAINS, cruise=u, dt=0.05), "thrust") for u in (0.15, 0.1))
+    first = stored_disk_margin(loop, "thrust")
+    assert first == disk_margin(loop, "thrust")
+
+    def none(_: object) -> None:
+        raise AssertionError("computed again")
+
+    monkeypatch.setattr("surctl.verification.linear.disk.disk_margin", none)
+    assert stored_disk_margin(loop, "there") == replace(first, place="there")
+    with pytest.raises(AssertionError, match="computed again"):
+        stored_disk_margin(faster, "thrust")
