@@ -296,6 +296,13 @@ def opened(path: Path, *, new: bool, buffering: int = -1) -> IO[bytes]:
 
     Raises:
         InputError: the file cannot be written, or is there already.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.files import opened
+        >>> with opened(Path("session.bin"), new=True) as file:
+        ...     file.write(b"abc")
+        3
     """
     try:
         return path.open("xb" if new else "wb", buffering=buffering)

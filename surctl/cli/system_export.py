@@ -103,7 +103,7 @@ def export_system(
     evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof)
     files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), options.out)
     largest = max(part.absolute for part in (sil.tau, sil.state, sil.telemetry))
-    passed = sil.conclusive and largest == 0.0 and record.stopped != LOST
+    passed = sil.exact and record.stopped != LOST
     passed = passed and (report is None or report.passed) and (proof is None or proof.proved)
     lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
     lines += [*cost_lines(own.system, record.figures), sil.summary()]
