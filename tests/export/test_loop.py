@@ -1,0 +1,75 @@
+"""loop.c around the smallest law: nothing starts or returns without the operator, and time is counted once."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surctl.export import write_bundle
+from surctl.export.process import compile_controller
+from surctl.ir import compile_program
+from tests.export.clocks import clocks
+from tests.export.standin import Vector
+from tests.tools import need_compiler
+
+MAIN = """#include "loop.h"
+#include <stdio.h>
+/* stdin: rows of doubles (periods, measured, armed, message, reading); a reading of -9 stands for NaN */
+int main(void)
+{
+    static clocks_loop_t loop;
+    static double row[5], out[5];
+    volatile double zero = 0;
+    if (clocks_loop_start(&loop) != 0) { return 1; }
+    while (fread(row, sizeof row[0], 5, stdin) == 5) {
+        loop.input.message = row[3];
+        loop.input.reading = (row[4] == -9.0) ? zero / zero : row[4];
+        out[0] = clocks_loop_step(&loop, (uint32_t)row[0], row[1] > 0.5, row[2] > 0.5);
+        out[1] = loop.mode;
+        out[2] = loop.status;
+        out[3] = loop.state.x[clocks_at_age];
+        out[4] = loop.input.sample;
+        (void)fwrite(out, sizeof out[0], 5, stdout);
+        clocks_loop_end(&loop);
+    }
+    return 0;
+}
+"""
+Row = tuple[float, float, float, float, float]
+Loop = Callable[[list[Row]], Vector]
+READY, RUNNING, HOLDING, SAFE = range(4)
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory: pytest.TempPathFactory) -> Loop:
+    """Rows (periods, measured, armed, message, reading) → rows (applied, state of the program, status, age, sample)."""
+    need_compiler()
+    folder = tmp_path_factory.mktemp("loop")
+    _, bundle = clocks()
+    write_bundle(bundle, folder / "b")
+    (folder / "main.c").write_text(MAIN)
+    code = [folder / "main.c", folder / "b/loop.c"]
+    program = compile_program(
+        [*code, *compile_controller(bundle, folder / "b")], folder / "main", flags=["-I", str(folder / "b")]
+    )
+
+    def steps(rows: list[Row]) -> Vector:
+        done = subprocess.run([program], input=np.array(rows, float).tobytes(), capture_output=True, check=True)
+        return np.frombuffer(done.stdout).reshape(len(rows), 5)
+
+    return steps
+
+
+def row(periods: int = 1, *, measured: int = 1, armed: int = 1, message: int = 0, reading: float = 2.0) -> Row:
+    return periods, measured, armed, message, reading
+
+
+def test_a_switch_that_is_on_at_the_start_arms_nothing(loop: Loop) -> None:
+    out = loop([row()] * 60)
+    assert not out[:, 0].any() and (out[:, 1] == SAFE).all() and (out[:, 2] == 0).all()
+    out = loop([*[row()] * 30, row(armed=0), *[row()] * 21])
+    assert list(out[[29, 30, 49, 50], 1]) == [SAFE, READY, READY, RUNNING] and not out[:50, 0].any()
