@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,3 +72,27 @@ def test_a_switch_that_is_on_at_the_start_arms_nothing(loop: Loop) -> None:
     assert not out[:, 0].any() and (out[:, 1] == SAFE).all() and (out[:, 2] == 0).all()
     out = loop([*[row()] * 30, row(armed=0), *[row()] * 21])
     assert list(out[[29, 30, 49, 50], 1]) == [SAFE, READY, READY, RUNNING] and not out[:50, 0].any()
+
+
+FLYING = [row(armed=0), *[row()] * 21]
+
+
+@pytest.mark.parametrize("halt", [19, 20, 21, 100, 600, 10**9])
+def test_a_halt_of_a_second_ends_in_safe(loop: Loop, halt: int) -> None:
+    """The program stood still while RUNNING: `halt` periods pass until the next step, which is accepted."""
+    out = loop([*FLYING, row(halt), *[row()] * 40, row(armed=0), *[row()] * 20])
+    assert out[21, 0] == 1 and (out[22:, 2] == 0).all()
+    assert out[22, 1] == (RUNNING if halt <= 20 else SAFE)  # the last of the periods has an accepted step
+    assert (out[22:62, 0] == (halt <= 20)).all() and out[-1, 1] == RUNNING
+
+
+def test_refused_steps_and_missed_periods_count_together(loop: Loop) -> None:
+    for bad, missed, end in ((10, 10, RUNNING), (10, 11, SAFE), (1, 19, RUNNING), (1, 20, SAFE)):
+        out = loop([*FLYING, *[row(reading=-9.0)] * bad, row(missed), row()])
+        assert (out[22:-2, 1] == HOLDING).all() and (out[-2:, 1] == end).all(), (bad, missed)
+    assert loop([*FLYING, row(30, reading=-9.0)])[-1, 1] == SAFE
+
+
+def test_a_halt_while_armed_counts_as_no_accepted_second(loop: Loop) -> None:
+    out = loop([row(armed=0), *[row()] * 10, row(600), *[row()] * 19])
+    assert (out[:-1, 1] == READY).all() and out[-1, 1] == RUNNING
