@@ -79,7 +79,7 @@ int board_measure(surctl_closed_form_input_t *input)
     return !((tick > 50) && (tick < 55));
 }
 void board_actuate(const surctl_closed_form_output_t *output) { (void)printf("%d ", output != NULL); }
-int board_armed(void) { disarmed = (tick >= 120) && (tick < 125); return !disarmed; }
+int board_armed(void) { disarmed = (tick < 2) || ((tick >= 120) && (tick < 125)); return !disarmed; }
 void board_alive(void) { (void)printf("alive\\n"); }
 void board_log(const surctl_closed_form_input_t *input, int status, const surctl_closed_form_output_t *output)
 {
@@ -206,7 +206,7 @@ int main(void)
     if (lost_loop_start(&loop) != 0) { return 1; }
     for (int k = 1; k <= 150; ++k) { /* fixes come in periods 31 to 60, and again from period 106 on */
         loop.input.fix_fresh = ((k > 30) && (k <= 60)) || (k > 105);
-        const int applied = lost_loop_step(&loop, 1u, 1, k != 130);
+        const int applied = lost_loop_step(&loop, 1u, 1, (k > 1) && (k != 130));
         (void)printf("%d%d ", applied, loop.mode);
         lost_loop_end(&loop);
     }

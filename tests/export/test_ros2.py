@@ -72,9 +72,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return at
 
 
-def run(folder: Path, script: list[str]) -> list[str]:
+def run(folder: Path, script: list[str], *, before: tuple[str, ...] = ("armed 0", "time 0.05")) -> list[str]:
+    """Run the node; `before` is one period in which the operator's side says that it is disarmed."""
     done = subprocess.run(
-        [folder / "build/controller_node"], input="\n".join(script), capture_output=True, text=True, check=False
+        [folder / "build/controller_node"],
+        input="\n".join([*before, *script]),
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
@@ -114,9 +119,9 @@ def test_the_node_commands_as_python_to_the_last_bit_in_the_frames_of_rep_103(fo
         x = step.x_next
         tau = step.tau if k >= 19 else np.zeros(4)
         expected.append([*tau[:3], 0.0, 0.0, tau[3]])
-    assert of(lines, "wrench") == [[0.0] * 6, *expected]  # zero before the first period
-    assert of(lines, "status")[0] == [law.step(law.initial_state(), ahead(0), p).status]
-    assert [line.split()[1] for line in lines if line.startswith("wrench ")] == ["base_link"] * 41
+    assert of(lines, "wrench") == [[0.0] * 6, [0.0] * 6, *expected]  # zero before the first period, and disarmed
+    assert of(lines, "status")[1] == [law.step(law.initial_state(), ahead(0), p).status]
+    assert [line.split()[1] for line in lines if line.startswith("wrench ")] == ["base_link"] * 42
     told = [line for line in lines if line.startswith("/diagnostics ")]
     assert len(told) == 2 and "/controller: surctl_closed_form|RUNNING, " in told[1] and guarded()[1].id in told[1]
 
@@ -133,6 +138,12 @@ def test_headings_are_counter_clockwise_from_the_x_axis(folder: Path) -> None:
             x = step.x_next
         found = np.array(of(lines, "wrench")[-1])[[0, 1, 2, 5]]
         assert np.abs(found - step.tau).max() < 1e-9 and np.abs(step.tau).max() > 0.01
+
+
+def test_armed_messages_from_before_the_start_arm_nothing(folder: Path) -> None:
+    script = [line for k in range(30) for line in period(ahead(k))]
+    assert not np.any(of(run(folder, script, before=()), "wrench"))
+    assert np.any(of(run(folder, [*script[:16], "armed 0", "time 0.05", *script]), "wrench"))
 
 
 def test_old_missing_and_wrong_messages_make_no_sample(folder: Path) -> None:
