@@ -50,7 +50,7 @@ class SteeringClaim:
 
     def document(self, *, offset: float) -> dict[str, Any]:
         """Return the claim as data of a certificate. `offset` [m] is the distance beside the path that it states."""
-        craft = self.vehicle
+        craft = self.vehicle.at_speed(self.cruise)
         return {
             "system": "steered",
             "excludes": list(EXCLUDES),
@@ -75,7 +75,7 @@ class SteeringClaim:
                 "cap": self.cap,
             },
             "motion": {"rate_per_s": self.rate, "offset_m": offset},
-            "sha256_vehicle": craft.digest(),
+            "sha256_vehicle": self.vehicle.digest(),
             "sha256_law": self.digest,
         }
 
@@ -121,7 +121,6 @@ def steering_claim(
     """
     if vehicle["Fv_max"] > 0:
         raise NotApplicable("it has a sway force, and the claim is about craft that are steered by their heading")
-    vehicle = vehicle.at_speed(cruise)
     if 0 < round(vehicle.fin_share(cruise), 12) < 1:
         raise NotApplicable("it steers by fins and thrusters together, which the claim does not cover")
     if vehicle.form.tilts:
