@@ -78,7 +78,7 @@ def _pictures(own: OwnSystem, design: Design, runs: Runs, out: Path) -> list[Pat
     swept = [(name, np.unique(design.points[:, k])) for k, name in enumerate(design.names) if design.shape[k] > 1]
     if len(swept) != 2:
         return []
-    from surctl.report import plot_cost_map
+    from surctl.report.cost_map import plot_cost_map
     from surctl.report.pictures import save_figure
     from surctl.system.values import unit_of
 
