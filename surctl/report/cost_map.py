@@ -50,8 +50,8 @@ def plot_cost_map(axes: Mapping[str, ArrayLike], cost: ArrayLike, title: str, ax
     ax = dress(ax or new_axes(5.1, 3.9), title=title, x=across, y=up)
     draw_cells(ax, finite(table.T), *values, written=table.T)
     if np.isfinite(table).any():
-        best = int(np.nanargmin(np.where(np.isfinite(table), table, np.inf)))
-        draw_frame(ax, *divmod(best, table.shape[1]))
+        column, row = divmod(int(np.argmin(np.where(np.isfinite(table), table, np.inf))), table.shape[1])
+        draw_frame(ax, column, row)
     return ax
 
 
