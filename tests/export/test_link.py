@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -37,16 +38,18 @@ from surctl.export import (
 )
 from surctl.export.link import VERSION, Identity
 from surctl.export.precision import Rounded
-from surctl.ir import Layout, Real, compile_program
+from surctl.ir import Layout, Port, Real, compile_program
 from surctl.simulation import GONE, LATE, LINK_LOST, Run, law_numbers, load_scenario, simulate
 from surctl.vehicle import load_vehicle
 from tests.export import test_check
 from tests.export.altered import altered
+from tests.export.standin import StandIn
 from tests.export.test_check import Exact
 from tests.tools import need, need_compiler
 
 Vector = NDArray[np.float64]
 REALS: tuple[Real, ...] = ("float64", "float32")
+COMMAND, PAUSED = 9, 10  # kinds of messages
 HEAD = struct.Struct("<4sHHII")
 GLANCED = {"latch": "progress", "report": "healthy"}
 
@@ -476,3 +479,22 @@ def test_compact_replies_are_compared_in_thrust_and_carry_pythons_state(small: d
         first = linked._log[3][2]
         linked._log[3] = (*linked._log[3][:2], first._replace(raw=first.raw[:-1] + b"!"), *linked._log[3][3:])
         assert linked.report().first == 3
+
+
+def test_in_a_paused_step_no_time_without_progress_counts(tmp_path: Path) -> None:
+    need_compiler()
+    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p", 0)
+    layouts = (
+        Layout((Port("stalled", (1,), "s", "time without progress"),)),
+        Layout((Port("depth", (1,), "m", "depth"),)),
+        Layout(()),
+        Layout((Port("tau", (4,), "N, N, N, N m", "thrust"),)),
+    )
+    function = ca.Function("law", [x, u, p], [x * ca.SX.ones(4), x + 0.05, ca.SX(0), ca.SX(0, 1)])
+    law = StandIn("stall", 0.05, *layouts, function)
+    with serving(program(law, np.zeros(0), tmp_path, "float64")) as (_, where), connect(where) as opened:
+        opened.start(opened.request().id)
+        stalled = [opened.step(k, np.zeros(1)).tau[0] for k in range(1, 41)]  # the thrust is the time before the step
+        assert stalled[-1] == pytest.approx(39 * 0.05)
+        opened._exchange(PAUSED, 41, np.zeros(1).tobytes(), COMMAND, 4 + 8 * 4)
+        assert opened.step(42, np.zeros(1)).tau[0] == 0.05
