@@ -195,7 +195,7 @@ def _counts(vehicle: Vehicle, actuators: Actuators | None, factor: float) -> NDA
     inputs = record.law_input if actuators is not None else record.law_input[:, : law.inputs.size]
     records = Records(record.law_state, inputs, numbers)
     shipped = closed_form(law)
-    within = operating_envelope(law, mission, vehicle, shipped.gains)
+    within = operating_envelope(law, mission, believed, shipped.gains)
     bundle = build_bundle(shipped, law.gains.unpack(numbers), envelope=within)
     with tempfile.TemporaryDirectory() as scratch:
         controller = build_controller(shipped, bundle, Path(scratch, "b"))
