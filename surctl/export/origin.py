@@ -126,10 +126,7 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
     """
     certificates: dict[str, Mapping[str, Any]] = {}
     for path in paths:
-        try:
-            document = read(path)
-        except Rejected as reason:
-            raise InputError(f"is rejected: {reason}", file=path, remedy="prove it again: surctl verify") from None
+        document = _read(path)
         checked = check_document(document, time_limit=PATIENCE)
         if not checked.accepted:
             raise InputError(f"is rejected: {checked.reason}", file=path, remedy="prove it again: surctl verify")
@@ -140,6 +137,13 @@ def load_certificates(paths: Sequence[Path]) -> dict[str, Mapping[str, Any]]:
             )
         certificates[name] = document
     return certificates
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return read(path)
+    except Rejected as reason:
+        raise InputError(f"is rejected: {reason}", file=path, remedy="prove it again: surctl verify") from None
 
 
 def manifest_entries(law: Exportable, p: Vector, origin: Origin | None, *, real: Real = "float64") -> dict[str, Any]:
@@ -181,6 +185,8 @@ def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
 def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: Vector) -> list[Path]:
     """Return the certificates that concern this law with these parameters; only these can be exported with the law.
 
+    Their proofs are not checked here, but at the export.
+
     Args:
         paths: certificate files.
         law: the law, with or without perception.
@@ -188,7 +194,7 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
         p: parameters of the law, in the order of `law_numbers`.
 
     Raises:
-        InputError: see `load_certificates`.
+        InputError: a file is not a certificate.
 
     Example:
         >>> import json
@@ -210,7 +216,7 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
     entries = manifest_entries(law, p, origin)
     frame = {"name": "", "id": "", "dt_s": law.dt, "real": "float64", "sha256": {}}
     manifest = replace(read_manifest(frame | entries), wrong=())  # a law that is not exported yet has no id
-    return [path for path in paths if all(compare(d, manifest).belongs for d in load_certificates([path]).values())]
+    return [path for path in paths if compare(_read(path), manifest).belongs]
 
 
 def _claims(rows: Sequence[Mapping[str, Any]], origin: Origin) -> dict[str, str]:
