@@ -48,6 +48,7 @@ def robot_wiring(law: Exportable, origin: Origin | None) -> dict[str, Any]:
         **({} if equipment is None else {"rate_lines": _rates(law, equipment)}),
         "thruster_rows": _thrusters(origin) if "working" in law.inputs else [],
         "own_age": "own_age" in law.state,
+        "own_known": "own_known" in law.state,
         "oldest_fix": f"{LONGEST_LATENCY:g}",
         "never_fixed": f"{LONGEST_AGE:g}",
         "arriving": "progress" in law.state,
