@@ -127,6 +127,7 @@ def _lines(evidence: Mapping[str, Any]) -> list[str]:
         simulated += f". Its statuses: {'; '.join(often)}"
     lines = [
         f"- Simulated run: {simulated}.",
+        *_mission(run),
         f"- The compiled C over {sil['steps']} steps of this run, against Python: largest difference of the "
         f"{'commands' if own else 'thrust'} "
         f"{sil['tau']:.1e}, {sil['status_mismatches']} other statuses; {sil['fault_cases']} bad inputs, "
@@ -142,6 +143,25 @@ def _lines(evidence: Mapping[str, Any]) -> list[str]:
     claim = "not tried (`surctl export --prove`)" if proof is None else f"{proof['status']}: {proof['claim']}"
     what = "No run-time error" if own else "No run-time error, thrust within its limits"
     return [*lines, f"- {what}: {claim}."]
+
+
+def _mission(run: Mapping[str, Any]) -> list[str]:
+    # what a simulation of one's own needs of the simulated run's scenario
+    if "path_length_m" not in run:
+        return []
+    mission = f"- Its mission: path of {run['path_length_m']:.4g} m, `arrival_m` {run['arrival_m']:g} m."
+    if not run["obstacles"]:
+        return [f"{mission} No obstacles."]
+    rows = [
+        f"{mission} Its obstacles:",
+        "",
+        "| obstacle | shape | rest of its entry in the mission file |",
+        "|---|---|---|",
+    ]
+    for obstacle in run["obstacles"]:
+        rest = (f"{k} = {json.dumps(v)}" for k, v in obstacle.items() if k not in ("name", "shape"))
+        rows.append(f"| {obstacle['name'].replace('|', '/')} | {obstacle['shape']} | {', '.join(rest)} |")
+    return [*rows, ""]
 
 
 def _builds(check: Mapping[str, Any]) -> list[str]:

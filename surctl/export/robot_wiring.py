@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import cos, degrees, sin
+from math import cos, degrees, expm1, log1p, sin
 from types import MappingProxyType
 from typing import Any
 
@@ -48,11 +48,13 @@ def robot_wiring(law: Exportable, origin: Origin | None) -> dict[str, Any]:
         **({} if equipment is None else {"rate_lines": _rates(law, equipment)}),
         "thruster_rows": _thrusters(origin) if "working" in law.inputs else [],
         "own_age": "own_age" in law.state,
+        "own_known": "own_known" in law.state,
         "oldest_fix": f"{LONGEST_LATENCY:g}",
         "never_fixed": f"{LONGEST_AGE:g}",
         "arriving": "progress" in law.state,
         "stalling": "stalled" in law.state,
         "listening": "samples" in law.inputs,
+        "coasting": "" if origin is None else _coasting(origin),
         "plant_line": "" if origin is None else _plant(origin),
     }
 
@@ -155,8 +157,22 @@ def _plant(origin: Origin) -> str:
         f"M ν̇ = τ − C(ν) ν − (D + D₂ |ν|) ν with ν = (u, v, w, r) through the water, M = diag({mass}), "
         f"D = diag({linear}), D₂ = diag({quadratic}) in SI units, and C(ν) ν = (−m₂₂ v r, m₁₁ u r, 0, (m₂₂ − m₁₁) u v)"
         f"{more}. τ follows the command, within ± {', '.join(f'{v:g}' for v in vehicle.delivered_limit)} N and N m, "
-        f"with a first-order lag of {vehicle['thrust_lag']:g} s"
+        f"with a first-order lag of {vehicle['thrust_lag']:g} s. The hull is a sphere of radius "
+        f"{vehicle['radius']:g} m around the position; nothing but the depth of the mission keeps it below the "
+        "surface and off the floor"
     )
+
+
+def _coasting(origin: Origin, speed: float = 0.2) -> str:
+    # m du/dt = -(D + D₂ u) u along x, in still water: a = D / m, b = D₂ / m
+    mass, linear, quadratic = (
+        float(v[0]) for v in (origin.vehicle.mass, origin.vehicle.linear_drag, origin.vehicle.quadratic_drag)
+    )
+    a, b = linear / mass, quadratic / mass
+    if a <= 0.0 or b <= 0.0:
+        return ""
+    after = [log1p(b * speed * -expm1(-a * t) / a) / b for t in (10.0, 60.0)]
+    return f" (about {after[0]:.1f} m in 10 s and {after[1]:.1f} m in 60 s from {speed:g} m/s in still water)"
 
 
 def _thrusters(origin: Origin | None) -> Sequence[tuple[str, ...]]:

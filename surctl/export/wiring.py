@@ -15,13 +15,15 @@ DEMANDS: Mapping[str, str] = MappingProxyType(
     {
         "OK": "Apply the command.",
         "SATURATED": "Apply it. Alone it is no sign of trouble: a robot that brakes or evades uses all its thrust, by "
-        "sonar in a third to a half of the steps, for seconds in a row (the simulated run: see Evidence). If it comes "
+        "sonar in about half of the steps, for seconds in a row (the simulated run: see Evidence); unarmed it means "
+        "nothing. If it comes "
         "with a `path_error` that grows, the robot cannot follow: lower `cruise`, or surface.",
         "SWITCHED": "Apply it, and log.",
         "DEGRADED": "Apply it, and log. Normal in the first steps, before a position and echoes have arrived. If the "
         "bit stays for a second later on, an obstacle is too near or too fast: be ready to stop.",
         "TRAPPED": "Apply it: the robot holds its place. To end it, the operator disarms and arms: `loop.c` then "
-        "begins the mission anew, with an empty map. A program of your own calls `initialize`, which also sets the "
+        "begins the mission anew, with an empty map. It may come long after `patience`: new ground counts as progress. "
+        "A program of your own calls `initialize`, which also sets the "
         "tuned gains. If the way is closed, give it another mission before.",
         "RESTARTED": "Apply it, and log: the board that counts samples was started again; every age is at its largest.",
         "NULL": "Thrusters to zero. A mistake in the program: stop.",
@@ -70,6 +72,8 @@ def wiring_values(law: Exportable) -> dict[str, Any]:
         "stalling": False,
         "listening": False,
         "plant_line": "",
+        "coasting": "",
+        "own_known": False,
         "fed": False,
         "rows": [],
         "safe_periods": max(1, round(1.0 / law.dt)),

@@ -81,9 +81,9 @@ int board_measure(surctl_closed_form_input_t *input)
 void board_actuate(const surctl_closed_form_output_t *output) { (void)printf("%d ", output != NULL); }
 int board_armed(void) { disarmed = (tick < 2) || ((tick >= 120) && (tick < 125)); return !disarmed; }
 void board_alive(void) { (void)printf("alive\\n"); }
-void board_log(const surctl_closed_form_input_t *input, int status, const surctl_closed_form_output_t *output)
+void board_log(const surctl_closed_form_loop_t *loop)
 {
-    (void)output; (void)printf("%d %lu ", status, (unsigned long)input->sample);
+    (void)printf("%d %lu ", loop->status, (unsigned long)loop->input.sample);
 }
 size_t board_stored(unsigned char *bytes, size_t room) { (void)room; bytes[0] = 0; return 5; }
 void board_gains(int result) { (void)fprintf(stderr, "gains %d", result); }

@@ -34,10 +34,9 @@ void board_actuate(const surctl_closed_form_output_t *output)
 
 int board_armed(void) { return row[2] != 0.0; }
 
-void board_log(const surctl_closed_form_input_t *input, int status, const surctl_closed_form_output_t *output)
+void board_log(const surctl_closed_form_loop_t *loop)
 {
-    const double told[2] = { status, input->sample };
-    (void)output;
+    const double told[2] = { loop->status, loop->input.sample };
     (void)fwrite(told, sizeof told, 1, stdout);
     (void)fwrite(commanded, sizeof commanded, 1, stdout);
     (void)fwrite(&fed, sizeof fed, 1, stdout);
