@@ -229,11 +229,11 @@ def tune(
     cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
     goals, unjudged = judged_goals(goals, cases)
     for goal in unjudged:
-        omitted.append(f"goal {goal.name} is not judged: law {label(plan.law)} has no linear model")
+        omitted.append(f"goal {goal.name} is not judged: tune has no linear model of law {label(plan.law)}")
         progress(omitted[-1])
     if not goals:
         remedy = "add a goal on a metric of the runs, time_s say"
-        problem = f"has only goals on the linear loop, and law {label(plan.law)} has no linear model"
+        problem = f"has only goals on the linear loop, and tune has no linear model of law {label(plan.law)}"
         raise InputError(problem, file=goals_file or plan.source, key="goals", remedy=remedy)
     all_runs = conditions(cases, seeds=range(seeds))
     try:

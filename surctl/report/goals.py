@@ -122,7 +122,7 @@ def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
     ax.set_yticks(at, [f"{name} ({kind})" for name, kind in zip(data.names, kinds, strict=True)], parse_math=False)
     ax.set_xlim(0.0, right)
     ax.set_ylim(-0.6, count - 0.4)
-    legend_below(ax, columns=2, handles=[Patch(color=MUTED, label="hand gains"), Patch(color=ROBOT, label="tuned")])
+    legend_below(ax, columns=2, handles=[Patch(color=MUTED, label="start gains"), Patch(color=ROBOT, label="tuned")])
     return ax
 
 
@@ -153,7 +153,7 @@ def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
     score, effort = front.score(start), front.evaluation.effort
     ax.step(score, effort, where="post", color=MUTED, linewidth=1.0, zorder=1)
     ax.plot(score, effort, "o", color=GOOD, markersize=5, label="undominated", zorder=2)
-    for pool, mark, colour, label in ((tuning.hand, "s", MUTED, "hand gains"), (tuning.tuned, "D", AVOIDING, "tuned")):
+    for pool, mark, colour, label in ((tuning.hand, "s", MUTED, "start gains"), (tuning.tuned, "D", AVOIDING, "tuned")):
         at, thrust = float(pool.score(start)[0]), float(pool.evaluation.effort[0])
         if np.isfinite([at, thrust]).all():
             ax.plot(at, thrust, mark, color=colour, markersize=8, label=label, linestyle="none", zorder=3)
@@ -192,7 +192,7 @@ _OVER_TIME = {
 
 
 def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
-    """Return the metric of a goal over time for hand gains and tuned gains, in the worst run of the tuned gains.
+    """Return the metric of a goal over time for start gains and tuned gains, in the worst run of the tuned gains.
 
     The reference simulation repeats this run. The result is None if the metric is not a function of time.
 
@@ -216,7 +216,7 @@ def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
     tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
     worst = int(goal.normalised(figures([goal], own, tuned)[goal.metric][0]).argmax())
     base = tuning.request.base
-    sets = {"hand gains": base, "tuned": base.with_values(tuning.result.gains)}
+    sets = {"start gains": base, "tuned": base.with_values(tuning.result.gains)}
     time, values = {}, {}
     for label, gains in sets.items():
         time[label], values[label] = _course(own[worst], gains, goal.metric)

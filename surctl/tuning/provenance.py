@@ -118,7 +118,7 @@ def summary(tuning: Tuning) -> list[str]:
         >>> print(lines[-1])
         after 1 round(s): not verified by fresh runs
     """
-    lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'hand gains':>12}{'tuned':>12}{'normalised':>18}"]
+    lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'start gains':>12}{'tuned':>12}{'normalised':>18}"]
     for goal, one in zip(tuning.request.goals, goal_rows(tuning), strict=True):
         sign = "≤" if one["sense"] == "at most" else "≥"
         change = " → ".join(_normalised(one[f"normalised_{which}"]) for which in ("hand", "tuned"))

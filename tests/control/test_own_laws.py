@@ -256,7 +256,7 @@ def test_tuning_judges_no_margin_of_another_law(law: str, mission: Path, tmp_pat
         'scenario = "water.toml"\n'
     )
     tuned = surctl("tune", study, "--trust", "--trials", 2, "--rounds", 1, "--monte-carlo", 1, "--out", tmp_path / "t")
-    assert "goal disk margin is not judged: law my_law.py:wall has no linear model" in tuned.output
+    assert "goal disk margin is not judged: tune has no linear model of law my_law.py:wall" in tuned.output
     goals = [line.split()[0] for line in tuned.output.splitlines() if " hard " in line]
     assert goals
     assert "disk" not in goals
