@@ -158,8 +158,8 @@ def _plant(origin: Origin) -> str:
         f"D = diag({linear}), D₂ = diag({quadratic}) in SI units, and C(ν) ν = (−m₂₂ v r, m₁₁ u r, 0, (m₂₂ − m₁₁) u v)"
         f"{more}. τ follows the command, within ± {', '.join(f'{v:g}' for v in vehicle.delivered_limit)} N and N m, "
         f"with a first-order lag of {vehicle['thrust_lag']:g} s. The hull is a sphere of radius "
-        f"{vehicle['radius']:g} m around the position; nothing but the depth of the mission keeps it below the "
-        "surface and off the floor"
+        f"{vehicle['radius']:g} m around the position; nothing "
+        "but the depth of the mission keeps it below the surface and off the floor"
     )
 
 
