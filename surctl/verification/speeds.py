@@ -159,8 +159,9 @@ def over_speeds(
         >>> from surctl.verification import over_speeds
         >>> gains = load_gains("default").values
         >>> over = over_speeds(load_vehicle("sur400"), gains, cruise=(0.05, 0.15, 0.22), dt=0.05)
-        >>> over.worst_at("delay_margin_s"), over.worst_at("slowest_pole_per_s")
-        ('every speed', '0.05 m/s')
+        >>> pole, speed = over.worst("slowest_pole_per_s")
+        >>> round(pole, 3), speed
+        (-0.065, 0.05)
     """
     table = linear_table(vehicle, {}, base=gains, cruise=list(cruise), dt=dt, columns=columns)
     return OverSpeeds(tuple(cruise), {name: table[name] for name in columns})

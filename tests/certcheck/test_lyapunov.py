@@ -69,7 +69,7 @@ def test_a_proof_is_accepted(name: str) -> None:
         ("van-der-pol", ("scales",), [0.0, 1.0], "scales"),
         ("van-der-pol", ("scales",), [1.0], "scales"),
         ("van-der-pol", ("proofs",), [], "0 proofs"),
-        ("van-der-pol", ("claim", "about"), ["plant"], "does not state the plant"),
+        ("van-der-pol", ("claim", "about"), ["plant"], "must state the plant"),
         ("van-der-pol", ("claim", "about"), {"plant": "a", "controller": "b", "gains": []}, "gains by name"),
         ("van-der-pol", ("claim", "about"), {"plant": "a", "controller": [], "gains": {}}, "can be printed"),
         ("van-der-pol", ("claim", "about"), {"plant": "a", "controller": "b", "gains": {"k": 1.0}}, "list is missing"),

@@ -260,8 +260,9 @@ def test_tuning_judges_no_margin_of_another_law(law: str, mission: Path, tmp_pat
     goals = [line.split()[0] for line in tuned.output.splitlines() if " hard " in line]
     assert goals
     assert "disk" not in goals
-    assert "surctl verify" not in tuned.output
-    assert f"--law {own_file(law)}" in tuned.output
+    commands = [line for line in tuned.output.splitlines() if line.lstrip().startswith("surctl ")]
+    assert len(commands) == 2
+    assert all(f"--law {own_file(law)}" in command for command in commands)
 
 
 @pytest.mark.parametrize("name", ["wall_law.py:wall", "orbit_law.py:orbit", "orbit_law.py:station"])
