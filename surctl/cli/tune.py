@@ -54,7 +54,7 @@ __all__ = ["tune"]
     type=click.IntRange(min=1),
     default=256,
     metavar="N",
-    help="Gain sets per round (default 256), each simulated in all scenarios; the descent adds as many.",
+    help="Gain sets per round (default 256, in steps of 32), simulated in all scenarios; the descent adds some.",
 )
 @click.option(
     "--seed",
