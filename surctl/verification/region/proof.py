@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -14,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import Checked, check_document, seal
-from surctl.errors import SurctlError
-from surctl.ir import cached_bytes, source_digest
+from surctl.ir.stored_numbers import stored_numbers
 from surctl.verification.certified import Certified
 from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.heading import HeadingClaim
@@ -126,19 +123,17 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
     """Return the search result, new or from the cache, and the checker's result if the search ran in this call."""
     checks: list[Checked | None] = []
 
-    def build() -> bytes:
+    def build() -> dict[str, Any]:
         result, checked = _searched(claim, attempts, seed)
         checks.append(checked)
-        return json.dumps(result).encode()
+        return result
 
-    try:
-        sources = source_digest("surctl.verification.region", "surctl.certcheck")
-    except SurctlError:  # without a digest of the sources nothing is cached
-        return json.loads(build()), checks[0]
-    stated = replace(claim, name="", digests=("", ""))
-    parts = (sources, version("clarabel"), repr(stated), str(attempts), str(seed))
-    key = hashlib.sha256("\0".join(parts).encode()).hexdigest()
-    result = json.loads(cached_bytes(key, ".region", build))
+    result = stored_numbers(
+        ("surctl.verification.region", "surctl.certcheck"),
+        (version("clarabel"), replace(claim, name="", digests=("", "")), attempts, seed),
+        build,
+        suffix=".region",
+    )
     return result, checks[0] if checks else None
 
 
