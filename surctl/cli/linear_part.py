@@ -176,8 +176,8 @@ def speed_lines(
         return {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
 
     key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt)
-    numbers: dict[str, float] = stored_numbers(("surctl.verification", "surctl.vehicle"), key, searched)
-    nominal, stable, robust, _ = numbers.values()
+    numbers: dict[str, float] = stored_numbers(("surctl",), key, searched)  # the cascade reads laws, gains and plant
+    nominal, stable, robust = numbers["nominal_stable"], numbers["stable"], numbers["with_margin"]
     whom = "the nominal vehicle and the corners" if len(tried.vehicles) > 1 else "the nominal vehicle"
     margin = f"disk margin of all loops at least {LEAST_DISK_MARGIN:g}"
     held = f"up to {robust:.3g} m/s" if robust > 0 else "at no speed with these gains (surctl tune searches others)"
