@@ -80,6 +80,15 @@ def test_the_study_of_sessions_with_an_autopilot() -> None:
     assert len(rows) == 8 and all(row[2] == "1" and row[5] == "0" for row in rows)
 
 
+def test_the_study_of_long_checks() -> None:
+    done = run(ANALYSIS / "40_long_checks" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    files = sorted((ANALYSIS / "40_long_checks").glob("test_*.py"))
+    assert files and all(f"{file.name}::test_" in done.stdout for file in files)
+    none = run(ANALYSIS / "40_long_checks" / "run.py", "simulations")
+    assert none.returncode == 2 and "there is no file test_simulations.py" in none.stderr
+
+
 def test_the_study_of_echoes() -> None:
     need_compiler()
     done = run(ANALYSIS / "33_echoes" / "run.py", "--quick")
