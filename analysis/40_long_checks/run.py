@@ -4,8 +4,8 @@
     python analysis/40_long_checks/run.py --quick           # only imports them and counts them
     python analysis/40_long_checks/run.py simulation -x     # one file; pytest's options follow
 
-Prints pytest's output and then a Markdown table. The exit status is 0 if every check passes, 1 if one fails, and 2 for a
-bad option or a file that does not exist.
+Prints pytest's output and then a Markdown table. The exit status is 0 if every check passes, 1 if one fails, and 2 for
+a bad option or a file that does not exist.
 """
 
 from __future__ import annotations
