@@ -231,6 +231,7 @@ def verify(
         result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [f"the linear loop is unstable at {speeds[0]:g} m/s"] * (linear.stable is False)
+    failures += [linear.failure] * bool(linear.failure)
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
     others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
     failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]

@@ -122,3 +122,17 @@ def test_a_mistake_in_a_law_is_an_error_and_no_missing_margin(tmp_path: Path) ->
     words = ["verify", "--scenario", str(FILES / "wall.toml"), "--law", f"{tmp_path / 'mine.py'}:made"]
     with pytest.raises(InputError, match=r"mine\.py:made: mine\.decide: returned int, not Decision"):
         CliRunner().invoke(app, words, catch_exceptions=False, standalone_mode=False)
+
+
+def test_a_law_whose_run_ends_with_a_fault_fails(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import casadi as ca\nfrom surctl.control import Decision, LawSource\nfrom surctl.tasks import velocity_task\n"
+        "def decide(s):\n    return Decision([velocity_task(s.eta, ca.vertcat(0.1 * ca.sqrt(0.6 - s.eta[0]), 0))])\n"
+        "def made():\n    return LawSource('mine', decide)\n"
+    )
+    words = ["verify", "--scenario", str(FILES / "wall.toml"), "--law", f"{tmp_path / 'mine.py'}:made"]
+    judged = CliRunner().invoke(app, words, standalone_mode=False)
+    assert judged.return_value == 1
+    why = "the run of wall ended with a fault: command tau[0] is not finite at "
+    assert f"margins: not judged, because {why}" in judged.output
+    assert f"exit status 1, because {why}" in judged.output
