@@ -12,11 +12,10 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from surctl.lyapunov import Stability, decide_motion
 from surctl.vehicle import FITTED
-from surctl.verification.formula import parse, variable
 from tests.pictures import blank_pictures
 from tests.processes import run_python
 from tests.tools import need, need_compiler, need_module
@@ -577,13 +576,13 @@ def test_the_study_of_a_law_of_ones_own(monkeypatch: pytest.MonkeyPatch, capsys:
     assert [row[2] for row in table(capsys.readouterr().out)][1:] == ["yes"] * 3
 
 
-def test_the_speed_error_of_the_station_example_is_refuted_where_it_is_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_dynamics_of_the_claims_about_own_laws(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ANALYSIS / "27_own_law"))
     station, wall = (importlib.import_module(name) for name in ("station", "wall"))
     assert wall.distance().evaluate([[0.1], [0.0]])[1, 0] < 0  # towards the wall if too far from it
-    V = parse("root^2 + 10 * z^2", {name: variable(name) for name in ("root", "z")})
-    assert decide_motion(Stability(station.speed_error(sampled=True), V, 0.01)).verdict == "refuted"
-    assert not station.speed_error(sampled=False).discrete
+    root, z = station.speed_error().evaluate([[0.1, 0.0], [0.0, 0.05]])
+    np.testing.assert_allclose(root, [-0.03, -0.05], rtol=0.02)  # drag adds less than 1 % at a speed error of 0.01 m/s
+    np.testing.assert_allclose(z, [0.004, 0.0], atol=1e-15)
 
 
 def test_the_study_of_vehicles_with_unequal_masses() -> None:

@@ -1,4 +1,4 @@
-"""Study 27: a control law of one's own, a file of 30 lines, through the whole chain by the command line alone.
+"""Study 27: a control law of one's own, from one file, through the whole chain by the command line alone.
 
     python analysis/27_own_law/run.py            # some minutes
     python analysis/27_own_law/run.py --quick    # three of the steps, with fewer runs
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-LAW = ["--law", "wall_law.py:wall"]
+LAW = ["--law", "wall.py:wall"]
 
 
 def surctl(*arguments: str) -> tuple[int, dict[str, Any]]:
@@ -109,11 +109,10 @@ def main() -> int:
             steps += [("sonars", sonar, arrived), ("C with sonars", sensed, exported), ("FMU", fmu, exported)]
             steps += [("margins", ["verify", *mission, *LAW], judged)]
             more = ["--scenario", "orbit.toml", "--sensing", "truth"]
-            around, station = ["--law", "orbit_law.py:orbit"], ["--law", "orbit_law.py:station"]
+            station = ["--law", "station.py:station"]
             steps += [
                 ("station keeping", ["simulate", "orbit.toml", *station, "--priority-mode", "projected"], arrived),
                 ("station keeping, C", ["export", *more, *station, "--out", out("k")], exported),
-                ("orbit, C", ["export", *more, *around, "--out", out("o")], exported),
             ]
         if quick:
             steps = [step for step in steps if step[0] in ("true positions", "sweep", "C, float")]

@@ -66,7 +66,7 @@ def wall() -> Bench:
     """A law of one's own, linear about its run."""
     folder = HERE.parent / "27_own_law"
     scenario = load_scenario(str(folder / "wall.toml"))
-    law = f"{folder / 'wall_law.py'}:wall"
+    law = f"{folder / 'wall.py'}:wall"
     return Bench(load_vehicle(scenario.vehicle), scenario, load_gains("default"), (), law=law)
 
 

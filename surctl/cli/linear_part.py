@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from surctl.control import Gains, Law
-    from surctl.simulation import Scenario
+    from surctl.simulation import Run, Scenario
     from surctl.vehicle import Vehicle
-    from surctl.verification import OperatingPoint
 
 __all__ = ["LinearPart", "law_part", "linear_part", "over_speeds", "speed_lines"]
 
@@ -21,7 +20,7 @@ class LinearPart(NamedTuple):
 
     `stable` is None if no straight cruise is possible. `cruise` is the cruise speed [m/s]. `delay_s` is the least delay
     margin [s] of a single loop, and `disk` the least disk margin of a single loop; `peak` is the peak of the
-    sensitivity S of all loops together.
+    sensitivity S of all loops together. `failure` says why the run that shows the steady motion failed.
     """
 
     lines: list[str]
@@ -31,6 +30,7 @@ class LinearPart(NamedTuple):
     delay_s: float = math.nan
     disk: float = math.nan
     peak: float = math.inf
+    failure: str = ""
 
 
 def law_part(
@@ -61,12 +61,18 @@ def law_part(
     """
     from surctl.control import build_law, law_source
     from surctl.errors import InputError
-    from surctl.verification import law_corners
+    from surctl.simulation import stop_reason
+    from surctl.verification import law_corners, steady_motion
 
     source, built = law_source(law), build_law(law)  # a mistake in a law of the user's own is an error
     own = gains.with_own(source.gains)
+    run = None if source.steering is not None else _run(built, vehicle, own, cruise=cruise, mission=mission)
+    if run is not None and run.metrics.stopped_because == "fault":
+        why = f"the run of {run.scenario.name} ended with a fault: {stop_reason(run)}"
+        unjudged: dict[str, Any] = {"margins": [], "linear": {"not_judged": why}}
+        return LinearPart([f"margins: not judged, because {why}"], unjudged, None, cruise, failure=why)
     try:
-        at = None if source.steering is not None else _steady(built, vehicle, own, cruise=cruise, mission=mission)
+        at = None if run is None else steady_motion(run)
         corners = law_corners(built, vehicle, own, cruise=cruise, uncertainty=uncertainty or None, at=at)
     except InputError as error:
         which = f"a cruise at {cruise:g} m/s" if error.key in (None, "cruise") else error.key
@@ -80,16 +86,15 @@ def law_part(
     return LinearPart(lines, data, corners.stable, cruise, delay, disk)
 
 
-def _steady(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> OperatingPoint:
+def _run(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> Run:
     from surctl.simulation import Disturbance, mission_size, simulate, straight_mission
-    from surctl.verification import steady_motion
 
     if mission is None:
         scenario = straight_mission(vehicle, cruise=cruise, size=mission_size(vehicle, gains, cruise=cruise))
     else:
         calm = Disturbance(current_m_per_s=mission.disturbance.current_m_per_s)
         scenario = replace(mission, cruise=cruise, cap=max(mission.cap, cruise), disturbance=calm)
-    return steady_motion(simulate(scenario, vehicle, gains=gains, law=law))
+    return simulate(scenario, vehicle, gains=gains, law=law)
 
 
 def linear_part(

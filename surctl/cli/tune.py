@@ -228,6 +228,11 @@ def tune(
     kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
     cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
     goals, unjudged = judged_goals(goals, cases)
+    mine = [goal.name for goal in unjudged if goal.kind == "hard" and goal not in load_goals()]
+    if mine:
+        problem = f"is hard, but surctl has no linear model of law {label(plan.law)}"
+        remedy = 'write type = "margins" in place of metric, or drop it'
+        raise InputError(problem, file=goals_file or plan.source, key=f"goals.{mine[0]}", remedy=remedy)
     for goal in unjudged:
         omitted.append(f"goal {goal.name} is not judged: tune has no linear model of law {label(plan.law)}")
         progress(omitted[-1])

@@ -126,7 +126,7 @@ def verify(
         verify_motion(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     from surctl.cli.braking import is_braking, prove_all
     from surctl.cli.law_option import choose_law
-    from surctl.cli.linear_part import law_part, linear_part, over_speeds, speed_lines
+    from surctl.cli.linear_part import LinearPart, law_part, linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command
     from surctl.cli.regions import check_regions, is_region, prove_regions, region_of
     from surctl.cli.vehicle_choice import choose_vehicle
@@ -138,6 +138,9 @@ def verify(
     from surctl.verification import Inapplicable, check_held, decide, write_claim
     from surctl.verification.region import write_region
 
+    # claims of one's own alone concern no vehicle, so nothing is said of one
+    options_given = (vehicle, gains, cruise, cap, scenario, law, *stacks)
+    alone = bool(claims) and all(map(_is_claim_file, claims)) and all(word is None for word in options_given)
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
     vehicle, robot = choice.word, load_vehicle(choice.word)
@@ -172,13 +175,17 @@ def verify(
     dt = build_law().dt
     options = {"dt": dt, "uncertainty": uncertainty}
     cascaded = CASCADE in source.parts
-    linear = over_speeds(
-        [
-            linear_part(robot, values, cruise=u, **options)
-            if cascaded
-            else law_part(chosen_law, robot, tuned.gains, cruise=u, uncertainty=uncertainty, mission=mission)
-            for u in cruise or speeds[:1]
-        ]
+    linear = (
+        LinearPart([], {}, None, speeds[0])
+        if alone
+        else over_speeds(
+            [
+                linear_part(robot, values, cruise=u, **options)
+                if cascaded
+                else law_part(chosen_law, robot, tuned.gains, cruise=u, uncertainty=uncertainty, mission=mission)
+                for u in cruise or speeds[:1]
+            ]
+        )
     )
     safety = None
     if scenario is not None and cascaded:
@@ -197,8 +204,9 @@ def verify(
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
-    lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
-    lines += [*about_law, *tuned.lines, *linear.lines]
+    if not alone:
+        lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
+        lines += [*about_law, *tuned.lines, *linear.lines]
     held, held_data = (
         ([], {})
         if linear.stable is None or not cascaded
@@ -221,6 +229,8 @@ def verify(
         "speeds_m_per_s": held_data,
         **linear.data,
     }  # fmt: skip
+    if alone:
+        result = {"claims": result["claims"]}
     for name in stacks:
         conditions = _stack(name)
         lines += conditions.lines()
@@ -231,6 +241,7 @@ def verify(
         result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt)
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [f"the linear loop is unstable at {speeds[0]:g} m/s"] * (linear.stable is False)
+    failures += [linear.failure] * bool(linear.failure)
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
     others = [*regions.claims, *braked.claims, *(one.to_dict() for one in refused if named)]
     failures += [f"{one['claim']} is {one['verdict']}" for one in others if one["verdict"] != "proved"]
@@ -260,6 +271,12 @@ def verify(
         words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
         then.insert(0, shlex.join([*words, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
     finish(result, lines, as_json=as_json, passed=not failures, then=then)
+
+
+def _is_claim_file(word: str) -> bool:
+    from surctl.files import read_toml
+
+    return word.endswith(".toml") and Path(word).is_file() and read_toml(Path(word)).get("kind") == "claim"
 
 
 def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tuple[float, float]:

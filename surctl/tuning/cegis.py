@@ -262,7 +262,7 @@ def _round(
         verified = monte_carlo(request.goals, conditions, left.gains, threads=request.threads)
         word = ", ".join(verified.refuted) or "nothing"
         progress(f"{runs} fresh runs, seeds {verified.seeds[0]} to {verified.seeds[1]}, refute {word}")
-    failing = refuted_claims({**request.base.values, **left.gains}, seed=request.seed)
+    failing = refuted_claims({**request.base.values, **left.gains}, request.cases, seed=request.seed)
     points = tuple(
         ClaimPoint(v.claim.name, dict(v.counterexample.values), v.threshold) for v in failing if v.counterexample
     )

@@ -9,6 +9,8 @@ from functools import cache, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.control import PATH_FOLLOWING, law_source
+from surctl.simulation import Case
 from surctl.verification.counterexample import evaluate
 from surctl.verification.falsifier import falsify
 from surctl.verification.library import claims
@@ -32,8 +34,13 @@ def expected_to_hold() -> tuple[str, ...]:
     return tuple(claim.name for claim in claims() if claim.paper and claim.expected != "refuted")
 
 
-def refuted_claims(gains: Mapping[str, float], *, seed: int = 0) -> tuple[Verdict, ...]:
-    """Return the verdicts of the claims that should hold but are refuted with these gains."""
+def refuted_claims(gains: Mapping[str, float], cases: Sequence[Case], *, seed: int = 0) -> tuple[Verdict, ...]:
+    """Return the verdicts of the claims that should hold but are refuted with these gains.
+
+    The claims are about path following by equations (8)-(12): there are none if no case's law contains it.
+    """
+    if not any(PATH_FOLLOWING in law_source(case.law).parts and case.guidance == "los" for case in cases):
+        return ()
     return _refuted(tuple(sorted(gains.items())), seed)
 
 

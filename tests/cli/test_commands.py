@@ -123,6 +123,7 @@ def test_verify_proves_a_file_and_check_accepts_what_it_writes(tmp_path):
     done = surctl("verify", "mine.toml", "--out", "proofs", "--json", cwd=tmp_path)
     assert done.status == 0
     (claim,) = done.json["claims"]
+    assert set(done.json) == {"claims", "pictures", "next"}  # nothing about a vehicle
     assert claim["verdict"] == "proved" and claim["certificate"]["file"] == "proofs/sway.json"
     assert {f"proofs/{p.name}" for p in (tmp_path / "proofs").glob("*.png")} == set(done.json["pictures"])
     assert "proofs/sway-cells.png" in done.json["pictures"]

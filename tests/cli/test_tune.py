@@ -27,6 +27,18 @@ at_most = { value = 12.0, unit = "s" }
 SMALL = ("--gain", "k_v=0.8..3", "--trials", 8, "--seeds", 1, "--rounds", 1, "--monte-carlo", 4, "--json")
 
 
+def test_a_hard_goal_that_cannot_be_judged_is_refused_and_a_soft_one_warned_of(tmp_path):
+    goal = '\n[[goals]]\nname = "robust"\nmetric = "disk_margin"\nat_least = { value = 0.5, unit = "1" }\nkind = "%s"\n'
+    text = (STUDY % "0.01").replace('vehicle = "sur400"', 'vehicle = "sur400"\nguidance = "ilos"')
+    for kind, level, status in (("hard", "error", 1), ("soft", "warning", 0)):
+        (tmp_path / "study.toml").write_text(text + goal % kind)
+        lint = surctl("lint", "study.toml", cwd=tmp_path)
+        assert lint.status == status and f"{level}: goals.robust: is not judged, because surctl has no" in lint.out
+    (tmp_path / "study.toml").write_text(text + goal % "hard")
+    done = surctl("tune", "study.toml", "--out", "out", cwd=tmp_path)
+    assert done.status == 2 and "study.toml: goals.robust: is hard, but " in done.err and 'type = "margins"' in done.err
+
+
 def test_tune_writes_gains_with_provenance_and_all_else(tmp_path):
     need_compiler()
     (tmp_path / "small.toml").write_text(STUDY % "0.01")

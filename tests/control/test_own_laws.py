@@ -265,23 +265,24 @@ def test_tuning_judges_no_margin_of_another_law(law: str, mission: Path, tmp_pat
     assert all(f"--law {own_file(law)}" in command for command in commands)
 
 
-@pytest.mark.parametrize("name", ["wall_law.py:wall", "orbit_law.py:orbit", "orbit_law.py:station"])
+@pytest.mark.parametrize("name", ["wall.py:wall", "station.py:station"])
 def test_the_laws_of_the_study_pass_the_public_check(name: str) -> None:
     report = check_law(law_source(law_ref(name, folder=STUDY)))
     assert report.samples == 200
-    assert report.name in name.replace("wall_law.py:wall", "wall_follower")
+    assert report.name in name.replace("wall.py:wall", "wall_follower")
 
 
 def test_super_twisting_reaches_its_station_and_an_orbit_its_circle() -> None:
     scenario, vehicle = load_scenario(str(STUDY / "orbit.toml")), load_vehicle("sur540-flooded")
-    laws = {name: build_law(law_ref(f"orbit_law.py:{name}", folder=STUDY)) for name in ("station", "orbit")}
-    runs = {name: simulate(scenario, vehicle, gains=load_gains("default"), law=law) for name, law in laws.items()}
-    assert runs["station"].metrics.reached
-    place = runs["orbit"].record.eta[-400:, :2] - [5.0, 2.5]
-    assert np.abs(np.hypot(*place.T) - 1.0).max() < 0.06
-    turned = runs["orbit"].record.law_state[:, laws["orbit"].state.slice("turned")].ravel()
-    angle = np.unwrap(np.arctan2(*(runs["orbit"].record.eta[:, :2] - [5.0, 2.5]).T[::-1]))
-    assert turned[-1] - turned[-401] == pytest.approx(angle[-1] - angle[-401], rel=0.1)
+    law, gains = build_law(law_ref("station.py:station", folder=STUDY)), load_gains("default")
+    gains = gains.with_own(law_source(law.ref).gains)
+    assert simulate(scenario, vehicle, gains=gains, law=law).metrics.reached
+    run = simulate(scenario, vehicle, gains=gains.with_values({"radius": 1.0}), law=law)
+    offset = run.record.eta[-401:, :2] - scenario.path.waypoints[-1]
+    assert np.abs(np.hypot(*offset.T) - 1.0).max() < 0.06
+    turned = run.record.law_state[:, law.state.slice("turned")].ravel()
+    angle = np.unwrap(np.arctan2(*offset.T[::-1]))
+    assert turned[-1] - turned[-401] == pytest.approx(angle[-1] - angle[0], rel=0.1)
 
 
 def test_a_report_and_its_files_name_an_own_law(law: str, mission: Path) -> None:

@@ -303,7 +303,7 @@ def test_a_law_of_ones_own_is_linear_about_its_run():
     scenario = load_scenario(str(FILES / "wall.toml"))
     goal = Goal("g", "loop_goal", "1", 1.0, loop=Settling(name="g", source="y", end="y", at_most=30.0))
     bench = Bench(
-        load_vehicle(scenario.vehicle), scenario, load_gains("default"), (goal,), law=f"{FILES / 'wall_law.py'}:wall"
+        load_vehicle(scenario.vehicle), scenario, load_gains("default"), (goal,), law=f"{FILES / 'wall.py'}:wall"
     )
     assert bench.points[0] == "its own run" and {"k_wall", "stand_off"} <= {one.name for one in bench.sliders}
     start = {one.name: one.value for one in bench.sliders}

@@ -4,13 +4,14 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surctl.control import load_gains, write_gains
+from surctl.control import law_ref, load_gains, write_gains
 from surctl.errors import InputError
 from surctl.tuning import (
     Counterexample,
@@ -374,8 +375,17 @@ def test_the_gain_file_says_where_it_comes_from_and_reads_back(monkeypatch, tmp_
 
 
 def test_claims_that_should_hold_do_for_the_shipped_gains():
-    assert refuted_claims(GAINS.values) == ()
+    assert refuted_claims(GAINS.values, [case()]) == ()
     assert "v1-corrected" in expected_to_hold()
+
+
+def test_claims_about_path_following_do_not_judge_the_gains_of_another_law():
+    # a gain of a law of one's own may have the name of a constant of these claims
+    named_alike = {**GAINS.values, "radius": 0.0}
+    with pytest.raises(InputError, match="radius"):
+        refuted_claims(named_alike, [case()])
+    own = law_ref("wall.py:wall", folder=Path(__file__).parents[2] / "analysis" / "27_own_law")
+    assert refuted_claims(named_alike, [replace(case(), law=own), replace(case(), guidance="ilos")]) == ()
 
 
 def test_a_refuted_point_of_a_claim_is_a_constraint(monkeypatch):

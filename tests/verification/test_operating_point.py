@@ -19,7 +19,7 @@ from surctl.vehicle import load_vehicle
 from surctl.verification import law_loop, steady_motion
 
 FILES = Path(__file__).parents[2] / "analysis" / "27_own_law"
-WALL = law_ref(f"{FILES / 'wall_law.py'}:wall")
+WALL = law_ref(f"{FILES / 'wall.py'}:wall")
 VEHICLE = load_vehicle("sur540-flooded")
 GAINS = load_gains("default").with_own(law_source(WALL).gains)
 
@@ -104,15 +104,15 @@ def test_a_motion_that_is_not_steady_is_refused() -> None:
 
 
 def test_the_command_line_judges_an_own_law_and_no_claim_of_another() -> None:
-    words = ["verify", "--law", f"{FILES / 'wall_law.py'}:wall", "--scenario", str(FILES / "wall.toml")]
+    words = ["verify", "--law", f"{FILES / 'wall.py'}:wall", "--scenario", str(FILES / "wall.toml")]
     judged = CliRunner().invoke(app, [*words, "v1-corrected", "--uncertainty", "0.1"], standalone_mode=False)
     assert judged.return_value == 1, judged.output
     assert "about the steady motion at" in judged.output and "loop surge: gain 0 to" in judged.output
     assert "no-contact claim: not judged" in judged.output
-    assert "v1-corrected           not applicable to law wall_law.py:wall" in judged.output
+    assert "v1-corrected           not applicable to law wall.py:wall" in judged.output
     region = CliRunner().invoke(app, [*words, "region-cruise-20"], standalone_mode=False)
     assert isinstance(region.exception, InputError)
-    assert "does not concern the law wall_law.py:wall" in str(region.exception)
+    assert "does not concern the law wall.py:wall" in str(region.exception)
 
 
 def test_a_mistake_in_a_law_is_an_error_and_no_missing_margin(tmp_path: Path) -> None:
@@ -122,3 +122,17 @@ def test_a_mistake_in_a_law_is_an_error_and_no_missing_margin(tmp_path: Path) ->
     words = ["verify", "--scenario", str(FILES / "wall.toml"), "--law", f"{tmp_path / 'mine.py'}:made"]
     with pytest.raises(InputError, match=r"mine\.py:made: mine\.decide: returned int, not Decision"):
         CliRunner().invoke(app, words, catch_exceptions=False, standalone_mode=False)
+
+
+def test_a_law_whose_run_ends_with_a_fault_fails(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "import casadi as ca\nfrom surctl.control import Decision, LawSource\nfrom surctl.tasks import velocity_task\n"
+        "def decide(s):\n    return Decision([velocity_task(s.eta, ca.vertcat(0.1 * ca.sqrt(0.6 - s.eta[0]), 0))])\n"
+        "def made():\n    return LawSource('mine', decide)\n"
+    )
+    words = ["verify", "--scenario", str(FILES / "wall.toml"), "--law", f"{tmp_path / 'mine.py'}:made"]
+    judged = CliRunner().invoke(app, words, standalone_mode=False)
+    assert judged.return_value == 1
+    why = "the run of wall ended with a fault: command tau[0] is not finite at "
+    assert f"margins: not judged, because {why}" in judged.output
+    assert f"exit status 1, because {why}" in judged.output
