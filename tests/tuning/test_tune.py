@@ -1,3 +1,4 @@
+import hashlib
 import json
 import resource
 import subprocess
@@ -359,6 +360,10 @@ def test_rounds_resume_without_a_run_of_the_finished_ones(monkeypatch, tmp_path)
     assert json.dumps(tuning_dict(resumed)) == json.dumps(tuning_dict(whole))
     assert again.runs < 0.2 * first.runs
     # a record that is not this request's, or no record at all, is not trusted
+    stored = json.loads((tmp_path / "rounds.json").read_text())
+    for owner, count in ((hashlib.sha256(b"request").hexdigest(), len(whole.rounds)), ("x", 0)):
+        (tmp_path / "rounds.json").write_text(json.dumps(stored | {"request": owner}))
+        assert len(Record(tmp_path, "request").rounds) == count
     for rubbish in ("{", json.dumps({"request": "x", "rounds": []}), json.dumps({"request": 3}), "[]"):
         (tmp_path / "rounds.json").write_text(rubbish)
         assert Record(tmp_path, "request").rounds == []
