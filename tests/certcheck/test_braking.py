@@ -168,7 +168,7 @@ def refuted(changed: dict[str, Any]) -> bool:
 
 def test_no_altered_certificate_that_brute_force_refutes_is_accepted() -> None:
     rng, false, accepted = np.random.default_rng(5), 0, 0
-    for k in range(60):
+    for k in range(30):
         name = NAMES[k % len(NAMES)]
         part = "claim" if rng.uniform() < 0.7 else "proof"
         _, changed = altered(document(name), [part], rng, (0.02, 0.3, 1.0))
@@ -181,7 +181,7 @@ def test_no_altered_certificate_that_brute_force_refutes_is_accepted() -> None:
             assert not refuted(changed), name
         elif k % 5 == 0:
             false += refuted(changed)
-    assert accepted > 4 and false > 4
+    assert accepted > 2 and false > 2
 
 
 def test_brute_force_refutes_none_of_the_kept_ones() -> None:
@@ -250,7 +250,7 @@ def test_beyond_the_excess_the_velocity_loop_asks_for_the_braking_force() -> Non
 
 def test_drag_by_axis_never_pushes_more_nor_helps_less_than_stated() -> None:
     whole = document("braking-inertia-20-axes")
-    rng, n = np.random.default_rng(7), 200_000
+    rng, n = np.random.default_rng(7), 40_000
     whole["claim"]["encounter"]["sideways_m_per_s"] = 0.2
     claim, from_float = read_claim(whole["claim"]), whole["claim"]["vehicle"]
     w = rng.uniform(-0.2, 0.2, n)
@@ -265,9 +265,9 @@ def test_drag_by_axis_never_pushes_more_nor_helps_less_than_stated() -> None:
     helps = encounters.drag(whole, along)
     assert np.all(force[ahead] >= helps[ahead] - (push - turned) - 1e-9)
     astern = ~ahead
-    most = np.array([float(largest_disturbance(claim, Fraction(float(-a)))) - turned for a in along[astern][:20_000]])
-    assert np.all(-force[astern][:20_000] <= -helps[astern][:20_000] + most + 1e-9)
-    still = astern.nonzero()[0][:20_000]
+    most = np.array([float(largest_disturbance(claim, Fraction(float(-a)))) - turned for a in along[astern][:3_000]])
+    assert np.all(-force[astern][:3_000] <= -helps[astern][:3_000] + most + 1e-9)
+    still = astern.nonzero()[0][:3_000]
     assert np.max((-force[still] + helps[still]) / most) > 0.5  # not far too much either
 
 

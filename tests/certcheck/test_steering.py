@@ -115,7 +115,7 @@ def _with(offset: float) -> dict[str, Any]:
 
 def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     rng, rejected, accepted = np.random.default_rng(5), 0, 0
-    for _ in range(24):
+    for _ in range(12):
         path, changed = altered(document(), ("claim", "proof"), rng)
         if not check_document(sealed(changed)).accepted:
             rejected += 1
@@ -124,7 +124,7 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
         p = _matrix(changed["proof"]["P"])
         assert quadratic(p, [Fraction(repr(changed["claim"]["motion"]["offset_m"])), *[Fraction(0)] * 5]) <= 1, path
         assert worst(changed, count=3000) <= 1e-9, path
-    assert rejected > 12 and accepted > 2  # neither everything nor nothing passes
+    assert rejected > 5 and accepted > 1  # neither everything nor nothing passes
 
 
 @pytest.mark.parametrize("change", ["side", "no fins", "drag"])
@@ -141,7 +141,7 @@ def test_a_rudder_is_not_taken_for_something_else(change: str) -> None:
 
 @pytest.mark.parametrize(
     ("path", "terms"),
-    [(KEPT, {}), (KEPT, {"Yuv": 20.0, "Yur": -6.0, "Nuv": -9.0, "Nvv": 3.0, "Yvr": 2.0, "Nr": None}), (FINS, {})],
+    [(KEPT, {"Yuv": 20.0, "Yur": -6.0, "Nuv": -9.0, "Nvv": 3.0, "Yvr": 2.0, "Nr": None}), (FINS, {})],
 )
 def test_the_matrices_enclose_the_loop(path: Path, terms: dict[str, float]) -> None:
     whole, rng = document(path), np.random.default_rng(2)
@@ -150,9 +150,9 @@ def test_the_matrices_enclose_the_loop(path: Path, terms: dict[str, float]) -> N
     p = _matrix(whole["proof"]["P"])
     A = vertices(claim, parameters(claim, extent_of(claim, p)))
     P = np.array([[float(e) for e in row] for row in p])
-    xi = rng.normal(size=(400, 6)) @ np.linalg.inv(np.linalg.cholesky(P))
-    xi *= (rng.uniform(0.1, 1, size=400) / np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi)))[:, None]
-    rate, direction = true_rate(claim, draw_crafts(claim, 400, rng), xi), rng.normal(size=(400, 6))
+    xi = rng.normal(size=(100, 6)) @ np.linalg.inv(np.linalg.cholesky(P))
+    xi *= (rng.uniform(0.1, 1, size=100) / np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi)))[:, None]
+    rate, direction = true_rate(claim, draw_crafts(claim, 100, rng), xi), rng.normal(size=(100, 6))
     most = np.array([(d @ A @ x).max() for d, x in zip(direction, xi, strict=True)])
     assert np.all(np.einsum("ni,ni->n", direction, rate) <= most + 1e-12)
 

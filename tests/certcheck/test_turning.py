@@ -159,14 +159,14 @@ def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     whole, rng = quick(), np.random.default_rng(5)
     assert check_document(whole).accepted
     rejected, accepted = 0, 0
-    for _ in range(60):
+    for _ in range(30):
         path, changed = altered(whole, ("claim", "proof"), rng)
         if not check_document(sealed(changed)).accepted:
             rejected += 1
             continue
         accepted += 1
         assert not refuted(changed), path
-    assert rejected > 30 and accepted > 2  # neither everything nor nothing passes
+    assert rejected > 12 and accepted > 1  # neither everything nor nothing passes
 
 
 # the pieces of the proof, against sampling

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -33,7 +34,7 @@ class StandIn:
     outputs: Layout
     function: ca.Function
 
-    @property
+    @cached_property
     def block(self) -> Block:
         return lower(self.function)
 

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from functools import cache, cached_property
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,7 +15,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
 from surctl.export import (
     TARGETS,
@@ -30,9 +30,7 @@ from surctl.export import (
 )
 from surctl.export.precision import Rounded
 from surctl.export.trial import trial_steps
-from surctl.ir import Block, Layout, Port, lower, stack_of, without_libm
-from surctl.simulation import load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.ir import Block, Layout, Port, Real, lower, stack_of, without_libm
 from tests.export.altered import altered
 from tests.export.closed_form import exported
 from tests.export.standin import StandIn, recorded, stand_in
@@ -44,26 +42,15 @@ EMULATED = ("cortex-m3", "cortex-m4f", "cortex-m4f-Os", "cortex-m7")
 class Exact(StandIn):
     """The stand-in with its sines written out."""
 
-    @property
+    @cached_property
     def block(self) -> Block:
         return without_libm(lower(self.function))
 
 
+@cache
 def exact(**options: float) -> Exact:
     law = stand_in(**options)  # type: ignore[arg-type]  # the gain
     return Exact(*(getattr(law, name) for name in ("name", "dt", "state", "inputs", "gains", "outputs", "function")))
-
-
-@pytest.fixture(scope="module")
-def flight() -> tuple[object, Records]:
-    """The law with true positions, and a flight of it."""
-    mission = replace(load_scenario("pool-static"), time_limit=2.0)
-    law = build_law()
-    run = simulate(
-        mission, load_vehicle(mission.vehicle), gains=load_gains("default"), law=law, sensing="truth", seed=0
-    )
-    record = run.record
-    return law, as_records(law, Records(record.law_state, record.law_input, record.law_parameters))
 
 
 def compiled(law: object, run: Records, folder: Path, real: str) -> Controller:
@@ -79,14 +66,12 @@ def compiled(law: object, run: Records, folder: Path, real: str) -> Controller:
     ],
 )
 def test_every_compiler_and_processor_gives_the_bytes_of_python(
-    flight: tuple[object, Records], tmp_path: Path, real: str, names: tuple[str, ...]
+    tmp_path: Path, real: Real, names: tuple[str, ...]
 ) -> None:
     for tool in ("gcc", "clang", "arm-none-eabi-gcc", "qemu-system-arm"):
         need(tool)
-    law, run = flight
-    if real == "float32":  # where each operation may be a subroutine, the smallest law (study 18 has the others)
-        law, _, run = exported("float32")
-        run = Records(run.X[:40], run.U[:40], run.P[:40])
+    law, _, run = exported(real)  # the smallest law: study 18 has the others
+    run = Records(run.X[:40], run.U[:40], run.P[:40])
     targets, untried = chosen_targets(names)
     assert not untried
     report = check_builds(compiled(law, run, tmp_path, real), [run], targets, steps=60)

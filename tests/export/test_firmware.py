@@ -113,7 +113,10 @@ def test_the_example_reacts_to_each_status(folder: Path) -> None:
 def test_cmake_builds_and_tests_the_bundle(folder: Path) -> None:
     cmake, ctest = need("cmake"), need("ctest")
     build_folder = folder / "cmake-build"
-    for command in ([cmake, "-S", ".", "-B", str(build_folder)], [cmake, "--build", str(build_folder)]):
+    for command in (
+        [cmake, "-S", ".", "-B", str(build_folder), "-DCMAKE_C_COMPILER_WORKS=1"],
+        [cmake, "--build", str(build_folder)],
+    ):
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stdout + done.stderr
     done = subprocess.run([ctest, "--test-dir", str(build_folder)], capture_output=True, text=True, check=False)

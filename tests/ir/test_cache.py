@@ -18,6 +18,8 @@ from surctl.ir import CacheUnused, Native, cache_folder, cached_bytes, lower, sh
 from surctl.ir import cache as module
 from tests.tools import need_compiler
 
+PROCESSES = multiprocessing.get_context("forkserver")  # loads this module once, and not once a process
+PROCESSES.set_forkserver_preload([__name__])
 EVIL = hashlib.sha256(b"evil").digest() + b"evil"
 SOURCE = "int answer(void);\nint answer(void) { return 42; }\n"
 
@@ -130,7 +132,7 @@ def test_what_cannot_be_built_leaves_nothing(tmp_path: Path) -> None:
 
 def test_processes_that_build_at_once_all_succeed(tmp_path: Path) -> None:
     """Each writes other bytes, over and over, and reads what any of them has written."""
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
+    with PROCESSES.Pool(2) as pool:
         seen = pool.map(_written_and_read, [(tmp_path / "c", k) for k in range(4)], chunksize=1)
     assert sum(seen) > 0  # entries of another process were read, each of them whole
     assert len(list((tmp_path / "c").glob("*.law"))) == 40
@@ -152,7 +154,7 @@ def _written_and_read(task: tuple[Path, int]) -> int:
 def test_of_processes_that_need_an_entry_at_once_one_builds_it_also_within_another(tmp_path: Path) -> None:
     built = tmp_path / "built"
     built.touch()
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
+    with PROCESSES.Pool(2) as pool:
         assert set(pool.map(_slowly, [tmp_path] * 2, chunksize=1)) == {b"outer inner"}
     assert sorted(built.read_text().split()) == ["inner", "outer"]
 
@@ -178,8 +180,8 @@ def test_an_entry_whose_owner_is_stopped_is_built_after_a_while(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "_PATIENCE", 0.1)
-    taken = multiprocessing.get_context("spawn").Event()
-    owner = multiprocessing.get_context("spawn").Process(target=_taken, args=(tmp_path, taken))
+    taken = PROCESSES.Event()
+    owner = PROCESSES.Process(target=_taken, args=(tmp_path, taken))
     owner.start()
     taken.wait()
     assert cached_bytes("00", ".law", lambda: b"law", folder=tmp_path) == b"law"

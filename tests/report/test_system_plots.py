@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import sys
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -28,11 +29,15 @@ from surctl.report import (
 )
 from surctl.report.pictures import save_figure
 from surctl.report.theme import new_axes
-from surctl.system import Controller, Plant, Runs, System, run_system
+from surctl.system import Controller, Plant, Record, Runs, System, run_system
 from tests.system.examples import pendulum
 
 STARTS = np.linspace(-0.4, 0.4, 7)
-RUNS = [run_system(pendulum(), 0.5, {"start.angle": a}) for a in (*STARTS, 1.6)]
+
+
+@cache
+def runs() -> list[Record]:
+    return [run_system(pendulum(), 0.5, {"start.angle": a}) for a in (*STARTS, 1.6)]
 
 
 def test_every_result_with_a_picture_has_one() -> None:
@@ -54,20 +59,20 @@ def test_every_result_with_a_picture_has_one() -> None:
 
 
 def test_a_fan_has_the_percentiles_of_the_runs() -> None:
-    ax = plot_fan(RUNS[:7], "angle")
-    table = np.array([run["angle"][:, 0] for run in RUNS[:7]])
+    ax = plot_fan(runs()[:7], "angle")
+    table = np.array([run["angle"][:, 0] for run in runs()[:7]])
     median, least, greatest = (line.get_ydata() for line in ax.lines)
     assert median == pytest.approx(np.median(table, axis=0))
     assert least == pytest.approx(table.min(axis=0)) and greatest == pytest.approx(table.max(axis=0))
     assert len(ax.collections) == 2 and ax.get_ylabel() == "angle [rad]"
-    short = plot_fan(RUNS, "angle")  # the last run has fallen at once
-    assert len(short.lines[0].get_xdata()) == len(RUNS[0].time)
+    short = plot_fan(runs(), "angle")  # the last run has fallen at once
+    assert len(short.lines[0].get_xdata()) == len(runs()[0].time)
     with pytest.raises(InputError, match="signal = 'angel': is not a signal of the run; did you mean 'angle'"):
-        plot_fan(RUNS, "angel")
+        plot_fan(runs(), "angel")
 
 
 def test_a_phase_plane_marks_what_ended_early() -> None:
-    ax = plot_phase_plane(RUNS, "angle", "rate")
+    ax = plot_phase_plane(runs(), "angle", "rate")
     ends = [line for line in ax.lines if line.get_marker() == "s"]
     assert [to_rgb(end.get_color())[0] > 0.5 for end in ends] == [False] * 7 + [True]
     assert ax.get_xlabel() == "angle [rad]" and ax.get_ylabel() == "rate [rad/s]"
@@ -129,7 +134,7 @@ def test_attainable_rates_of_a_plant_that_saturates_are_refused() -> None:
 
 
 def test_limits_are_drawn_and_the_figure_turns_dark() -> None:
-    figure = plot_record(RUNS[0], limits={"torque": (-5.0, 5.0)})
+    figure = plot_record(runs()[0], limits={"torque": (-5.0, 5.0)})
     ax = next(ax for ax in figure.axes if ax.get_ylabel() == "torque [N m]")
     assert ax.get_ylim()[0] < -5 and ax.get_ylim()[1] > 5 and len(ax.patches) == 2
     dark = darkened(figure)
@@ -157,7 +162,7 @@ def test_a_picture_names_its_command(
 
 
 def test_a_picture_names_the_function_that_plotted_it(tmp_path: Path) -> None:
-    figure = plot_phase_plane(RUNS[:1], "angle", "rate").figure.figure
+    figure = plot_phase_plane(runs()[:1], "angle", "rate").figure.figure
     name = "surctl.report.system_plots.plot_phase_plane"
     figure.savefig(tmp_path / "a", metadata={"Author": "me"})  # the format is matplotlib's default
     for path in (tmp_path / "a.png", save_figure(figure, tmp_path, ("b",))):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -62,17 +59,3 @@ def install(monkeypatch):
     monkeypatch.setattr(netcdf, "law_digest", lambda case: "stub")
     monkeypatch.setattr(measure, "build_law", lambda law: SimpleNamespace(dt=0.05))
     CALLS.clear()
-
-
-def slow_squares(index, points):
-    """A chunk's evaluator that leaves a trace of every evaluation and takes a moment."""
-    with Path(os.environ["SURCTL_TEST_TRACE"]).open("a") as file:
-        file.write(f"{index}\n")
-    time.sleep(float(os.environ.get("SURCTL_TEST_PAUSE", "0.001")))
-    return np.column_stack([points[:, 0] ** 2, np.sin(points[:, 0]) + index])
-
-
-def own_number(index, points):
-    """The worker's process; takes a moment."""
-    time.sleep(0.01)
-    return np.array([[float(os.getpid())]])

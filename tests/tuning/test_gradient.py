@@ -18,7 +18,7 @@ GAINS = load_gains("default")
 NAMES = ("k_v", "lookahead", "margin", "k1", "k_r")
 AT = np.array([1.37, 0.93, 0.061, 0.33, 1.2])
 WEIGHTS = {"deviation": 1.0, "clearance": 0.7, "effort": 0.01, "remaining": 0.4}
-SCENARIOS = {"pool-static": 80, "tank-speed-015": 160}  # steps to where an obstacle counts
+SCENARIOS = {"pool-static": 60, "tank-speed-015": 160}  # steps to where an obstacle counts
 
 
 def case(name: str) -> Case:
@@ -83,14 +83,14 @@ def test_refining_poor_gains_lowers_the_true_metrics() -> None:
     flown = case("pool-static")
     poor = GAINS.with_values({"k_v": 0.5, "lookahead": 2.0})
     found = refine(
-        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=160, iterations=4, floor=0.0, seed=1
+        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=160, iterations=2, floor=0.0, seed=1
     )
     (history,) = found.history
     assert found.cost == pytest.approx(min(history)) and found.cost < 0.95 * history[0]
     before, after = (simulate(flown.scenario, flown.vehicle, gains=g, seed=1).metrics for g in (poor, found.gains))
     assert after.reached and after.deviation_m < before.deviation_m
     first, again = (
-        refine([flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=40, iterations=1, floor=0.0, seed=1)
+        refine([flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=20, iterations=1, floor=0.0, seed=1)
         for _ in range(2)
     )
     assert again.gains.values == first.gains.values

@@ -66,7 +66,9 @@ def test_a_search_without_a_regulator_advises_nothing_that_no_option_can_set(mon
     ]
 
 
-def test_a_search_starts_from_the_regulator_and_from_the_descent() -> None:
+def test_a_search_starts_from_the_regulator_and_from_the_descent(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surctl.tuning.start._ITERATIONS", 2)
+    monkeypatch.setattr("surctl.tuning.start._horizon", lambda _: 80)
     scenario, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
     poor = load_gains("default").with_values({"lookahead": 2.0})
     near = Goal("near", "deviation_m", "m", 0.1)

@@ -38,6 +38,7 @@ from surctl.tuning.sweep import run_chunks
 from surctl.tuning.table import judged
 from tests.tools import PATIENCE
 from tests.tuning import stub
+from tests.tuning.chunk_work import CHUNKS, own_number, slow_squares
 
 ROOT = Path(__file__).parents[2]
 GRID = grid([Axis("k_v", (0.5, 1.0, 2.0)), Axis("lookahead", (0.6, 1.0))])
@@ -297,9 +298,6 @@ def test_feasible_takes_arrival_clearance_and_margins():
 # --- chunks
 
 
-CHUNKS = [(k, np.arange(3.0)[:, None] + 3 * k) for k in range(40)]
-
-
 def kept(folder):
     return ChunkStore(folder, "request")
 
@@ -376,7 +374,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
     with monkeypatch.context() as patch, shelf.open():
         patch.setattr(store.os, "fsync", fsync)
         with pytest.raises(InputError, match="No space left on device") as caught:
-            run_chunks(stub.slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
+            run_chunks(slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
     assert "\n" not in str(caught.value)
     assert not list((tmp_path / "chunks").glob("*.tmp"))
     assert [shelf.has(k, (3, 2)) for k, _ in CHUNKS] == [k < 10 for k in range(40)]
@@ -401,8 +399,7 @@ from pathlib import Path
 from surctl.tuning.executors import LocalExecutor
 from surctl.simulation.store import ChunkStore
 from surctl.tuning.sweep import run_chunks
-from tests.tuning.stub import slow_squares
-from tests.tuning.test_sweep import CHUNKS
+from tests.tuning.chunk_work import CHUNKS, slow_squares
 
 shelf, draw = ChunkStore(Path(sys.argv[1]), "request"), random.Random(int(sys.argv[2]))
 
@@ -438,7 +435,7 @@ def test_killed_twenty_times_it_is_the_same_to_the_byte(tmp_path, monkeypatch):
     monkeypatch.setenv("SURCTL_TEST_TRACE", str(tmp_path / "other"))
     shelf = kept(tmp_path / "whole")
     with shelf.open():
-        run_chunks(stub.slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
+        run_chunks(slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
     for path in sorted((tmp_path / "whole").glob("*.chunk")):
         assert path.read_bytes() == (tmp_path / "killed" / path.name).read_bytes()
     assert not list((tmp_path / "killed").glob("*.tmp"))
@@ -448,7 +445,7 @@ LEFT = """
 import os, signal, sys
 import numpy as np
 from surctl.tuning.executors import LocalExecutor
-from tests.tuning.stub import own_number
+from tests.tuning.chunk_work import own_number
 
 if __name__ == "__main__":
     done = LocalExecutor(2, alone_s=0.0).map_chunks(own_number, [(k, np.ones((1, 1))) for k in range(10_000)])
@@ -483,17 +480,17 @@ def test_workers_do_not_outlive_who_asked_for_them(tmp_path):
 
 def test_workers_give_the_same(tmp_path, monkeypatch):
     monkeypatch.setenv("SURCTL_TEST_TRACE", str(tmp_path / "trace"))
-    one = dict(LocalExecutor(1).map_chunks(stub.slow_squares, CHUNKS))
-    two = dict(LocalExecutor(2, alone_s=0.005).map_chunks(stub.slow_squares, CHUNKS))  # some here, some in workers
+    one = dict(LocalExecutor(1).map_chunks(slow_squares, CHUNKS))
+    two = dict(LocalExecutor(2, alone_s=0.005).map_chunks(slow_squares, CHUNKS))  # some here, some in workers
     assert sorted(two) == list(range(40))
     assert all(np.array_equal(one[k], two[k]) for k in one)
 
 
 def test_workers_are_started_for_long_work_alone():
     chunks = [(k, np.ones((1, 1))) for k in range(6)]
-    short = dict(LocalExecutor(2, alone_s=60.0).map_chunks(stub.own_number, chunks))
+    short = dict(LocalExecutor(2, alone_s=60.0).map_chunks(own_number, chunks))
     assert {int(found[0, 0]) for found in short.values()} == {os.getpid()}
-    long = dict(LocalExecutor(2, alone_s=0.015).map_chunks(stub.own_number, chunks))
+    long = dict(LocalExecutor(2, alone_s=0.015).map_chunks(own_number, chunks))
     own = [k for k, found in long.items() if int(found[0, 0]) == os.getpid()]
     assert sorted(long) == list(range(6)) and own in ([0], [0, 1])  # at least 10 ms each
 
@@ -545,7 +542,7 @@ def test_a_column_that_lacks_numbers_has_no_indices(cheap):
 
 def test_a_silent_scheduler_is_told_soon():
     with pytest.raises(InputError, match="no scheduler replies") as caught:
-        list(DaskExecutor("tcp://127.0.0.1:9").map_chunks(stub.slow_squares, CHUNKS))
+        list(DaskExecutor("tcp://127.0.0.1:9").map_chunks(slow_squares, CHUNKS))
     assert "\n" not in str(caught.value)
 
 

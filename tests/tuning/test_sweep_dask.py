@@ -8,19 +8,16 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from surctl.errors import InputError
 from surctl.tuning import DaskExecutor, LocalExecutor
-from tests.tools import PATIENCE
-from tests.tuning.stub import slow_squares
-
-# under CI=true nothing may skip: there a missing package is an error
-distributed = pytest.importorskip("distributed") if os.environ.get("CI") != "true" else __import__("distributed")
+from tests.tools import PATIENCE, need_module
+from tests.tuning import chunk_work
+from tests.tuning.chunk_work import slow_squares
 
 ROOT = Path(__file__).parents[2]
-CHUNKS = [(k, np.arange(3.0)[:, None] + 3 * k) for k in range(16)]
+CHUNKS = chunk_work.CHUNKS[:16]
 
 
 @pytest.fixture
@@ -58,6 +55,9 @@ def wait(condition):
 
 
 def test_a_killed_worker_changes_nothing(cluster, tmp_path):
+    need_module("distributed")
+    import distributed
+
     address, begin = cluster
     with pytest.raises(InputError, match="no worker"):
         list(DaskExecutor(address).map_chunks(slow_squares, CHUNKS))

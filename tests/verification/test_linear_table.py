@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import cache
+
 import control
 import numpy as np
 import pytest
@@ -30,13 +33,17 @@ def row(values: dict[str, NDArray[np.float64]], k: int) -> dict[str, float]:
 
 
 VALUES = random_points(8, seed=3)
-TABLE = linear_table(VEHICLE, VALUES, base=GAINS, **ABOUT)
+
+
+@cache
+def whole() -> Mapping[str, NDArray[np.float64]]:
+    return linear_table(VEHICLE, VALUES, base=GAINS, **ABOUT)
 
 
 def test_every_metric_is_a_column() -> None:
-    assert list(TABLE) == list(LINEAR_METRICS)
-    assert all(column.shape == (8,) for column in TABLE.values())
-    stable = TABLE["slowest_pole_per_s"] < 0
+    assert list(whole()) == list(LINEAR_METRICS)
+    assert all(column.shape == (8,) for column in whole().values())
+    stable = whole()["slowest_pole_per_s"] < 0
     assert 2 <= (~stable).sum() <= 5, "the draw has both"
 
 
@@ -46,18 +53,18 @@ def test_poles_are_those_of_damp(k: int) -> None:
     n = len(cascade.A)
     closed = control.ss(cascade.closed, np.zeros((n, 1)), np.zeros((1, n)), 0)
     _, damping, poles = control.damp(closed, doprint=False)
-    assert TABLE["slowest_pole_per_s"][k] == pytest.approx(poles.real.max(), abs=1e-7)
-    assert TABLE["least_damping"][k] == pytest.approx(damping[poles.imag != 0].min(), abs=1e-7)
+    assert whole()["slowest_pole_per_s"][k] == pytest.approx(poles.real.max(), abs=1e-7)
+    assert whole()["least_damping"][k] == pytest.approx(damping[poles.imag != 0].min(), abs=1e-7)
 
 
-@pytest.mark.parametrize("k", [0, 1, 2, 7])
+@pytest.mark.parametrize("k", [0, 2, 7])
 def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None:
     cascade = build_cascade(VEHICLE, row(VALUES, k), **ABOUT)
     if not cascade.stable:
         for name, nothing in (("gain_margin", 1), ("phase_margin_deg", 0), ("delay_margin_s", 0), ("disk_margin", 0)):
-            assert {TABLE[f"{name}.{loop}"][k] for loop in LOOP_NAMES} | {TABLE[name][k]} == {nothing}
-        assert np.isinf(TABLE["sensitivity_peak"][k]) and TABLE["rejection_rad_per_s.yaw"][k] == 0
-        assert np.isnan(TABLE["crossover_rad_per_s.yaw"][k])
+            assert {whole()[f"{name}.{loop}"][k] for loop in LOOP_NAMES} | {whole()[name][k]} == {nothing}
+        assert np.isinf(whole()["sensitivity_peak"][k]) and whole()["rejection_rad_per_s.yaw"][k] == 0
+        assert np.isnan(whole()["crossover_rad_per_s.yaw"][k])
         return
     omega = np.geomspace(1e-4, np.pi / 0.05, 500)
     places = [cascade.at_thrust(i) for i in range(4)] + [cascade.at_output(i) for i in range(4)]
@@ -73,11 +80,11 @@ def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None
             "delay_margin_s": np.min(np.deg2rad(lag) / at_phase, initial=np.inf),
         }
         for metric, value in expected.items():
-            assert TABLE[f"{metric}.{name}"][k] == pytest.approx(value, rel=1e-4), (metric, name)
+            assert whole()[f"{metric}.{name}"][k] == pytest.approx(value, rel=1e-4), (metric, name)
         peak = 1 / np.min(found[2], initial=1.0)  # far off, L is 0 and |S| is 1
-        assert max(TABLE[f"sensitivity_peak.{name}"][k], 1.0) == pytest.approx(peak, rel=1e-4), name
-        assert TABLE[f"crossover_rad_per_s.{name}"][k] == pytest.approx(np.max(at_phase, initial=0.0), rel=1e-4), name
-        edge = TABLE[f"rejection_rad_per_s.{name}"][k]
+        assert max(whole()[f"sensitivity_peak.{name}"][k], 1.0) == pytest.approx(peak, rel=1e-4), name
+        assert whole()[f"crossover_rad_per_s.{name}"][k] == pytest.approx(np.max(at_phase, initial=0.0), rel=1e-4), name
+        edge = whole()[f"rejection_rad_per_s.{name}"][k]
         below = np.abs(1 + control.frequency_response(system, omega[omega < edge]).complex)
         assert np.all(below >= np.sqrt(2) * (1 - 1e-9)), "attenuated up to there"
         if edge:
@@ -86,15 +93,15 @@ def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None
             assert abs(1 + system(1e-4j)) < np.sqrt(2), name
         # the grid of python-control holds the least radius to the width of its steps
         coarse = control.disk_margins(system, omega)[0]
-        assert TABLE[f"disk_margin.{name}"][k] == pytest.approx(coarse, rel=1e-2)
-        assert TABLE[f"disk_margin.{name}"][k] <= coarse * (1 + 1e-9)
+        assert whole()[f"disk_margin.{name}"][k] == pytest.approx(coarse, rel=1e-2)
+        assert whole()[f"disk_margin.{name}"][k] <= coarse * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("k", [0, 1, 2, 7])
 def test_step_responses_are_those_of_step_info(k: int) -> None:
     cascade = build_cascade(VEHICLE, row(VALUES, k), **ABOUT)
     for name in STEP_NAMES:
-        settling, overshoot = TABLE[f"settling_time_s.{name}"][k], TABLE[f"overshoot.{name}"][k]
+        settling, overshoot = whole()[f"settling_time_s.{name}"][k], whole()[f"overshoot.{name}"][k]
         if not cascade.stable:
             assert settling == overshoot == np.inf
             continue
@@ -111,8 +118,8 @@ def test_step_responses_are_those_of_step_info(k: int) -> None:
 def test_the_table_and_the_margins_of_one_point_are_one() -> None:
     for k in range(2):
         for m in loop_margins(VEHICLE, row(VALUES, k), **ABOUT):
-            assert TABLE[f"disk_margin.{m.name}"][k] == pytest.approx(m.disk_margin, rel=1e-9)
-            assert TABLE[f"delay_margin_s.{m.name}"][k] == pytest.approx(m.delay_margin_s, rel=1e-9)
+            assert whole()[f"disk_margin.{m.name}"][k] == pytest.approx(m.disk_margin, rel=1e-9)
+            assert whole()[f"delay_margin_s.{m.name}"][k] == pytest.approx(m.delay_margin_s, rel=1e-9)
 
 
 def test_knobs_of_the_plant_leave_the_model_alone() -> None:
@@ -165,7 +172,7 @@ def test_columns_alone_are_those_of_the_whole_table(columns: list[str]) -> None:
     alone = linear_table(VEHICLE, VALUES, base=GAINS, columns=columns, **ABOUT)
     assert list(alone) == columns
     for name in columns:
-        np.testing.assert_array_equal(alone[name], TABLE[name])
+        np.testing.assert_array_equal(alone[name], whole()[name])
 
 
 def test_an_unknown_column_is_named() -> None:

@@ -138,7 +138,7 @@ def test_whole_periods_of_delay_within_the_margin_are_stable_and_beyond_it_not()
 def test_the_disk_of_one_loop_is_that_of_its_nyquist_curve() -> None:
     linear = linearise(level())
     for opening in linear.channels():
-        loop = linear.loop(opening)(np.exp(1j * np.geomspace(1e-4, np.pi, 20001)))
+        loop = linear.loop(opening)(np.exp(1j * np.geomspace(1e-4, np.pi, 4001)))
         nearest = float(np.min(2 * np.abs(1 + loop) / np.abs(1 - loop)))
         assert system_margins(linear, opening)[0].disk_margin == pytest.approx(min(nearest, 2.0), rel=5e-3)
 

@@ -59,13 +59,14 @@ def size(v: Array) -> float:
 
 @pytest.mark.parametrize(
     ("shapes", "chosen"),
-    [*((VALUES, chosen) for chosen in (*SETTINGS[:4], SETTINGS[-1])), *((SETS, chosen) for chosen in SETTINGS[:-1])],
+    # of the shapes with sets, those settings whose steps differ from those without
+    [*((VALUES, chosen) for chosen in (*SETTINGS[:4], SETTINGS[-1])), *((SETS, chosen) for chosen in SETTINGS[3:-1])],
     ids=lambda one: f"{one.mode}-{one.sweeps}-{one.damping}" if isinstance(one, Settings) else f"{len(one)} levels",
 )
 def test_it_is_the_law_in_numpy(shapes: tuple[LevelShape, ...], chosen: Settings) -> None:
     tick, rng, seen = tick_for(shapes, chosen), np.random.default_rng(11), set()
     arguments = {"mode": chosen.mode, "sweeps": chosen.sweeps, "damping": chosen.damping}
-    for _ in range(40):
+    for _ in range(16):
         problem = draw_of_shape(rng, shapes)
         tick.load(problem)
         tick.solve()

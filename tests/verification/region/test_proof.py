@@ -16,6 +16,7 @@ from surctl.verification.region import (
     REGION_CLAIMS,
     HeadingClaim,
     RegionClaim,
+    RegionProof,
     SteeringClaim,
     TurningClaim,
     heading_claim,
@@ -43,8 +44,19 @@ def claimed(**changes: Any) -> RegionClaim:
     return replace(claim, **changes)
 
 
-def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> None:
-    proof = prove_region(claimed(), attempts=2)
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory: pytest.TempPathFactory) -> tuple[RegionProof, Path]:
+    """A proof, and the folder in which its search is stored."""
+    folder = tmp_path_factory.mktemp("searched")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SURCTL_CACHE", str(folder))
+        return prove_region(claimed(), attempts=1), folder
+
+
+def test_a_region_is_proved_and_its_certificate_stands_alone(
+    searched: tuple[RegionProof, Path], tmp_path: Path
+) -> None:
+    proof, _ = searched
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.15 and proof.ultimate_bound[1] < proof.offset
     proof.write(tmp_path / "c.json")
@@ -55,16 +67,16 @@ def test_a_region_is_proved_and_its_certificate_stands_alone(tmp_path: Path) -> 
 
 
 def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    searched: tuple[RegionProof, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
-    first = prove_region(claimed(), attempts=1)
+    first, folder = searched
+    monkeypatch.setenv("SURCTL_CACHE", str(folder))
     monkeypatch.setattr("surctl.verification.region.proof.search", None)
     monkeypatch.setattr("surctl.verification.region.proof.turning_search", None)  # from here on nothing is searched
     again = prove_region(claimed(name="another"), attempts=1)
     assert first.verdict == again.verdict == "proved" and again.ratios == first.ratios
     assert again.certificate()["claim"] == first.certificate()["claim"]
-    [entry] = tmp_path.glob("*.region")
+    [entry] = folder.glob("*.region")
     found = json.loads(entry.read_bytes()[32:])
     body = json.dumps(found | {"offset": 1.1 * found["offset"]}).encode()
     entry.write_bytes(hashlib.sha256(body).digest() + body)
@@ -161,7 +173,7 @@ def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> No
 def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
     whole = json.loads((KEPT / f"{name}.json").read_text())
     claim, P, floor = whole["claim"], matrix(whole), whole["proof"]["floor"]
-    n, steps, rng = 100, 5, np.random.default_rng(1)
+    n, steps, rng = 40, 3, np.random.default_rng(1)
     boat = boats(claim, n, rng)
     vehicle, law, a = claim["vehicle"], claim["law"], claim["motion"]["rate_per_s"]
     settled = rest(claim, boat)

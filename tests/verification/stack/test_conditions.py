@@ -52,12 +52,12 @@ def test_a_sine_is_proved_up_to_the_least_there_is_and_none_beyond() -> None:
     stack, least = Stack(rows), np.sqrt(0.5)
     region = build_region(stack, REGION)
     assert prove_sine(stack, region, [0], 1, sine=0.99 * least, time_limit=5.0) == 0.99 * least
-    assert prove_sine(stack, region, [0], 1, sine=1.01 * least, time_limit=0.3) == 0.0
+    assert prove_sine(stack, region, [0], 1, sine=1.01 * least, time_limit=0.1) == 0.0
     assert prove_strength(stack, region, 1, time_limit=5.0)
     four = Stack((position_task(ETA, [1.0, 1.0]), linear("c", [1, 1, 0, 0])))
-    assert prove_sine(four, build_region(four, REGION), [0], 1, sine=0.01, time_limit=1.0) == 0.0
+    assert prove_sine(four, build_region(four, REGION), [0], 1, sine=0.01, time_limit=0.2) == 0.0
     near = Stack((distance_task(ETA, [2.0, 1.5], distance=1),))
-    assert not prove_strength(near, build_region(near, REGION), 0, time_limit=0.3)
+    assert not prove_strength(near, build_region(near, REGION), 0, time_limit=0.1)
 
 
 def test_on_that_line_they_are_dependent_and_the_state_is_told() -> None:

@@ -1,0 +1,36 @@
+"""Lyapunov functions: polynomials of degree 6, and the largest level where only samples give a function."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surctl.lyapunov import find_stability, least_level
+from surctl.lyapunov.candidates import candidates
+from surctl.lyapunov.equilibrium import linearisation
+from tests.lyapunov.test_search import TRUE_AREA, dynamics, leavers, van_der_pol
+
+
+def test_the_region_of_van_der_pol_by_a_polynomial_of_degree_6_is_nearly_the_true_one() -> None:
+    d = van_der_pol()
+    outcome = list(candidates(d, linearisation(d), degree=6, seconds=15.0))
+    assert [c.label for c in outcome] == [
+        "quadratic with a fast decrease", "quadratic", "polynomial of degree 4", "polynomial of degree 6",
+    ]  # fmt: skip
+    assert outcome[3].volume * 36 >= 0.94 * TRUE_AREA
+    bound = least_level(d, outcome[3].function)
+    assert bound.confirmed
+    assert bound.level == pytest.approx(1, rel=0.03)
+    grid = np.linspace(-3, 3, 600)
+    points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
+    value = d.compiled(outcome[3].function)
+    inside = np.asarray(value(points, np.zeros((0, points.shape[1])))) < 0.97 * bound.level
+    assert inside.mean() * 36 >= 0.9 * TRUE_AREA
+    assert leavers(d, value, 0.97 * bound.level, count=120, seconds=10.0) == 0
+
+
+def test_where_the_linearisation_decides_nothing_the_largest_level_is_proved() -> None:
+    d = dynamics({"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, ["-x^3 + y", "-x - y^3"])
+    outcome = find_stability(d, degree=4, time_limit=20.0)
+    assert outcome.verdict == "proved"
+    assert outcome.ratio >= 0.9

@@ -1,0 +1,25 @@
+"""Evaluators of chunks for worker processes, which load no more than they need."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+CHUNKS = [(k, np.arange(3.0)[:, None] + 3 * k) for k in range(40)]
+
+
+def slow_squares(index, points):
+    """A chunk's evaluator that leaves a trace of every evaluation and takes a moment."""
+    with Path(os.environ["SURCTL_TEST_TRACE"]).open("a") as file:
+        file.write(f"{index}\n")
+    time.sleep(float(os.environ.get("SURCTL_TEST_PAUSE", "0.001")))
+    return np.column_stack([points[:, 0] ** 2, np.sin(points[:, 0]) + index])
+
+
+def own_number(index, points):
+    """The worker's process; takes a moment."""
+    time.sleep(0.01)
+    return np.array([[float(os.getpid())]])
