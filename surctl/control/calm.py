@@ -30,7 +30,7 @@ EVADE = 0.1
 MODEL_NOISE = 0.05
 """Error of the vehicle model that the own-state filter of a calm law assumes [s^0.5] (*chosen*)."""
 
-_PUSHES = 0.5  # [s] time constant of the reference's acceleration before it becomes thrust
+_SMOOTH = 0.5  # [s] time constant of the reference's acceleration before it becomes thrust
 _WIDEST = 0.3  # share of the thrust limit: largest half width of the band
 
 CALM_PORTS = (
@@ -46,7 +46,7 @@ CALM_GAINS: Mapping[str, GainSpec] = {
         range=(0.5, 2.0),
     ),
     "soft": GainSpec("1", "share of `k_v` and `reaction` that this law uses", default=0.8, range=(0.6, 1.0)),
-    "push": GainSpec("1", "fed forward share of the reference's acceleration", True, default=0.5, range=(0.0, 1.0)),
+    "feed_forward": GainSpec("1", "share of the reference's acceleration", True, default=0.5, range=(0.0, 1.0)),
     "still": GainSpec(
         "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.015, range=(0.0, 0.02)
     ),
@@ -55,7 +55,7 @@ CALM_GAINS: Mapping[str, GainSpec] = {
 """Gains of law `calm` in addition to those of law `guarded`."""
 
 
-def calmed(free: ca.SX, held: ca.SX, push: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:
+def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:
     """Return the thrust (4, 1) that follows the demand slowly within a band, and at once where it leaves the band.
 
     The yaw moment is the demand. The half width of the band is at most 30 % of the thrust limit.
@@ -63,21 +63,21 @@ def calmed(free: ca.SX, held: ca.SX, push: ca.SX, *, p: Mapping[str, ca.SX], dt:
     Args:
         free: demanded thrust (4, 1) before the limits, without acceleration of the reference [N, N m].
         held: thrust command of the step before (4, 1) [N, N m].
-        push: acceleration of the reference (2, 1) in {B} [m/s²]; the share `push` of it is fed forward.
-        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `soft`, `push`, `still`, `settle`.
+        acceleration: acceleration of the reference (2, 1) in {B} [m/s²]; the share `feed_forward` of it is used.
+        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `soft`, `feed_forward`, `still`, `settle`.
         dt: control period [s].
 
     Example:
         >>> import casadi as ca
         >>> from surctl.control.calm import calmed
         >>> p = {"mass": ca.DM([95, 95, 95, 1.5]), "thrust_limit": ca.DM([5, 5, 5, 0.5])}
-        >>> p |= {"k_v": 1.5, "soft": 1.0, "push": 0.5, "still": 0.007, "settle": 0.95}
+        >>> p |= {"k_v": 1.5, "soft": 1.0, "feed_forward": 0.5, "still": 0.007, "settle": 0.95}
         >>> rest = ca.DM.zeros(2)
         >>> near, far = (calmed(ca.DM([f, 0, 0, 0]), ca.DM.zeros(4), rest, p=p, dt=0.05)[0] for f in (0.8, 3.0))
         >>> round(float(near), 2), round(float(far), 2)  # the band is 1 N wide on either side
         (0.04, 2.0)
     """
-    free = free + p["push"] * p["mass"] * ca.vertcat(push, 0, 0)
+    free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
     width = ca.fmin(p["mass"][:3] * p["soft"] * p["k_v"] * p["still"], _WIDEST * p["thrust_limit"][:3])
     width = ca.vertcat(width, 0)
     slow = held + dt / (dt + p["settle"]) * (free - held)
@@ -136,4 +136,4 @@ def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
         >>> pushed(ca.DM([0.011, 0.0]), rest, rest, dt=0.05)
         DM([0.02, 0])
     """
-    return held + dt / (dt + _PUSHES) * ((velocity - before) / dt - held)
+    return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)

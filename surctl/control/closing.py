@@ -122,8 +122,8 @@ class Closing:
         k_v = p["k_v"]
         if "held" in carried:
             k_v = p["soft"] * k_v
-            push = planar_rotation(self.u["eta"][3]).T @ carried["pushed"]
-            calm = partial(calmed, held=carried["held"], push=push, p=p, dt=self.dt)
+            acceleration = planar_rotation(self.u["eta"][3]).T @ carried["pushed"]
+            calm = partial(calmed, held=carried["held"], acceleration=acceleration, p=p, dt=self.dt)
         tau, integral, saturated = velocity_control(
             clamped, self.u["nu"], integral, p, k_v=k_v, k_r=p["k_r"], k_i=p["k_i"], dt=self.dt, calm=calm
         )

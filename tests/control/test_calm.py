@@ -21,7 +21,7 @@ def _follow(demand: Array, still: float = STILL) -> Array:
         "thrust_limit": ca.DM(LIMIT),
         "k_v": 1.5,
         "soft": 1.0,
-        "push": 0.5,
+        "feed_forward": 0.5,
         "still": still,
         "settle": 2.0,
     }
@@ -54,7 +54,7 @@ def test_a_share_of_the_references_acceleration_is_thrust() -> None:
         "thrust_limit": ca.DM(LIMIT),
         "k_v": 1.5,
         "soft": 1.0,
-        "push": 0.5,
+        "feed_forward": 0.5,
         "still": 0.0,
         "settle": 2.0,
     }
