@@ -46,7 +46,7 @@ CALM_GAINS: Mapping[str, GainSpec] = {
         range=(0.5, 2.0),
     ),
     "soft": GainSpec("1", "share of `k_v` and `reaction` that this law uses", default=0.8, range=(0.6, 1.0)),
-    "feed_forward": GainSpec("1", "share of the reference's acceleration", True, default=0.5, range=(0.0, 1.0)),
+    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.5, range=(0.0, 1.0)),
     "still": GainSpec(
         "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.015, range=(0.0, 0.02)
     ),
