@@ -103,9 +103,9 @@ def eased(
     Example:
         >>> import casadi as ca
         >>> from surctl.control.calm import eased
-        >>> slow, still, how = ca.DM([0.2, 0.0]), ca.DM([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
-        >>> free = eased(still, slow, [(ca.DM([0.0, 1.0]), ca.DM(1.0))], **how)
-        >>> wall = eased(still, slow, [(ca.DM([1.0, 0.0]), ca.DM(0.05))], **how)
+        >>> slow, still, how = ca.SX([0.2, 0.0]), ca.SX([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
+        >>> free = eased(still, slow, [(ca.SX([0.0, 1.0]), ca.SX(1.0))], **how)
+        >>> wall = eased(still, slow, [(ca.SX([1.0, 0.0]), ca.SX(0.05))], **how)
         >>> ca.DM(free).full().ravel().round(3).tolist(), ca.DM(wall).full().ravel().round(3).tolist()
         ([0.18, 0.0], [0.05, 0.0])
     """
