@@ -506,6 +506,15 @@ def test_the_sonar_loop_touches_nothing_and_its_senses_fit_a_microcontroller() -
     assert len(flown) == 2 and all(row[3] == "0" for row in flown)
 
 
+def test_calm_thrust_keeps_the_delay_margin_of_the_loop() -> None:
+    done = run(ANALYSIS / "12_sonar_loop" / "margins.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    margins = {(row[0], row[2]): [float(cell) for cell in row[4:]] for row in table(done.stdout)[1:]}
+    guarded, full, lag = (margins[key] for key in (("`guarded`", "-"), ("`calm`", "full"), ("`calm`", "lag")))
+    assert all(calm >= before - 0.03 for calm, before in zip(full, guarded, strict=True))
+    assert min(full[3:]) >= 0.3 and min(lag[3:]) >= 0.15 and min(lag[:3]) > 0.05
+
+
 def test_every_law_is_compared_in_the_same_scenario(tmp_path: Path) -> None:
     need_compiler()
     out = tmp_path / "pictures"

@@ -6,7 +6,8 @@ command changes at once only as far as the demand leaves the band, and slowly wi
 from the demand by at most the half width of the band, and not for long.
 
 `eased` lets the velocity reference follow the decision with a time constant and a limited acceleration, unless the
-speed bound of an obstacle requires more. Short-lived decisions then do not reverse the thrust.
+speed bound of an obstacle requires more. Short-lived decisions then do not reverse the thrust. A share of the force
+that accelerates the mass along this reference is added to the demand (`pushed`), so the robot follows it more closely.
 
 The gains are chosen by a design of experiments on the compiled loop (`analysis/12_sonar_loop`).
 """
@@ -21,7 +22,7 @@ from surctl.control.gains import GainSpec
 from surctl.control.stopping import Bounds
 from surctl.ir import Port, fold, tabulated
 
-__all__ = ["CALM_GAINS", "CALM_PORTS", "EVADE", "MODEL_NOISE", "calmed", "eased"]
+__all__ = ["CALM_GAINS", "CALM_PORTS", "EVADE", "MODEL_NOISE", "calmed", "eased", "pushed"]
 
 EVADE = 0.1
 """Time constant [s] of the velocity reference while the robot evades a moving obstacle (*chosen*)."""
@@ -29,48 +30,55 @@ EVADE = 0.1
 MODEL_NOISE = 0.05
 """Error of the vehicle model that the own-state filter of a calm law assumes [s^0.5] (*chosen*)."""
 
+_SMOOTH = 0.5  # [s] time constant of the reference's acceleration before it becomes thrust
 _WIDEST = 0.3  # share of the thrust limit: largest half width of the band
 
 CALM_PORTS = (
     Port("eased", (2,), "m/s", "velocity reference of the step before, without braking, in {E}", gap="anew"),
+    Port("pushed", (2,), "m/s^2", "low-pass filtered acceleration of `eased`, in {E}", gap="anew"),
     Port("held", (4,), "N, N m", "thrust command of the step before", gap="anew"),
 )
 
 CALM_GAINS: Mapping[str, GainSpec] = {
-    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.5, range=(0.0, 1.0)),
+    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.9, range=(0.0, 1.5)),
     "ramp": GainSpec(
         "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=0.9,
         range=(0.5, 2.0),
     ),
+    "soft": GainSpec("1", "share of `k_v` and `reaction` that this law uses", default=0.8, range=(0.6, 1.0)),
+    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.5, range=(0.0, 1.0)),
     "still": GainSpec(
-        "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.012, range=(0.0, 0.015)
+        "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.015, range=(0.0, 0.02)
     ),
-    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=2.0, range=(0.2, 5.0)),
+    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=1.0, range=(0.2, 5.0)),
 }  # fmt: skip
 """Gains of law `calm` in addition to those of law `guarded`."""
 
 
-def calmed(free: ca.SX, held: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:
+def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:
     """Return the thrust (4, 1) that follows the demand slowly within a band, and at once where it leaves the band.
 
     The yaw moment is the demand. The half width of the band is at most 30 % of the thrust limit.
 
     Args:
-        free: demanded thrust (4, 1) before the limits [N, N m].
+        free: demanded thrust (4, 1) before the limits, without acceleration of the reference [N, N m].
         held: thrust command of the step before (4, 1) [N, N m].
-        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `still`, `settle`.
+        acceleration: acceleration of the reference (2, 1) in {B} [m/s²]; the share `feed_forward` of it is used.
+        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `soft`, `feed_forward`, `still`, `settle`.
         dt: control period [s].
 
     Example:
         >>> import casadi as ca
         >>> from surctl.control.calm import calmed
         >>> p = {"mass": ca.DM([95, 95, 95, 1.5]), "thrust_limit": ca.DM([5, 5, 5, 0.5])}
-        >>> p |= {"k_v": 1.5, "still": 0.007, "settle": 0.95}
-        >>> near, far = (calmed(ca.DM([f, 0, 0, 0]), ca.DM.zeros(4), p=p, dt=0.05)[0] for f in (0.8, 3.0))
+        >>> p |= {"k_v": 1.5, "soft": 1.0, "feed_forward": 0.5, "still": 0.007, "settle": 0.95}
+        >>> rest = ca.DM.zeros(2)
+        >>> near, far = (calmed(ca.DM([f, 0, 0, 0]), ca.DM.zeros(4), rest, p=p, dt=0.05)[0] for f in (0.8, 3.0))
         >>> round(float(near), 2), round(float(far), 2)  # the band is 1 N wide on either side
         (0.04, 2.0)
     """
-    width = ca.fmin(p["mass"][:3] * p["k_v"] * p["still"], _WIDEST * p["thrust_limit"][:3])
+    free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
+    width = ca.fmin(p["mass"][:3] * p["soft"] * p["k_v"] * p["still"], _WIDEST * p["thrust_limit"][:3])
     width = ca.vertcat(width, 0)
     slow = held + dt / (dt + p["settle"]) * (free - held)
     return ca.fmin(ca.fmax(slow, free - width), free + width)
@@ -95,9 +103,9 @@ def eased(
     Example:
         >>> import casadi as ca
         >>> from surctl.control.calm import eased
-        >>> slow, still, how = ca.DM([0.2, 0.0]), ca.DM([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
-        >>> free = eased(still, slow, [(ca.DM([0.0, 1.0]), ca.DM(1.0))], **how)
-        >>> wall = eased(still, slow, [(ca.DM([1.0, 0.0]), ca.DM(0.05))], **how)
+        >>> slow, still, how = ca.SX([0.2, 0.0]), ca.SX([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
+        >>> free = eased(still, slow, [(ca.SX([0.0, 1.0]), ca.SX(1.0))], **how)
+        >>> wall = eased(still, slow, [(ca.SX([1.0, 0.0]), ca.SX(0.05))], **how)
         >>> ca.DM(free).full().ravel().round(3).tolist(), ca.DM(wall).full().ravel().round(3).tolist()
         ([0.18, 0.0], [0.05, 0.0])
     """
@@ -110,3 +118,22 @@ def eased(
 
     share = ca.fmin(dt / (dt + time), fastest * dt / ca.fmax(ca.sqrt(ca.sumsqr(step)), 1e-9))
     return before + fold("eased", further, share, tabulated(bounds, 3)) * step
+
+
+def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
+    """Return the low-pass filtered acceleration (2, 1) of the velocity reference in {E} [m/s²].
+
+    Args:
+        velocity: velocity reference (2, 1) in {E} [m/s].
+        before: velocity reference of the step before (2, 1) in {E} [m/s].
+        held: result of the step before (2, 1) [m/s²].
+        dt: control period [s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control.calm import pushed
+        >>> rest = ca.DM([0.0, 0.0])
+        >>> pushed(ca.DM([0.011, 0.0]), rest, rest, dt=0.05)
+        DM([0.02, 0])
+    """
+    return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)

@@ -15,6 +15,7 @@ from surctl.control.ports import YAW_SHARE
 from surctl.control.velocity import velocity_control
 from surctl.ir import Block, Layout, Recording
 from surctl.priority.solver.fallback import RELAXED
+from surctl.vehicle import planar_rotation
 
 __all__ = ["CLIMB", "Closing", "Memory", "Thrust", "thrust_bounds", "yaw_limit"]
 
@@ -91,9 +92,8 @@ class Closing:
         `stage` says which fallback of the priority solver computed `nu_reference`; 0 if the solver did not run.
         """
         carried = self.state.split(memory.carried)
-        held = carried.get("held")
-        tau, integral, saturated, clamped = self._thrust(nu_reference, carried["integral"], held)
-        if held is not None:
+        tau, integral, saturated, clamped = self._thrust(nu_reference, carried)
+        if "held" in carried:
             carried = {**carried, "held": tau}
         opened = ca.logic_and(stage >= RELAXED, ca.logic_not(_has_degraded(memory.flags)))
         status = memory.flags + SATURATED * saturated + DEGRADED * opened
@@ -104,8 +104,8 @@ class Closing:
             "telemetry": ca.vertcat(clamped, memory.reported),
         }
 
-    def _thrust(self, nu_reference: ca.SX, integral: ca.SX, held: ca.SX | None) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        p = self.p
+    def _thrust(self, nu_reference: ca.SX, carried: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        p, integral, calm = self.p, carried["integral"], None
         speed = ca.sqrt(ca.sumsqr(nu_reference[:2]))
         horizontal = nu_reference[:2] * ca.fmin(1, p["cap"] / ca.fmax(speed, 1e-6))
         turn = yaw_limit(p)
@@ -119,8 +119,12 @@ class Closing:
             least, most = thrust_bounds(p)
             tau = ca.fmin(ca.fmax(free, least), most)
             return tau, following, ca.mmax(ca.fabs(free - tau) > _CLIPPED), clamped
-        calm = None if held is None else partial(calmed, held=held, p=p, dt=self.dt)
+        k_v = p["k_v"]
+        if "held" in carried:
+            k_v = p["soft"] * k_v
+            acceleration = planar_rotation(self.u["eta"][3]).T @ carried["pushed"]
+            calm = partial(calmed, held=carried["held"], acceleration=acceleration, p=p, dt=self.dt)
         tau, integral, saturated = velocity_control(
-            clamped, self.u["nu"], integral, p, k_v=p["k_v"], k_r=p["k_r"], k_i=p["k_i"], dt=self.dt, calm=calm
+            clamped, self.u["nu"], integral, p, k_v=k_v, k_r=p["k_r"], k_i=p["k_i"], dt=self.dt, calm=calm
         )
         return tau, integral, saturated, clamped

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from surctl.control.calm import EVADE, eased
+from surctl.control.calm import EVADE, eased, pushed
 from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
@@ -137,7 +137,8 @@ def guarded_law(
             time = ca.if_else(chased, EVADE, p["ease"])
             target = ca.if_else(lost, 0, velocity)
             velocity = eased(target, x["eased"], bounds, time=time, fastest=fastest, dt=calm)
-            firm, memory = [], {"eased": velocity}
+            firm = []
+            memory = {"eased": velocity, "pushed": pushed(velocity, x["eased"], x["pushed"], dt=calm)}
         freely = ca.logic_not(chased)
         velocity = braked(velocity, over_ground, bounds[:marks], calm=freely)
         velocity = braked(velocity, over_ground, [*bounds[marks:], *firm], calm=freely)

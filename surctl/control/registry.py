@@ -24,9 +24,10 @@ __all__ = ["LAWS", "LAW_NAMES", "SONARLESS", "check_forces", "default_law", "law
 
 
 def _guarded(s: Situation, calm: float | None = None) -> Decision:
-    stop = BARRIERS[s.barrier](s.p, s.dt)
+    p = s.p if calm is None else {**s.p, "reaction": s.p["soft"] * s.p["reaction"]}
+    stop = BARRIERS[s.barrier](p, s.dt)
     moving = s.moving and s.movers == "predict"
-    return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, s.p, stop=stop, scan=s.scan, moving=moving, calm=calm)
+    return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, p, stop=stop, scan=s.scan, moving=moving, calm=calm)
 
 
 def _calm(s: Situation) -> Decision:

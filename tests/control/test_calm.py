@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.control import build_law, load_gains
-from surctl.control.calm import CALM_GAINS, calmed, eased
+from surctl.control.calm import CALM_GAINS, calmed, eased, pushed
 
 Array = NDArray[np.float64]
 LIMIT, MASS, STILL, DT = np.array([5.0, 5.0, 5.0, 0.5]), np.array([95.0, 95.0, 95.0, 1.5]), 0.006, 0.05
@@ -16,10 +16,18 @@ HALF = np.array([1.5 * 95.0 * STILL] * 3 + [0.0])  # mass times gain times veloc
 
 
 def _follow(demand: Array, still: float = STILL) -> Array:
-    model = {"mass": ca.DM(MASS), "thrust_limit": ca.DM(LIMIT), "k_v": 1.5, "still": still, "settle": 2.0}
+    model = {
+        "mass": ca.DM(MASS),
+        "thrust_limit": ca.DM(LIMIT),
+        "k_v": 1.5,
+        "soft": 1.0,
+        "feed_forward": 0.5,
+        "still": still,
+        "settle": 2.0,
+    }
     held, out = ca.DM.zeros(4), []
     for free in demand:
-        held = calmed(ca.DM(free), held, p=model, dt=DT)
+        held = calmed(ca.DM(free), held, ca.DM.zeros(2), p=model, dt=DT)
         out.append(held.full().ravel())
     return np.array(out)
 
@@ -38,6 +46,24 @@ def test_a_steady_error_settles_with_the_time_constant() -> None:
     demand = np.tile([0.5, 0.0, 0.0, 0.0], (80, 1))  # 4 s within the band
     left = 0.5 - _follow(demand)[:, 0]
     assert left[39] / 0.5 == pytest.approx((2.0 / (2.0 + DT)) ** 40) and left[79] < 0.08
+
+
+def test_a_share_of_the_references_acceleration_is_thrust() -> None:
+    model = {
+        "mass": ca.DM(MASS),
+        "thrust_limit": ca.DM(LIMIT),
+        "k_v": 1.5,
+        "soft": 1.0,
+        "feed_forward": 0.5,
+        "still": 0.0,
+        "settle": 2.0,
+    }
+    command = calmed(ca.DM([0.3, 0, 0, 0]), ca.DM.zeros(4), ca.DM([0.02, -0.01]), p=model, dt=DT)
+    assert command.full().ravel() == pytest.approx([0.3 + 0.5 * 95 * 0.02, -0.5 * 95 * 0.01, 0, 0])
+    held = ca.DM.zeros(2)
+    for k in range(100):  # 5 s at 0.03 m/s^2: ten time constants of the filter
+        held = pushed(ca.DM([0.03 * DT * (k + 1), 0]), ca.DM([0.03 * DT * k, 0]), held, dt=DT)
+    assert held.full().ravel() == pytest.approx([0.03, 0.0], abs=1e-5)
 
 
 def test_no_band_is_the_demand_and_the_widest_leaves_most_of_the_thrust() -> None:
@@ -67,4 +93,4 @@ def test_the_law_has_its_gains_and_others_have_no_band() -> None:
     law = build_law("calm", sonar=True)
     assert "held" in law.state and set(CALM_GAINS) <= {port.name for port in law.gains}
     assert "held" not in build_law(sonar=True).state
-    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 2.0
+    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 1.0
