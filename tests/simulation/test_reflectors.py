@@ -110,7 +110,7 @@ def test_both_loops_hear_the_same_for_any_threads_and_order() -> None:
     need_compiler()
     cloth = {"cloth": {"cylinder_range_m": 0.15}}  # some firings detect it
     sonar = {"order": [1, 0, 3, 2]}  # the sonar ahead fires between two control steps
-    scenario = replace(pool(sonar=sonar, obstacle="cloth", reflectors=cloth), time_limit=5.0)
+    scenario = replace(pool(sonar=sonar, obstacle="cloth", reflectors=cloth), time_limit=2.5)
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     run = simulate(scenario, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
     seeds = np.array([5, 6, 7])
