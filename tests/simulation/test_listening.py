@@ -41,7 +41,7 @@ SENSORS = Sensors(
 def test_the_compiled_loop_hears_what_the_reference_hears() -> None:
     """Three sonars, two in a step, mounted beside the hull, late and lost messages, faults and chances."""
     need_compiler()
-    scenario = replace(load_scenario("pool-static"), sensors=SENSORS, time_limit=4.0)
+    scenario = replace(load_scenario("tank-moving"), sensors=SENSORS, time_limit=10.0)
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
     run = simulate(scenario, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
     table = simulate_batch(case, seeds=[5, 6]).table
