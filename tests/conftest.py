@@ -24,11 +24,11 @@ HERE = Path(__file__).parent
 SPENT = "processor time [s]"
 
 # files and rooms; elsewhere compiling is what takes the time
-MANY_RUNS = ("cli/test_tune.py", "simulation/test_closed_loop.py", "simulation/test_depth_escape.py", "tuning")
+MANY_RUNS = ("cli/test_tune.py", "tuning")
 
 # rooms in which a loop flies a few runs: one run at a time compiles in two thirds of the time
-FEW_RUNS = ("simulation", "control", "vehicle", "reproduction")
-SIDE_BY_SIDE = ("simulation/test_batch.py", "simulation/campaign")
+FEW_RUNS = ("simulation", "control", "vehicle", "reproduction", "study", "engine", "guidance", "test_third_party.py")
+SIDE_BY_SIDE = ("simulation/test_batch.py", "simulation/campaign/test_campaign.py")
 
 LONG = (
     *("test_analysis.py", "test_guides.py", "test_architecture.py", "cli/test_commands.py", "test_examples.py"),

@@ -3,6 +3,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -49,7 +50,7 @@ def test_everybody_flies_the_same_runs(quick: tuple[subprocess.CompletedProcess[
     done, _ = quick
     assert done.returncode == 0, done.stdout + done.stderr
     gaps = {name: float(row[0]) for name, row in rows(done.stdout, 2).items() if name != "the same runs"}
-    assert {"simulate", "hand-written C -O2", "hand-written C -O3"} < gaps.keys()
+    assert {"simulate", "hand-written C -O2"} <= gaps.keys()
     assert all(gap <= 1e-6 for gap in gaps.values())
 
 
@@ -68,13 +69,15 @@ def test_a_loop_that_flies_something_else_is_told(
     study: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     need_compiler()
-    scenario = load_scenario("tank-static")
+    scenario = replace(load_scenario("tank-static"), time_limit=4.0)
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"))
     config = study.load_model(STUDY / "config.toml", study.Config)
 
+    hand = study.HandLoop(tmp_path, ["-O0"])
+
     class Off:
         def run(self, *given: np.ndarray) -> np.ndarray:
-            return study.HandLoop(tmp_path, study.FLAGS["-O2"]).run(*given) * (1 + 1e-4)
+            return hand.run(*given) * (1 + 1e-4)
 
     assert study.agree(case, {"-O2": Off()}, config, numba=False) is False
     assert "**Wrong**: hand-written C -O2" in capsys.readouterr().out

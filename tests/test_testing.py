@@ -133,7 +133,7 @@ class Unwrapped(Task):
 )
 def test_wrong_tasks_are_caught_and_named(make, says):
     with pytest.raises(CheckFailed) as caught:
-        check_task(make, near=[ON_TOP], samples=400)
+        check_task(make, near=[ON_TOP], samples=150)
     one_line(caught, "task bad: ", *says)
     assert isinstance(caught.value, SurctlError)
     assert isinstance(caught.value, AssertionError)

@@ -11,6 +11,7 @@ import ctypes
 import os
 import shlex
 import subprocess
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -119,10 +120,10 @@ class CompiledRun:
 
 
 def compiled(
-    instances: list[Instance], *, count: int, seed: int, folder: Path
+    instances: list[Instance], *, modes: Sequence[Mode], count: int, seed: int, folder: Path
 ) -> tuple[list[CompiledRun | Missing], dict[str, Array]]:
     """Build all contenders in `folder` and let them solve their problems once; return them, and the reference
-    solutions by problem.
+    solutions by problem. The complete step is built in each of `modes`.
     """
     trials = _met(count, seed)
     problems = [instance.problem for instance in instances]
@@ -146,9 +147,9 @@ def compiled(
             found.append(Missing(name, str(error).splitlines()[0]))
     found.append(CompiledRun(OURS_CLOSED, CLOSED, _ours(folder, closed), stacked, N, ours=True))
     found.append(CompiledRun(CASADI_CLOSED, CLOSED, _closed(folder), stacked, N))
-    for mode, problem in TICKS.items():
+    for mode in modes:
         whole = _ours(folder, tick_block(mode, N, LEVELS, N + ROWS))
-        found.append(CompiledRun(OURS_TICKS[mode], problem, whole, ticks, N, ours=True))
+        found.append(CompiledRun(OURS_TICKS[mode], TICKS[mode], whole, ticks, N, ours=True))
     return found, references
 
 

@@ -26,8 +26,8 @@ NSB, PROJECTED, STRICT = "nsb", "projected", "lexicographic"
 """
 
 
-def ours(instances: Sequence[Instance]) -> list[Contender]:
-    """Return all contenders of this toolkit; modes that `solve` does not have are omitted."""
+def ours(instances: Sequence[Instance], fast_modes: Sequence[Mode]) -> list[Contender]:
+    """Return all contenders of this toolkit, with the fast path in these modes."""
     problems = [(instance.problem,) for instance in instances]
     found = [Contender(f"surctl solve: {mode}", mode, _api(mode), problems, ours=True) for mode in get_args(Mode)]
     for name, backend in (("own", "own"), ("PersistentDaqp", PersistentDaqp()), ("PersistentOsqp", PersistentOsqp())):
@@ -41,7 +41,7 @@ def ours(instances: Sequence[Instance]) -> list[Contender]:
         Contender(
             f"{FAST[: -len(PROJECTED)]}{mode}", mode, fast_tick(mode, LEVELS, box=BOX, rows=ROWS), arrays, ours=True
         )
-        for mode in (PROJECTED, NSB, "filter", STRICT)
+        for mode in fast_modes
     ]
     return [*fast, *found]
 

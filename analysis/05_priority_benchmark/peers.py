@@ -40,8 +40,11 @@ _MJCF = """<mujoco><option timestep="0.01"/><worldbody><body name="vehicle">
 <geom type="sphere" size="0.2" mass="10"/></body></worldbody></mujoco>"""
 
 
-def peers(count: int, *, seed: int) -> list[Contender | Missing]:
-    """Return `count` poses and targets; some need a velocity outside the limits."""
+def peers(count: int, *, seed: int, filtered: bool) -> list[Contender | Missing]:
+    """Return the contenders with `count` poses and targets, some of which need a velocity outside the limits.
+
+    Our fast path as a filter takes part if `filtered`.
+    """
     rng = np.random.default_rng(seed)
     poses = np.column_stack([rng.uniform(-2, 2, (count, 3)), rng.uniform(-1, 1, count)])
     targets = poses.copy()
@@ -50,9 +53,10 @@ def peers(count: int, *, seed: int) -> list[Contender | Missing]:
     ticks = list(zip(poses, targets, strict=True))
     found: list[Contender | Missing] = [
         Contender(PEER_FAST, PEER, _fast("projected"), ticks, ours=True, read=_in_world),
-        Contender(PEER_FILTER, PEER, _fast("filter"), ticks, ours=True, read=_in_world),
         Contender(PEER_API, PEER, _api(), ticks, ours=True),
     ]
+    if filtered:
+        found.append(Contender(PEER_FILTER, PEER, _fast("filter"), ticks, ours=True, read=_in_world))
     for name, packages, make in (
         (PINK, ("pink", "pinocchio"), _pink),
         (MINK, ("mink", "mujoco"), _mink),

@@ -34,7 +34,7 @@ from in_c import (
     race_in_c,
 )
 from instances import draw_instances
-from ours import FAST, NSB, STRICT, ours
+from ours import FAST, NSB, PROJECTED, STRICT, ours
 from peers import MINK, PEER, PEER_API, PEER_FAST, PEER_FILTER, PINK, peers
 from tables import Line, compiled_lines, draw, lines_of, print_bars, print_lines, print_rows
 
@@ -64,7 +64,7 @@ def main(arguments: list[str]) -> int:
         prog="run.py", description="Compare the time of a step of the priority law with other solvers."
     )
     parser.add_argument(
-        "--quick", action="store_true", help="few steps and rounds: shows that it runs; times are not reliable"
+        "--quick", action="store_true", help="few steps, rounds and modes: shows that it runs; times are not reliable"
     )
     parser.add_argument("--out", type=Path, help="folder of benchmark.png; default: a new temporary one")
     parser.add_argument("--seed", type=int, default=0)
@@ -85,14 +85,21 @@ def study(*, quick: bool, seed: int, out: Path, strict: bool) -> int:
     print_machine()
     count, rounds, budget = (16, 1, 0.1) if quick else (300, 12, 8.0)
     instances = draw_instances(count, seed=seed)
-    taking_part = [*ours(instances), *hierarchies(instances), *cascades(instances), *others(instances)]
-    taking_part += peers(count, seed=seed)
+    fast = (PROJECTED,) if quick else (PROJECTED, NSB, "filter", STRICT)
+    taking_part = [*ours(instances, fast), *hierarchies(instances), *cascades(instances), *others(instances)]
+    taking_part += peers(count, seed=seed, filtered=not quick)
     contenders = [each for each in taking_part if isinstance(each, Contender)]
     timings = warm_up(contenders)
     race(contenders, timings, rounds=rounds, turn=25, budget=budget)
     python = lines_of(contenders, timings, REFERENCES)
     with tempfile.TemporaryDirectory() as folder:
-        built, references = compiled(instances, count=30 if quick else 1000, seed=seed + 5, folder=Path(folder))
+        built, references = compiled(
+            instances,
+            modes=(NSB,) if quick else get_args(Mode),
+            count=30 if quick else 1000,
+            seed=seed + 5,
+            folder=Path(folder),
+        )
         runs = [run for run in built if isinstance(run, CompiledRun)]
         race_in_c(runs, rounds=1 if quick else 40)
     in_c = compiled_lines(runs, references)

@@ -57,6 +57,8 @@ class Size(Strict):
     """How much is simulated."""
 
     cases: tuple[tuple[str, Sensing, Mode], ...]
+    builds: tuple[str, ...]
+    longest_s: float = float("inf")
     rounds: int
     runs: int
     machine_runs: int
@@ -106,9 +108,10 @@ def study(config: Config, size: Size, out: Path, *, strict: bool) -> int:
     gains, right, held = load_gains(config.gains), True, True
     table: list[list[str]] = []
     with tempfile.TemporaryDirectory() as folder:
-        hand = {name: HandLoop(Path(folder), flags) for name, flags in FLAGS.items()}
+        hand = {name: HandLoop(Path(folder), flags) for name, flags in FLAGS.items() if name in size.builds}
         for name, sensing, mode in size.cases:
             scenario = load_scenario(name)
+            scenario = replace(scenario, time_limit=min(scenario.time_limit, size.longest_s))
             case = Case(scenario, load_vehicle(scenario.vehicle), gains, mode=mode, sensing=sensing)
             start = time.perf_counter()
             simulate_batch(case, seeds=config.seed)

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from surctl.guidance.avoidance import avoidance_course, clearance_rate, encounter_side, printed_side
-from surctl.reproduction.motion import Vector, numeric, trajectory, value
+from surctl.reproduction.motion import Vector, trajectory, value
 from surctl.reproduction.row import Result, agrees, unreadable, wrong_in_print
 from surctl.tasks.kinematics import planar_rotation
 from surctl.vehicle import load_vehicle
@@ -60,7 +60,7 @@ def final_distance(start: float, setting: Setting, *, delta: float = 0.0, closin
     turned = course(e2, ca.SX(0), setting, delta=delta)
     rate = clearance_rate(turned, ca.SX(0), speed=ca.SX(setting.avoidance_speed), closing=ca.SX(closing))
     f = ca.Function("rate", [e2], [rate])
-    return float(trajectory(numeric(f), np.array([start]), duration=120.0)[-1, 0])
+    return float(trajectory(f, np.array([start]), duration=120.0)[-1, 0])
 
 
 def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vector:
@@ -72,7 +72,7 @@ def inertial_motion(start: Vector, setting: Setting, acceleration: float) -> Vec
     pull = (desired - x[2:]) / 0.1  # [1/s] a velocity loop much faster than the thrust allows
     held = pull * ca.fmin(1, acceleration / ca.fmax(ca.sqrt(ca.sumsqr(pull)), 1e-9))
     f = ca.Function("rate", [x], [ca.vertcat(x[2:], held)])
-    return trajectory(numeric(f), start, duration=120.0)
+    return trajectory(f, start, duration=120.0)
 
 
 def e1() -> Result:

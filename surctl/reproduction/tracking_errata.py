@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from surctl.guidance.tracking import along_command, tracking_rate
-from surctl.reproduction.motion import numeric, trajectory, value
+from surctl.reproduction.motion import trajectory, value
 from surctl.reproduction.row import Result, agrees, unreadable, wrong_in_print
 from surctl.simulation.metrics import path_error
 from surctl.tasks.kinematics import planar_rotation
@@ -78,7 +78,7 @@ def e7() -> Result:
     ends = []
     for course in (False, True):
         rate = ca.Function("rate", [y], [cross_track_rate(y, u, v, lookahead=s.lookahead, course=course)])
-        ends.append(float(trajectory(numeric(rate), np.array([1.0]), duration=120.0)[-1, 0]))
+        ends.append(float(trajectory(rate, np.array([1.0]), duration=120.0)[-1, 0]))
     heading, course_end = ends
     ours = f"y_e converges to {heading:.4f} m with heading control, to {abs(course_end):.4f} m with course control"
     if abs(heading) < 1e-3 or abs(course_end) > 1e-3 or abs(heading - s.lookahead * v / u) > 1e-3:

@@ -82,8 +82,9 @@ def _disc(x: float, y: float, radius: float = 0.3, vx: float = 0.0, vy: float = 
 
 def test_every_law_of_the_registry_is_built_and_every_mode_is() -> None:
     assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES, "steered", "calm")
-    for name, mode in zip(BASELINES, MODES, strict=True):  # each law and each mode; study 13 flies the others
-        assert build_law(name, mode=mode).name == f"surctl_{name}"
+    for name in BASELINES:  # study 13 flies them in each mode
+        assert build_law(name).name == f"surctl_{name}"
+    assert build_law("apf", mode=MODES[-1]).mode == MODES[-1]
     assert build_law(BASELINES[-1], sonar=True).perception is not None
 
 
@@ -187,7 +188,7 @@ def test_the_window_holds_what_the_thrust_can_change() -> None:
 # --- time to contact ----------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_the_time_to_contact_is_when_the_simulated_discs_touch(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -226,7 +227,7 @@ def _forbidden(velocity: Array, contacts: list[tuple[float, ...]], *, horizon: f
     return False
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_the_velocity_lies_outside_every_cone_where_a_candidate_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -271,7 +272,7 @@ def _nearest_of(count: int) -> ca.Function:
     return ca.Function("nearest", [wish, normals, bounds, cap], cbf.nearest_velocity(wish, rows, cap=cap))
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12))
 def test_the_filtered_velocity_keeps_its_rows_and_is_the_nearest(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -347,10 +348,7 @@ def test_the_barrier_s_rows_are_kept_by_the_law_s_velocity() -> None:
 @pytest.mark.parametrize(
     ("name", "scenario", "sensing", "seconds"),
     [
-        ("apf", "pool-behind", "truth", 4.0),
-        ("dwa", "pool-behind", "truth", 4.0),
-        ("vo", "pool-behind", "truth", 4.0),
-        ("cbf", "pool-behind", "truth", 4.0),  # study 13 flies them by sonar
+        ("dwa", "pool-behind", "truth", 4.0),  # study 13 flies the others, and by sonar
     ],
 )
 def test_a_run_of_the_batch_is_the_reference_run(name: str, scenario: str, sensing: Any, seconds: float) -> None:

@@ -20,7 +20,7 @@ from surctl.vehicle import load_vehicle
 @cache
 def tried() -> tuple[Law, list[np.ndarray]]:
     """The law that keeps limits, and steps with a contact beside it."""
-    mission, law, count = load_scenario("pool-static"), build_law(mode="projected", contacts=1), 20
+    mission, law, count = load_scenario("pool-static"), build_law(mode="projected", contacts=1), 12
     rng = np.random.default_rng(7)
     p = law_numbers(mission, load_gains("default"), load_vehicle(mission.vehicle))
     contacts = np.tile([0.0, 0.0, 0.2, 0.0, 0.0, 1.0], (count, 1))

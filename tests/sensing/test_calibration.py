@@ -11,7 +11,7 @@ from surctl.sensing import Calibration, Estimate, calibrate
 from surctl.sensing.calibration.estimation import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
 
 BIAS, SCALE = 0.02, 0.985
-SETS = 60  # tables of each kind of noise
+SETS = 40  # tables of each kind of noise
 
 
 def drawn(rng: np.random.Generator, n: int, s0: float, s1: float) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +107,7 @@ def test_constant_noise_gives_the_textbook_line() -> None:
 def test_a_weighted_line_is_nearer_where_the_noise_is_small() -> None:
     """Growing noise: the weighted bias has less than half the spread of the plain one."""
     rng, weighted, plain = np.random.default_rng(7), [], []
-    for _ in range(60):
+    for _ in range(40):
         x, y = drawn(rng, 80, 0.0005, 0.01)
         weighted.append(calibrate(x, y).bias.value)
         plain.append(stats.linregress(x, y).intercept)

@@ -101,14 +101,14 @@ def _array(beam, *, limit, mounted):
 @pytest.mark.parametrize("limit", [None, WEBOTS], ids=["all", "facing"])
 def test_scenes_against_ray_casting(beam, limit):
     array, outcomes = _array(beam, limit=limit, mounted=False), {"hit": 0, "miss": 0, "other": 0}
-    for seed in range(20):
+    for seed in range(14):
         _, shapes, place, axis = _scene(seed)
         got = nearest_echo(shapes, place, axis, half_angle=array.half_angle, incidence_limit=limit)
         wanted = nearest_by_rays(shapes, place, axis, array.half_angle, limit=limit)
         assert got == wanted or abs(got - wanted) < 1e-6, (seed, got, wanted)
         outcomes["hit" if math.isfinite(got) else "miss"] += 1
         outcomes["other"] += got != nearest_echo(shapes, place, axis, half_angle=array.half_angle)
-    assert outcomes["hit"] >= 8
+    assert outcomes["hit"] >= 5
     # walls all round: only a narrow beam finds nothing that faces it
     assert (outcomes["miss"] > 0) == (limit is not None and beam < 20), outcomes
     assert (outcomes["other"] >= 3) == (limit is not None), outcomes
@@ -118,7 +118,7 @@ def test_scenes_against_ray_casting(beam, limit):
 @pytest.mark.parametrize("limit", [None, WEBOTS], ids=["all", "facing"])
 def test_the_hulls_shadow_against_ray_casting(beam, limit):
     array, shadowed = _array(beam, limit=limit, mounted=True), 0
-    for seed in range(100, 112):
+    for seed in range(100, 108):
         _, shapes, place, heading = _scene(seed)
         for sensor in range(array.size):
             x, y, axis = array.apex(sensor, position=place, heading=heading)
@@ -128,7 +128,7 @@ def test_the_hulls_shadow_against_ray_casting(beam, limit):
             assert got == wanted or abs(got - wanted) < 1e-6, (seed, sensor, got, wanted)
             without = nearest_by_rays(shapes, (x, y), axis, array.half_angle, limit=limit)
             shadowed += abs(wanted - without) > 1e-6
-    assert shadowed >= 3 or beam < 20
+    assert shadowed >= 2 or beam < 20
 
 
 @pytest.mark.parametrize("beam", BEAMS)
@@ -137,7 +137,7 @@ def test_the_hulls_shadow_against_ray_casting(beam, limit):
 def test_symbols_and_numbers_give_the_same_range(beam, limit, mounted):
     array, sensors = _array(beam, limit=limit, mounted=mounted), (0, 3, 1, 2)
     twin, nothing, heard_some = _twin(array, sensors), 2.0 * array.maximum, 0
-    for seed in range(30):
+    for seed in range(21):
         (bodies, _, place, heading), rng = _scene(seed), np.random.default_rng(seed)
         if seed % 10 == 0:
             place = rng.uniform((0, 0), (LENGTH, WIDTH))  # maybe inside of something
@@ -152,7 +152,7 @@ def test_symbols_and_numbers_give_the_same_range(beam, limit, mounted):
             got = float(twin(turn, ca.DM(place), heading, boxes, discs))
             assert abs(got - min(wanted, nothing)) < 1e-12, (seed, sensor, got, wanted)
             heard_some += 0 < wanted < nothing
-    assert heard_some > 30
+    assert heard_some > 20
 
 
 def test_a_box_along_the_axes_needs_no_angle():

@@ -83,7 +83,7 @@ def same(chart, found, expected):
 def test_the_routine_and_the_numbers_agree(name, walls):
     need_compiler()
     chart = LocalMap(dt=DT, **CHARTS[name])
-    given, made = flight(chart, 120, seed=3, walls=walls)
+    given, made = flight(chart, 80, seed=3, walls=walls)
     stacked = [np.array(column) for column in zip(*given, strict=True)]
     for found, expected in zip(zip(*compile_block(chart.routine())(*stacked), strict=True), made, strict=True):
         same(chart, found, expected)
@@ -338,8 +338,8 @@ def test_what_one_reading_clears_lies_wholly_in_its_cone(beam):
 
 @cache
 def journeys(beam):
-    """In one world, or two of the law's beams, by the law's chart."""
-    return [list(journey(seed, beam, chart=LocalMap(dt=DT))) for seed in range(2 if beam in WIDE else 1)]
+    """In one world, by the law's chart."""
+    return [list(journey(0, beam, chart=LocalMap(dt=DT)))]
 
 
 @pytest.mark.parametrize("beam", [15.0, *WIDE])
@@ -355,19 +355,19 @@ def test_a_surface_that_was_heard_is_never_known_to_be_free(beam):
             at = at[np.all((at >= 0) & (at < chart.side), axis=1)]
             looked += len(at)
             wrong += int(np.sum(values[at[:, 1], at[:, 0]] < -chart.known))
-    assert looked > 10_000
+    assert looked > 5_000
     assert wrong <= (0 if beam in WIDE else 0.001 * looked)
 
 
 class Around:
-    """Each second once every direction was swept: the true surface, the marks, and what is told of them."""
+    """Every half second once every direction was swept: the true surface, the marks, and what is told of them."""
 
     def __init__(self, beam):
         self.chart = LocalMap(dt=DT)
         rows, marks = [], []
         for path in journeys(beam):
             for k, now in enumerate(path):
-                if now.time * SPIN > 2 * np.pi and k % 20 == 0:
+                if now.time * SPIN > 2 * np.pi and k % 10 == 0:
                     rows += self._look(now)
                     marks.append(self.offsets)
         self.rows = np.array(rows)
@@ -399,7 +399,7 @@ around = cache(Around)
 def test_once_swept_a_mark_stands_before_every_surface(beam):
     """In each direction the nearest mark is at most 0.06 m beyond the surface: less than a cell."""
     seen = around(beam)
-    assert len(seen.rows) > 100
+    assert len(seen.rows) > 60
     assert np.max(seen.mark - seen.away) < 0.06 < EDGE
 
 
@@ -435,7 +435,7 @@ def test_false_marks_before_a_near_surface_are_few(beam):
     """In a room full of things: in nine of ten directions with a surface within 1.2 m at most two cells short of it."""
     seen = around(beam)
     short = (seen.away - seen.mark)[seen.away < 1.2]
-    assert len(short) > 50
+    assert len(short) > 25
     assert np.quantile(short, 0.9) < 2 * EDGE
 
 
@@ -527,7 +527,6 @@ def same_bits(found, expected):
     ("name", "real", "walls"),  # `plain_map` has no directions, and so no "specular"; `numbers` has
     [
         ("the law's", np.float64, SITE),
-        ("the law's", np.float32, OPEN),
         ("small", np.float32, (-0.4, 30.0, -30.0, -1.5)),
         ("one block", np.float64, (-0.4, 30.0, -30.0, -1.5)),
     ],

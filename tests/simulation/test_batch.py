@@ -64,9 +64,9 @@ def _same(found: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
         (_case("pool-static"), 3),  # drift and waves, to the end
         (_case("pool-static", seconds=4.0, law="closed_form"), 0),  # of several obstacles the nearest one
         (_alone(_case("pool-ahead", seconds=2.0, law="closed_form")), 0),  # and of none an empty row
-        (_case("tank-static", sensing="sonar"), 1),  # boxes that are only heard; it collides
-        (_case("tank-speed-015", law="paper", seconds=12.0), 0),
-        (_case("tank-slalom", seconds=16.0), 0),  # six points of a path, through a box
+        (_case("tank-static", sensing="sonar", seconds=5.0), 1),  # boxes that are only heard
+        (_case("tank-speed-015", law="paper", seconds=6.0), 0),
+        (_case("tank-slalom", seconds=12.0), 0),  # six points of a path, through a box
         (_case("tank-speed-025", seconds=4.0), 0),
     ],
     ids=lambda x: x.name if isinstance(x, Case) else str(x),
@@ -84,16 +84,9 @@ def test_a_strong_error_of_the_thrust_is_the_same_in_both_loops() -> None:
     assert not np.allclose(found, simulate_batch(base, seeds=[3]).table[0], atol=1e-3, equal_nan=True)
 
 
-def test_a_mode_with_limits_flies_the_same() -> None:
-    case = _case("pool-behind", mode="projected")
-    assert simulate_batch(case, engine="c").column("reached")[0] == 1
-    short = _case("pool-behind", mode="projected", seconds=4.0)
-    _same(simulate_batch(short, engine="c").table[0], _reference(short))
-
-
-@pytest.mark.parametrize(("name", "seconds"), [("tank-moving", 60.0), ("tank-moving", 12.0)], ids=["truth", "sonar"])
-def test_an_obstacle_left_out_is_as_one_that_never_was(name: str, seconds: float) -> None:
-    case = _case(name, seconds=seconds, sensing="truth" if seconds > 50 else "sonar")
+@pytest.mark.parametrize(("law", "sensing", "seconds"), [("closed_form", "truth", 60.0), ("paper", "sonar", 24.0)])
+def test_an_obstacle_left_out_is_as_one_that_never_was(law: str, sensing: str, seconds: float) -> None:
+    case = _case("tank-moving", seconds=seconds, law=law, sensing=sensing)
     names = [o.name for o in case.scenario.obstacles]
     there = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
     values = {f"obstacle.{name}.there": there[:, k] for k, name in enumerate(names)}
@@ -213,11 +206,9 @@ def test_a_knob_does_what_the_edited_case_does(case: Case, name: str, value: flo
 
 
 def test_every_knob_is_admissible_as_it_stands() -> None:
-    for name in ("tank-static", "tank-speed-015"):
-        case = _case(name, seconds=0.1)
-        known = case_parameters(case)
-        result = simulate_batch(case, {k: [v.value] for k, v in known.items()})
-        assert np.array_equal(result.table, simulate_batch(case).table, equal_nan=True), name
+    case = _case("tank-moving", seconds=0.1, law="closed_form")
+    result = simulate_batch(case, {k: [v.value] for k, v in case_parameters(case).items()})
+    assert np.array_equal(result.table, simulate_batch(case).table, equal_nan=True)
 
 
 def test_of_more_obstacles_than_slots_the_law_is_told_the_nearest() -> None:
@@ -225,7 +216,7 @@ def test_of_more_obstacles_than_slots_the_law_is_told_the_nearest() -> None:
         Obstacle(name=f"post {k}", shape="cylinder", centre_m=(1.0 + 0.45 * k, 2.0 + 0.9 * (k % 3)), radius_m=0.1)
         for k in range(11)
     )
-    base = _case("tank-static", seconds=10.0)
+    base = _case("tank-static", seconds=5.0)
     path = Path(np.array([[0.5, 0.6], [9.0, 1.2]]))
     case = replace(base, scenario=replace(base.scenario, obstacles=posts, path=path))
     _same(simulate_batch(case).table[0], _reference(case))

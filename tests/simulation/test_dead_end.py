@@ -17,7 +17,6 @@ from surctl.simulation import (
     Case,
     Obstacle,
     Run,
-    Sensing,
     load_scenario,
     simulate,
     simulate_batch,
@@ -48,25 +47,22 @@ SCENES = {
 }
 
 
-def _case(scene: str, sensing: Sensing, **gains: float) -> Case:
+def _case(scene: str, **gains: float) -> Case:
     name, boxes = SCENES[scene]
     scenario = replace(load_scenario(name), obstacles=boxes, time_limit=240.0)
-    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default").with_values(gains), sensing=sensing)
+    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default").with_values({"patience": 5.0, **gains}))
 
 
 @cache
-def _run(scene: str, sensing: Sensing) -> Run:
-    case = _case(scene, sensing)
-    return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing=sensing, seed=1)
+def _run(scene: str) -> Run:
+    case = _case(scene)
+    return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), seed=1)
 
 
-@pytest.mark.parametrize(
-    ("scene", "sensing"), [*((scene, "truth") for scene in SCENES), ("a gap narrower than the hull", "sonar")]
-)
-def test_a_dead_end_is_found_and_said_in_safety(scene: str, sensing: Sensing) -> None:
-    if sensing == "sonar":
-        need_compiler()
-    run = _run(scene, sensing)
+@pytest.mark.parametrize("scene", SCENES)
+def test_a_dead_end_is_found_and_said_in_safety(scene: str) -> None:
+    """By sonar: `test_depth_escape`."""
+    run = _run(scene)
     assert run.metrics.stopped_because == "dead end"
     assert run.metrics.min_clearance_m > 0
     trapped = run.telemetry("trapped").ravel() > 0.5
@@ -79,8 +75,8 @@ def test_a_dead_end_is_found_and_said_in_safety(scene: str, sensing: Sensing) ->
 
 
 def test_patience_0_never_gives_up() -> None:
-    case = _case("a box as wide as the pool", "truth", patience=0.0)
-    longer = replace(case.scenario, time_limit=_run("a box as wide as the pool", "truth").metrics.time_s + 15.0)
+    case = _case("a box as wide as the pool", patience=0.0)
+    longer = replace(case.scenario, time_limit=_run("a box as wide as the pool").metrics.time_s + 10.0)
     run = simulate(longer, case.vehicle, gains=case.gains, law=case.build(), seed=1)
     assert run.metrics.stopped_because == "time limit"
     assert not np.any(run.telemetry("trapped"))
@@ -88,8 +84,8 @@ def test_patience_0_never_gives_up() -> None:
 
 def test_the_compiled_loop_ends_alike() -> None:
     need_compiler()
-    case = _case("a box as wide as the pool", "truth")
-    single = _run("a box as wide as the pool", "truth")
+    case = _case("a box as wide as the pool")
+    single = _run("a box as wide as the pool")
     (row,) = simulate_batch(case, seeds=[1]).table
     assert row[list(METRICS).index("stopped")] == STOPS.index("dead end")
     assert row[list(METRICS).index("time_s")] == pytest.approx(single.metrics.time_s)

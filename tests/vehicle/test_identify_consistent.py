@@ -59,7 +59,7 @@ def test_what_is_held_is_held_first_and_the_rest_fitted_with_it() -> None:
 
 
 def test_a_negative_drag_is_fixed_at_0_and_said() -> None:
-    log = made_log(TRUE, seed=2, rows=300)
+    log = made_log(TRUE, seed=2, rows=150)
     pushed = log.thrust + np.outer(np.nan_to_num(log.motion[:, 4]), [-25.0, 0, 0, 0])  # thrust that hides the drag
     wrong = MotionLog(log.time, log.motion, pushed, "log.csv")
     found = identify(wrong, START, name="fitted")
@@ -71,11 +71,11 @@ def test_a_negative_drag_is_fixed_at_0_and_said() -> None:
 
 
 def test_a_lag_is_not_told_by_thrust_in_a_few_rows_or_at_its_bound() -> None:
-    log = made_log(TRUE, seed=3)
+    log = made_log(TRUE, seed=3, rows=100)
     few = log.thrust.copy()
-    few[10:] = 0.0
+    few[5:] = 0.0
     found = identify(MotionLog(log.time, log.motion, few, "log.csv"), START, name="fitted")
-    assert "thrust_lag" in found.held and any("only 10 of 200 rows" in note for note in found.notes)
+    assert "thrust_lag" in found.held and any("only 5 of 100 rows" in note for note in found.notes)
     fast = made_log(TRUE.with_values({"thrust_lag": 0.0}), seed=3)
     found = identify(fast, START, name="fitted")
     assert "thrust_lag" in found.held and any("smallest value that the fit allows" in note for note in found.notes)

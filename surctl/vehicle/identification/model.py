@@ -307,7 +307,8 @@ class Model:
         stack_x, stack_p = (np.zeros((longest, len(order), states, width)) for width in (states, size - states))
         for place, k in enumerate(order):
             stack_x[: len(over_x[k]), place], stack_p[: len(over_p[k]), place] = over_x[k], over_p[k]
-        active = [sum(len(sections[k].dt) > m for k in order) for m in range(longest)]
+        lengths = np.array([len(sections[k].dt) for k in order])
+        active = np.sum(lengths[:, None] > np.arange(longest), axis=0).tolist()
         history = np.empty((longest + 1, len(order), len(self.columns), size))
         history[0] = here[:, self.outputs]
         for m in range(longest):

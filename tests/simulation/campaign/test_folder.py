@@ -8,7 +8,7 @@ from surctl.errors import InputError
 from surctl.simulation.campaign import CampaignFolder, campaign, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 
-DRAWN = plan("tank-static", seconds=0.5)
+DRAWN = plan("tank-static", law="closed_form", seconds=0.5)
 SIZE = 16  # runs of a chunk
 
 

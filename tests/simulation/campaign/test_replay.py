@@ -16,8 +16,8 @@ from tests.simulation.campaign.test_worlds import worlds
     "drawn",
     [
         plan("tank-speed-015", law="paper", mode="nsb", avoidance="printed", seconds=10.0),
-        plan("tank-static", seconds=5.0, sensing="sonar"),
-        worlds(seconds=30.0, plant=True),
+        plan("tank-static", law="paper", seconds=3.0, sensing="sonar"),
+        worlds(seconds=15.0, plant=True),
     ],
     ids=["paper", "sonar", "worlds"],
 )
