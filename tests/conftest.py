@@ -27,7 +27,10 @@ SPENT = "processor time [s]"
 MANY_RUNS = ("cli/test_tune.py", "simulation/test_closed_loop.py", "simulation/test_depth_escape.py", "tuning")
 
 # rooms in which a loop flies a few runs: one run at a time compiles in two thirds of the time
-FEW_RUNS = ("simulation", "control", "vehicle", "reproduction")
+FEW_RUNS = (
+    *("simulation", "control", "vehicle", "reproduction", "cli", "report"),
+    *("test_analysis.py", "test_examples.py", "test_guides.py"),
+)
 SIDE_BY_SIDE = ("simulation/test_batch.py", "simulation/campaign")
 
 LONG = (
