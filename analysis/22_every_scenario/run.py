@@ -133,9 +133,7 @@ def study(*, quick: bool) -> tuple[str, bool]:
         found = flown(RandomWorlds(template, 0, False), worlds)
         stopped = found.summary.stopped
         bars["drawn worlds: no collision"] = stopped["collision"].count == 0
-        bars[f"drawn worlds: at least {LEAST_REACHED:.0%} reached"] = (
-            stopped["reached"].count >= LEAST_REACHED * worlds
-        )
+        bars[f"drawn worlds: at least {LEAST_REACHED:.0%} reached"] = stopped["reached"].count >= LEAST_REACHED * worlds
         out += ["", f"## {worlds} drawn worlds", "", *HEAD, campaign_row(found)]
     out += ["", "## Bars", ""]
     out += [f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in bars.items()]
@@ -145,7 +143,9 @@ def study(*, quick: bool) -> tuple[str, bool]:
 def main() -> int:
     """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one scenario, few runs, all with lost echoes; no drawn worlds")
+    parser.add_argument(
+        "--quick", action="store_true", help="one scenario, few runs, all with lost echoes; no drawn worlds"
+    )
     parser.add_argument("--write", action="store_true", help="write README.md beside this file")
     options = parser.parse_args()
     text, held = study(quick=options.quick)
