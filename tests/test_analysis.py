@@ -339,7 +339,7 @@ def test_a_folder_that_cannot_be_written_ends_with_2(study: dict[str, Any], tmp_
 
 def test_the_solver_holds_its_bars() -> None:
     need_compiler()
-    done = run(SOLVER, "--quick")
+    done = run(SOLVER, "--quick", "--no-race")
     assert done.returncode == 0, done.stdout + done.stderr
     facts = {row[0]: row[1:] for row in table(done.stdout) if len(row) == 4}
     assert {name.split(":")[0] for name, (_, bar, _) in facts.items() if bar} > {

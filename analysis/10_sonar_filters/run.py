@@ -362,7 +362,7 @@ def usefulness(kind: Kind, base: Approach, found: Tracked, bars: Bars) -> bool:
 
 
 def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config, out: Path, *, quick: bool) -> None:
-    """Save pictures: errors of the filters, both LMS steps, and one run with each of some faults; if quick, with one."""
+    """Save pictures: errors of the filters, both LMS steps, and one run with each of some faults; quick: with one."""
     names = tuple(errors)
     data = FilterErrors(
         names=names,
