@@ -265,9 +265,7 @@ def test_the_study_of_allocation(capsys: pytest.CaptureFixture[str]) -> None:
     assert study["main"](["--fast"]) == 2 and "--quick" in capsys.readouterr().err
 
 
-def test_the_study_of_the_braking_barrier(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_study_of_the_braking_barrier(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     study = runpy.run_path(str(ANALYSIS / "15_braking_barrier" / "run.py"))
     monkeypatch.setitem(study["proofs"].__globals__, "VEHICLES", ("sur400",))  # some of its claims are not provable
     assert study["proofs"]() and "**" not in capsys.readouterr().out
