@@ -27,7 +27,10 @@ SPENT = "processor time [s]"
 MANY_RUNS = ("cli/test_tune.py", "tuning")
 
 # rooms in which a loop flies a few runs: one run at a time compiles in two thirds of the time
-FEW_RUNS = ("simulation", "control", "vehicle", "reproduction", "study", "engine", "guidance", "test_third_party.py")
+FEW_RUNS = (
+    *("simulation", "control", "vehicle", "reproduction", "study", "engine", "guidance", "cli", "report"),
+    *("test_third_party.py", "test_analysis.py", "test_examples.py", "test_guides.py"),
+)
 SIDE_BY_SIDE = ("simulation/test_batch.py", "simulation/campaign/test_campaign.py")
 
 LONG = (

@@ -89,6 +89,8 @@ def main(arguments: list[str]) -> int:
     try:
         config = load_model(CONFIG, Config)
         out = prepare_folder(options.out or Path(tempfile.mkdtemp(prefix="surctl-sweep-")))
+        if options.quick:  # beginning a second process takes longer than the points
+            config = config.model_copy(update={"workers": 1})
         return study(config, config.quick if options.quick else config.full, out)
     except InputError as error:
         print(error, file=sys.stderr)

@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 def main(arguments: list[str]) -> int:
     """Run both parts; return the exit status."""
     parser = argparse.ArgumentParser(description="least-distance solver: robustness and speed")
-    parser.add_argument("--quick", action="store_true", help="400 problems (default of --n) and a short timing")
+    parser.add_argument("--quick", action="store_true", help="200 problems (default of --n) and a short timing")
     parser.add_argument("--n", type=int, help="random problems; 100,000 if not given")
     parser.add_argument(
         "--referee", type=int, help="problems of stages 2 and 3 each for the reference solver (default 500)"
@@ -49,8 +49,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--no-race", action="store_true", help="skip the timing")
     options = parser.parse_args(arguments)
-    count = options.n if options.n is not None else 400 if options.quick else 100_000
-    checked = options.referee if options.referee is not None else 10 if options.quick else 500
+    count = options.n if options.n is not None else 200 if options.quick else 100_000
+    checked = options.referee if options.referee is not None else 5 if options.quick else 500
     if count < 1 or options.seed < 0 or checked < 0:
         parser.error("--n is at least 1, --seed and --referee at least 0")
     try:

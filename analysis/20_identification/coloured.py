@@ -1,7 +1,7 @@
 """Study 20, second part: logs with a constant force, coloured noise, gaps and unequal sampling at 50 Hz.
 
     python analysis/20_identification/coloured.py            # half an hour on two cores
-    python analysis/20_identification/coloured.py --quick    # one log of two thirds of the length
+    python analysis/20_identification/coloured.py --quick    # one log of half the length
     python analysis/20_identification/coloured.py --progress fits.jsonl    # continues where an earlier run stopped
 
 Each log is of another vehicle, drawn from ranges around a sphere with 40 N of thrust. A constant force of 8 N
@@ -240,13 +240,13 @@ def wide(found: list[Trial], name: str) -> float:
 def main() -> int:
     """Print the tables; return 1 if a statement does not hold."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one log of two thirds of the length")
+    parser.add_argument("--quick", action="store_true", help="one log of half the length")
     parser.add_argument("--logs", type=int, default=200, help="number of logs (default 200)")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--progress", type=Path, help="file of finished fits, which a later run continues")
     given = parser.parse_args()
     count, compared = (1, 1) if given.quick else (given.logs, min(8, given.logs))
-    share = 2 / 3 if given.quick else 1.0
+    share = 0.5 if given.quick else 1.0
     found: list[Trial] = []
     jobs = [(k, k >= count - compared, share) for k in range(count)]
     for one in resumed(jobs, given.workers, given.progress):

@@ -1,6 +1,6 @@
 """Example: dynamic positioning of CyberShip II by four thrusters under a nonlinear PID law.
 
-    python analysis/26_examples/cybership2.py    # 10,000 runs; --quick: 100
+    python analysis/26_examples/cybership2.py    # 10,000 runs; --quick: 100, no proof
 
 Skjetne, Smogeli and Fossen 2004. Status 0 if all is stable, a region is proved, and C equals Python.
 """
@@ -92,7 +92,7 @@ system = System(plant, law, substeps=2, costs=COSTS)
 
 def main() -> int:
     """Print the example; 1 if the loop is unstable, its claim is not proved, or C differs from Python."""
-    count, rng = 100 if sys.argv[1:] == ["--quick"] else 10_000, np.random.default_rng(1)
+    (count, few), rng = (100, 20) if sys.argv[1:] == ["--quick"] else (10_000, 100), np.random.default_rng(1)
     load = {"disturbance.waves": [[0.6, -0.4, 0.1]]}
     ranges = {"omega": (0.1, 3.0), "zeta": (0.4, 4.0), "n": (3.0, 100.0)}
     tried = {name: rng.uniform(*ends, count) for name, ends in ranges.items()}
@@ -100,20 +100,20 @@ def main() -> int:
     starts = {name: rng.uniform(-1, 1, (count, 3)) * ends for name, ends in most.items()}
     runs = simulate_system(system, 60.0, {**tried, **starts})
     print(f"sweep: {len(runs.time):,} runs, {np.mean(runs.stopped == 'time'):.1%} of them to their end")
-    cases = {name: rows[:100] for name, rows in starts.items()}
-    tuned = tune_system(system, 60.0, ranges, cases=cases, trials=100, least_disk_margin=0.75)
+    cases = {name: rows[:few] for name, rows in starts.items()}
+    tuned = tune_system(system, 60.0, ranges, cases=cases, trials=few, least_disk_margin=0.75)
     print(*tuned.lines(system), sep="\n")
-    linear = linearise(system, {**tuned.gains, **load})
-    print(*(margin.line() for margin in system_margins(linear)), sep="\n")
-    free = replace(system, controller=replace(law, law=partial(positioning, limited=False)))
-    within = {"eta[0]": (-2.0, 2.0), "nu[0]": (-1.0, 1.0), "controller.total[0]": (-4.0, 4.0)}
-    claim = find_stability(continuous_dynamics(free, within, values=tuned.gains), degree=2, time_limit=20.0)
-    print("claim, motion along the hull below the limits:", claim.line())
+    print(*(margin.line() for margin in system_margins(linearise(system, {**tuned.gains, **load}))), sep="\n")
+    if few == 100:  # the proof takes longer than all else
+        free = replace(system, controller=replace(law, law=partial(positioning, limited=False)))
+        within = {"eta[0]": (-2.0, 2.0), "nu[0]": (-1.0, 1.0), "controller.total[0]": (-4.0, 4.0)}
+        claim = find_stability(continuous_dynamics(free, within, values=tuned.gains), degree=2, time_limit=20.0)
+        print("claim, motion along the hull below the limits:", claim.line())
     record = run_system(system, 60.0, {**tuned.gains, **load, "start.eta": [[1.5, -1.0, 0.8]]})
     print(f"one run: within 0.05 m from {record['settling']:.1f} s on")
     report = software_in_the_loop(law, record)
     print(report.summary())
-    return 0 if report.exact and not tuned.unmet and claim.verdict == "proved" else 1
+    return 0 if report.exact and not tuned.unmet and (few < 100 or claim.verdict == "proved") else 1
 
 
 if __name__ == "__main__":

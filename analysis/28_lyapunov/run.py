@@ -29,7 +29,7 @@ from surctl.lyapunov import Problem, load_problem, solve
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results.jsonl"
-QUICK = ("coutinho-circle", "discrete-linear", "djaballah-3", "cubic-spring")
+QUICK = ("coutinho-circle", "cubic-spring")
 QUICK_STATEMENTS = ("discrete-linear-rate-true", "discrete-linear-rate-false")
 WORKERS = 2
 

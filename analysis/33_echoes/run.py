@@ -43,7 +43,7 @@ def row(name: str, echoes: str, seeds: int, *, quick: bool) -> tuple[str, list[i
 
     In the `quick` form the runs end after a few seconds, and no loop is compiled.
     """
-    values, engine = ({"scenario.time_limit": 5.0}, "vm") if quick else ({}, "auto")
+    values, engine = ({"scenario.time_limit": 2.0}, "vm") if quick else ({}, "auto")
     case = case_of(name, echoes)
     runs = simulate_batch(case, values, seeds=np.arange(seeds), threads=2, engine=engine)  # type: ignore[arg-type]
     reached = runs.column("reached") > 0

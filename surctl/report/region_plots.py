@@ -45,7 +45,7 @@ def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) 
         >>> from surctl.report import plot_region
         >>> from surctl.vehicle import load_vehicle
         >>> from surctl.verification.region import prove_statement, region_statement
-        >>> statement = region_statement("region-cruise-20-soft").model_copy(update={"attempts": 8})
+        >>> statement = region_statement("region-cruise-20-soft").model_copy(update={"attempts": 2})
         >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
         >>> figure = plot_region(proof.certificate())
         >>> [ax.get_ylabel() for ax in figure.axes]

@@ -102,7 +102,7 @@ def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str)
         >>> from surctl.report import save_regions
         >>> from surctl.vehicle import load_vehicle
         >>> from surctl.verification.region import prove_statement, region_statement
-        >>> statement = region_statement("region-cruise-20-soft").model_copy(update={"attempts": 8})
+        >>> statement = region_statement("region-cruise-20-soft").model_copy(update={"attempts": 2})
         >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
         >>> [path.name for path in save_regions({"soft": proof.certificate()}, "pictures")]
         ['soft-levels.png']

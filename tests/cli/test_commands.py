@@ -192,7 +192,7 @@ def test_sweep_finishes_picks_and_does_not_depend_on_workers(tmp_path):
 
 def test_sweep_tells_what_a_column_depends_on(tmp_path):
     words = ("sweep", "k_v=1..3", "lookahead=0.5..1.5", "--scenario", "pool-behind", "--sensitivity", "disk_margin")
-    done = surctl(*words, "--points", 4, "--json", cwd=tmp_path)
+    done = surctl(*words, "--points", 4, "--workers", 1, "--json", cwd=tmp_path)
     found = done.json["sensitivity"]
     assert found["axes"] == ["k_v", "lookahead"] and len(done.json["results"]) == 16
     assert (tmp_path / "surctl-out" / "sensitivity-disk_margin.png").exists()

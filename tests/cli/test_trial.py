@@ -28,7 +28,7 @@ class Shell:
         (command,) = {line for line in self.next if line.startswith(beginning)}
         program, *rest = shlex.split(command)
         assert program == "surctl"
-        done = surctl(*rest, *words, "--json", cwd=self.folder, SURCTL_CFLAGS="-O0")
+        done = surctl(*rest, *words, "--json", cwd=self.folder)
         assert done.status == 0, done.err
         self.next = done.json.get("next", [])
         return done
