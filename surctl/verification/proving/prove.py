@@ -241,9 +241,8 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
         return outside
     everywhere = all(fine[0] for fine in written.run(root).defined)
     polynomial = not any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints))
-    at_once = _at_once(attempt, constraints, root, seconds, everywhere=everywhere, polynomial=polynomial)
-    if at_once is not None:
-        return at_once
+    if attempt.simply:
+        return _simple(attempt, constraints, root, seconds, everywhere=everywhere, polynomial=polynomial)
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
     rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
@@ -288,23 +287,20 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
 
 
-def _at_once(
+def _simple(
     attempt: _Attempt, constraints: Tape, root: Ends, seconds: float, *, everywhere: bool, polynomial: bool
-) -> _Shown | None:
-    """Return a proof without bisection; None if there is none and others are to be tried."""
+) -> _Shown:
+    """Return a proof without bisection, or what the whole box leaves open."""
     case, statement = attempt.case, attempt.statement
     plain, box = as_written(case), (statement.lower, statement.upper)
     bound = build_tape(statement.names, [plain.numerator])
     if everywhere and bound.run(root).jets[0].value[1][0] <= 0:
         return _Shown(plain, replace(_without_boxes(root, 1), tree="n"), 0.0)
-    if attempt.simply and polynomial:
-        small = prove_by_squares(case, statement.names, box, seconds=seconds, most=_SIMPLE)
-        if small.form is not None:
-            return _Shown(small.form, _without_boxes(root, 1), 0.0, small.squares)
-    if case.touching and not attempt.simply:
-        return None  # boxes around a point with equality are hard
-    whole = search(Task(bound, constraints, attempt.written, box, 0.0), deadline=np.inf, most=1)
-    return _Shown(plain, whole, 0.0) if whole.closed or attempt.simply else None
+    if everywhere and polynomial:
+        squares = prove_by_squares(case, statement.names, box, seconds=seconds, most=_SIMPLE)
+        if squares.form is not None:
+            return _Shown(squares.form, _without_boxes(root, 1), 0.0, squares.squares)
+    return _Shown(plain, search(Task(bound, constraints, attempt.written, box, 0.0), deadline=np.inf, most=1), 0.0)
 
 
 def _without_boxes(root: Ends, looked: int) -> SearchResult:
