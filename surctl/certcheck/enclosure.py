@@ -80,7 +80,11 @@ def decimal(x: float) -> Interval:
 
 def rational(x: Fraction) -> Interval:
     """Return a narrow interval around a rational number."""
-    p, q = x.numerator, x.denominator
+    return _quotient(x.numerator, x.denominator)
+
+
+@lru_cache(1024)
+def _quotient(p: int, q: int) -> Interval:
     return libmp.from_rational(p, q, BITS, "f"), libmp.from_rational(p, q, BITS, "c")
 
 
@@ -264,23 +268,35 @@ def _power(a: Jet, n: int) -> Jet:
     def to(e: int) -> Interval:
         return _ONE if e <= 0 else libmp.mpi_pow_int(a.value, e, BITS)
 
-    first = mul(rational(Fraction(n)), to(n - 1))
-    second = mul(rational(Fraction(n * (n - 1))), to(n - 2))
+    if a.slope is None:
+        return Jet(to(n))
+    first = mul(_integer(n), to(n - 1))
+    second = None if a.bend is None else mul(_integer(n * (n - 1)), to(n - 2))
     return _chain(a, to(n), (first, second))
+
+
+def _integer(x: int) -> Interval:
+    raw = libmp.from_int(x)
+    return raw, raw
 
 
 def _reciprocal(a: Jet) -> Jet:
     if not (above(a.value) or libmp.mpf_lt(a.value[1], libmp.fzero)):
         raise Undefined("a division by an interval that contains 0")
     value = libmp.mpi_div(_ONE, a.value, BITS)
+    if a.slope is None:
+        return Jet(value)
     squared = libmp.mpi_pow_int(value, 2, BITS)
     return _chain(a, value, (minus(squared), mul(rational(Fraction(2)), mul(squared, value))))
+
+
+_circle = lru_cache(1024)(circle)  # neighbouring boxes share the ranges of most of their variables
 
 
 def _unary(op: str, a: Jet) -> Jet:
     x = a.value
     if op in ("sin", "cos"):
-        cosine, sine = circle(x)
+        cosine, sine = _circle(x)
         if op == "sin":
             return _chain(a, sine, (cosine, minus(sine)))
         return _chain(a, cosine, (minus(sine), minus(cosine)))

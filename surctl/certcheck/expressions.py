@@ -54,18 +54,19 @@ class ExpressionTable:
     def __init__(self, names: Sequence[str]) -> None:
         self.names = tuple(names)
         self.entries: list[Entry] = []
-        self._at: dict[Entry, int] = {}
+        self._at: dict[tuple[str, tuple[int, ...], int, int], int] = {}
         self._live: dict[tuple[int, ...], list[int]] = {}
 
     def put(self, op: str, *args: int, value: Fraction | int = 0) -> int:
         """Return the position of an operation in the table; add the operation to the table if it is new."""
-        entry = Entry(op, args, Fraction(value))
-        if entry not in self._at:
+        key = op, args, value.numerator, value.denominator  # the hash of a fraction is slow
+        at = self._at.get(key)
+        if at is None:
             if len(self.entries) >= _MOST:
                 raise Rejected(f"the expressions have more than {_MOST} operations")
-            self._at[entry] = len(self.entries)
-            self.entries.append(entry)
-        return self._at[entry]
+            at = self._at[key] = len(self.entries)
+            self.entries.append(Entry(op, args, Fraction(value)))
+        return at
 
     def needed(self, roots: Iterable[int]) -> list[int]:
         """Return, in table order, the positions of the given roots and of all operations on which the roots depend."""

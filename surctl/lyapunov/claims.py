@@ -6,12 +6,14 @@ The inequalities are those that `surctl.certcheck.lyapunov` and `surctl.certchec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.lyapunov.dynamics import Dynamics, Range, exact
@@ -19,7 +21,7 @@ from surctl.verification.claim import Claim, Variable
 from surctl.verification.formula import Node, number, parse, power, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 
-__all__ = ["Bound", "DynamicClaim", "Power", "Safety", "Stability"]
+__all__ = ["Bound", "DynamicClaim", "Inequality", "Power", "Safety", "Stability"]
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Stability:
             "rate": None if self.rate is None else float(self.rate),
         }
 
-    def inequalities(self, scales: Sequence[float], positive: Power, decrease: Power | None) -> list[Claim]:
+    def inequalities(self, scales: Sequence[float], positive: Power, decrease: Power | None) -> list[Inequality]:
         """Return the inequalities to prove: V is positive, the region lies in the box, V decreases.
 
         Args:
@@ -88,7 +90,7 @@ class Stability:
         inside = [self.function - exact(self.level)]
         at = {s.name: Fraction(repr(float(s.equilibrium))) for s in d.states}
         name, least = f"{d.name}: V is positive", self._power(scales, positive)
-        claims = [_claim(name, d.states, least, self.function, inside, at)]
+        claims = [_inequality(name, d.states, least, self.function, inside, at)]
         claims += _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
         loss = exact(self.rate) * self.function if self.rate is not None else None
         if loss is None:
@@ -151,7 +153,7 @@ class Bound:
             "gains": {name: float(gain) for name, gain in self.gains.items()},
         }
 
-    def inequalities(self) -> list[Claim]:
+    def inequalities(self) -> list[Inequality]:
         """Return the inequalities to prove: the region lies in the box, V decays."""
         d = self.dynamics
         inside = [self.function - exact(self.level)]
@@ -199,20 +201,20 @@ class Safety:
             "multiplier": None if self.multiplier is None else text_of(self.multiplier),
         }
 
-    def inequalities(self, margin: float) -> list[Claim]:
+    def inequalities(self, margin: float) -> list[Inequality]:
         """Return the inequalities to prove; B is at least `margin` > 0 in the unsafe set."""
         d, zero = self.dynamics, number(0)
         change = d.change(self.function)
         claims = [
-            _claim(f"{d.name}: B in the initial set", d.states, self.function, zero, self.initial),
-            _claim(f"{d.name}: B in the unsafe set", d.states, exact(margin), self.function, self.unsafe),
+            _inequality(f"{d.name}: B in the initial set", d.states, self.function, zero, self.initial),
+            _inequality(f"{d.name}: B in the unsafe set", d.states, exact(margin), self.function, self.unsafe),
         ]
         if d.discrete:
-            last = _claim(f"{d.name}: B at the successor", d.variables, change, zero, [self.function])
+            last = _inequality(f"{d.name}: B at the successor", d.variables, change, zero, [self.function])
         else:
             if self.multiplier is None:
                 raise InputError("is missing", key=f"{d.name}.multiplier", remedy='give e.g. "0" or "-1"')
-            last = _claim(f"{d.name}: change of B", d.variables, change, self.multiplier * self.function, [])
+            last = _inequality(f"{d.name}: change of B", d.variables, change, self.multiplier * self.function, [])
         return [*claims, last]
 
 
@@ -235,43 +237,78 @@ def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:
     }
 
 
-def _claim(
+@dataclass(frozen=True, eq=False)
+class Inequality:
+    """An inequality of a claim about solutions.
+
+    Attributes:
+        name: what it is about, for messages.
+        exact: the inequality with exact numbers.
+        variables: ranges of its variables.
+    """
+
+    name: str
+    exact: Statement
+    variables: tuple[Range, ...]
+
+    @cached_property
+    def claim(self) -> Claim:
+        """The inequality for the falsifier."""
+        e = self.exact
+        symbols = {name: ca.SX.sym(name) for name in e.names}
+        left, right, *rows = (to_casadi(node, symbols) for node in e.parts)
+        return Claim(
+            self.name, self.name, "", (), "proved",
+            tuple(Variable(v.name, symbols[v.name], v.unit, v.lower, v.upper, v.meaning) for v in self.variables),
+            left, right, "1", ca.vertcat(ca.SX(0, 1), *rows), tolerance=0.0, paper=False, exact=e,
+        )  # fmt: skip
+
+    def on(self, name: str, end: float) -> Inequality:
+        """Return the inequality with a fixed value of one variable."""
+        variables = tuple(replace(v, lower=end, upper=end) if v.name == name else v for v in self.variables)
+        lower, upper = _ends(variables)
+        return replace(self, variables=variables, exact=replace(self.exact, lower=lower, upper=upper))
+
+
+def _inequality(
     name: str,
     variables: Sequence[Range],
     left: Node,
     right: Node,
     constraints: Sequence[Node],
     touching: Mapping[str, Fraction] | None = None,
-) -> Claim:
+) -> Inequality:
     names = tuple(v.name for v in variables)
-    symbols = {name: ca.SX.sym(name) for name in names}
-    known = {name: variable(name) for name in names}
-    ends = np.array([(v.lower, v.upper) for v in variables], dtype=float)
     # parse the written text, so that the expressions are those that a reader of the certificate obtains
-    left, right, *rows = (parse(text_of(node), known) for node in (left, right, *constraints))
-    return Claim(
-        name, name, "", (), "proved",
-        tuple(Variable(v.name, symbols[v.name], v.unit, v.lower, v.upper, v.meaning) for v in variables),
-        to_casadi(left, symbols), to_casadi(right, symbols), "1",
-        ca.vertcat(ca.SX(0, 1), *[to_casadi(g, symbols) for g in rows]), tolerance=0.0, paper=False,
-        exact=Statement(names, ends[:, 0], ends[:, 1], left, right, tuple(rows), touching or {}),
-    )  # fmt: skip
+    left, right, *rows = (_reread(text_of(node), names) for node in (left, right, *constraints))
+    lower, upper = _ends(variables)
+    exact = Statement(names, lower, upper, left, right, tuple(rows), touching or {})
+    return Inequality(name, exact, tuple(variables))
 
 
-def _faces(dynamics: Dynamics, level: float, function: Node) -> list[Claim]:
+@lru_cache(256)
+def _reread(text: str, names: tuple[str, ...]) -> Node:
+    return parse(text, {name: variable(name) for name in names})
+
+
+def _ends(variables: Sequence[Range]) -> NDArray[np.float64]:
+    return np.array([(v.lower, v.upper) for v in variables], dtype=float).T
+
+
+def _faces(dynamics: Dynamics, level: float, function: Node) -> list[Inequality]:
     claims = []
     for s in dynamics.states:
-        claim = _claim(f"{dynamics.name}: V on a face in {s.name}", dynamics.states, exact(level), function, [])
-        claims += [claim.on({s.name: (end, end)}) for end in (s.lower, s.upper)]
+        claim = _inequality(f"{dynamics.name}: V on a face in {s.name}", dynamics.states, exact(level), function, [])
+        claims += [claim.on(s.name, end) for end in (s.lower, s.upper)]
     return claims
 
 
-def _stays(dynamics: Dynamics, inside: Sequence[Node]) -> list[Claim]:
+def _stays(dynamics: Dynamics, inside: Sequence[Node]) -> list[Inequality]:
     claims = []
     for s, rate in zip(dynamics.states, dynamics.rates, strict=True):
         name = f"{dynamics.name}: the successor of {s.name}"
-        claims.append(_claim(name, dynamics.variables, exact(s.lower), rate, inside))
-        claims.append(_claim(name, dynamics.variables, rate, exact(s.upper), inside))
+        claims.append(_inequality(name, dynamics.variables, exact(s.lower), rate, inside))
+        claims.append(_inequality(name, dynamics.variables, rate, exact(s.upper), inside))
     return claims
 
 
@@ -281,7 +318,7 @@ def _decrease(
     right: Node,
     inside: Sequence[Node],
     touching: Mapping[str, Fraction] | None = None,
-) -> Claim:
+) -> Inequality:
     change = dynamics.change(function)
     left = change - function if dynamics.discrete else change
-    return _claim(f"{dynamics.name}: V decreases", dynamics.variables, left, right, inside, touching)
+    return _inequality(f"{dynamics.name}: V decreases", dynamics.variables, left, right, inside, touching)

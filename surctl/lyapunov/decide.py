@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
+from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.falsified import least_level
 from surctl.lyapunov.stationary import stationary_state
@@ -21,7 +22,7 @@ from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
 from surctl.verification.formula import ordered, text_of
-from surctl.verification.proving import prove
+from surctl.verification.proving import prove_cases
 
 __all__ = ["Decision", "decide_motion", "prove_motion", "short"]
 
@@ -33,6 +34,7 @@ _FIRST = 0.6  # share of the remaining time for a choice of bounds that is not t
 _FLAT = 1e-3  # least ratio of a bound near the equilibrium to the same bound far from it
 _FAR = 0.1  # least r² far from the equilibrium, relative to the largest in the region
 _SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio that are tried as factor of a lower bound
+_SIMPLE = 1.0  # largest processor time of a proof of an inequality that should take milliseconds [s]
 _HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality, and for one that is not the last
 _STEP, _NEAR = 1e-3, (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the box: second differences; samples on lines
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
@@ -125,37 +127,60 @@ def prove_motion(
         rest = time_limit - (time.process_time() - worked)
         # a choice of bounds that cannot be proved leaves time for the next one
         until = time.process_time() + rest * (1.0 if number == len(attempts) - 1 else _FIRST)
-        failing = next((one for one in attempt.bounded if _refuted(one, seed, few=True) is not None), None)
+        inequalities = attempt.inequalities
+        proofs = {k: _simply(inequalities[k], rest) for k in attempt.places}
+        doubtful = [inequalities[k] for k, proof in proofs.items() if proof is None]
+        failing = next((one for one in doubtful if _refuted(one.claim, seed, few=True) is not None), None)
         if failing is not None:
             refused = attempt.factor
             reason = reason or f"{failing.name}: not by a provable margin"
             continue
-        proofs, reason = _proofs(attempt.inequalities, until, progress)
-        if not reason:
-            document = seal(claim.kind, claim.plain(), attempt.evidence | {"proofs": proofs})
+        for simple in (True, False):  # what the checker rejects is proved again, with its confirmation
+            reason = _prove_all(inequalities, proofs, until, progress, simple=simple)
+            if reason:
+                break
+            shown = [proofs[k] for k in range(len(inequalities))]
+            document = seal(claim.kind, claim.plain(), attempt.evidence | {"proofs": shown})
             checked = check_document(document)
             if checked.accepted:
                 return Decision(claim, "proved", document, "", {}, time.perf_counter() - began)
-            reason = f"the checker rejects the proof: {checked.reason}"
+            reason, proofs = f"the checker rejects the proof: {checked.reason}", {}
     return Decision(claim, "unknown", {}, reason, {}, time.perf_counter() - began)
 
 
-def _proofs(
-    inequalities: Sequence[Claim], until: float, progress: Callable[[str], None] | None
-) -> tuple[list[Any], str]:
-    """Return the cases of the proof of each inequality; or the reason why one of them is not proved."""
-    proofs: dict[int, Any] = {}
+def _simply(inequality: Inequality, left: float) -> list[Any] | None:
+    """Return the cases of a proof that takes milliseconds; None if there is none."""
+    if left <= 0:
+        return None
+    proof = prove_cases(inequality.exact, inequality.name, time_limit=min(_SIMPLE, left), simply=True)
+    return None if proof.remaining else list(proof.cases)
+
+
+def _prove_all(
+    inequalities: Sequence[Inequality],
+    proofs: dict[int, list[Any] | None],
+    until: float,
+    progress: Callable[[str], None] | None,
+    *,
+    simple: bool,
+) -> str:
+    """Add the cases of the missing proofs to `proofs`, by index; return why one of them is not proved, or nothing."""
+    missing = [k for k in range(len(inequalities)) if proofs.get(k) is None]
     # the last inequality, about the change of the function, is the hardest: without it, the others are of no use
-    for number, (k, inequality) in enumerate([*enumerate(inequalities)][::-1]):
+    for number, k in enumerate(missing[::-1]):
+        inequality = inequalities[k]
         left = until - time.process_time()
         if left <= 0:
-            return [], "the time limit was reached"
-        share = left if number == len(inequalities) - 1 else (_EASY if number else _HARD) * left
-        proof = prove(inequality, time_limit=share, progress=progress)
-        if proof.certificate is None:
-            return [], f"{inequality.name}: {proof.remaining}"
-        proofs[k] = proof.certificate["cases"]
-    return [proofs[k] for k in range(len(inequalities))], ""
+            return "the time limit was reached"
+        if simple and k not in proofs and (proof := _simply(inequality, left)) is not None:
+            proofs[k] = proof
+            continue
+        share = left if number == len(missing) - 1 else (_EASY if number else _HARD) * left
+        shown = prove_cases(inequality.exact, inequality.name, time_limit=share, progress=progress)
+        if shown.remaining:
+            return f"{inequality.name}: {shown.remaining}"
+        proofs[k] = list(shown.cases)
+    return ""
 
 
 def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float]] | None:
@@ -172,7 +197,7 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
     for k, inequality in enumerate(inequalities):
         # a region has two inequalities for each state, about its boundary; few samples are enough for these
         few = not isinstance(claim, Safety) and 0 < k < len(inequalities) - 1
-        point = _refuted(inequality, seed, few=few)
+        point = _refuted(inequality.claim, seed, few=few)
         if point is not None:
             return inequality.name, point
     if isinstance(claim, Stability):
@@ -189,24 +214,24 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
 @dataclass(frozen=True, eq=False)
 class _Attempt:
     # `factor`: size of the bounds that the proof states; if the bounds of an attempt fail, larger ones fail as well
-    inequalities: list[Claim]
+    # `places`: indices of the inequalities that contain these bounds
+    stated: Callable[[], list[Inequality]]
     evidence: dict[str, Any]
     factor: float = 0.0
     places: tuple[int, ...] = ()
 
-    @property
-    def bounded(self) -> list[Claim]:
-        """The inequalities that contain the bounds of the proof."""
-        return [self.inequalities[k] for k in self.places]
+    @cached_property
+    def inequalities(self) -> list[Inequality]:
+        return self.stated()
 
 
 def _attempts(claim: DynamicClaim) -> Any:
     change = {"change": text_of(claim.dynamics.change(claim.function))}
     if isinstance(claim, Bound):
-        yield _Attempt(claim.inequalities(), change)
+        yield _Attempt(claim.inequalities, change)
     elif isinstance(claim, Safety):
         for margin in (1e-3, 1e-6, 1e-9):
-            yield _Attempt(claim.inequalities(margin), change | {"margin": margin}, margin, (1,))
+            yield _Attempt(partial(claim.inequalities, margin), change | {"margin": margin}, margin, (1,))
     else:
         yield from _stability_attempts(claim, change)
 
@@ -225,7 +250,9 @@ def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
             "scales": scales, "positive": positive.to_dict(),
             "decrease": None if decrease is None else decrease.to_dict(),
         }  # fmt: skip
-        yield _Attempt(claim.inequalities(scales, positive, decrease), change | evidence, share, (0, -1))
+        stated = partial(claim.inequalities, scales, positive, decrease)
+        last = 1 + 2 * len(d.states)  # two inequalities for each state, about faces or successors, lie between
+        yield _Attempt(stated, change | evidence, share, (0, last))
 
 
 def _sampled(claim: Stability) -> tuple[Array, Array, Array]:

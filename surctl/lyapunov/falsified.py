@@ -255,7 +255,7 @@ def _outwards(search: _Search, z: Array, p: Array, cause: str) -> Falsified:
     x = np.clip(x, d.box[0][:, None], d.box[1][:, None])
     if cause == "decrease":
         claim = Stability(d, search.function, 1e300, search.rate).inequalities(list(search.scales), Power(1.0, 1), None)
-        excess = certain_excess(claim[-1], np.vstack([x, np.repeat(w[:, None], x.shape[1], axis=1)]))
+        excess = certain_excess(claim[-1].claim, np.vstack([x, np.repeat(w[:, None], x.shape[1], axis=1)]))
     else:
         after = d.evaluate(x, np.repeat(w[:, None], x.shape[1], axis=1))
         excess = np.max(np.maximum(after - d.box[1][:, None], d.box[0][:, None] - after), axis=0)

@@ -78,16 +78,17 @@ def subtract(a: Ends, b: Ends) -> Ends:
 
 def multiply(a: Ends, b: Ends) -> Ends:
     """Return the product a b; an infinite end times 0 is 0."""
-    products = [_product(x, y) for x in a for y in b]
-    low = np.minimum(np.minimum(products[0][0], products[1][0]), np.minimum(products[2][0], products[3][0]))
-    high = np.maximum(np.maximum(products[0][1], products[1][1]), np.maximum(products[2][1], products[3][1]))
-    return low, high
-
-
-def _product(x: Array, y: Array) -> Ends:
+    # one array operation on the four products of ends costs far less than four, as most arrays are small
+    x, y = np.array(a), np.array(b)
+    x = x.reshape(2, 1, *(1,) * (y.ndim - x.ndim), *x.shape[1:])
+    y = y.reshape(1, 2, *(1,) * (x.ndim - 1 - y.ndim), *y.shape[1:])
     exact = (x == 0) | (y == 0)
     p = np.where(exact, 0.0, x * y)
-    return np.where(exact, p, _down(p)), np.where(exact, p, _up(p))
+    if np.array_equal(p == 0, exact):
+        low, high = p.min(axis=(0, 1)), p.max(axis=(0, 1))
+        return np.where(low == 0, 0.0, _down(low)), np.where(high == 0, 0.0, _up(high))
+    low, high = np.where(exact, p, _down(p)), np.where(exact, p, _up(p))  # a product underflows, or is NaN
+    return low.min(axis=(0, 1)), high.max(axis=(0, 1))
 
 
 def square(a: Ends) -> Ends:
@@ -100,18 +101,19 @@ def to_power(a: Ends, exponent: int) -> Ends:
     if exponent == 0:
         return np.ones_like(a[0]), np.ones_like(a[1])
     if exponent % 2:
-        low, high = _repeated(a[0], exponent), _repeated(a[1], exponent)
-        return low[0], high[1]
+        low, high = _repeated(np.abs(a[0]), exponent), _repeated(np.abs(a[1]), exponent)
+        return np.where(a[0] < 0, -low[1], low[0]), np.where(a[1] < 0, -high[0], high[1])
     small = np.where((a[0] <= 0) & (a[1] >= 0), 0.0, np.minimum(np.abs(a[0]), np.abs(a[1])))
     large = np.maximum(np.abs(a[0]), np.abs(a[1]))
-    return np.maximum(_repeated(small, exponent)[0], 0.0), _repeated(large, exponent)[1]
+    return _repeated(small, exponent)[0], _repeated(large, exponent)[1]
 
 
 def _repeated(x: Array, exponent: int) -> Ends:
-    result = point(x)
+    """Return x^exponent for x ≥ 0."""
+    low = high = x
     for _ in range(exponent - 1):
-        result = multiply(result, point(x))
-    return result
+        low, high = np.maximum(_down(low * x), 0.0), np.where(x == 0, 0.0, _up(high * x))
+    return low, high
 
 
 def divide(a: Ends, b: Ends) -> Ends:

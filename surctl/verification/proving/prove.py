@@ -22,7 +22,7 @@ from surctl.verification.proving.statement import Case, Statement, cases_of, sta
 from surctl.verification.proving.tape import Tape, build_tape
 from surctl.verification.proving.touching import excluded, touches
 
-__all__ = ["Proof", "certain_excess", "prove"]
+__all__ = ["Cases", "Proof", "certain_excess", "prove", "prove_cases"]
 
 _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
 """The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The
@@ -33,6 +33,8 @@ _EXACT_ROUNDS = ((100, 0.0), (3_000, 0.0), (10_000_000, 0.0))
 
 _SHORT, _EXACT_SHORT, _SHARE = 3, 1, 0.5
 """Number of rounds before sums of squares are tried, with and without slack; their share of the remaining time."""
+
+_SIMPLE = 3  # identities by which a polynomial is proved without boxes: without weights, with constraints, and bounds
 
 _FEW = 3  # variables up to which boxes are tried longer, if the claim is not a polynomial
 
@@ -93,37 +95,90 @@ def prove(
         >>> proof.certificate["kind"], proof.slack, proof.remaining
         ('interval', 0.0, '')
     """
-    began, worked = time.perf_counter(), time.process_time()
+    began = time.perf_counter()
     if not (time_limit > 0 and slack >= 0 and np.isfinite(slack)):
         raise InputError("needs a time above 0 and a slack of at least 0", key=claim.name, value=(time_limit, slack))
-    if len(claim.variables) > len(DIMENSIONS):
-        return _open(f"more than {len(DIMENSIONS)} variables", 0, began)
     try:
         statement = statement_of(claim)
         texts = [text_of(part) for part in statement.parts]
+    except InputError as error:  # an expression is too long, or has an operation that the grammar lacks
+        return Proof(None, 0.0, error.problem, (), 0, time.perf_counter() - began)
+    shown = prove_cases(statement, claim.name, time_limit=time_limit, slack=slack, progress=progress)
+    certificate = None if shown.remaining else _certificate(claim, texts, shown)
+    seconds = time.perf_counter() - began
+    return Proof(certificate, shown.slack, shown.remaining, shown.open_boxes, shown.boxes, seconds)
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """The cases of a proof, or what is left open; `slack`, `remaining`, `open_boxes` and `boxes` are those of `Proof`.
+
+    Attributes:
+        cases: entries `cases` of the certificate; empty if the proof is incomplete.
+        slack: amount by which the left side may exceed the right side.
+        remaining: what the proof does not cover; empty if it is complete.
+        open_boxes: the largest unproved boxes.
+        boxes: number of boxes.
+    """
+
+    cases: tuple[dict[str, Any], ...]
+    slack: float
+    remaining: str
+    open_boxes: tuple[dict[str, list[float]], ...] = ()
+    boxes: int = 0
+
+
+def prove_cases(
+    statement: Statement,
+    name: str,
+    *,
+    time_limit: float,
+    slack: float = 0.0,
+    progress: Callable[[str], None] | None = None,
+    simply: bool = False,
+) -> Cases:
+    """Try to prove a statement as `prove`.
+
+    With `simply`, only what takes milliseconds is tried: the whole box, and small sums of squares for polynomials. The
+    checker has not confirmed them.
+    """
+    worked = time.process_time()
+    if len(statement.names) > len(DIMENSIONS):
+        return Cases((), 0.0, f"more than {len(DIMENSIONS)} variables")
+    try:
         parts = substituted(statement)
         cases = [replace(case, touching=statement.touching) for case in cases_of(parts)]
-    except InputError as error:  # an expression is too long, or has an operation that the grammar lacks
-        return _open(error.problem, 0, began)
+    except InputError as error:
+        return Cases((), 0.0, error.problem)
     written = build_tape(statement.names, parts)
     for with_squares in (True, False):
         shown: list[dict[str, Any]] = []
         needed, boxes = 0.0, 0
         for number, case in enumerate(cases):
             share = (time_limit - (time.process_time() - worked)) / (len(cases) - number)
-            label = f"{claim.name}, case {number + 1} of {len(cases)}"
-            task = _Attempt(case, statement, written, slack, with_squares, label, progress)
+            label = f"{name}, case {number + 1} of {len(cases)}"
+            task = _Attempt(case, statement, written, slack, with_squares, label, progress, simply)
             done = _show(task, share)
             boxes += done.result.boxes
             if not done.result.closed:
-                return _left_open(statement, written, case, done, boxes, began)
+                return _left_open(statement, written, case, done, boxes)
             needed = max(needed, done.slack)
             shown.append(_written(case, done))
-        certificate = _certificate(claim, statement, texts, needed, shown)
-        # facts about functions come from samples, so the checker decides
-        if not any("squares" in case for case in shown) or check_document(certificate).accepted:
-            return Proof(certificate, needed, "", (), boxes, time.perf_counter() - began)
+        whole = Cases(tuple(shown), needed, "", (), boxes)
+        if simply or not any("squares" in case for case in shown) or _holds(statement, whole):
+            return whole
     raise AssertionError("a proof without sums of squares needs no second attempt")
+
+
+def _holds(statement: Statement, shown: Cases) -> bool:
+    """Return whether the checker accepts a proof; facts about functions come from samples, so the checker decides."""
+    names = enumerate(statement.names)
+    box = [(float(low), float(high)) for low, high in zip(statement.lower, statement.upper, strict=True)]
+    stated = {
+        "name": "", "statement": "", "unit": "1",
+        "variables": [{"name": name, "unit": "1", "lower": box[k][0], "upper": box[k][1]} for k, name in names],
+    }  # fmt: skip
+    return check_document(_sealed(stated, [text_of(part) for part in statement.parts], shown)).accepted
 
 
 def certain_excess(claim: Claim, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -157,6 +212,7 @@ class _Attempt:
     with_squares: bool
     label: str
     progress: Callable[[str], None] | None
+    simply: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +239,10 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     constraints = build_tape(names, case.constraints)
     if case.choice and (outside := _outside(case, written, constraints, root)) is not None:
         return outside
+    everywhere = all(fine[0] for fine in written.run(root).defined)
+    polynomial = not any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints))
+    if attempt.simply:
+        return _simple(attempt, constraints, root, seconds, everywhere=everywhere, polynomial=polynomial)
     best: tuple[Form, SearchResult, float] | None = None
     usable = [form for form in forms_of(case, names, root) if _usable(form, names, root)]
     rounds, before = (_ROUNDS, _SHORT) if attempt.slack else (_EXACT_ROUNDS, _EXACT_SHORT)
@@ -190,19 +250,17 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     if not attempt.slack and case.touching:
         if excluded(case.constraints, case.touching, names, root):
             before = len(rounds) - 1  # without equality, boxes decide sooner than sums of squares
-        elif len(names) <= _FEW and any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints)):
+        elif len(names) <= _FEW and not polynomial:
             before = _EXACT_SHORT + 1  # sums of squares with sines are large, and few dimensions have few boxes
         elif len(names) > _FEW:
             rounds, portion = ((_MANY, 0.0), *_EXACT_ROUNDS[1:]), _MOST_OF_IT
         usable = [form for form in usable if touches(form.numerator, case.touching, names, root)] or usable
-    everywhere = all(fine[0] for fine in written.run(root).defined)
     for number, (most, part) in enumerate(rounds):
         if number == before and attempt.with_squares and everywhere:
             rest = portion * max(seconds - (time.process_time() - began), 0.0)
             squares = prove_by_squares(case, names, (statement.lower, statement.upper), seconds=rest)
             if squares.form is not None:
-                result = SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
-                return _Shown(squares.form, result, 0.0, squares.squares)
+                return _Shown(squares.form, _without_boxes(root, looked), 0.0, squares.squares)
             tried = squares.tried
         if len(usable) == 1 and before <= number < len(rounds) - 1 and not attempt.slack:
             continue  # nothing to choose: the last round alone
@@ -227,6 +285,26 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
         usable = [usable[k] for k in sorted(range(len(usable)), key=lambda k: volumes[k])]
     assert best is not None  # the form as written is always usable
     return _Shown(best[0], replace(best[1], boxes=looked, reason=result.reason), best[2], tried=tried)
+
+
+def _simple(
+    attempt: _Attempt, constraints: Tape, root: Ends, seconds: float, *, everywhere: bool, polynomial: bool
+) -> _Shown:
+    """Return a proof without bisection, or what the whole box leaves open."""
+    case, statement = attempt.case, attempt.statement
+    plain, box = as_written(case), (statement.lower, statement.upper)
+    bound = build_tape(statement.names, [plain.numerator])
+    if everywhere and bound.run(root).jets[0].value[1][0] <= 0:
+        return _Shown(plain, replace(_without_boxes(root, 1), tree="n"), 0.0)
+    if everywhere and polynomial:
+        squares = prove_by_squares(case, statement.names, box, seconds=seconds, most=_SIMPLE)
+        if squares.form is not None:
+            return _Shown(squares.form, _without_boxes(root, 1), 0.0, squares.squares)
+    return _Shown(plain, search(Task(bound, constraints, attempt.written, box, 0.0), deadline=np.inf, most=1), 0.0)
+
+
+def _without_boxes(root: Ends, looked: int) -> SearchResult:
+    return SearchResult("", (), (root[0][:, :0], root[1][:, :0]), looked, "")
 
 
 def _outside(case: Case, written: Tape, constraints: Tape, root: Ends) -> _Shown | None:
@@ -275,9 +353,7 @@ def _written(case: Case, shown: _Shown) -> dict[str, Any]:
     }
 
 
-def _certificate(
-    claim: Claim, statement: Statement, texts: list[str], slack: float, cases: list[dict[str, Any]]
-) -> dict[str, Any]:
+def _certificate(claim: Claim, texts: list[str], shown: Cases) -> dict[str, Any]:
     stated = {
         "name": claim.name,
         "statement": claim.statement,
@@ -285,19 +361,16 @@ def _certificate(
         "variables": [
             {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables
         ],
-        "left": texts[0],
-        "right": texts[1],
-        "constraints": texts[2:],
-        "slack": slack,
     }
-    return seal("interval", stated, {"cases": cases})
+    return _sealed(stated, texts, shown)
 
 
-def _open(reason: str, boxes: int, began: float) -> Proof:
-    return Proof(None, 0.0, reason, (), boxes, time.perf_counter() - began)
+def _sealed(stated: dict[str, Any], texts: list[str], shown: Cases) -> dict[str, Any]:
+    sides = {"left": texts[0], "right": texts[1], "constraints": texts[2:], "slack": shown.slack}
+    return seal("interval", stated | sides, {"cases": list(shown.cases)})
 
 
-def _left_open(statement: Statement, written: Tape, case: Case, shown: _Shown, boxes: int, began: float) -> Proof:
+def _left_open(statement: Statement, written: Tape, case: Case, shown: _Shown, boxes: int) -> Cases:
     result = shown.result
     some = corners(result.remaining, statement.names, most=_MOST_SHOWN)
     count = result.remaining[0].shape[1]
@@ -311,4 +384,4 @@ def _left_open(statement: Statement, written: Tape, case: Case, shown: _Shown, b
         text += f", one at {where}" + (f"; {trouble}" if trouble else "")
     if shown.tried:
         text += f"; {shown.tried}"
-    return Proof(None, 0.0, text, tuple(some), boxes, time.perf_counter() - began)
+    return Cases((), 0.0, text, tuple(some), boxes)

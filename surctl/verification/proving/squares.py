@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from math import ceil, log2
 from typing import Any
 
@@ -33,6 +34,7 @@ __all__ = ["SquaresProof", "prove_by_squares"]
 Array = NDArray[np.float64]
 
 _MOST_ATOMS, _HIGHEST = 16, 10
+_PLAIN = 3  # number of the first identities, for which no zeros of the polynomial are searched
 _LEVELS = 3  # the degrees of the identity: that of the polynomial, and 2 and 4 more
 
 
@@ -51,7 +53,9 @@ class SquaresProof:
     tried: str
 
 
-def prove_by_squares(case: Case, names: tuple[str, ...], box: tuple[Array, Array], *, seconds: float) -> SquaresProof:
+def prove_by_squares(
+    case: Case, names: tuple[str, ...], box: tuple[Array, Array], *, seconds: float, most: int | None = None
+) -> SquaresProof:
     """Try to prove a case by sums of squares, first with identities of low degree.
 
     Args:
@@ -59,14 +63,15 @@ def prove_by_squares(case: Case, names: tuple[str, ...], box: tuple[Array, Array
         names: names of the variables.
         box: lower and upper bounds of the variables (n,).
         seconds: time limit [s] of processor time.
+        most: largest number of identities that are tried.
     """
     try:
-        return _tried(case, names, box, time.process_time() + seconds)
+        return _tried(case, names, box, time.process_time() + seconds, most)
     except (TooLarge, InputError, ArithmeticError, ValueError):  # no polynomial, or numbers beyond the range of floats
         return SquaresProof(None, {}, "")
 
 
-def _tried(case: Case, names: tuple[str, ...], box: tuple[Array, Array], end: float) -> SquaresProof:
+def _tried(case: Case, names: tuple[str, ...], box: tuple[Array, Array], end: float, most: int | None) -> SquaresProof:
     problem = _Problem(case, names, box)
     if not problem.usable:
         return SquaresProof(None, {}, "")
@@ -74,7 +79,7 @@ def _tried(case: Case, names: tuple[str, ...], box: tuple[Array, Array], end: fl
     multiple = problem.multiple()
     if multiple is not None:
         return SquaresProof(problem.form, multiple, "")
-    for degree, factors in problem.levels():
+    for count, (degree, factors) in enumerate(problem.levels()[:most]):
         left = end - time.process_time()
         if left <= 0:
             break
@@ -82,7 +87,7 @@ def _tried(case: Case, names: tuple[str, ...], box: tuple[Array, Array], end: fl
             problem.target,
             [problem.weight(each) for each in factors],
             relations=[r for _, r in problem.relations],
-            zeros=problem.zeros,
+            zeros=problem.zeros if count >= _PLAIN else (),
             degree=degree,
             seconds=left,
         )
@@ -130,15 +135,19 @@ class _Problem:
         self._facts: list[dict[str, Any]] = []
         self._add_facts()
         self.relations = self._relations()
-        self.zeros: list[tuple[Fraction | float, ...]] = []
-        if all(algebra.atoms[at][0] == "var" for at in self._atoms):
-            hull = [
-                ((Fraction(low) - o) / s, (Fraction(high) - o) / s)
-                for (low, high), o, s in zip(self._ranges, self._origins, self._scales, strict=True)
-            ]
-            sides = [p for name, p in self._factors.items() if name[0] == "c"]
-            self.zeros = zeros_of(self.target, hull, sides, scales=self._scales)
         self.usable = True
+
+    @cached_property
+    def zeros(self) -> list[tuple[Fraction | float, ...]]:
+        """The zeros of the target, other than the origin of the symbols, if the symbols are variables."""
+        if not all(self._algebra.atoms[at][0] == "var" for at in self._atoms):
+            return []
+        hull = [
+            ((Fraction(low) - o) / s, (Fraction(high) - o) / s)
+            for (low, high), o, s in zip(self._ranges, self._origins, self._scales, strict=True)
+        ]
+        sides = [p for name, p in self._factors.items() if name[0] == "c"]
+        return zeros_of(self.target, hull, sides, scales=self._scales)
 
     def _closed(self, atoms: set[int]) -> list[int]:
         """Return the atoms with those that relations and facts about them need, in order."""
