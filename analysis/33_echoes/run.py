@@ -1,6 +1,7 @@
 """Study 33: every scenario with the four echo models; and the echo model against brute-force rays.
 
-    python analysis/33_echoes/run.py [--quick] [--write] [--seeds N] [--echoes NAME]
+    python analysis/33_echoes/run.py [--quick] [--write] [--seeds N] [--first N] [--echoes NAME] [--surface-model NAME]
+        [--pitch DEGREES] [--floor]
 
 Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
 option.
@@ -11,6 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
+from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +21,7 @@ from rays import agreement
 
 from surctl.control import load_gains
 from surctl.reproduction.simulations import scenario_names
+from surctl.sensing import SURFACE_MODELS, SurfaceModel
 from surctl.simulation import ECHOES, STOPS, Case, load_scenario, simulate_batch
 from surctl.vehicle import load_vehicle
 
@@ -31,21 +34,25 @@ HEAD = [
 ]
 
 
-def case_of(name: str, echoes: str) -> Case:
-    """Return a scenario of the library with its own vehicle, with sonars and an echo model."""
+def case_of(name: str, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool) -> Case:
+    """Return a scenario of the library with its own vehicle, with sonars, an echo model and what the law assumes."""
     scenario = load_scenario(name)
-    scenario = replace(scenario, sensors=scenario.sensors.hearing(echoes))
+    sensors = scenario.sensors.hearing(echoes)
+    array = replace(sensors.equipment.array, pitch=radians(pitch))
+    depth = scenario.site[2] if floor else None
+    equipment = replace(sensors.equipment, array=array, surface_model=surfaces, floor=depth)
+    scenario = replace(scenario, sensors=replace(sensors, equipment=equipment))
     return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
 
 
-def row(name: str, echoes: str, seeds: int, *, quick: bool) -> tuple[str, list[int]]:
+def row(case: Case, echoes: str, first: int, seeds: int, *, quick: bool) -> tuple[str, list[int]]:
     """Return a row of the table, and how many runs arrived, collided, stopped and were late.
 
     In the `quick` form the runs end after a few seconds, and no loop is compiled.
     """
     values, engine = ({"scenario.time_limit": 2.0}, "vm") if quick else ({}, "auto")
-    case = case_of(name, echoes)
-    runs = simulate_batch(case, values, seeds=np.arange(seeds), threads=2, engine=engine)  # type: ignore[arg-type]
+    name = case.scenario.name
+    runs = simulate_batch(case, values, seeds=np.arange(first, first + seeds), threads=2, engine=engine)  # type: ignore[arg-type]
     reached = runs.column("reached") > 0
     arrived, hit = int(reached.sum()), int(runs.column("collided").sum())
     stopped = int(np.isin(runs.column("stopped"), STOPPED).sum())
@@ -57,15 +64,22 @@ def row(name: str, echoes: str, seeds: int, *, quick: bool) -> tuple[str, list[i
     return f"| `{name}` | {echoes} | {' | '.join(map(str, counts))} | {took} | {least:.3f} |", counts
 
 
-def study(*, quick: bool, seeds: int, only: str | None) -> tuple[str, bool]:
+def study(options: argparse.Namespace) -> tuple[str, bool]:
     """Return the Markdown text, and whether every limit holds."""
+    quick, only, first = options.quick, options.echoes, options.first
+    seeds = options.seeds or (2 if quick else SEEDS)
     names = ["pool-behind"] if quick else scenario_names()
     models = [only] if only else ["specular"] if quick else list(ECHOES)
-    out = [f"## The law as it is: seeds 0-{seeds - 1} of each", "", *HEAD]
+    law = "The law as it is"
+    if options.surface_model != "diffuse" or options.pitch or options.floor:
+        floor = ", with the floor assumed" if options.floor else ""
+        law = f"Surface model `{options.surface_model}`, pitch {options.pitch:g}°{floor}"
+    out = [f"## {law}: seeds {first}-{first + seeds - 1} of each", "", *HEAD]
     totals: dict[str, NDArray[np.int64]] = {}
     for echoes in models:
         for name in names:
-            line, counts = row(name, echoes, seeds, quick=quick)
+            case = case_of(name, echoes, options.surface_model, options.pitch, options.floor)
+            line, counts = row(case, echoes, first, seeds, quick=quick)
             out.append(line)
             totals[echoes] = totals.get(echoes, np.zeros(4, dtype=int)) + counts
     out += [
@@ -89,9 +103,12 @@ def main() -> int:
     parser.add_argument("--write", action="store_true", help="write README.md beside this file")
     parser.add_argument("--seeds", type=int, help=f"seeds of each scenario (default {SEEDS})")
     parser.add_argument("--echoes", choices=list(ECHOES), help="only this echo model")
+    parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument("--surface-model", choices=SURFACE_MODELS, default="diffuse", help="what the law assumes")
+    parser.add_argument("--pitch", type=float, default=0.0, help="pitch of the sonars [deg] (default 0)")
+    parser.add_argument("--floor", action="store_true", help="the law assumes the floor of the site")
     options = parser.parse_args()
-    seeds = options.seeds or (2 if options.quick else SEEDS)
-    text, held = study(quick=options.quick, seeds=seeds, only=options.echoes)
+    text, held = study(options)
     print(text)
     if options.write:
         folder = Path(__file__).parent

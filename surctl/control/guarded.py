@@ -155,7 +155,7 @@ def guarded_law(
         HalfPlane(name, ca.horzcat((to_body @ normal).T, 0, 0), bound, kind="barrier") for name, normal, bound in named
     ]
     return Decision(
-        [TaskLevel.of(velocity_task(eta, velocity)), *lower_levels(eta, desired, p, scan)],
+        [TaskLevel.of(velocity_task(eta, velocity)), *lower_levels(eta, desired, p, scan, choice.side)],
         rows,
         velocity,
         choice.blocked,

@@ -133,8 +133,8 @@ class _Builder:
     def _map(self) -> LocalMap:
         array = self.equipment.array
         slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
-        specular = self.equipment.surface_model == "specular"
-        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS, specular=specular)
+        smooth, specular = (self.equipment.surface_model == model for model in ("smooth", "specular"))
+        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS, smooth=smooth, specular=specular)
 
     @property
     def _smooth(self) -> bool:
@@ -251,6 +251,7 @@ class _Builder:
             turn=around.nu[3],
             prefix="sonar_",
         )
+        floor = self._floor(around.eta[2])
         firings, silent = [], []
         for i in range(array.size):
             reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
@@ -259,6 +260,8 @@ class _Builder:
             )
             silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
             strange = ranges.unexplained(reading, i, tolerance=_TOLERANCE)
+            if floor is not None:
+                strange = ca.logic_and(strange, reading < floor - _TOLERANCE)
             echo = ca.logic_and(reading < array.maximum - SILENT, strange)
             blind = reading <= array.lowest / array.scale + array.resolution
             clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
@@ -307,6 +310,11 @@ class _Builder:
             "perceived": self._perceived.join(perceived),
         }
         return {"small": small, "u": u, "p": p}, outputs
+
+    def _floor(self, z: ca.SX) -> ca.SX | None:
+        # [m] range at which the steepest direction of a beam meets the floor
+        depth, steepest = self.equipment.floor, self.equipment.array.steepest(-1)
+        return None if depth is None else (z + depth) / sin(steepest)
 
     def _around(
         self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]

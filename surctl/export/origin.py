@@ -163,7 +163,9 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
         "claims": _claims(rows, origin),
     }
     if origin.equipment is not None:
+        floor = origin.equipment.floor
         entries["sensors"] = {"surface_model": origin.equipment.surface_model}
+        entries["sensors"] |= {} if floor is None else {"floor_m": floor}
     return entries
 
 

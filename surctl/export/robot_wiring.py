@@ -90,14 +90,19 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
     walls = (
         "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
         "that the beam meets within 3° of its normal. "
-        + (
-            "A mark is cleared only by silence from directions from which it was heard"
-            if equipment.surface_model == "specular"
-            else "Silence clears the marks of obstacles, which must answer from every direction"
-        )
+        + {
+            "smooth": "For 15 s a mark is cleared only by silence from directions from which it was heard",
+            "specular": "A mark is cleared only by silence from directions from which it was heard",
+        }.get(equipment.surface_model, "Silence clears the marks of obstacles, which must answer from every direction")
         if equipment.surface_model != "diffuse"
         else "a known wall always answers, so a reading beyond the wall counts as a fault"
     )
+    floor = "Water surface and floor are not in the model: "
+    if equipment.floor is not None:
+        floor = (
+            f"An echo from the range of a floor {equipment.floor:g} m deep, or from beyond, marks no obstacle. The "
+            "water surface is not in the model: "
+        )
     tilt = f", its axis {abs(degrees(array.pitch)):.3g}° {'above' if array.pitch > 0 else 'below'} the horizontal"
     tilt = tilt if array.pitch else ""
     step = f"{1000 * array.resolution:.4g} mm"
@@ -106,8 +111,8 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"Origin of the ranges: the sonar's place on the hull (x forward, y left of the hull's centre; axis "
         f"counter-clockwise from forward), by row: {apex}. A module that measures from elsewhere: convert its ranges. "
         "Ranges from the centre are too long by these distances, and the robot then passes too close or collides.",
-        f"Echoes: {echo}. Surface model `{equipment.surface_model}`: {walls}. Water surface and floor are not in the "
-        "model: mount the sonars, or drop echoes, so that they give none; an echo of theirs counts as an obstacle.",
+        f"Echoes: {echo}. Surface model `{equipment.surface_model}`: {walls}. {floor}mount the sonars, or drop echoes, "
+        "so that they give none; an echo of theirs counts as an obstacle.",
         f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
         f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
         f"Firing plan: one sonar every {array.firing_period:g} s in the order {', '.join(map(str, array.order))}; each "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Literal, get_args
 
 from surctl.errors import InputError
@@ -11,13 +12,16 @@ from surctl.sensing.sonar.array import SonarArray
 
 __all__ = ["SURFACE_MODELS", "Equipment", "SurfaceModel"]
 
-SurfaceModel = Literal["diffuse", "smooth-walls", "specular"]
+SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
 """What a law assumes of surfaces.
 
 `diffuse`: every surface answers from every direction, so silence means free water, and a reading beyond the nearest
 point of a known wall is a fault of the sonar. `smooth-walls`: a known wall surely answers near its normal only, so a
-reading is a fault only if it is beyond a wall that the beam meets near its normal. `specular`: obstacles are smooth
-too, so silence clears a mark only from directions from which the mark was heard (see `mapping.directions`)."""
+reading is a fault only if it is beyond a wall that the beam meets near its normal. `smooth`: obstacles are smooth too
+and answer within about 22° of their normal, so for 15 s silence clears a mark only from directions from which the mark
+was heard (see `mapping.directions`). `specular`: obstacles are mirrors, so this lasts as long as the mark, and a cell
+that was silent may cause an echo from another direction. With `smooth` and `specular`, the robot turns such that its
+beams sweep past an obstacle from back to front."""
 
 SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
 
@@ -31,18 +35,23 @@ class Equipment:
         station: the base station, which measures moving obstacles.
         own: measurement of the robot's own position and motion; None: the law receives the true values.
         surface_model: what the law assumes of surfaces, see `SurfaceModel`.
+        floor: depth [m] of a floor that answers the sonars: the law takes an echo from its range, or from beyond, for
+            no obstacle. None: the law expects no echo of the floor.
     """
 
     array: SonarArray = field(default_factory=SonarArray)
     station: BaseStation = field(default_factory=BaseStation)
     own: OwnState | None = field(default_factory=OwnState)
     surface_model: SurfaceModel = "diffuse"
+    floor: float | None = None
 
     def __post_init__(self) -> None:
         """Check the values; raise an InputError that names an invalid value."""
         if self.surface_model not in SURFACE_MODELS:
             remedy = f"write {' or '.join(SURFACE_MODELS)}"
             raise InputError("is not known", key="surface_model", value=self.surface_model, remedy=remedy)
+        if self.floor is not None and not 0.0 < self.floor < inf:
+            raise InputError("must be greater than 0", key="floor", value=self.floor, remedy="give the depth in m")
 
     @property
     def assumed(self) -> Equipment:

@@ -85,6 +85,8 @@ def _sensors(sensors: Sensors) -> dict[str, Any]:
     sonar = _array(equipment.array) | ({"echoes": sensors.echoes} if sensors.echoes else {})
     if equipment.surface_model != Equipment().surface_model:
         sonar["surface_model"] = equipment.surface_model
+    if equipment.floor is not None:
+        sonar["floor_m"] = equipment.floor
     sonar |= {
         "faults": [fault.model_dump(exclude_none=True) for fault in sensors.faults],
         "chances": sensors.chances.model_dump(),

@@ -428,3 +428,23 @@ def test_any_finite_numbers_give_finite_ones():
 
 def test_cells_are_a_quarter_of_the_hull():
     assert CELLS_A_HULL * EDGE == HULL and OwnState().fixes.latency == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(("side", "sense"), [(0.0, 1.0), (1.0, 1.0), (-1.0, -1.0)])
+def test_the_beams_sweep_past_a_smooth_obstacle_from_back_to_front(side, sense):
+    """An obstacle on the right: the robot turns to the left. The path's side decides if no obstacle is passed."""
+    p = {name: ca.SX(value) for name, value in {"spin_limit": 0.5, "spin": 0.2, "depth": -0.15, "k2": 0.4}.items()}
+    rates = []
+    for smooth in (True, False):
+        scan = Scan(ca.SX(), ca.SX(), ca.SX(1), ca.SX(1), smooth)
+        turning = lower_levels(ca.SX.sym("eta", 4), None, p, scan, ca.SX(side))[1]
+        rates.append(float(ca.evalf(turning.reference)))
+    assert rates == [0.2 * sense, 0.2]
+
+
+@pytest.mark.parametrize(("distance", "marked"), [(0.5, True), (0.8, False)])
+def test_an_echo_from_the_range_of_the_floor_marks_nothing(distance, marked):
+    """A disc ahead of a sonar, which hears the floor, 0.65 m deep, at 0.82 m."""
+    disc = Disc((2.0 + HULL + distance + 0.2, 2.0), 0.2)
+    robot = Robot(Equipment(own=None, floor=0.65), shapes=[disc], spin=0.0)
+    assert bool(len(marks(robot.steps(2.0)))) == marked

@@ -21,6 +21,7 @@ __all__ = [
     "BENT",
     "BESIDE",
     "DIRECTIONS",
+    "PROTECTED",
     "WIDEST",
     "WIDEST_FREE",
     "bearing",
@@ -40,6 +41,9 @@ A surface of the paper's simulator answers from 45 degrees."""
 
 BESIDE = 1.0
 """Directions beside a sector that still count: the error of a direction, and of the place of a cell."""
+
+PROTECTED = 0.75
+"""Strength below which any silence clears a mark of a `smooth` map: it was last heard 15 s before."""
 
 BENT = 0.42
 """Coefficient of the cubic that makes the directions of `bearing` nearly equal in width."""

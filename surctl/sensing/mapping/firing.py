@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import casadi as ca
 
-from surctl.sensing.mapping.directions import bearing, level
+from surctl.sensing.mapping.directions import (
+    PROTECTED,
+    WIDEST,
+    WIDEST_FREE,
+    bearing,
+    confirms,
+    includes,
+    level,
+    sector_with,
+)
 
 __all__ = [
     "AXIS",
@@ -14,6 +23,7 @@ __all__ = [
     "READING",
     "READING_SIZE",
     "RING",
+    "by_direction",
     "cell_line",
     "direction",
     "in_front",
@@ -98,6 +108,31 @@ def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
     along, across = column[0] + row[0], column[1] + row[1]
     ex, ey = limit["axis_x"], limit["axis_y"]
     return bearing(along * ex + across * ey, along * ey - across * ex)
+
+
+def by_direction(
+    value: ca.SX, away: ca.SX, *, known: float, specular: bool
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Return what a firing from a direction means for a cell that stores directions.
+
+    The results are: whether the cell is a mark that silence from this direction does not clear; the cell's value after
+    an echo, after a blind firing, and after silence; and whether the cell may have caused an echo.
+
+    Args:
+        value: the cell's value.
+        away: the direction, see `directions.bearing`.
+        known, specular: see `LocalMap`.
+    """
+    now, beside = level(value), includes(value, away)
+    mark = ca.logic_and(now > (0 if specular else PROTECTED), confirms(value))
+    lasts = ca.logic_and(mark, ca.logic_not(beside))
+    remark = sector_with(value, away, goes_on=now > BLIND, widest=WIDEST)
+    if not specular:
+        return lasts, remark, ca.if_else(now > BLIND, value, BLIND), ca.SX(-1), now >= -known
+    near = sector_with(value, away, goes_on=now > 0, widest=WIDEST) - (1 - BLIND)
+    silent = -sector_with(value, away, goes_on=now < 0, widest=WIDEST_FREE)
+    may = ca.logic_or(now >= -known, ca.logic_not(beside))
+    return lasts, remark, ca.if_else(now > BLIND, value, near), silent, may
 
 
 def cell_line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

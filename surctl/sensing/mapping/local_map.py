@@ -51,8 +51,10 @@ class LocalMap:
         free_time: time [s] until a cleared cell has faded to 0 (design choice).
         known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
             counts as known to be free.
-        specular: whether surfaces reflect specularly: marks then store the directions from which they were heard, and
-            silence clears a mark only from within these directions (see `directions`).
+        smooth: whether surfaces answer only near their normal: marks then store the directions from which they were
+            heard, and for 15 s silence clears a mark only from within these directions (see `directions`).
+        specular: whether surfaces are mirrors: as `smooth`, but as long as the mark lasts, and also for marks of blind
+            firings; and a cell that was silent may cause an echo from another direction.
     """
 
     dt: float
@@ -63,6 +65,7 @@ class LocalMap:
     mark_time: float = 60.0
     free_time: float = 60.0
     known: float = 0.3
+    smooth: bool = False
     specular: bool = False
 
     def __post_init__(self) -> None:
@@ -146,6 +149,7 @@ class _Steps:
             fades=(local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time),
             known=local_map.known,
             held=local_map.held,
+            smooth=local_map.smooth,
             specular=local_map.specular,
         )
         self.limits, self.explained, self.explained_next, self.idle = (

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, WIDEST, WIDEST_FREE
+from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, PROTECTED, WIDEST, WIDEST_FREE
 from surctl.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
@@ -69,7 +69,7 @@ def map_step(
     x, y = ((now[axis] + 0.5) * edge for axis in (0, 1))
     stays = np.outer(was[1] == now[1], was[0] == now[0])
     value = np.where(stays, _torus(local_map, _sized("cells", cells, n * n)), 0.0)
-    specular = local_map.specular
+    specular, directed = local_map.specular, local_map.smooth or local_map.specular
     value = _faded(value, local_map.dt / local_map.free_time, local_map.dt / local_map.mark_time)
     beams = [_Beam(firing, x, y) for firing in firings]
 
@@ -81,13 +81,19 @@ def map_step(
     explained = [bool(np.any(beam.on_arc(edge) & may(beam, value) & (beam.square <= beam.cutoff**2))) for beam in beams]
     for beam, already in zip(beams, explained, strict=True):
         free, cleared, remark = beam.in_front(edge, _level(value)), np.array(-1.0), np.array(1.0)
+        blind = np.maximum(value, BLIND)
+        if directed:
+            now = _level(value)
+            lasting = (now > (0 if specular else PROTECTED)) & (_stored(value) > DIRECTIONS)
+            free &= np.logical_not(lasting) | _includes(value, beam.direction)
+            remark = _sector_with(value, beam.direction, goes_on=now > BLIND, widest=WIDEST)
+            blind = np.where(now > BLIND, value, BLIND)
         if specular:
-            strong = _level(value) > BLIND
-            free &= np.logical_not(strong & (_stored(value) > DIRECTIONS)) | _includes(value, beam.direction)
-            remark = _sector_with(value, beam.direction, goes_on=strong, widest=WIDEST)
-            cleared = -_sector_with(value, beam.direction, goes_on=_level(value) < 0, widest=WIDEST_FREE)
+            near = _sector_with(value, beam.direction, goes_on=now > 0, widest=WIDEST) - (1 - BLIND)
+            blind = np.where(now > BLIND, value, near)
+            cleared = -_sector_with(value, beam.direction, goes_on=now < 0, widest=WIDEST_FREE)
         marked = beam.on_arc(edge) & (may(beam, value) | (not already))
-        mark = remark if beam.clear >= 0 else np.maximum(value, BLIND)
+        mark = remark if beam.clear >= 0 else blind
         value = np.where(free, cleared, np.where(marked, mark, value))
     dx, dy = np.broadcast_arrays(x - here[0], (y - here[1])[:, None])
     square = dx * dx + dy * dy

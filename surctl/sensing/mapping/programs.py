@@ -4,9 +4,8 @@
 and, for each firing, a vector called beam. The base holds four numbers: the offset of the column or row from the robot
 [m]; the square of the offset [m²]; whether the column or row was in the previous window; and the square of the offset
 again, or 1e6 if unknown cells in this column or row are ignored. The beam holds what the column or row contributes to
-three distances of a cell: the distance along the beam's axis [m], the distance from this axis [m], and the squared
-range [m²]. The sum of the vectors of a cell's column and row gives the squared distance of the cell from the robot and
-the beam of the cell.
+three distances of a cell: along the beam's axis [m], from this axis [m], and the squared range [m²]. The sum of the
+vectors of a cell's column and row gives the squared distance of the cell from the robot and the beam of the cell.
 """
 
 from __future__ import annotations
@@ -18,13 +17,14 @@ from math import cos, pi, sin
 import casadi as ca
 
 from surctl.ir import Program, lower_named
-from surctl.sensing.mapping.directions import WIDEST, WIDEST_FREE, confirms, includes, level, sector_with
+from surctl.sensing.mapping.directions import includes, level
 from surctl.sensing.mapping.firing import (
     AXIS,
     BLIND,
     LIMITS,
     READING_SIZE,
     RING,
+    by_direction,
     cell_line,
     direction,
     in_front,
@@ -62,7 +62,7 @@ class MapPrograms:
         fades: amounts by which the value of a marked cell and of a cleared cell approach 0 in one period.
         known: smallest fraction of `free_time` that must remain for a cleared cell to count as known to be free.
         held: number of cells not known to be free below which the unknown cells of a block are ignored.
-        specular: whether cells store directions, because surfaces reflect specularly (see `directions`).
+        smooth, specular: whether marks, or all cells, store directions (see `LocalMap`).
     """
 
     slots: int
@@ -73,12 +73,18 @@ class MapPrograms:
     fades: tuple[float, float]
     known: float
     held: int
+    smooth: bool = False
     specular: bool = False
+
+    @property
+    def directed(self) -> bool:
+        """Whether cells store directions."""
+        return self.smooth or self.specular
 
     @property
     def limit_names(self) -> tuple[str, ...]:
         """Names of the limits of a firing."""
-        return (*LIMITS, *AXIS) if self.specular else LIMITS
+        return (*LIMITS, *AXIS) if self.directed else LIMITS
 
     @cached_property
     def bounds_size(self) -> int:
@@ -176,11 +182,7 @@ class MapPrograms:
         return lower_named("idle", inputs, outputs)
 
     def blank_arc(self) -> Program:
-        """Program that tests whether the search for a cell that explains a firing can skip a block.
-
-        The search skips the block if none of its cells can explain the firing, or if another cell already explains
-        it.
-        """
+        """Program that tests whether no cell of a block can explain a firing, or another cell already explains it."""
         row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
         limits = self._limits()
         explained = {f"explained_{s}": ca.SX.sym(f"explained_{s}") for s in range(self.slots)}
@@ -243,16 +245,13 @@ class MapPrograms:
         limits = ca.SX.sym("limits", len(self.limit_names))
         limit, line = named_limits(limits), cell_line(across, down)
         free, remark, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
-        if self.specular:
-            away, now = direction(across, down, limit), level(value)
-            strong = now > BLIND
-            beside = includes(value, away)
-            free = ca.logic_and(free, ca.logic_or(beside, ca.logic_not(ca.logic_and(strong, confirms(value)))))
-            remark = sector_with(value, away, goes_on=strong, widest=WIDEST)
-            cleared = -sector_with(value, away, goes_on=now < 0, widest=WIDEST_FREE)
-            may = ca.logic_or(now >= -self.known, ca.logic_not(beside))
+        blind = ca.fmax(value, BLIND)
+        if self.directed:
+            away = direction(across, down, limit)
+            lasts, remark, blind, cleared, may = by_direction(value, away, known=self.known, specular=self.specular)
+            free = ca.logic_and(free, ca.logic_not(lasts))
         marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
-        mark = ca.if_else(limit["ranged"], remark, ca.fmax(value, BLIND))
+        mark = ca.if_else(limit["ranged"], remark, blind)
         after = ca.if_else(free, cleared, ca.if_else(marked, mark, value))
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
         return lower_named("observe", inputs, {"after": after})
@@ -363,14 +362,14 @@ class MapPrograms:
 
     def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
         old = value * (row[2] * column[2])
-        if self.specular:
+        if self.directed:
             now = level(old)
             after = old - ca.if_else(old > 0, self.fades[0], -self.fades[1])
             return ca.if_else(ca.logic_and(now <= self.fades[0], now >= -self.fades[1]), 0, after)
         return old - ca.fmin(ca.fmax(old, -self.fades[1]), self.fades[0])
 
     def _level(self, value: ca.SX) -> ca.SX:
-        return level(value) if self.specular else value
+        return level(value) if self.directed else value
 
     @staticmethod
     def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
