@@ -92,6 +92,8 @@ def test_a_log_is_split_at_its_gaps_and_a_gap_costs_no_steps() -> None:
     assert found.sections == 2 and abs(found.estimates["m11"][0] - TRUE["m11"]) <= 2 * found.estimates["m11"][1]
     with pytest.raises(InputError, match="has no part of 20 rows without a gap"):
         sections_of(cut(log, np.arange(400) % 20 < 10))
+    with pytest.raises(InputError, match=r"t_s: has rows 100 s apart \(median\).*; is the time in ms\?"):
+        sections_of(MotionLog(1e3 * log.time, log.motion, log.thrust, "log.csv"))
 
 
 def test_intervals_of_coloured_noise_are_those_of_the_estimates() -> None:
