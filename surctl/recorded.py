@@ -20,7 +20,7 @@ __all__ = ["NO_HEADER", "Recorded", "read_recorded", "read_unnamed", "shown", "x
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
 _MISSING = {"", "na", "n/a", "null", "none"}  # cells that mean "no number", in addition to nan
-
+_NO_TABLE, _TABLE = "is not a table: its first line has one cell", "give a CSV file with a header and rows"
 
 NO_HEADER = "has no header"
 """The problem of a table whose first line holds numbers."""
@@ -168,6 +168,8 @@ def read_recorded(path: Path) -> Recorded:
             if not header:
                 header = _checked_header(f"{shown(path)}:{skipped + reader.line_num}", row)
                 continue
+            if len(row) != len(header) and len(header) == 1:
+                raise InputError(_NO_TABLE, file=shown(path), remedy=_TABLE)
             if len(row) != len(header):
                 raise InputError(
                     f"has {len(row)} cells, but the header has {len(header)}",
@@ -180,6 +182,8 @@ def read_recorded(path: Path) -> Recorded:
         raise InputError(
             f"is not CSV: {error}", file=f"{shown(path)}:{skipped + reader.line_num}", remedy="correct its quotes"
         ) from None
+    if not rows and len(header) == 1:
+        raise InputError(_NO_TABLE, file=shown(path), remedy=_TABLE)
     if not rows:
         raise InputError("has a header but no rows", file=shown(path), remedy="add rows")
     columns = dict(zip(header, (list(cells) for cells in zip(*rows, strict=True)), strict=True))

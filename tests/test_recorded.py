@@ -29,6 +29,12 @@ SAME = {
 }
 
 
+@pytest.mark.parametrize("text", ["x", 'kind = "scenario"\npath_m = [[1, 2], [3, 4]]\n'])
+def test_a_file_that_is_no_table(tmp_path: Path, text: str) -> None:
+    with pytest.raises(InputError, match=r"a\.csv: is not a table: its first line has one cell"):
+        read_recorded(written(tmp_path, text))
+
+
 @pytest.mark.parametrize("ends", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR"])
 def test_comments_and_lines_with_any_line_ends(tmp_path: Path, ends: str) -> None:
     text = "# frame=ned\n# tank\na,b\n\n1,2\n3,x\n".replace("\n", ends)

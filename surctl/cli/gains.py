@@ -41,11 +41,15 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
     from surctl.control import write_gains
+    from surctl.errors import InputError
     from surctl.tuning import default_cruise, derive_gains
     from surctl.vehicle import load_vehicle
 
     robot = load_vehicle(vehicle)
-    derivation = derive_gains(robot, cruise=default_cruise(robot) if cruise is None else cruise)
+    try:
+        derivation = derive_gains(robot, cruise=default_cruise(robot) if cruise is None else cruise)
+    except InputError as error:
+        raise error.inside(vehicle, "--cruise" if error.key == "cruise" else None) from None
     lines = derivation.lines()
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
     then = []

@@ -37,13 +37,16 @@ def _file_findings(loaded: object) -> list[Finding]:
     # entries that cannot work
     from surctl.simulation import Finding, thruster_findings
     from surctl.vehicle import Vehicle
+    from surctl.vehicle.specs import undamped
     from surctl.verification.region import RegionStatement
 
     if isinstance(loaded, Vehicle) and set(loaded.name) & set("/\\"):
         text = f"{loaded.name!r} cannot be part of a file name: remove / and \\"
         return [Finding("error", "name", text)]
     if isinstance(loaded, Vehicle):
-        return thruster_findings(loaded)
+        free = undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
+        text = "no drag, but thrust: the speed has no bound; state the drag, or fit it to a log (vehicle from-log)"
+        return [*(Finding("warning", f"drag ({axis})", text) for axis in free), *thruster_findings(loaded)]
     if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
         cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
         if cruise >= cap:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -10,6 +11,8 @@ import click
 from surctl.cli.output import FiniteRange, as_json, finish
 
 __all__ = ["scenario"]
+
+_SPEED = 0.15  # m/s, if neither the command nor the file gives a speed
 
 
 @click.group()
@@ -26,7 +29,10 @@ def scenario() -> None:
 @click.option("--vehicle", default="sur540-flooded", metavar="FILE", help="Vehicle: name or file.")
 @click.option("--cruise", type=FiniteRange(min=0, min_open=True), metavar="X", help="Speed along the path [m/s].")
 @click.option(
-    "--depth", type=float, metavar="Z", help="Height of the path [m], below 0 (default: the lowest of the plan)."
+    "--depth",
+    type=FiniteRange(max=0),
+    metavar="Z",
+    help="Height of the path [m], below 0 (default: the lowest of the plan).",
 )
 @click.option(
     "--margin",
@@ -59,8 +65,10 @@ def from_plan(
     from surctl.simulation import mission_scenario, read_mission
 
     mission = read_mission(plan)
-    speed = cruise or mission.speed or 0.15
+    speed = cruise or mission.speed or _SPEED
     title = name or plan.stem
+    if not (cruise or mission.speed):
+        mission = replace(mission, notes=(*mission.notes, f"no speed: {_SPEED:g} m/s is assumed (--cruise)"))
     text, notes = mission_scenario(mission, title, vehicle=vehicle, cruise=speed, margin=margin, depth=depth)
     target = write_new(out or path_of(title, ".toml"), text, force=force)
     shown = shlex.quote(str(target))

@@ -325,9 +325,11 @@ def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
 
 
 def _fit_lines(fit: Identified) -> list[str]:
+    from surctl.vehicle.identification.model import LONGEST
+
     lines = [f"{fit.vehicle.name}: {fit.vehicle.note}"]
     if fit.sections > 1:
-        lines.append(f"  {fit.sections} sections without a gap, each with its own start")
+        lines.append(f"  {fit.sections} sections without a gap, of at most {LONGEST:g} s each, each with its own start")
     lines.append(f"  {'':<10} {'estimate':>9}   95 % interval   {'in file':>8} {'start':>8}")
     for key, (value, half) in fit.estimates.items():
         unit = fit.unit(key)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import cos, radians, sin, sqrt
+from math import cos, isfinite, radians, sin, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.files import quoted
 from surctl.recorded import shown, xml_root
+from surctl.simulation.route import MAX_POINTS
+from surctl.simulation.scenario import scenario_from_table
 
 __all__ = ["Mission", "mission_scenario", "read_mission"]
 
@@ -69,6 +72,9 @@ def read_mission(path: Path) -> Mission:
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise InputError(f"cannot be read ({error})", file=shown(path), remedy="give a .plan or .gpx file") from None
     places, speed, notes = _gpx(text, path) if path.suffix.lower() == ".gpx" else _plan(text, path)
+    if len(places) > MAX_POINTS:
+        remedy = f"give at most {MAX_POINTS:,} waypoints"
+        raise InputError(f"has {len(places):,} waypoints", file=shown(path), remedy=remedy)
     for k, (latitude, longitude, _) in enumerate(places):
         if not (-90 < latitude < 90 and -180 <= longitude <= 180):
             raise InputError(
@@ -87,10 +93,13 @@ def read_mission(path: Path) -> Mission:
         points.append(point)
         heights.append(height)
     if len(points) < 2:
-        raise InputError("has fewer than two waypoints", file=shown(path), remedy="add waypoints")
-    if np.max(np.hypot(*np.array(points).T)) > _FARTHEST:
+        left_out = f" ({'; '.join(notes)})" if notes else ""
+        raise InputError(f"has fewer than two waypoints{left_out}", file=shown(path), remedy="add waypoints")
+    distances = np.hypot(*np.array(points).T)
+    if np.max(distances) > _FARTHEST:
+        at = f"one is {np.max(distances) / 1000:.0f} km from the first"
         remedy = "check the waypoints; a plane fits up to 100 km"
-        raise InputError("has waypoints too far apart", file=shown(path), remedy=remedy)
+        raise InputError(f"has waypoints too far apart: {at}", file=shown(path), remedy=remedy)
     return Mission(np.array(points), np.array(heights), speed, (places[0][0], places[0][1]), notes)
 
 
@@ -108,7 +117,8 @@ def mission_scenario(
         depth: z of the path [m], below 0; default: the lowest height of the mission.
 
     Raises:
-        InputError: the mission has no height below the surface, and `depth` is not given.
+        InputError: the mission has no height below the surface, and `depth` is not given; or the scenario would be
+            refused, for example because of a depth above the surface.
 
     Example:
         >>> import numpy as np
@@ -152,7 +162,9 @@ def mission_scenario(
         f"width_m = {float(np.ceil(width))!r}",
         f"depth_m = {float(np.ceil(-2 * depth + 1))!r}",
     ]
-    return "\n".join(lines) + "\n", tuple(notes)
+    text = "\n".join(lines) + "\n"
+    scenario_from_table(tomllib.loads(text), source=name)  # a file that `lint` refuses is not written
+    return text, tuple(notes)
 
 
 Places = list[tuple[float, float, float]]
@@ -176,38 +188,62 @@ def _plan(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]
     except (json.JSONDecodeError, KeyError, TypeError, AssertionError, RecursionError):
         raise InputError("is not a QGroundControl plan", file=shown(path), remedy="give a .plan or .gpx file") from None
     places: Places = []
-    speed: float | None = None
-    skipped: dict[int, int] = {}
-    for item in _simple(items):
+    speeds: list[tuple[str, float]] = []
+    skipped: dict[str, list[str]] = {}
+    for number, item in _items(items):
         try:
+            if not isinstance(item, dict):
+                raise TypeError
+            if item.get("type") == "ComplexItem":
+                skipped.setdefault(f"{item.get('complexItemType')} without waypoints", []).append(number)
+                continue
             command, params = int(item["command"]), list(item.get("params", ()))
             if command in _WAYPOINTS:
                 latitude, longitude, height = (float(v) for v in params[4:7])
                 places.append((latitude, longitude, height))
             elif command == _SPEED:
-                speed = float(params[1]) if speed is None and float(params[1]) > 0 else speed
+                speeds.append((number, float(params[1])))
             else:
-                skipped[command] = skipped.get(command, 0) + 1
+                skipped.setdefault(f"command {command}", []).append(number)
         except (KeyError, TypeError, ValueError, IndexError):
+            remedy = "correct this item in QGroundControl and save the plan again"
             raise InputError(
-                "has an item that cannot be read", file=shown(path), value=str(item)[:80], remedy="save the plan again"
+                "cannot be read", file=shown(path), key=f"item {number}", value=shown(item), remedy=remedy
             ) from None
-    notes = [f"{count} items with command {command} are not used" for command, count in sorted(skipped.items())]
-    cruise = table["mission"].get("cruiseSpeed")
-    speed = float(cruise) if speed is None and isinstance(cruise, int | float) and cruise > 0 else speed
-    return places, speed, tuple(notes)
+    notes = [f"not used: item {', '.join(numbers)} ({what})" for what, numbers in skipped.items()]
+    speed, of_speeds = _speed(speeds, table["mission"].get("cruiseSpeed"))
+    return places, speed, (*notes, *of_speeds)
 
 
-def _simple(items: list[Any]) -> Iterator[dict[str, Any]]:
-    # simple items, those inside surveys included
-    for item in items:
-        if not isinstance(item, dict):
-            continue
-        if item.get("type") == "ComplexItem":
-            inner = item.get("TransectStyleComplexItem", {}).get("Items") or item.get("Items") or []
-            yield from _simple(inner)
+def _speed(changes: list[tuple[str, float]], cruise: object) -> tuple[float | None, list[str]]:
+    """Return the first change of speed of a plan, else its cruise speed [m/s], and notes of what is not used."""
+    notes: list[str] = []
+    speed: float | None = None
+    for number, value in changes:
+        if not (isfinite(value) and value > 0):
+            notes.append(f"not used: item {number} (speed {value:g} m/s)")
+        elif speed is None:
+            speed = value
+        elif value != speed:
+            notes.append(f"not used: item {number} (speed {value:g} m/s; the first one, {speed:g} m/s, holds)")
+    if speed is None and cruise is not None:
+        if isinstance(cruise, int | float) and not isinstance(cruise, bool) and isfinite(cruise) and cruise > 0:
+            return float(cruise), notes
+        notes.append(f"not used: cruiseSpeed = {shown(repr(cruise)[:40])} (not a speed above 0 m/s)")
+    return speed, notes
+
+
+def _items(items: list[Any]) -> Iterator[tuple[str, Any]]:
+    # items with their numbers; in place of a survey its items, as 3.1, 3.2, ...
+    for k, item in enumerate(items, start=1):
+        inner = None
+        if isinstance(item, dict) and item.get("type") == "ComplexItem":
+            transects = item.get("TransectStyleComplexItem")
+            inner = (transects.get("Items") if isinstance(transects, dict) else None) or item.get("Items")
+        if inner and isinstance(inner, list):
+            yield from ((f"{k}.{j}", part) for j, part in enumerate(inner, start=1))
         else:
-            yield item
+            yield str(k), item
 
 
 def _gpx(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
@@ -217,10 +253,17 @@ def _gpx(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
     ]
     groups = [group for group in groups if group] or [list(root.iter("wpt"))]
     notes = (f"{len(groups) - 1} more routes or tracks are not used",) if len(groups) > 1 else ()
-    try:
-        places = [
-            (float(p.get("lat", "")), float(p.get("lon", "")), float(p.findtext("ele") or "nan")) for p in groups[0]
-        ]
-    except ValueError:
-        raise InputError("has a point without position", file=shown(path), remedy="give lat and lon") from None
+    places: Places = []
+    for k, point in enumerate(groups[0], start=1):
+        latitude, longitude, height = point.get("lat"), point.get("lon"), point.findtext("ele")
+        try:
+            places.append((float(latitude or ""), float(longitude or ""), float(height or "nan")))
+        except ValueError:
+            raise InputError(
+                "is not a position in numbers",
+                file=shown(path),
+                key=f"point {k}",
+                value=(latitude, longitude, height),
+                remedy="give lat and lon in degrees; ele in metres or none",
+            ) from None
     return places, None, notes

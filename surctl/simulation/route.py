@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import acos, asin, ceil, cos, floor, hypot, pi, radians, sin
+from math import asin, ceil, cos, floor, hypot, pi, radians, sin, sqrt
 from typing import Annotated, Literal
 
 import numpy as np
@@ -25,13 +25,16 @@ from surctl.files import Strict
 from surctl.guidance import BEND, MAX_WAYPOINTS, PASS, VISIT, Path
 from surctl.simulation.obstacle import Point, Positive
 
-__all__ = ["ARC_ERROR", "Corner", "Leg", "Route", "Survey"]
+__all__ = ["ARC_ERROR", "MAX_POINTS", "Corner", "Leg", "Route", "Survey"]
 
 ARC_ERROR = 0.001
 """Largest distance [m] between an arc and its chords, if the file does not state another (*chosen*)."""
 
 RISE_SPEED = 0.05
 """Vertical speed [m/s] of a change of depth, if the file does not state another: half the law's limit (*chosen*)."""
+
+MAX_POINTS = 100_000
+"""Largest number of points of a path that this module generates (*chosen*: loaded in some seconds)."""
 
 PERIOD = 0.05  # [s] control period, in which the target point must not pass more than one waypoint
 
@@ -87,6 +90,9 @@ class Survey(Strict):
     def _fits(self) -> Survey:
         if self.spacing_m > self.width_m:
             raise ValueError("spacing_m is larger than width_m, so there is only one line; reduce it")
+        points = 2 * (self.width_m / self.spacing_m + 1)  # a float, which may be infinite
+        if not points <= MAX_POINTS:
+            raise ValueError(f"spacing_m gives {points:.3g} points, more than {MAX_POINTS:,}; raise it")
         return self
 
     def legs(self) -> list[Leg]:
@@ -203,7 +209,7 @@ class _Drawing:
                     value=leg.radius_m,
                     remedy=f"at least {chord / 2:.4g}",
                 )
-            places = _arc(start, end, chord, leg, self.route.arc_error_m)
+            places = _arc(start, end, chord, leg, self.route.arc_error_m, MAX_POINTS - len(self.rows))
         rise = self.rows[-1].rise if leg.depth_m is None else leg.depth_m - self.depth
         places, rises = self._climbed(key, places, leg, rise)
         kind = self.usual if leg.corner is None else self.corner[leg.corner]
@@ -238,8 +244,11 @@ class _Drawing:
         return places, [before + float(share) * (rise - before) if share < 1 else rise for share in shares]
 
 
-def _arc(start: Point, end: Point, chord: float, leg: Leg, error: float) -> list[Point]:
-    """Return the ends of the chords of an arc; all are on the arc, and no chord is further than `error` from it."""
+def _arc(start: Point, end: Point, chord: float, leg: Leg, error: float, most: int) -> list[Point]:
+    """Return the ends of the chords of an arc; all are on the arc, and no chord is further than `error` from it.
+
+    More than `most` chords are an InputError.
+    """
     radius = max(float(leg.radius_m or 0.0), chord / 2)
     half = asin(min(chord / (2 * radius), 1.0))
     turned = 2 * pi - 2 * half if leg.large_arc else 2 * half
@@ -248,8 +257,16 @@ def _arc(start: Point, end: Point, chord: float, leg: Leg, error: float) -> list
     # the centre is on the side of the turn, or on the other side if the arc is more than half a circle
     offset = left * radius * cos(half) * (-1.0 if leg.large_arc else 1.0)
     centre = (start[0] + end[0]) / 2 - ahead[1] * offset, (start[1] + end[1]) / 2 + ahead[0] * offset
-    step = 2 * acos(max(1 - error / radius, 0.0))
-    count = max(ceil(turned / step - 1e-9), 2)
+    # arccos(1 - e) = 2 arcsin √(e/2), which does not lose a small e
+    needed = turned / (4 * asin(sqrt(min(error / radius, 1.0) / 2)))
+    if not needed <= most:
+        raise InputError(
+            f"gives an arc of {radius:.4g} m radius {needed:.3g} points; a path has at most {MAX_POINTS:,} in all",
+            key="arc_error_m",
+            value=error,
+            remedy="raise it",
+        )
+    count = max(ceil(needed - 1e-9), 2)
     x, y = start[0] - centre[0], start[1] - centre[1]
     places: list[Point] = [start]
     for k in range(1, count):

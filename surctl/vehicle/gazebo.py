@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.recorded import shown, xml_root
 from surctl.vehicle.parameters import Parameter, Vehicle
-from surctl.vehicle.specs import PARAMETERS, TERMS, parameter_spec
+from surctl.vehicle.specs import PARAMETERS, TERMS, parameter_spec, undamped
 
 __all__ = ["gazebo_vehicle"]
 
@@ -104,7 +104,9 @@ def gazebo_vehicle(
         if spec is None or not np.isfinite(value) or (value <= 0 and not spec.zero_allowed):
             raise InputError("must be greater than 0", file=shown(path), key=key, value=value, remedy="correct it")
         parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in from_user else said)
-    return Vehicle(name, f"from {path.name}; roll and pitch are omitted", parameters)
+    free = undamped({key: parameter.value for key, parameter in parameters.items()})
+    note = f"; no drag found in {', '.join(free)}" if free else ""
+    return Vehicle(name, f"from {path.name}; roll and pitch are omitted{note}", parameters)
 
 
 def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict[str, float]]:

@@ -125,7 +125,7 @@ def state_names(vehicle: Vehicle) -> tuple[str, ...]:
 def check_trim(vehicle: Vehicle, nu: NDArray[np.float64]) -> None:
     """Raise InputError if the vehicle lacks the thrust to hold the body velocity nu (4,) [m/s, rad/s]."""
     if not can_hold(trim_thrust(vehicle, nu), *vehicle.thrust_range):
-        tau, (least, most) = trim_thrust(vehicle, nu), vehicle.thrust_range
+        tau, (least, most) = trim_thrust(vehicle, nu), np.round(vehicle.thrust_range, 2)
         limits = f"the limits are {most.tolist()}"
         if (least != -most).any():
             limits = f"the thrust lies between {least.tolist()} and {most.tolist()}"
@@ -188,9 +188,25 @@ def beyond_law(vehicle: Vehicle, cruise: float) -> str:
 
 def check_cruise(vehicle: Vehicle, cruise: float) -> None:
     """Raise InputError if the vehicle, or a law within its symmetric limits, cannot hold a cruise speed [m/s]."""
-    check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    try:
+        check_trim(vehicle, np.array([cruise, 0.0, 0.0, 0.0]))
+    except InputError as error:
+        held = _largest_held(vehicle, cruise)
+        remedy = f"{vehicle.name} holds at most {held:g} m/s" if held > 0 else f"{vehicle.name} holds no slower speed"
+        raise InputError(error.problem, key="cruise", value=cruise, remedy=remedy) from None
     if beyond := beyond_law(vehicle, cruise):
         raise InputError(beyond, key="cruise", value=cruise, remedy=WITHIN_LAW)
+
+
+def _largest_held(vehicle: Vehicle, cruise: float) -> float:
+    # largest speed [m/s] below a cruise speed that a law holds, rounded down to mm/s
+    low, high = 0.0, cruise
+    while high - low > 1e-4:
+        speed = (low + high) / 2
+        thrust = trim_thrust(vehicle, np.array([speed, 0.0, 0.0, 0.0]))
+        held = can_hold(thrust, *vehicle.thrust_range) and not beyond_law(vehicle, speed)
+        low, high = (speed, high) if held else (low, speed)
+    return float(np.floor(1e3 * low) / 1e3)
 
 
 WITHIN_LAW = "lower the cruise speed or raise Fu_reverse"

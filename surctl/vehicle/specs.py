@@ -23,7 +23,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
 
-__all__ = ["AXES", "NEEDED_TO_TILT", "PARAMETERS", "TERMS", "ParameterSpec", "PlantForm", "parameter_spec"]
+__all__ = ["AXES", "NEEDED_TO_TILT", "PARAMETERS", "TERMS", "ParameterSpec", "PlantForm", "parameter_spec", "undamped"]
 
 
 @dataclass(frozen=True)
@@ -137,6 +137,23 @@ def parameter_spec(name: str) -> ParameterSpec | None:
         ('N s^2/m', 'drag on yaw by |u| v')
     """
     return PARAMETERS.get(name) or TERMS.get(name)
+
+
+def undamped(values: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the axes on which a vehicle has thrust but no drag, by the values of its parameters.
+
+    Example:
+        >>> from surctl.vehicle.specs import undamped
+        >>> undamped({"Fu_max": 40.0, "Xu": 0.0, "Xuu": 0.0, "Fv_max": 0.0, "Fr_max": 5.0, "Nrr": 2.0})
+        ('surge',)
+    """
+    damped = set()
+    for name, value in values.items():
+        spec = parameter_spec(name)
+        if value and spec is not None and spec.table == "drag":
+            damped.add(name[0] + name[-1])
+    pushed = zip(AXES, _FORCES, _VELOCITIES, ("Fu_max", "Fv_max", "Fw_max", "Fr_max"), strict=False)
+    return tuple(axis for axis, force, by, limit in pushed if values.get(limit, 0.0) and force + by not in damped)
 
 
 _TILT = {name for name, spec in TERMS.items() if spec.table == "attitude" or set(name) & set("KMpq")}

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from surctl.cli.mission import scenario
 from surctl.errors import InputError
 from surctl.simulation import load_scenario, mission_scenario, read_mission
 
@@ -43,7 +45,7 @@ def test_a_plan_is_a_scenario(tmp_path: Path) -> None:
     expected = [[0.0, 0.0], [0.0, 111425 * 2e-4], [50670 * 4e-4, 111425 * 2e-4]]
     np.testing.assert_allclose(mission.points, expected, atol=0.02)
     assert mission.speed == 0.4 and mission.heights.tolist() == [-2.0, -3.0, -3.0]
-    assert mission.notes == ("1 items with command 20 are not used",)
+    assert mission.notes == ("not used: item 4 (command 20)",)
     text, notes = mission_scenario(mission, "survey", vehicle="sur540-flooded", cruise=0.4, margin=4.0)
     assert notes[1] == "heights from -3 to -2 m: the path keeps the lowest, -3 m"
     (tmp_path / "survey.toml").write_text(text)
@@ -82,11 +84,15 @@ def _with(file: Path, old: str, new: str) -> Path:
     [
         ("a.plan", "{}", "is not a QGroundControl plan"),
         ("a.plan", "[" * 5, "is not a QGroundControl plan"),
-        ("a.plan", _plan([_item(16, 0, 0)]), "item that cannot be read"),
+        ("a.plan", _plan([_item(16, 0, 0)]), r"item 1 = .*: cannot be read.*save the plan again"),
         ("a.plan", _plan([]), "fewer than two waypoints"),
+        ("a.plan", _plan([ITEMS[1], None]), "item 2 = 'None': cannot be read"),  # type: ignore[list-item]
+        ("a.plan", _plan([{**SURVEY, "TransectStyleComplexItem": {"Items": [3]}}]), "item 1.1 = '3': cannot be read"),
+        ("a.plan", _plan([_item(22), _item(9999)]), r"item 1 \(command 22\); not used: item 2 \(command 9999\)"),
+        ("a.plan", _plan([ITEMS[1]] * 100_001), "100,001 waypoints"),
         ("a.gpx", "<gpx>", "is not XML"),
         ("a.gpx", "<!DOCTYPE x><gpx/>", "document type"),
-        ("a.gpx", '<gpx><wpt lat="1"/></gpx>', "point without position"),
+        ("a.gpx", '<gpx><wpt lat="1"/></gpx>', r"point 1 = \('1', None, None\): is not a position"),
     ],
 )
 def test_files_that_are_no_mission(name: str, text: str, fragment: str, tmp_path: Path) -> None:
@@ -96,3 +102,26 @@ def test_files_that_are_no_mission(name: str, text: str, fragment: str, tmp_path
     assert "\n" not in str(caught.value)
     with pytest.raises(InputError, match="no such file"):
         read_mission(tmp_path / "gone.plan")
+
+
+def test_what_a_plan_leaves_out_is_said(tmp_path: Path) -> None:
+    items = [{"type": "ComplexItem", "complexItemType": "survey"}, *ITEMS[1:3], _item(178, 1, -1)]
+    for cruise, note in ((-1, "-1"), ("fast", "'fast'"), (None, None), (True, "True"), (float("inf"), "inf")):
+        (tmp_path / "a.plan").write_text(json.dumps({"mission": {"cruiseSpeed": cruise, "items": items}}))
+        mission = read_mission(tmp_path / "a.plan")
+        assert mission.speed is None
+        assert mission.notes[:2] == (
+            "not used: item 1 (survey without waypoints)",
+            "not used: item 4 (speed -1 m/s)",
+        )
+        assert (mission.notes[2:] == ()) if note is None else (f"cruiseSpeed = {note} " in mission.notes[2])
+    (tmp_path / "a.plan").write_text(_plan([*ITEMS, _item(178, 1, 0.3)]))
+    assert "item 5 (speed 0.3 m/s; the first one, 0.4 m/s, holds)" in read_mission(tmp_path / "a.plan").notes[1]
+
+
+@pytest.mark.parametrize(("depth", "status"), [("-2", 0), ("2", 2), ("nan", 2), ("0", 2)])
+def test_a_depth_above_the_surface_writes_nothing(tmp_path: Path, depth: str, status: int) -> None:
+    (tmp_path / "a.plan").write_text(_plan(ITEMS))
+    options = ["from-plan", str(tmp_path / "a.plan"), "--depth", depth, "--out", str(tmp_path / "a.toml")]
+    result = CliRunner().invoke(scenario, options)
+    assert (result.exit_code == 0, (tmp_path / "a.toml").exists()) == (status == 0, status == 0)

@@ -145,6 +145,16 @@ MISTAKES = {
     "outside the site": (legs("to_m = [70, 10]"), "path_m = [70.0, 10.0]", "lies outside the site"),
     "unknown survey": ('[survey]\nkind = "spiral"', "survey.kind", "'lawnmower'"),
     "one line": (SURVEY.format(width=0.4, more=""), "survey", "there is only one line; reduce it"),
+    "too many lines": (
+        SURVEY.format(width=20.0, more="").replace("= 0.5", "= 1e-6"),
+        "survey",
+        "spacing_m gives 4e+07 points, more than 100,000; raise it",
+    ),
+    "infinitely many lines": (
+        SURVEY.format(width=1e300, more="").replace("= 0.5", "= 1e-300"),
+        "survey",
+        "spacing_m gives inf points",
+    ),
     "misspelt": (legs("to_m = [20, 10]\nspeed_mps = 0.2"), "leg.0.speed_mps", "did you mean 'speed_m_per_s'?"),
 }
 
@@ -169,3 +179,5 @@ def test_mistakes_above_the_tables(tmp_path: FilePath) -> None:
         with pytest.raises(InputError) as caught:
             loaded(tmp_path, text(top))
         assert fragment in str(caught.value)
+    with pytest.raises(InputError, match=r"arc_error_m = 1e-14: gives an arc of 3 m radius .* points; .*; raise it"):
+        loaded(tmp_path, text("arc_error_m = 1e-14\npath_m = [[5, 10], [10, 10]]", legs(ARC)))

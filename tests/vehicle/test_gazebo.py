@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from surctl.cli.lint import lint
 from surctl.errors import InputError
 from surctl.vehicle import gazebo_vehicle, load_vehicle, write_vehicle
+from surctl.vehicle.parameters import LIBRARY
+from surctl.vehicle.specs import undamped
 
 GIVEN = {"radius": 0.25, "thrust": 40.0, "yaw_thrust": 5.0}
 SDF = """<?xml version="1.0"?>
@@ -46,6 +51,20 @@ def test_hydrodynamics_of_gz_sim(tmp_path: Path) -> None:
     assert auv.thrust_limit.tolist() == [40.0, 30.0, 40.0, 5.0]
     (tmp_path / "auv.toml").write_text(write_vehicle(auv))
     assert load_vehicle(str(tmp_path / "auv.toml")).digest() == auv.digest()
+
+
+def test_an_axis_with_thrust_and_no_drag_is_said(tmp_path: Path) -> None:
+    (tmp_path / "model.sdf").write_text(re.sub(r"<[xn]U?R?(abs)?[UR]+>-\d+(\.\d)?</[^>]*>", "", SDF))
+    auv = gazebo_vehicle(tmp_path / "model.sdf", "auv", **GIVEN)
+    assert auv.note.endswith("omitted; no drag found in surge, yaw")
+    (tmp_path / "auv.toml").write_text(write_vehicle(auv))
+    result = CliRunner().invoke(lint, [str(tmp_path / "auv.toml")])
+    assert [line.partition(": no drag")[0] for line in result.output.splitlines()[:2]] == [
+        "warning: drag (surge)",
+        "warning: drag (yaw)",
+    ]
+    library = [load_vehicle(file.stem) for file in LIBRARY.glob("*.toml") if "thrusters" not in file.stem]
+    assert not any(undamped({k: p.value for k, p in craft.parameters.items()}) for craft in library)
 
 
 def test_hydrodynamics_of_uuv_simulator(tmp_path: Path) -> None:

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.vehicle import MotionLog, Vehicle, held_out, identify, load_vehicle, predict, predict_with, write_vehicle
+from surctl.vehicle import (
+    MotionLog,
+    Vehicle,
+    held_out,
+    identify,
+    load_vehicle,
+    predict,
+    predict_with,
+    velocity_notes,
+    write_vehicle,
+)
 from surctl.vehicle.identification.intervals import spread_of
 from surctl.vehicle.identification.model import sections_of
 from surctl.vehicle.parameters import Parameter, vehicle_from_table
@@ -92,6 +102,20 @@ def test_a_log_is_split_at_its_gaps_and_a_gap_costs_no_steps() -> None:
     assert found.sections == 2 and abs(found.estimates["m11"][0] - TRUE["m11"]) <= 2 * found.estimates["m11"][1]
     with pytest.raises(InputError, match="has no part of 20 rows without a gap"):
         sections_of(cut(log, np.arange(400) % 20 < 10))
+    with pytest.raises(InputError, match=r"t_s: has rows 100 s apart \(median\).*; is the time in ms\?"):
+        sections_of(MotionLog(1e3 * log.time, log.motion, log.thrust, "log.csv"))
+
+
+@pytest.mark.parametrize(("factor", "words"), [(np.pi / 180, "times 57.3"), (180 / np.pi, "divided by 57.3")])
+def test_a_heading_in_the_wrong_unit_is_named(factor: float, words: str) -> None:
+    time = 0.05 * np.arange(600)
+    heading, motion = 0.6 * np.sin(0.3 * time), np.zeros((600, 8))
+    motion[:, 4] = 0.5
+    velocity = 0.5 * np.exp(1j * heading)
+    place = np.concatenate([[0], np.cumsum((velocity[1:] + velocity[:-1]) / 2 * np.diff(time))])
+    motion[:, 0], motion[:, 1], motion[:, 3], motion[:, 7] = place.real, place.imag, factor * heading, np.nan
+    (note,) = velocity_notes(MotionLog(time, motion, np.zeros((600, 4)), "log.csv"))
+    assert f"with the heading {words}" in note
 
 
 def test_intervals_of_coloured_noise_are_those_of_the_estimates() -> None:

@@ -129,3 +129,6 @@ def test_a_quaternion_and_body_rates_give_roll_pitch_p_and_q(tmp_path: Path) -> 
     )
     read = read_mapped_log(tmp_path / "log.csv", tmp_path / "map.toml")
     np.testing.assert_allclose(read.motion[:, 8:], log.motion[: len(read.time), 8:], atol=1e-9)
+    (tmp_path / "wrong.toml").write_text((tmp_path / "map.toml").read_text().replace('"qw"', '"Fu_N"'))
+    with pytest.raises(InputError, match=r"wrong.toml: attitude.fields = .* not a unit quaternion: norm \S+ to [1-9]"):
+        read_mapped_log(tmp_path / "log.csv", tmp_path / "wrong.toml")

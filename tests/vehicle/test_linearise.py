@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.linalg import expm
 
+from surctl.cli.gains import derive
 from surctl.errors import InputError
 from surctl.simulation import advance
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, linearise, load_vehicle, plant_parameters, trim_thrust
+from surctl.vehicle.linearise import check_cruise
 
 STATES = ["x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr"]
 
@@ -62,3 +67,12 @@ def test_without_lag_the_thrust_states_are_gone() -> None:
 def test_a_speed_that_the_thrust_cannot_hold_is_refused() -> None:
     with pytest.raises(InputError, match=r"operating point nu.*needs thrust.*slower"):
         linearise(load_vehicle("sur540-flooded"), np.array([0.4, 0, 0, 0]))
+    with pytest.raises(InputError, match=r"^cruise = 5: needs thrust .*; otter holds at most 3\.\d+ m/s$") as caught:
+        check_cruise(otter := load_vehicle("otter"), 5)
+    held = float(str(caught.value).split()[-2])
+    check_cruise(otter, held)
+    with pytest.raises(InputError):
+        check_cruise(otter, held + 0.002)
+    assert not re.search(r"\d\.\d{3}", str(caught.value).partition(";")[0]), "numbers of at most two decimals"
+    result = CliRunner().invoke(derive, ["otter", "--cruise", "5"])
+    assert str(result.exception).startswith("otter: --cruise = 5.0: needs thrust")

@@ -266,12 +266,18 @@ def test_topics_are_listed(bag: Path) -> None:
     ],
 )
 def test_a_package_that_is_missing_and_a_file_that_is_none(
-    suffix: str, module: str, extra: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    suffix: str,
+    module: str,
+    extra: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     path = tmp_path / f"log{suffix}"
     path.write_bytes(b"no log" * 20)
     with pytest.raises(InputError) as wrong:
         read_recording(path)
+    assert capfd.readouterr() == ("", ""), "readers print nothing beside the error"
     assert "\n" not in str(wrong.value) and path.name in str(wrong.value)
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError, match=rf"needs the package .*pip install 'surctl\[{extra}\]'"):

@@ -17,6 +17,7 @@ _AGREES = 0.3  # largest difference, relative to the displacement, that counts a
 _CLOSE, _FAR_CLOSER = 0.05, 0.2  # a difference above the first one is reported if a change reduces it to this share
 _HELPS = 0.5  # of a larger difference, a change is named if it reduces the difference to this share
 _ABOVE = 6.0  # standard deviations of the pose's noise that a displacement must have
+_DEGREES = 180 / np.pi
 _LEAST = 20  # displacements
 
 Array = NDArray[np.float64]
@@ -51,6 +52,8 @@ def velocity_notes(log: MotionLog) -> tuple[str, ...]:
             ("the other sign of v", (u - 1j * v) * np.exp(1j * psi)),
             ("the other sign of the heading", (u + 1j * v) * np.exp(-1j * psi)),
             ("the other sign of the heading", (u + 1j * v) * -np.exp(-1j * psi)),  # the same in a log of frame ned
+            ("the heading times 57.3 (radians, read as degrees)", (u + 1j * v) * np.exp(1j * _DEGREES * psi)),
+            ("the heading divided by 57.3 (degrees, read as radians)", (u + 1j * v) * np.exp(1j * psi / _DEGREES)),
         ),
     )
     if flat:

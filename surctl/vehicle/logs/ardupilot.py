@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from contextlib import redirect_stdout
+import os
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
@@ -12,6 +13,24 @@ from surctl.recorded import shown
 from surctl.vehicle.logs.recording import Recording, Rows, flattened, optional_module, recording_of
 
 __all__ = ["read_ardupilot"]
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    # the indexer of pymavlink is in C and prints a line for each byte that begins no message, past `sys.stderr`
+    with redirect_stderr(StringIO()):
+        try:
+            saved = os.dup(2)
+        except OSError:  # the process has no standard error
+            yield
+            return
+        try:
+            with Path(os.devnull).open("w") as sink:
+                os.dup2(sink.fileno(), 2)
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
 
 
 def read_ardupilot(path: Path, topics: Collection[str] | None) -> Recording:
@@ -27,7 +46,7 @@ def read_ardupilot(path: Path, topics: Collection[str] | None) -> Recording:
     first: dict[str, float] = {}
     kinds = None if topics is None else sorted({topic.partition("[")[0] for topic in topics})
     try:
-        with redirect_stdout(StringIO()):  # pymavlink prints its remarks
+        with redirect_stdout(StringIO()), _quiet():  # pymavlink prints its remarks
             log = mavutil.mavlink_connection(str(path), notimestamps=False)
             while (message := log.recv_match(type=kinds)) is not None:
                 kind = message.get_type()

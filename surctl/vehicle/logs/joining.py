@@ -15,6 +15,7 @@ from surctl.vehicle.motion_log import MotionLog, swapped
 __all__ = ["heading_frame", "joined", "roll_pitch_heading"]
 
 _BRIDGED, _BRIDGED_PERIODS = 0.5, 5.0  # motion is interpolated over at most this [s], or these periods
+_NORM, _SHARE = 0.05, 0.01  # a quaternion is not of length 1 if more than this share of its norms are off by this
 _HELD, _HELD_PERIODS = 1.0, 10.0  # a command counts for at most this [s], or these periods
 
 Array = NDArray[np.float64]
@@ -117,6 +118,7 @@ def _angles(sources: _Sources, log_map: LogMap, time: Array) -> Array | None:
     topic = sources.topic("attitude", part)
     values = sources.fields("attitude", part)
     if len(part.fields) == 4:
+        _check_norm(values, sources, part)
         angles = roll_pitch_heading(values)
     else:
         angles = values * sources.factor("attitude", part.unit, "rad")
@@ -126,6 +128,20 @@ def _angles(sources: _Sources, log_map: LogMap, time: Array) -> Array | None:
         known = np.isfinite(angles[:, k])
         angles[known, k] = np.unwrap(angles[known, k])
     return _interpolated(sources.time("attitude", part), angles, time) if len(topic.time) else None
+
+
+def _check_norm(quaternion: Array, sources: _Sources, part: Source) -> None:
+    # a quaternion of zeros is one that was not set
+    norms = np.linalg.norm(quaternion, axis=1)
+    norms = norms[np.isfinite(norms) & (norms > 0)]
+    if len(norms) and np.mean(np.abs(norms - 1) > _NORM) > _SHARE:
+        raise InputError(
+            f"is not a unit quaternion: norm {norms.min():.3g} to {norms.max():.3g} in {sources.recording.source}",
+            file=sources.map_name,
+            key="attitude.fields",
+            value=list(part.fields),
+            remedy="name the fields x, y, z, w of a quaternion",
+        )
 
 
 class _Sources:
