@@ -27,7 +27,6 @@ _HALF = 0.4  # share of the remaining time for a function that is not the last
 _MOST, _WHOLE = 0.7, 0.8  # the same for the function that is easiest to prove, and share of it for its first level
 _SEARCH = 0.3  # share of the time for the search of functions
 _GAIN = 1.01  # least ratio of a region to the one that is proved, for which its proof is tried
-_PATIENCE, _LEAST = 10.0, 5.0  # a larger level has this many times the time of the last proof, and at least this [s]
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
 
@@ -214,17 +213,13 @@ def _proved(
     levels = [level] if level is not None else [short(share * bound.level, digits=4) for share in _SHARES]
     decision: Decision | None = None
     proved: Decision | None = None
-    took = 0.0
     low, high, k = -1, len(levels), min(start, len(levels) - 1)
     while low < k < high and (left := until - time.process_time()) > 0:
         # a proof that fails takes all its time, so each level leaves time for the next one
         part = _WHOLE if start == _SIMPLE and proved is None else _PART
         share = left if k == 0 and proved is None else part * left
-        if proved is not None:
-            share = min(share, max(_PATIENCE * took, _LEAST))
         around = d if level is not None else hugged(d, candidate.function, levels[k])
         claim = Stability(around, candidate.function, levels[k], rate)
-        started = time.process_time()
         # a level below the least one with a counterexample need not be refuted again
         # and a lower level is easier to prove than other bounds at this one
         if level is not None:
@@ -233,7 +228,7 @@ def _proved(
             trial = prove_motion(claim, time_limit=share, seed=seed, most=2 if k == 0 else 1)
         _say(progress, f"{candidate.label}: level {levels[k]:.4g} {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
-            proved, low, took = trial, k, time.process_time() - started
+            proved, low = trial, k
             if once:
                 break
             # the largest level first, then between
