@@ -50,8 +50,8 @@ def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
         radius, about = planned_radius(vehicle, gains, float(v))
         if most * radius > 1:
             text = (
-                f"an arc of radius {1 / most:.2g} m is tighter than {vehicle.name} turns: its {about}, so it leaves the "
-                "path; lower the speed or enlarge the radius"
+                f"an arc of radius {1 / most:.2g} m is tighter than {vehicle.name} turns: its {about}, so it "
+                "leaves the path; lower the speed or enlarge the radius"
             )
             results.append((most * radius, Finding("warning", "leg.radius_m", text)))
     return [max(results, key=lambda one: one[0])[1]] if results else []

@@ -118,8 +118,8 @@ def _arrival(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Findin
         return []
     text = (
         f"{vehicle.name} steers by rudders or fins and passes its target at speed, to within about {needed:.1g} m, "
-        f"{100 * _PASSES:g} % of its planned turning radius: in {scenario.arrival_radius:g} m it may turn round several times; "
-        f"set arrival_m = {needed:.1g}"
+        f"{100 * _PASSES:g} % of its planned turning radius: in {scenario.arrival_radius:g} m it may turn round "
+        f"several times; set arrival_m = {needed:.1g}"
     )
     return [Finding("warning", "arrival_m", text)]
 
