@@ -41,7 +41,7 @@ def weak(**values: float) -> Vehicle:
         ({"to_m": [15, 7], "depth_m": -1.5}, {"climb_m_per_s": 0.1}, weak(Fw_max=0.1), "error", "at 0.1 m/s needs"),
         ({"to_m": [9.5, 7]}, {"path_m": [[2, 2], [2, 7], [9, 2]]}, VEHICLE, None, ""),
         ({"to_m": [9, 7.5]}, {}, VEHICLE, "info", "1 of 2 stretches between corners are shorter than the look-ahead"),
-        ({"to_m": [15, 7], "speed_m_per_s": 0.25}, {}, weak(Fu_max=1.0), "error", "at the cruise speed of 0.25 m/s"),
+        ({"to_m": [15, 7], "speed_m_per_s": 0.25}, {}, weak(Fu_max=1.0), "error", "at this leg's speed of 0.25 m/s"),
     ],
     ids=["fits", "sway", "yaw", "heave", "long legs", "short leg", "speed"],
 )
@@ -49,7 +49,7 @@ def test_what_lint_says(
     leg: dict[str, Any], more: dict[str, Any], vehicle: Vehicle, level: str | None, text: str
 ) -> None:
     scenario = written(more.pop("path_m", [[7, 7], [9, 7]]), leg, **more)
-    keys = ("leg.radius_m", "climb_m_per_s", "path_m", "cruise_m_per_s")
+    keys = ("leg.radius_m", "climb_m_per_s", "path_m", "cruise_m_per_s", "leg.0.speed_m_per_s")
     found = [f for f in findings(scenario, vehicle) if f.key in keys]
     if level is None:
         assert not found
@@ -72,6 +72,13 @@ def test_the_planned_turning_radius_decides_about_the_arcs_and_corners_of_a_stee
     found = [f for f in findings(mission(zigzag, "otter", size=(60, 60), time=200), otter) if "corner" in f.text]
     assert [f.text.count("(the worst; ") for f in found if f.level == "warning"] == [1]
     assert "corner (19.5, 10) turns by 56°" in next(f.text for f in found if f.level == "warning")
+
+
+def test_a_speed_beyond_the_thrust_names_its_leg() -> None:
+    arc, climb = ARC, {"to_m": [4, 9], "depth_m": -1.2}
+    fast = {"to_m": [4, 15], "speed_m_per_s": 0.25}
+    scenario = written([[7, 7], [9, 7]], arc, climb, fast, {"to_m": [9, 15], "speed_m_per_s": 0.21})
+    assert [f.key for f in findings(scenario, weak(Fu_max=2.0)) if "moves at" in f.text] == ["leg.2.speed_m_per_s"]
 
 
 def test_depths_of_the_path_count_where_obstacles_end() -> None:
