@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import pickle
+import re
 import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Quantity",
     "Strict",
+    "file_name",
     "load_model",
     "opened",
     "pick",
@@ -311,6 +314,23 @@ def opened(path: Path, *, new: bool, buffering: int = -1) -> IO[bytes]:
     except OSError as error:
         problem = f"cannot be written ({error.strerror})"
     raise InputError(problem, file=path, remedy="name another folder")
+
+
+def file_name(name: str) -> str:
+    """Return a name from a user's file or function as part of a file name, which cannot lead out of a folder.
+
+    Other characters than ASCII letters, digits, `_`, `-` and `.` are replaced, and points at the start removed. Such a
+    name gets a digest, so that file names stay different.
+
+    Example:
+        >>> from surctl.files import file_name
+        >>> file_name("pool-static"), file_name("../../north pool")
+        ('pool-static', 'north-pool-e834ebc2')
+    """
+    plain = re.sub(r"[^A-Za-z0-9_.-]", "-", name).lstrip(".-")[:100] or "x"
+    return (
+        plain if plain == name else f"{plain}-{hashlib.sha256(name.encode(errors='backslashreplace')).hexdigest()[:8]}"
+    )
 
 
 def write_file(target: Path, content: str | bytes) -> Path:

@@ -14,6 +14,7 @@ from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress
 
 if TYPE_CHECKING:
     from surctl.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
+    from surctl.simulation import Scenario
 
 __all__ = ["fly"]
 
@@ -147,7 +148,7 @@ def fly(
         prepare_folder(out)
     if address is None:
         result = _rehearsed(bridge, LinkQuality(loss=loss, delay=delay), script, out=out, seed=seed)
-        files = [] if out is None else sorted(str(path) for path in out.glob(f"rehearsal-{mission.name}-{seed}.*"))
+        files = [] if out is None else sorted(str(path) for path in out.glob(f"{_stem(mission, seed)}.*"))
         lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
         finish(_data(result) | {"files": files}, lines, as_json=as_json, passed=result.arrived and not result.touched)
     assert out is not None and address is not None
@@ -196,8 +197,14 @@ def _rehearsed(
     sub.mode = plan.mapping.mode.name
     if out is None:
         return rehearse(bridge, sub, link=quality, seed=seed, acts=script)
-    with SessionRecord(out, f"rehearsal-{plan.scenario.name}-{seed}", bridge, epoch=0.0, new=False) as record:
+    with SessionRecord(out, _stem(plan.scenario, seed), bridge, epoch=0.0, new=False) as record:
         return rehearse(bridge, sub, link=quality, seed=seed, acts=script, log=record)
+
+
+def _stem(mission: Scenario, seed: int) -> str:
+    from surctl.files import file_name
+
+    return f"rehearsal-{file_name(mission.name)}-{seed}"
 
 
 def _act(text: str) -> Act:

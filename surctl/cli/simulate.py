@@ -129,7 +129,7 @@ def simulate(
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import build_law, law_source, load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import Case, law_numbers, load_scenario, save_record, stop_reason
+    from surctl.simulation import Case, law_numbers, load_scenario, save_record, stop_reason, time_limit_reason
     from surctl.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
@@ -220,6 +220,9 @@ def simulate(
                     if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)
                         lines.append(f"  {run.metrics.stopped_because}: {results[-1]['stop_reason']}")
+                    if run.metrics.stopped_because == "time limit" and (why := time_limit_reason(run)):
+                        results[-1]["stop_reason"] = why
+                        lines.append(f"  time limit: {why}")
                     lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
                     if save is not None and out is not None:
                         results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))

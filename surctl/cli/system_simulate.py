@@ -70,10 +70,11 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
+    from surctl.files import file_name
     from surctl.report.system_plot import save_record_plot
     from surctl.system import save_record
 
-    name = f"{own.system.plant.name}-{own.system.controller.name}"
+    name = file_name(f"{own.system.plant.name}-{own.system.controller.name}")
     origin = own.origin | {"values": json.dumps({n: v.tolist() for n, v in assigned(own.settings).items()})}
     file = save_record(record, out / f"{name}.{kind}", about=origin)
     return [save_record_plot(record, out, name=name), file]

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from surctl.simulation.scene_file import LAYOUT, SceneFile, save_scene, write_layout
     from surctl.simulation.sensors import Sensors
     from surctl.simulation.stepping import advance
-    from surctl.simulation.stopping import stop_reason
+    from surctl.simulation.stopping import stop_reason, time_limit_reason
     from surctl.simulation.thruster_faults import ThrusterFault
     from surctl.simulation.thruster_fit import held_share, thruster_findings
     from surctl.simulation.thruster_use import ThrusterUse, thruster_use
@@ -141,6 +141,7 @@ __all__ = [
     "straight_mission",
     "thruster_findings",
     "thruster_use",
+    "time_limit_reason",
     "turn_rate",
     "two_leg_mission",
     "write_layout",
@@ -175,7 +176,7 @@ load_at_first_use(
         "scene_file": "LAYOUT SceneFile save_scene write_layout",
         "sensors": "Sensors",
         "stepping": "advance",
-        "stopping": "stop_reason",
+        "stopping": "stop_reason time_limit_reason",
         "thruster_faults": "ThrusterFault",
         "thruster_fit": "held_share thruster_findings",
         "thruster_use": "ThrusterUse thruster_use",

@@ -10,6 +10,7 @@ from surctl.control.ports import YAW_SHARE
 from surctl.guidance import BEND
 from surctl.simulation.finding import Finding
 from surctl.simulation.scenario import Scenario
+from surctl.simulation.steering_fit import planned_radius
 from surctl.vehicle import Vehicle
 
 __all__ = ["leg_speeds", "mission_findings"]
@@ -27,23 +28,40 @@ def leg_speeds(scenario: Scenario) -> Array:
 
 def mission_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     """Return the findings about arcs, changes of depth and segments shorter than the look-ahead distance."""
-    return [*_arcs(scenario, vehicle), *_climb(scenario, vehicle), *_short(scenario, gains)]
+    return [*_arcs(scenario, vehicle, gains), *_climb(scenario, vehicle), *_short(scenario, gains)]
 
 
-def _arcs(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
-    """Report the arc that needs most of the yaw rate or of the sway thrust, if it needs more than there is."""
+def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Report the arc that needs most of the yaw rate or of the sway force, if it needs more than there is."""
     kinds, speeds, lengths = scenario.path.kinds, leg_speeds(scenario), scenario.path.lengths
-    if kinds is None:
+    if kinds is None or not np.any(kinds[1:-1] == BEND):
         return []
     ahead = np.diff(scenario.path.waypoints, axis=0)
     turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
     turns = np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
     curvature = np.where(kinds[1:-1] == BEND, turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
     speed = np.maximum(speeds[1:], speeds[:-1])
+    if vehicle["Fv_max"] > 0:
+        return _forced_arcs(scenario, vehicle, curvature, speed)
+    # the drift of the hull carries the force towards the centre: the radius of a planned turn counts, as at corners
+    tightest = [(v, float(np.max(curvature[speed == v]))) for v in np.unique(speed)]
+    results = []
+    for v, most in tightest:
+        radius, about = planned_radius(vehicle, gains, float(v))
+        if most * radius > 1:
+            text = (
+                f"an arc of radius {1 / most:.2g} m is tighter than {vehicle.name} turns: its {about}, so it "
+                "leaves the path; lower the speed or enlarge the radius"
+            )
+            results.append((most * radius, Finding("warning", "leg.radius_m", text)))
+    return [max(results, key=lambda one: one[0])[1]] if results else []
+
+
+def _forced_arcs(scenario: Scenario, vehicle: Vehicle, curvature: Array, speed: Array) -> list[Finding]:
     results = []
     most = vehicle.at_speed(scenario.cruise).steady_yaw(YAW_SHARE, scenario.cruise)
-    k = int(np.argmax(curvature * speed)) if curvature.size else 0
-    if curvature.size and curvature[k] * speed[k] > most:
+    k = int(np.argmax(curvature * speed))
+    if curvature[k] * speed[k] > most:
         text = (
             f"an arc of radius {1 / curvature[k]:.2g} m at {speed[k]:g} m/s turns at {curvature[k] * speed[k]:.2g} "
             f"rad/s, but {vehicle.name} sustains {most:.2g} rad/s: its hull will lag behind the path"
@@ -51,8 +69,8 @@ def _arcs(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         results.append(Finding("warning", "leg.radius_m", text))
     # the force towards the centre turns with the hull, which heads along the path: sway thrust
     force = vehicle["m11"] * speed**2 * curvature
-    k = int(np.argmax(force)) if curvature.size else 0
-    if curvature.size and force[k] > vehicle["Fv_max"]:
+    k = int(np.argmax(force))
+    if force[k] > vehicle["Fv_max"]:
         text = (
             f"an arc of radius {1 / curvature[k]:.2g} m at {speed[k]:g} m/s needs {force[k]:.2f} N towards its centre, "
             f"but the sway thrust of {vehicle.name} is {vehicle['Fv_max']:g} N"

@@ -18,6 +18,8 @@ from surctl.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 
 __all__ = ["closest", "motion_findings"]
 
+_SAME = 1e-6  # [m] distance of points that are one
+
 
 def motion_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """Return the findings about moving obstacles (collisions, speed), current, thrust, speed cap and time limit."""
@@ -118,9 +120,10 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     """
     d = scenario.disturbance
     current, weak = np.array(d.current_m_per_s), 1 - d.thrust_error - d.thrust_bias
-    worst, figures = 0.0, (0.0, 0.0, 0.0, 0.0)
+    worst, figures, worst_leg = 0.0, (0.0, 0.0, 0.0, 0.0), 0
     ahead_most, aside_most = weak * ahead_limit(vehicle), weak * float(vehicle.thrust_limit[1])
-    for leg, cruise in zip(np.diff(scenario.path.waypoints, axis=0), leg_speeds(scenario).tolist(), strict=True):
+    legs = np.diff(scenario.path.waypoints, axis=0)
+    for k, (leg, cruise) in enumerate(zip(legs, leg_speeds(scenario).tolist(), strict=True)):
         ahead = leg / np.linalg.norm(leg)
         through = cruise * ahead - current
         along, across = float(through @ ahead), float(through[1] * ahead[0] - through[0] * ahead[1])
@@ -131,20 +134,35 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
         aside = vehicle["Fv_max"] > 0
         needed, limit = min(surge, max(sway, side, key=_share), key=_share) if aside else surge
         if needed / limit > worst:
-            worst, figures = needed / limit, (cruise, speed, needed, limit)
+            worst, figures, worst_leg = needed / limit, (cruise, speed, needed, limit), k
     if worst <= 1:
         return []
     cruise, speed, needed, limit = figures
+    key = _speed_key(scenario, worst_leg)
+    of = "the cruise speed" if key == "cruise_m_per_s" else "this leg's speed"
     text = (
-        f"at the cruise speed of {cruise:g} m/s {vehicle.name} moves at {speed:.3g} m/s through the water and "
+        f"at {of} of {cruise:g} m/s {vehicle.name} moves at {speed:.3g} m/s through the water and "
         f"needs {needed:.2f} N, but its thrusters deliver {limit:.2f} N"
     )
     if needed < vehicle["Fu_max"] * weak and limit < vehicle["Fu_max"] * weak:
         text = (
-            f"at the cruise speed of {cruise:g} m/s {vehicle.name} needs {needed:.3g} N ahead; the law gives at most "
+            f"at {of} of {cruise:g} m/s {vehicle.name} needs {needed:.3g} N ahead; the law gives at most "
             f"{limit:.3g} N, the smaller of ahead and astern; {WITHIN_LAW}"
         )
-    return [Finding("error", "cruise_m_per_s", text)]
+    return [Finding("error", key, text)]
+
+
+def _speed_key(scenario: Scenario, segment: int) -> str:
+    """Return the key of the scenario file that states the speed of a segment of the path."""
+    route, points = scenario.route, scenario.path.waypoints
+    if route is None or scenario.path.speeds is None or not scenario.path.speeds[segment + 1] > 0:
+        return "cruise_m_per_s"
+    end = max(len(route.path_m) - 1, 0)
+    for k, leg in enumerate(route.leg):
+        end += 1 + int(np.argmin(np.hypot(*(points[end + 1 :] - leg.to_m).T) > _SAME))
+        if segment < end:
+            return f"leg.{k}.speed_m_per_s"
+    return "survey.speed_m_per_s"
 
 
 def _cap(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:

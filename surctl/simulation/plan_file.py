@@ -132,7 +132,9 @@ def mission_scenario(
     heights = mission.heights[np.isfinite(mission.heights)]
     if depth is None:
         if not len(heights) or float(heights.min()) >= 0:
-            raise InputError("is not below the surface", key="--depth", remedy="give the depth of the path, e.g. -2")
+            raise InputError(
+                "is not below the surface", key="--depth", remedy="give the depth of the path: -0.1 for a boat"
+            )
         depth = float(heights.min())
         if float(np.ptp(heights)) > _LEAST:
             notes.append(

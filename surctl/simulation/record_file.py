@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.files import write_file
+from surctl.files import file_name, write_file
 from surctl.recorded import shown
 from surctl.recorded_write import RECORD_FORMATS, Column, RecordFormat, write_mat, write_netcdf
 from surctl.simulation.run import Run
@@ -103,7 +103,7 @@ def save_record(run: Run, folder: Path, *, kind: RecordFormat | str, frame: Fram
         if frame != "enu":
             raise InputError("is not a frame of Foxglove", key="--frame", value=frame, remedy="use enu for mcap")
         return save_scene(run, folder)
-    path = folder / f"{run.scenario.name}-{run.seed}.{kind}"
+    path = folder / f"{file_name(run.scenario.name)}-{run.seed}.{kind}"
     columns = record_columns(run, frame=frame)
     frame_text = FRAME_TEXT[check_frame(frame)]
     about = " ".join(f"{k}={v}" for k, v in run.to_dict().items() if isinstance(v, str | int | float))

@@ -32,6 +32,8 @@ LIBRARY = FilePath(__file__).parent / "library"
 
 Shape = Box | Disc | Wall
 
+_DEPTHS = "z points up: write a value above {:g} and below 0, such as -0.1 for a boat at the surface"
+
 
 class _Site(Strict):
     length_m: Positive
@@ -273,7 +275,7 @@ def _check(scenario: Scenario) -> None:
             file=source,
             key="depth_m",
             value=scenario.depth,
-            remedy=f"z points up: write a value between {-scenario.site[2]:g} and 0",
+            remedy=_DEPTHS.format(-scenario.site[2]),
         )
     if scenario.depths is not None and not (
         -scenario.site[2] <= scenario.depths[0] < scenario.depth < scenario.depths[1] <= 0
@@ -332,7 +334,7 @@ def _in_water(scenario: Scenario, key: str, depth: float | None) -> None:
             file=scenario.source,
             key=key,
             value=depth,
-            remedy=f"z points up: write a value between {-scenario.site[2]:g} and 0",
+            remedy=_DEPTHS.format(-scenario.site[2]),
         )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.files import write_file
+from surctl.files import file_name, write_file
 from surctl.recorded_mcap import McapFile, stamp
 from surctl.simulation.run import Run
 from surctl.simulation.scenario import Scenario
@@ -232,7 +232,7 @@ def save_scene(run: Run, folder: Path) -> Path:
         >>> save_scene(run, Path()).name
         'pool-behind-0.mcap'
     """
-    record, path = run.record, folder / f"{run.scenario.name}-{run.seed}.mcap"
+    record, path = run.record, folder / f"{file_name(run.scenario.name)}-{run.seed}.mcap"
     part = path.with_suffix(".part.mcap")
     sonar = run.telemetry("ranges") if run.law.perception is not None else None
     shown = [port.name for port in run.law.outputs if port.size == 1 and port.name != "tau"]

@@ -1,14 +1,18 @@
-"""Explain in words why a run ended at a standstill, in a dead end, or with a number that is not finite."""
+"""Explain in words why a run ended at a standstill, in a dead end, at the time limit, or with a number not finite."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from surctl.errors import InputError
+from surctl.simulation.fit import findings
 from surctl.simulation.run import Run, depth_changes
 from surctl.system.controller import lost_entry
 
-__all__ = ["stop_reason"]
+__all__ = ["stop_reason", "time_limit_reason"]
+
+_STILL = 0.2  # of the hull radius: a hull that stays within this distance rests (*chosen*)
+_LEAST = 20.0  # [s] shortest rest at the end of a run that is said (*chosen*)
 
 
 def stop_reason(run: Run) -> str:
@@ -51,6 +55,39 @@ def stop_reason(run: Run) -> str:
     if not silent:
         return "the water ahead stays unknown, although every sonar is judged healthy"
     return f"the water ahead stays unknown; {_named(silent)} judged faulty"
+
+
+def time_limit_reason(run: Run) -> str:
+    """Return why a run may have ended at the time limit, without a full stop; empty if nothing is known.
+
+    The text says where the hull stayed at the end, and what `findings` reports as an error of the scenario.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario, simulate, time_limit_reason
+        >>> from surctl.vehicle import load_vehicle
+        >>> hurried = replace(load_scenario("pool-static"), time_limit=5.0)
+        >>> run = simulate(hurried, load_vehicle("sur400"), gains=load_gains("default"))
+        >>> print(time_limit_reason(run))
+        the path is 2.61 m long and takes 17.4 s at the cruise speed of 0.15 m/s; the run ends at 5 s
+    """
+    place, time, vehicle = run.record.eta[:, :2], run.record.time, run.vehicle
+    away = np.flatnonzero(np.hypot(*(place - place[-1]).T) > _STILL * vehicle["radius"])
+    since = 0.0 if not away.size else float(time[away[-1] + 1])
+    said = []
+    if time[-1] - since >= _LEAST and not away.size:
+        said.append("the craft did not move")
+    elif time[-1] - since >= _LEAST:
+        left = float(np.hypot(*(run.scenario.target - place[-1])))
+        said.append(
+            f"it stays within {_STILL * vehicle['radius']:.1g} m of ({place[-1, 0]:.2f}, {place[-1, 1]:.2f}) m from "
+            f"{since:.0f} s on, {left:.2f} m from the end of the path"
+        )
+        if vehicle.fin_share(run.scenario.cruise) > 0.5:
+            said.append("its rudders or fins do not turn it at rest")
+    errors = [f for f in findings(run.scenario, vehicle, gains=run.gains) if f.level == "error"]
+    return "; ".join([*said, *(f.text for f in errors if run.sensing == "sonar" or not f.key.startswith("sonar"))])
 
 
 def _dead_end_reason(run: Run) -> str:

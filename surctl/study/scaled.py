@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from surctl.control import Gains, default_law, law_source
-from surctl.files import write_file
+from surctl.files import file_name, write_file
 from surctl.simulation import (
     Scenario,
     disturbed,
@@ -65,7 +65,7 @@ def write_missions(missions: Sequence[Scenario], folder: Path) -> tuple[Scenario
     """Write missions that no file contains as scenario files, and return them with the names of their files."""
     written = []
     for mission in missions:
-        path = folder / f"{mission.name}.toml"
+        path = folder / f"{file_name(mission.name)}.toml"
         if not mission.source:
             folder.mkdir(parents=True, exist_ok=True)
             write_file(path, toml_text(scenario_table(mission)))

@@ -183,7 +183,7 @@ def test_findings_say_what_the_craft_cannot_do() -> None:
         texts[kind] = "\n".join(f"{f.level} {f.key} {f.text}" for f in findings(scenario, vehicle))
     assert "info vehicle otter has no sway force (Fv_max = 0): law steered" in texts["corner"]
     assert "so the turn must begin" in texts["corner"]
-    assert "less than its turning circle" in texts["narrow"]
+    assert "less than its planned turning circle" in texts["narrow"]
     assert "warning corners" in texts["station"]
     assert "error depths_m otter has no heave force" in texts["depth"]
 

@@ -15,9 +15,11 @@ from surctl.errors import InputError
 from surctl.guidance import Path
 from surctl.simulation import Case, Obstacle, findings, load_scenario, simulate, stop_reason
 from surctl.simulation.scenario_table import scenario_table
+from surctl.simulation.steering_fit import planned_radius
 from surctl.simulation.toml_text import toml_text
 from surctl.tuning import prepare
 from surctl.vehicle import Vehicle
+from tests.craft import CRUISE, craft, mission
 from tests.simulation.test_missions import GAINS, VEHICLE, loops, written
 
 ARC = {"to_m": [9, 9], "radius_m": 1.0, "turn": "left"}
@@ -39,7 +41,7 @@ def weak(**values: float) -> Vehicle:
         ({"to_m": [15, 7], "depth_m": -1.5}, {"climb_m_per_s": 0.1}, weak(Fw_max=0.1), "error", "at 0.1 m/s needs"),
         ({"to_m": [9.5, 7]}, {"path_m": [[2, 2], [2, 7], [9, 2]]}, VEHICLE, None, ""),
         ({"to_m": [9, 7.5]}, {}, VEHICLE, "info", "1 of 2 stretches between corners are shorter than the look-ahead"),
-        ({"to_m": [15, 7], "speed_m_per_s": 0.25}, {}, weak(Fu_max=1.0), "error", "at the cruise speed of 0.25 m/s"),
+        ({"to_m": [15, 7], "speed_m_per_s": 0.25}, {}, weak(Fu_max=1.0), "error", "at this leg's speed of 0.25 m/s"),
     ],
     ids=["fits", "sway", "yaw", "heave", "long legs", "short leg", "speed"],
 )
@@ -47,12 +49,36 @@ def test_what_lint_says(
     leg: dict[str, Any], more: dict[str, Any], vehicle: Vehicle, level: str | None, text: str
 ) -> None:
     scenario = written(more.pop("path_m", [[7, 7], [9, 7]]), leg, **more)
-    keys = ("leg.radius_m", "climb_m_per_s", "path_m", "cruise_m_per_s")
+    keys = ("leg.radius_m", "climb_m_per_s", "path_m", "cruise_m_per_s", "leg.0.speed_m_per_s")
     found = [f for f in findings(scenario, vehicle) if f.key in keys]
     if level is None:
         assert not found
     else:
         assert [f.level for f in found if text in f.text] == [level], [f.text for f in found]
+
+
+def test_the_planned_turning_radius_decides_about_the_arcs_and_corners_of_a_steered_craft() -> None:
+    otter, radius = craft("otter"), planned_radius(craft("otter"), GAINS, CRUISE["otter"])[0]
+    for share, warned in ((1.2, 0), (0.8, 1)):
+        arc = {"to_m": [30, 20 + 2 * share * radius], "radius_m": share * radius, "turn": "left"}
+        scenario = mission([[10.0, 20.0], [30.0, 20.0]], "otter", size=(60, 60), time=200, leg=[arc])
+        found = [f for f in findings(scenario, otter) if f.key in ("leg.radius_m", "path_m")]
+        assert [(f.level, f.key) for f in found] == [("warning", "leg.radius_m")] * warned
+        assert all(
+            f"planned turning radius at 0.77 m/s is {radius:.2g} m (gain sideslip = 0.2 rad)" in f.text for f in found
+        )
+    zigzag = [[10.0 + 0.5 * k, 10.0 + 0.5 * ((k + 1) // 2 % 2)] for k in range(40)]
+    zigzag[20][1] += 0.1  # sharpens the corner before it
+    found = [f for f in findings(mission(zigzag, "otter", size=(60, 60), time=200), otter) if "corner" in f.text]
+    assert [f.text.count("(the worst; ") for f in found if f.level == "warning"] == [1]
+    assert "corner (19.5, 10) turns by 56°" in next(f.text for f in found if f.level == "warning")
+
+
+def test_a_speed_beyond_the_thrust_names_its_leg() -> None:
+    arc, climb = ARC, {"to_m": [4, 9], "depth_m": -1.2}
+    fast = {"to_m": [4, 15], "speed_m_per_s": 0.25}
+    scenario = written([[7, 7], [9, 7]], arc, climb, fast, {"to_m": [9, 15], "speed_m_per_s": 0.21})
+    assert [f.key for f in findings(scenario, weak(Fu_max=2.0)) if "moves at" in f.text] == ["leg.2.speed_m_per_s"]
 
 
 def test_depths_of_the_path_count_where_obstacles_end() -> None:

@@ -13,7 +13,9 @@ from scipy.io import loadmat, savemat
 
 from surctl.control import load_gains
 from surctl.errors import InputError
+from surctl.files import file_name
 from surctl.simulation import RECORD_FORMATS, Run, load_scenario, record_columns, save_record, simulate
+from surctl.study.scaled import write_missions
 from surctl.vehicle import (
     FRAME_TEXT,
     FRAMES,
@@ -42,6 +44,18 @@ def _columns(run: Run, frame: str) -> dict[str, np.ndarray]:
     for names, values in ((LOG_MOTION[:4], eta), (LOG_MOTION[4:], nu), (LOG_THRUST, tau)):
         found |= dict(zip(names, values.T, strict=True))
     return found
+
+
+@pytest.mark.parametrize("name", ["../../evil", "/tmp/evil", "a\\b", ".hidden", "CON: x*?", "x" * 300, "..", ""])
+def test_a_name_never_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
+    run = replace(_run(), scenario=replace(_run().scenario, name=name))
+    folder = tmp_path / "a" / "b"
+    folder.mkdir(parents=True)
+    for kind in ("csv", "mcap"):
+        assert save_record(run, folder, kind=kind).resolve().parent == folder.resolve()
+    assert write_missions([replace(run.scenario, source="")], folder)[0].source.startswith(f"{folder}/")
+    assert all(path.parent == folder for path in tmp_path.rglob("*.*")) and len(list(folder.iterdir())) == 4
+    assert file_name(name) != file_name(name + "/")
 
 
 @pytest.mark.parametrize("frame", FRAMES)

@@ -22,10 +22,12 @@ from surctl.simulation import (
     simulate,
     simulate_batch,
     stop_reason,
+    time_limit_reason,
 )
 from surctl.simulation.batch import Structure, build_loop
 from surctl.simulation.sensors import Sensors
 from surctl.vehicle import load_vehicle
+from tests.craft import mission
 
 _SENSORS = range(4)
 DEAF_TWICE = Sensors(
@@ -48,6 +50,21 @@ def _case(sensors: Sensors, name: str = "pool-static", **gains: float) -> Case:
 def _flown(sensors: Sensors, name: str = "pool-static", *, turns: bool = True) -> Run:
     case = _case(sensors, name) if turns else _case(sensors, name, spin=0.0)
     return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=1)
+
+
+def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says() -> None:
+    run = _flown(DEAF_TWICE)
+    x, y = run.record.eta[-1, :2]
+    where = f"it stays within 0.04 m of ({x:.2f}, {y:.2f}) m from "
+    assert time_limit_reason(run).startswith(where) and "fins" not in time_limit_reason(run)
+    still = replace(run.record, eta=np.zeros_like(run.record.eta))
+    assert time_limit_reason(replace(run, record=still)) == "the craft did not move"
+    torpedo = load_vehicle("remus100")
+    fast = mission([[30.0, 30.0], [60.0, 30.0]], "remus", size=(90, 90), time=200, cap_m_per_s=6.0, cruise_m_per_s=5.0)
+    said = time_limit_reason(replace(run, vehicle=torpedo, scenario=fast)).split("; ")
+    assert "at the cruise speed of 5 m/s remus100 moves at" in said[-1]
+    short = replace(run.record, time=run.record.time[:100], eta=run.record.eta[:100])
+    assert time_limit_reason(replace(run, record=short)) == ""
 
 
 def test_a_halt_without_a_break_ends_the_run_and_a_shorter_one_does_not() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -14,7 +13,7 @@ from typing import Any
 
 from surctl import __version__
 from surctl.errors import InputError
-from surctl.files import prepare_folder, write_file
+from surctl.files import file_name, prepare_folder, write_file
 from surctl.simulation.batch.pack import structure_of
 from surctl.simulation.batch.stored import stored_loop
 from surctl.simulation.campaign.campaign import CHUNK, Campaign
@@ -68,7 +67,7 @@ class CampaignFolder:
         left = [note, self.path / "summary.json"] if note.exists() else []
         with suppress(OSError, ValueError, KeyError, TypeError):  # a damaged file names no campaigns
             for one in json.loads(note.read_text(encoding="utf-8"))["campaigns"]:
-                name = _file_name(one["scenario"]["name"])
+                name = file_name(one["scenario"]["name"])
                 left += [self.path / f"{name}.csv", *(self.path / "worst").glob(f"{name}-worst-*.toml")]
         for path in left:
             path.unlink(missing_ok=True)
@@ -84,7 +83,7 @@ class CampaignFolder:
         digest = stored_loop(structure).digest
         text = json.dumps([_request(plan), digest, CHUNK], sort_keys=True)
         store = ChunkStore(
-            self.path / "campaign.chunks" / _file_name(plan.name), hashlib.sha256(text.encode()).hexdigest()
+            self.path / "campaign.chunks" / file_name(plan.name), hashlib.sha256(text.encode()).hexdigest()
         )
         with store.open():
             yield store
@@ -95,7 +94,7 @@ class CampaignFolder:
         Raises:
             InputError: a file cannot be written, for instance because the disk is full.
         """
-        name, files = _file_name(campaign.plan.name), self.path / "worst"
+        name, files = file_name(campaign.plan.name), self.path / "worst"
         write_file(self.path / f"{name}.csv", campaign.table.to_csv())
         for old in files.glob(f"{name}-worst-*.toml"):
             try:
@@ -104,12 +103,6 @@ class CampaignFolder:
                 raise cannot_write(old, error) from None
         replays = campaign.worst(worst)
         return [write_file(files / f"{name}-worst-{k}.toml", one.to_toml()) for k, one in enumerate(replays, start=1)]
-
-
-def _file_name(name: str) -> str:
-    # a name with replaced characters gets a digest, so that file names stay different
-    plain = re.sub(r"[^A-Za-z0-9_-]", "-", name)
-    return plain if plain == name else f"{plain}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def _request(plan: Plan) -> dict[str, Any]:
