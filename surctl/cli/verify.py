@@ -139,8 +139,8 @@ def verify(
     from surctl.verification.region import write_region
 
     # claims of one's own alone concern no vehicle, so nothing is said of one
-    others = (vehicle, gains, cruise, cap, scenario, law, *stacks)
-    alone = bool(claims) and all(map(_is_claim_file, claims)) and all(word is None for word in others)
+    named_things = (vehicle, gains, cruise, cap, scenario, law, *stacks)
+    alone = bool(claims) and all(map(_is_claim_file, claims)) and all(word is None for word in named_things)
     mission = None if scenario is None else load_scenario(scenario)
     choice = choose_vehicle(vehicle, None if mission is None else (mission.name, mission.vehicle))
     vehicle, robot = choice.word, load_vehicle(choice.word)

@@ -136,7 +136,11 @@ MISTAKES = {
         "leg.0.speed_m_per_s = 0.4",
         "is above cap_m_per_s = 0.3; lower it or raise the cap",
     ),
-    "outside the water": (legs("to_m = [30, 10]\ndepth_m = -6.0"), "leg.0.depth_m = -6.0", "a value above -5 and below 0, such as -0.1 for a boat"),
+    "outside the water": (
+        legs("to_m = [30, 10]\ndepth_m = -6.0"),
+        "leg.0.depth_m = -6.0",
+        "a value above -5 and below 0, such as -0.1 for a boat",
+    ),
     "too short to dive": (
         legs("to_m = [11, 10]\ndepth_m = -2.0"),
         "leg.0.depth_m = -2.0",
