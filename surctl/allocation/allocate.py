@@ -60,7 +60,7 @@ class Allocation:
             names = [name for name in self.binding[level] if name not in self.failed]
             causes = [f"{_listed(lost)} failed"] if lost else []
             causes += [f"{_listed(names)} {'bind' if len(names) > 1 else 'binds'}"] if names else []
-            why = f"because {' and '.join(causes)}" if causes else "for lack of thrusters"
+            why = f"because {' and '.join(causes)}" if causes else "beside the higher levels"
             lines.append(f"`{level}` gave up {missed:.4g} {unit} {why}.")
         return " ".join(lines) or "Every level is reached."
 

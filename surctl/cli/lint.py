@@ -90,6 +90,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
 
     Examples: surctl lint my-vehicle.toml; surctl lint pool-static --vehicle sur540-flooded
     """
+    from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import load_gains
     from surctl.errors import InputError
     from surctl.files import pick, read_toml
@@ -117,7 +118,7 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     plan = None
     if kind == "scenario":
         scenario = load_scenario(path)
-        robot = load_vehicle(scenario.vehicle if vehicle is None else vehicle)
+        robot = load_vehicle(choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word)
         problems = [
             *findings(scenario, robot),
             *_cap_findings(scenario, robot, gains_for(None, robot, cruise=scenario.cruise)[0]),

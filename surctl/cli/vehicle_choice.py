@@ -35,10 +35,18 @@ def choose_vehicle(
         option: value of the option `--vehicle`; None if it is not given.
         scenario: name of the scenario and name or file of its vehicle; None if the command has no scenario.
         default: vehicle if neither the option nor the scenario names one.
+
+    Raises:
+        InputError: the scenario names a file that does not exist.
     """
     if option is not None:
         return VehicleChoice(option, "--vehicle")
     if scenario is not None:
+        if scenario[1].endswith(".toml") and not Path(scenario[1]).is_file():
+            from surctl.errors import InputError
+
+            key, remedy = f"vehicle of scenario {scenario[0]}", "correct the entry, or give --vehicle"
+            raise InputError("no such file", key=key, value=scenario[1], remedy=remedy)
         return VehicleChoice(scenario[1], f"scenario {scenario[0]}")
     return VehicleChoice(default, "default")
 

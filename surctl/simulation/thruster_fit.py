@@ -33,9 +33,10 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
         >>> print(thruster_findings(greedy)[0].text)
         the thrusters give at most 29.75 N m in yaw without other forces, but Fr_max is 35 N m: lower it
     """
+    results = _drag(vehicle)
     if vehicle.actuators is None:
-        return []
-    results = [*_odd(vehicle), *_not_simulated(vehicle)]
+        return results
+    results += [*_odd(vehicle), *_not_simulated(vehicle)]
     for axis, (name, word) in enumerate(_LIMITS.items()):
         reverse, unit = name.replace("_max", "_reverse"), vehicle.parameters[name].unit
         low, high = axis_ends(vehicle.actuators, vehicle.speed)[axis].tolist()
@@ -44,10 +45,11 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
             if vehicle[key] > most * (1 + _SLACK) + _SLACK:
                 text = f"the thrusters give at most {most:.4g} {unit} in {word} without other forces, "
                 remedy = "lower it"
-                uneven = key == name and reverse not in vehicle.parameters and vehicle["Fv_max"] == 0
-                if uneven and vehicle[key] <= high * (1 + _SLACK) + _SLACK:
+                if key == name and reverse not in vehicle.parameters and vehicle["Fv_max"] == 0 and -low < high:
                     text = f"the thrusters give {high:.4g} {unit} in {word} one way and {-low:.4g} {unit} the other, "
                     remedy = f'add {reverse} = "{-low:.4g} {unit}"' if low < 0 else "give a thruster a force in reverse"
+                    if vehicle[key] > high * (1 + _SLACK) + _SLACK:
+                        remedy = f"lower it to {high:.4g} {unit}, and {remedy}"
                 text += f"but {key} is {vehicle[key]:g} {unit}: {remedy}"
                 results.append(Finding("warning", f"thrust.{key}", text))
     share = held_share(vehicle)
@@ -61,6 +63,19 @@ def thruster_findings(vehicle: Vehicle) -> list[Finding]:
         turns = vehicle["Fv_max"] == 0 and vehicle.actuators.order[0] == "yaw"
         results.append(Finding("info" if turns else "warning", "thrust", text))
     return results
+
+
+def _drag(vehicle: Vehicle) -> list[Finding]:
+    # linear drag of sway and yaw takes energy at every v and r only if its symmetric part is positive semidefinite
+    yaw, sway = (vehicle[name] if name in vehicle.parameters else 0.0 for name in ("Yr", "Nv"))
+    bound = 2 * float(np.sqrt(vehicle["Yv"] * vehicle["Nr"]))
+    if abs(yaw + sway) <= bound * (1 + _SLACK) + _SLACK:
+        return []
+    text = (
+        f"the linear drag adds energy at some sway speed and yaw rate: |Yr + Nv| = {abs(yaw + sway):.4g} N s is above "
+        f"2 sqrt(Yv Nr) = {bound:.4g} N s. If these are not published numbers, check signs and units of Yr and Nv"
+    )
+    return [Finding("info", "drag.Yr" if abs(yaw) >= abs(sway) else "drag.Nv", text)]
 
 
 def _odd(vehicle: Vehicle) -> list[Finding]:

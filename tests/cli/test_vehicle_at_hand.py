@@ -39,6 +39,12 @@ def test_a_claim_that_does_not_apply_has_its_own_word_and_costs_no_other_result(
     assert not any("export" in command for command in done.json["next"])
 
 
+def test_a_missing_vehicle_is_named_with_the_scenario_that_names_it() -> None:
+    with pytest.raises(InputError, match=r"vehicle of scenario bay = 'skif\.toml': no such file; .*--vehicle"):
+        choose_vehicle(None, ("bay", "skif.toml"))
+    assert choose_vehicle("otter", ("bay", "skif.toml")).word == "otter"
+
+
 def test_speeds_are_those_given_else_the_scenario_s() -> None:
     assert _speeds(None, None, None) == (0.15, 0.22)
     assert _speeds(None, None, "tank-speed-020") == (0.22, 0.22)  # a cap that leaves no claim about catching up

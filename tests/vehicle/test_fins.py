@@ -75,6 +75,10 @@ def test_the_otter_turns_by_its_propellers_at_any_speed() -> None:
     otter = load_vehicle("otter")
     assert otter.fin_share(1.0) == 0.0 and otter.at_speed(0.1) is otter
     assert [one.level for one in thruster_findings(otter)] == ["info"]
+    # published: Yr = 7.25, Nv = -0.03, above 2 sqrt(Yv Nr); with these as the diagonal it is below
+    ship = load_vehicle("cybership2")
+    assert "drag.Yr" in {one.key for one in thruster_findings(ship)}
+    assert "drag.Yr" not in {one.key for one in thruster_findings(ship.with_values({"Yv": 7.25, "Nr": 7.25}))}
 
 
 def test_a_steady_yaw_rate_exists_where_all_damping_grows_with_the_speed() -> None:

@@ -234,6 +234,9 @@ def test_a_boat_has_the_limits_ahead_and_astern_of_its_propellers(tmp_path: Path
     kept = {name: known for name, known in ahead_alone.parameters.items() if name != "Fu_reverse"}
     first = thruster_findings(replace(ahead_alone, parameters=kept))[0]
     assert first.key == "thrust.Fu_max" and first.text.endswith('but Fu_max is 80 N: add Fu_reverse = "60 N"')
+    greedy = replace(ahead_alone, parameters=kept).with_values({"Fu_max": 500.0})
+    remedy = 'but Fu_max is 500 N: lower it to 80 N, and add Fu_reverse = "60 N"'
+    assert thruster_findings(greedy)[0].text.endswith(remedy)
 
 
 @pytest.mark.parametrize(
