@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -15,19 +17,15 @@ LIMIT, MASS, STILL, DT = np.array([5.0, 5.0, 5.0, 0.5]), np.array([95.0, 95.0, 9
 HALF = np.array([1.5 * 95.0 * STILL] * 3 + [0.0])  # mass times gain times velocity error; the yaw moment is the demand
 
 
+def _model(still: float) -> dict[str, Any]:
+    shared = {"k_v": 1.5, "soft": 1.0, "feed_forward": 0.5, "still": still, "settle": 2.0}
+    return {"mass": ca.DM(MASS), "thrust_limit": ca.DM(LIMIT), **shared}
+
+
 def _follow(demand: Array, still: float = STILL) -> Array:
-    model = {
-        "mass": ca.DM(MASS),
-        "thrust_limit": ca.DM(LIMIT),
-        "k_v": 1.5,
-        "soft": 1.0,
-        "feed_forward": 0.5,
-        "still": still,
-        "settle": 2.0,
-    }
     held, out = ca.DM.zeros(4), []
     for free in demand:
-        held = calmed(ca.DM(free), held, ca.DM.zeros(2), p=model, dt=DT)
+        held = calmed(ca.DM(free), held, ca.DM.zeros(2), p=_model(still), dt=DT)
         out.append(held.full().ravel())
     return np.array(out)
 
@@ -49,16 +47,7 @@ def test_a_steady_error_settles_with_the_time_constant() -> None:
 
 
 def test_a_share_of_the_references_acceleration_is_thrust() -> None:
-    model = {
-        "mass": ca.DM(MASS),
-        "thrust_limit": ca.DM(LIMIT),
-        "k_v": 1.5,
-        "soft": 1.0,
-        "feed_forward": 0.5,
-        "still": 0.0,
-        "settle": 2.0,
-    }
-    command = calmed(ca.DM([0.3, 0, 0, 0]), ca.DM.zeros(4), ca.DM([0.02, -0.01]), p=model, dt=DT)
+    command = calmed(ca.DM([0.3, 0, 0, 0]), ca.DM.zeros(4), ca.DM([0.02, -0.01]), p=_model(still=0.0), dt=DT)
     assert command.full().ravel() == pytest.approx([0.3 + 0.5 * 95 * 0.02, -0.5 * 95 * 0.01, 0, 0])
     held = ca.DM.zeros(2)
     for k in range(100):  # 5 s at 0.03 m/s^2: ten time constants of the filter
