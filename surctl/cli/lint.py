@@ -70,14 +70,12 @@ def _goal_findings(plan: Plan) -> list[Finding]:
     # goals of the file that `tune` cannot judge for its law; the built-in goals are left out there with a line
     from surctl.own_code import label
     from surctl.simulation import Finding
-    from surctl.tuning import load_goals
-    from surctl.verification.cascade import has_cascade
+    from surctl.tuning import judged_goals, load_goals
 
-    if has_cascade(plan.law, plan.guidance):
-        return []
+    built_in = load_goals()
+    left = [goal for goal in judged_goals(plan.goals, plan.sweep_cases)[1] if goal not in built_in]
     why = f"is not judged, because surctl has no linear model of law {label(plan.law)}"
     why += ': write type = "margins" in place of metric'
-    left = [goal for goal in plan.goals if goal.linear and goal.loop is None and goal not in load_goals()]
     return [Finding("error" if goal.kind == "hard" else "warning", f"goals.{goal.name}", why) for goal in left]
 
 

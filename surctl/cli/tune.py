@@ -228,7 +228,8 @@ def tune(
     kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
     cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
     goals, unjudged = judged_goals(goals, cases)
-    mine = [goal.name for goal in unjudged if goal.kind == "hard" and goal not in load_goals()]
+    built_in = load_goals()
+    mine = [goal.name for goal in unjudged if goal.kind == "hard" and goal not in built_in]
     if mine:
         problem = f"is hard, but surctl has no linear model of law {label(plan.law)}"
         remedy = 'write type = "margins" in place of metric, or drop it'
