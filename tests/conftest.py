@@ -3,6 +3,7 @@
 Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O.
 """
 
+import gc
 import importlib
 import importlib.util
 import os
@@ -17,6 +18,7 @@ from hypothesis import settings
 
 from tests import processes
 
+gc.disable()  # while the tests are collected: a quarter of that time
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
@@ -70,6 +72,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 def pytest_collection_finish() -> None:
     """The modules of the tests are loaded."""
+    gc.enable()
     processes.collect_seldom()
 
 
