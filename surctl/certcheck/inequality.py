@@ -22,6 +22,7 @@ from typing import Any
 from mpmath import libmp
 
 from surctl.certcheck.angles import BITS, pi
+from surctl.certcheck.arrays import TOGETHER, settled
 from surctl.certcheck.document import Rejected, listed, number, record
 from surctl.certcheck.enclosure import (
     Interval,
@@ -208,7 +209,7 @@ class _Case:
         return entry.op == "num" and entry.value == 0
 
     def _leaves(self) -> None:
-        waiting: list[Box] = [list(self.claim.box)]
+        waiting, leaves = [list(self.claim.box)], list[tuple[str, Box]]()
         for letter in self.tree:
             if not waiting:
                 raise Rejected("the tree goes on after its last leaf")
@@ -217,7 +218,10 @@ class _Case:
             box = waiting.pop()
             at = DIMENSIONS.find(letter)
             if at < 0:
-                self._leaf(letter, box)
+                leaves.append((letter, box))
+                if len(leaves) == TOGETHER:
+                    self._decide(leaves)
+                    leaves = []
                 continue
             if at >= len(box):
                 raise Rejected(f"the tree halves in variable {at}, which does not exist")
@@ -226,6 +230,15 @@ class _Case:
             waiting += [[*box[:at], (cut, high), *box[at + 1 :]], [*box[:at], (low, cut), *box[at + 1 :]]]
         if waiting:
             raise Rejected("the tree does not cover the box")
+        self._decide(leaves)
+
+    def _decide(self, leaves: Sequence[tuple[str, Box]]) -> None:
+        """Check leaves: first a quick look at all of them, then the leaves that it leaves open."""
+        numerator = self.numerator if self.claim.everywhere else None
+        quick = settled(self.expressions, numerator, self.constraints, leaves)
+        for (rule, box), done in zip(leaves, quick, strict=True):
+            if not done:
+                self._leaf(rule, box)
 
     def _leaf(self, rule: str, box: Box) -> None:
         wide = [span(*ends) for ends in box]
