@@ -23,17 +23,19 @@ from surctl.certcheck.enclosure import Interval, Undefined, enclose, rational
 from surctl.certcheck.expressions import BRANCHES, Entry, ExpressionTable
 from surctl.certcheck.patience import go_on
 
-__all__ = ["TOGETHER", "ranges", "settled"]
+__all__ = ["FEWEST", "TOGETHER", "ranges", "settled"]
 
 TOGETHER = 512
 """Number of boxes that are worth a look together."""
+
+FEWEST = 16
+"""With fewer boxes by the same rule, arrays are slower than intervals one at a time."""
 
 Array = NDArray[np.float64]
 Ends = tuple[Array, Array]
 """Lower and upper ends (B,) of intervals, or (1,) if all boxes have the same; no interval (None) is [0, 0]."""
 Leaf = tuple[str, list[tuple[float, float]]]
 
-_FEWEST = 16  # with fewer boxes, arrays are slower than intervals one at a time
 _MOST = 2_000_000  # most numbers in the arrays of an expression
 _UNKNOWN = (np.nan, np.nan)
 _ONE = (np.ones(1), np.ones(1))
@@ -53,20 +55,23 @@ def settled(
     """
     done = np.zeros(len(leaves), dtype=bool)
     rules = np.array([rule for rule, _ in leaves])
-    for rule in "ijnm":
+    for rule, roots in {
+        **dict.fromkeys("ij", constraints),
+        **dict.fromkeys("nm", () if numerator is None else (numerator,)),
+    }.items():
         among = np.flatnonzero(rules == rule)
-        roots = constraints if rule in "ij" else () if numerator is None else (numerator,)
-        if len(among) < _FEWEST or not _has_gradual_underflow():
+        if len(among) < FEWEST or not _has_gradual_underflow():
             continue
-        ends = np.array([leaves[k][1] for k in among]).transpose(2, 1, 0)
+        low, high = np.array([leaves[k][1] for k in among.tolist()]).transpose(2, 1, 0)
         for root in roots:
-            open_ = np.flatnonzero(~done[among])
-            step = _MOST // (len(expressions.needed([root])) * (len(ends[0]) + 1))
-            if step < _FEWEST or any(expressions.entries[at].op in _OTHERS for at in expressions.needed([root])):
+            needed, left = expressions.needed([root]), np.flatnonzero(~done[among])
+            step = _MOST // (len(needed) * (len(low) + 1))
+            if step < FEWEST or any(expressions.entries[at].op in _OTHERS for at in needed):
                 continue
-            for begin in range(0, len(open_), step):
-                part = open_[begin : begin + step]
-                done[among[part]] = _decided(expressions, rule, root, ends[0][:, part], ends[1][:, part])
+            for begin in range(0, len(left), step):
+                part = left[begin : begin + step]
+                with np.errstate(all="ignore"):
+                    done[among[part]] = _decided(expressions, rule, root, low[:, part], high[:, part])
     return done.tolist()
 
 
@@ -189,7 +194,7 @@ def _doubles(a: Interval) -> tuple[float, float]:
     return low, high
 
 
-_QUARTER = tuple(np.full(1, end / 2) for end in _doubles(pi()))
+_QUARTER: Ends = (np.full(1, _doubles(pi())[0] / 2), np.full(1, _doubles(pi())[1] / 2))
 """Bounds on π/2."""
 
 
