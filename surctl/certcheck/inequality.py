@@ -52,6 +52,7 @@ DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 _CASE = {"choice", "numerator", "denominators", "multipliers"}
 _MOST_BRANCHES = 12
+_ALWAYS = ("add", "mul", "neg", "num", "pi", "sub", "var")  # operations that are defined for all numbers
 _DEEPEST = 10_000  # largest number of boxes that wait to be checked
 
 Box = list[tuple[float, float]]
@@ -87,11 +88,21 @@ class Inequality:
 
     def defined(self, box: Box) -> bool:
         """Return whether left, right and the constraints are defined everywhere on the box."""
+        if all(self._is_total(at) for at in self.expressions.needed(self.parts)):
+            return True
         try:
             enclose(self.expressions, self.parts, [span(*ends) for ends in box])
         except Undefined:
             return False
         return True
+
+    def _is_total(self, at: int) -> bool:
+        """Return whether an operation is defined for all numbers."""
+        entry = self.expressions.entries[at]
+        if entry.op == "div":
+            under = self.expressions.entries[entry.args[1]]
+            return under.op == "num" and under.value != 0
+        return entry.op in _ALWAYS or (entry.op == "pow" and entry.value >= 0)
 
     def check(self, cases: Sequence[Mapping[str, Any]]) -> None:
         """Raise Rejected unless the cases prove the inequality."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 __all__ = ["is_semidefinite"]
 
+_SMALL = 8  # up to this size, integers are faster than floats
 _MOST_EXACT = 40  # largest size of a nearly singular matrix that is decomposed in integers
 
 
@@ -31,6 +32,8 @@ def is_semidefinite(matrix: Sequence[Sequence[int]]) -> bool:
         return False
     if not a:
         return True
+    if len(a) <= _SMALL:
+        return _decomposes(a)
     shifts = [(row[k].bit_length() + 1) // 2 for k, row in enumerate(a)]
     try:
         floats = np.array([[x / (1 << (shifts[i] + shifts[j])) for j, x in enumerate(row)] for i, row in enumerate(a)])
