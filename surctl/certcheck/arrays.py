@@ -4,7 +4,8 @@ A box that is not decided here is left to `surctl.certcheck.enclosure`, so this 
 decides. NaN is a range that is not known, because an operation is not defined on the whole box, or an end is infinite
 minus infinite or 0 times infinite. Every operation on NaN results in NaN, and no comparison with NaN is true. The
 processor rounds each sum, product and quotient to one of the two doubles beside the exact number; every end is then
-moved to the next double. Functions such as sin have their ranges from `enclosure`, one interval at a time.
+moved to the next double. Sine and cosine have a series of their own; the ranges of other functions come from
+`enclosure`, one interval at a time.
 """
 
 from __future__ import annotations

@@ -244,7 +244,7 @@ class _Case:
         self._decide(leaves)
 
     def _decide(self, leaves: Sequence[tuple[str, Box]]) -> None:
-        """Check leaves: first a quick look at all of them, then the leaves that it leaves open."""
+        """Check leaves: all of them in arrays of doubles, then one by one those that this does not settle."""
         numerator = self.numerator if self.claim.everywhere else None
         quick = settled(self.expressions, numerator, self.constraints, leaves)
         for (rule, box), done in zip(leaves, quick, strict=True):

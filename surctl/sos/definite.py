@@ -19,7 +19,7 @@ def is_semidefinite(matrix: Sequence[Sequence[int]]) -> bool:
 
     A Cholesky factor L of the matrix minus a small multiple of the identity is computed in floats and rounded. The
     difference between the matrix and L L' is computed exactly; if it is diagonally dominant, the matrix is positive
-    semidefinite. A nearly singular matrix is decomposed exactly instead, up to a size of 40.
+    semidefinite. A small matrix, or a nearly singular one up to a size of 40, is decomposed exactly instead.
 
     Example:
         >>> from surctl.sos import is_semidefinite
