@@ -2,7 +2,8 @@
 
 A Cholesky factor R of the scaled matrix minus a multiple of the identity is computed in floats. Its numbers need not be
 correct: matrix − R R' is computed in integers, and a matrix is positive semidefinite if this difference is diagonally
-dominant with a diagonal that is not negative. Small singular matrices are decomposed in integers.
+dominant with a diagonal that is not negative. Small matrices, and singular ones of a moderate size, are decomposed in
+integers.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from surctl.certcheck.patience import go_on
 __all__ = ["is_semidefinite"]
 
 _EXACT, _BITS = 40, 60_000  # largest matrix that is decomposed in integers, and its largest pivot
+_SMALL = 8  # up to this size, integers are faster than floats
 
 
 def is_semidefinite(matrix: list[list[int]]) -> bool:
@@ -24,13 +26,12 @@ def is_semidefinite(matrix: list[list[int]]) -> bool:
     a = [[matrix[i][j] for j in nonzero] for i in nonzero]
     if any(row[k] <= 0 for k, row in enumerate(a)):
         return False
-    if not a or _by_factor(a):
+    if not a:
         return True
-    return (
-        len(a) <= _EXACT
-        and len(a) * max(row[k].bit_length() for k, row in enumerate(a)) <= _BITS
-        and _by_elimination(a)
-    )
+    bits = len(a) * max(row[k].bit_length() for k, row in enumerate(a))
+    if len(a) <= _SMALL and bits <= _BITS // _SMALL:
+        return _by_elimination(a)
+    return _by_factor(a) or (len(a) <= _EXACT and bits <= _BITS and _by_elimination(a))
 
 
 def _by_factor(a: list[list[int]]) -> bool:

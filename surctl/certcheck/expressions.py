@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
@@ -33,7 +34,7 @@ BRANCHES = ("abs", "max", "min", "select")
 
 _LONGEST, _DEEPEST, _MOST = 60_000, 150, 50_000
 _LONGEST_EXPONENT = 40  # characters of a number in an exponent
-_CACHED = 64
+_CACHED, _SHORT = 64, 4000  # longest text whose parts are stored
 _LEXEME = re.compile(r"[ \t\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)|([A-Za-z]\w*)|([-+*/^(),])|$)", re.ASCII)
 _BINDS = {"+": 1, "-": 1, "*": 2, "/": 2}
 _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
@@ -46,6 +47,31 @@ class Entry:
     op: str
     args: tuple[int, ...] = ()
     value: Fraction = Fraction(0)
+
+
+def _lexemes(text: str) -> tuple[tuple[str, str], ...]:
+    lexemes: list[tuple[str, str]] = []
+    at = 0
+    while at < len(text):
+        match = _LEXEME.match(text, at)
+        if match is None:
+            raise Rejected(f"an expression cannot be read at column {at + 1}: {text[at : at + 20]!r}")
+        if match.lastindex:
+            lexemes.append((("number", "name", "sign")[match.lastindex - 1], match[match.lastindex]))
+        at = match.end() if match.end() > at else len(text)
+    return tuple(lexemes)
+
+
+_short_lexemes = lru_cache(64)(_lexemes)  # a certificate repeats most of its texts
+
+
+@lru_cache(256)
+def _short_decimal(text: str) -> Fraction:
+    return Fraction(text)
+
+
+def _decimal(text: str) -> Fraction:
+    return _short_decimal(text) if len(text) <= _LONGEST_EXPONENT else Fraction(text)
 
 
 class ExpressionTable:
@@ -96,17 +122,7 @@ class ExpressionTable:
         if not isinstance(text, str) or len(text) > _LONGEST:
             raise Rejected(f"an expression is not a text of at most {_LONGEST} characters")
         go_on()
-        lexemes: list[tuple[str, str]] = []
-        at = 0
-        while at < len(text):
-            match = _LEXEME.match(text, at)
-            if match is None:
-                raise Rejected(f"an expression cannot be read at column {at + 1}: {text[at : at + 20]!r}")
-            if match.lastindex:
-                lexemes.append((("number", "name", "sign")[match.lastindex - 1], match[match.lastindex]))
-            at = match.end() if match.end() > at else len(text)
-        lexemes.append(("end", ""))
-        lexemes.reverse()
+        lexemes = [("end", ""), *reversed(_short_lexemes(text) if len(text) <= _SHORT else _lexemes(text))]
         tree = self._expression(lexemes, 0, 0)
         if lexemes[-1][0] != "end":
             raise Rejected(f"an expression cannot be read at {lexemes[-1][1]!r}")
@@ -168,7 +184,7 @@ class ExpressionTable:
     def _operand(self, rest: list[tuple[str, str]], depth: int) -> int:
         kind, text = rest.pop()
         if kind == "number":
-            return self.put("num", value=Fraction(text))
+            return self.put("num", value=_decimal(text))
         if kind == "name" and rest[-1] == ("sign", "("):
             rest.pop()
             args = [self._expression(rest, 0, depth + 1)]

@@ -68,10 +68,11 @@ class Exact:
         """Return the polynomial a + factor b."""
         out = dict(a)
         for term, number in b.items():
+            number = number if factor == 1 else -number if factor == -1 else factor * number
             if term not in out:
-                out[term] = factor * number
+                out[term] = number
                 continue
-            out[term] += factor * number
+            out[term] += number
             if not out[term]:
                 del out[term]
             else:
@@ -80,6 +81,8 @@ class Exact:
 
     def mul(self, a: Sum, b: Sum) -> Sum:
         """Return the polynomial a b, reduced so that roots and sines have powers of at most 1."""
+        if a is _ONE or b is _ONE:
+            return b if a is _ONE else a
         if len(a) * len(b) > _MOST * 4:
             raise Rejected(_TOO_LARGE)
         out: Sum = {}
@@ -91,7 +94,7 @@ class Exact:
                 for atom, e in t:
                     powers[atom] = powers.get(atom, 0) + e
                 term = tuple(sorted(powers.items()))
-                out[term] = out.get(term, Fraction(0)) + x * y
+                out[term] = out[term] + x * y if term in out else x * y
         return self._simple({t: x for t, x in out.items() if x})
 
     def _simple(self, a: Sum) -> Sum:

@@ -22,6 +22,7 @@ from typing import Any
 from mpmath import libmp
 
 from surctl.certcheck.angles import BITS, pi
+from surctl.certcheck.arrays import TOGETHER, settled
 from surctl.certcheck.document import Rejected, listed, number, record
 from surctl.certcheck.enclosure import (
     Interval,
@@ -51,6 +52,7 @@ DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 _CASE = {"choice", "numerator", "denominators", "multipliers"}
 _MOST_BRANCHES = 12
+_ALWAYS = ("add", "mul", "neg", "num", "pi", "sub", "var")  # operations that are defined for all numbers
 _DEEPEST = 10_000  # largest number of boxes that wait to be checked
 
 Box = list[tuple[float, float]]
@@ -86,11 +88,21 @@ class Inequality:
 
     def defined(self, box: Box) -> bool:
         """Return whether left, right and the constraints are defined everywhere on the box."""
+        if all(self._is_total(at) for at in self.expressions.needed(self.parts)):
+            return True
         try:
             enclose(self.expressions, self.parts, [span(*ends) for ends in box])
         except Undefined:
             return False
         return True
+
+    def _is_total(self, at: int) -> bool:
+        """Return whether an operation is defined for all numbers."""
+        entry = self.expressions.entries[at]
+        if entry.op == "div":
+            under = self.expressions.entries[entry.args[1]]
+            return under.op == "num" and under.value != 0
+        return entry.op in _ALWAYS or (entry.op == "pow" and entry.value >= 0)
 
     def check(self, cases: Sequence[Mapping[str, Any]]) -> None:
         """Raise Rejected unless the cases prove the inequality."""
@@ -208,7 +220,7 @@ class _Case:
         return entry.op == "num" and entry.value == 0
 
     def _leaves(self) -> None:
-        waiting: list[Box] = [list(self.claim.box)]
+        waiting, leaves = [list(self.claim.box)], list[tuple[str, Box]]()
         for letter in self.tree:
             if not waiting:
                 raise Rejected("the tree goes on after its last leaf")
@@ -217,7 +229,10 @@ class _Case:
             box = waiting.pop()
             at = DIMENSIONS.find(letter)
             if at < 0:
-                self._leaf(letter, box)
+                leaves.append((letter, box))
+                if len(leaves) == TOGETHER:
+                    self._decide(leaves)
+                    leaves = []
                 continue
             if at >= len(box):
                 raise Rejected(f"the tree halves in variable {at}, which does not exist")
@@ -226,6 +241,15 @@ class _Case:
             waiting += [[*box[:at], (cut, high), *box[at + 1 :]], [*box[:at], (low, cut), *box[at + 1 :]]]
         if waiting:
             raise Rejected("the tree does not cover the box")
+        self._decide(leaves)
+
+    def _decide(self, leaves: Sequence[tuple[str, Box]]) -> None:
+        """Check leaves: all of them in arrays of doubles, then one by one those that this does not settle."""
+        numerator = self.numerator if self.claim.everywhere else None
+        quick = settled(self.expressions, numerator, self.constraints, leaves)
+        for (rule, box), done in zip(leaves, quick, strict=True):
+            if not done:
+                self._leaf(rule, box)
 
     def _leaf(self, rule: str, box: Box) -> None:
         wide = [span(*ends) for ends in box]

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.falsifier import search
-from surctl.verification.formula import ordered, text_of
+from surctl.verification.formula import ordered, text_of, values_of
 from surctl.verification.proving import prove_cases
 
 __all__ = ["Decision", "decide_motion", "prove_motion", "short"]
@@ -255,22 +255,29 @@ def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
         yield _Attempt(stated, change | evidence, share, (0, last))
 
 
-def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
-    """Return samples (n, N) of the region, also close to the equilibrium, with V and its least loss there (N,)."""
+@cache
+def _sobol(dimension: int) -> Array:
     from scipy.stats import qmc
 
+    points: Array = qmc.Sobol(dimension, seed=0).random(_SAMPLES).T
+    return points
+
+
+def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
+    """Return samples (n, N) of the region, also close to the equilibrium, with V and its least loss there (N,)."""
     d = claim.dynamics
     low, high = d.box
-    unit = qmc.Sobol(len(d.states), seed=0).random(_SAMPLES).T
+    unit = _sobol(len(d.states))
     wide = low[:, None] + (high - low)[:, None] * unit
     x = np.hstack([d.equilibrium[:, None] + (wide - d.equilibrium[:, None]) * near for near in (1.0, 0.1, 0.01)])
-    both = d.compiled(claim.function, d.change(claim.function))
+    both = claim.function, d.change(claim.function)
     corners = d.corners()
 
     def read(at: Array) -> tuple[Array, Array]:
         values, loss = np.full(at.shape[1], np.nan), np.full(at.shape[1], np.inf)
         for corner in corners.T:
-            values, moved = np.asarray(both(at, np.repeat(corner[:, None], at.shape[1], axis=1)))
+            ends = np.repeat(corner[:, None], at.shape[1], axis=1)
+            values, moved = values_of(both, dict(zip((v.name for v in d.variables), (*at, *ends), strict=True)))
             loss = np.minimum(loss, values - moved if d.discrete else -moved)
         return values, loss
 

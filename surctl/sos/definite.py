@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 __all__ = ["is_semidefinite"]
 
+_SMALL = 8  # up to this size, integers are faster than floats
 _MOST_EXACT = 40  # largest size of a nearly singular matrix that is decomposed in integers
 
 
@@ -18,7 +19,7 @@ def is_semidefinite(matrix: Sequence[Sequence[int]]) -> bool:
 
     A Cholesky factor L of the matrix minus a small multiple of the identity is computed in floats and rounded. The
     difference between the matrix and L L' is computed exactly; if it is diagonally dominant, the matrix is positive
-    semidefinite. A nearly singular matrix is decomposed exactly instead, up to a size of 40.
+    semidefinite. A small matrix, or a nearly singular one up to a size of 40, is decomposed exactly instead.
 
     Example:
         >>> from surctl.sos import is_semidefinite
@@ -31,6 +32,8 @@ def is_semidefinite(matrix: Sequence[Sequence[int]]) -> bool:
         return False
     if not a:
         return True
+    if len(a) <= _SMALL:
+        return _decomposes(a)
     shifts = [(row[k].bit_length() + 1) // 2 for k, row in enumerate(a)]
     try:
         floats = np.array([[x / (1 << (shifts[i] + shifts[j])) for j, x in enumerate(row)] for i, row in enumerate(a)])

@@ -56,7 +56,8 @@ class Certificate:
     Attributes:
         blocks: the sums of squares.
         multipliers: the polynomial h of each relation.
-        least: least eigenvalue of the numerical Gram matrices, relative to the largest coefficient.
+        least: least eigenvalue of the numerical Gram matrices, relative to the largest coefficient; 0 if the target is
+            a sum of squares in only one way, which needs no numbers.
     """
 
     blocks: tuple[GramBlock, ...]
@@ -111,6 +112,10 @@ def certify(
     grams.sort(key=lambda gram: bool(gram.forms))  # a remainder goes to the first block that can take it
     if not grams or max(len(g.basis) for g in grams) > largest or _expected(grams) > seconds:
         return None
+    if not relations and all(gram.at < 0 and not gram.forms for gram in grams):
+        pairs = _pairs(grams)
+        if all(len(places) == 1 for places in pairs.values()):
+            return _only(target, grams, pairs)
     size = Fraction(2) ** round(log2(max(abs(float(c)) for c in target.terms.values())))
     scaled = target * (1 / size)
     program = Program()
@@ -139,6 +144,21 @@ def certify(
             blocks = [GramBlock(b.weight, b.basis, tuple(x * size for x in b.entries)) for b in blocks]
             return Certificate(tuple(blocks), tuple(p * size for p in polynomials), solution.number(least))
     return None
+
+
+def _only(
+    target: Polynomial, grams: Sequence[Gram], pairs: Mapping[Monomial, Sequence[tuple[int, int, int]]]
+) -> Certificate | None:
+    """Return the only sum of squares that the target can be, if each monomial is the product of one pair."""
+    values = [[Fraction(0)] * (len(g.basis) * (len(g.basis) + 1) // 2) for g in grams]
+    for m, c in target.terms.items():
+        if m not in pairs:
+            return None
+        [(block, place, weight)] = pairs[m]
+        values[block][place] = Fraction(c) / weight
+    if not all(_semidefinite(len(g.basis), v) for g, v in zip(grams, values, strict=True)):
+        return None
+    return Certificate(tuple(GramBlock(-1, g.basis, tuple(v)) for g, v in zip(grams, values, strict=True)), (), 0.0)
 
 
 def completed(target: Polynomial, blocks: Sequence[GramBlock]) -> tuple[GramBlock, ...]:

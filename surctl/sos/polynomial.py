@@ -85,16 +85,17 @@ class Polynomial:
         return Polynomial({m: -c for m, c in self.terms.items()})
 
     def __mul__(self, other: Polynomial | Number) -> Polynomial:
-        if isinstance(other, Fraction | float | int):
+        if not isinstance(other, Polynomial):
+            if not isinstance(other, Fraction | float | int):
+                return NotImplemented
             value = _number(other)
             return Polynomial({m: c * value for m, c in self.terms.items()} if value else {})
-        if not isinstance(other, Polynomial):
-            return NotImplemented
         total: dict[Monomial, Number] = {}
         for m, c in self.terms.items():
             for n, d in other.terms.items():
                 product = joined(m, n)
-                total[product] = total.get(product, 0) + c * d
+                value = c * d  # a sum of a fraction and the integer 0 is slow
+                total[product] = total[product] + value if product in total else value
         return Polynomial({m: c for m, c in total.items() if c})
 
     def __rmul__(self, other: Number) -> Polynomial:
@@ -112,7 +113,9 @@ class Polynomial:
     def _plus(self, other: Polynomial, sign: int) -> Polynomial:
         total = dict(self.terms)
         for m, c in other.terms.items():
-            value = total.get(m, 0) + sign * c
+            value = c if sign > 0 else -c
+            if m in total:
+                value = total[m] + value
             if value:
                 total[m] = value
             else:

@@ -2,6 +2,7 @@
 
 from surctl.verification.formula.derivative import derivative, substitute
 from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
+from surctl.verification.formula.numeric import values_of
 from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, is_name, parse, parse_relation
 from surctl.verification.formula.reader import from_casadi
 from surctl.verification.formula.statement import Statement
@@ -25,5 +26,6 @@ __all__ = [
     "substitute",
     "text_of",
     "to_casadi",
+    "values_of",
     "variable",
 ]

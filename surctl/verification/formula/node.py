@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import lru_cache
 
 from surctl.errors import InputError
 
@@ -102,18 +103,21 @@ def power(base: Node, exponent: int | Fraction) -> Node:
     return base if value == 1 else Node("pow" if value.denominator == 1 else "powr", (base,), value)
 
 
-def ordered(*roots: Node) -> Iterator[Node]:
-    """Yield every distinct node of the expressions once; the operands of a node come before the node."""
+@lru_cache(128)
+def ordered(*roots: Node) -> Sequence[Node]:
+    """Return every distinct node of the expressions once; the operands of a node come before the node."""
+    order: list[Node] = []
     visited: set[Node] = set()
     stack = [(root, False) for root in reversed(roots)]
     while stack:
         node, expanded = stack.pop()
         if expanded:
-            yield node
+            order.append(node)
         elif node not in visited:
             visited.add(node)
             stack.append((node, True))
-            stack.extend((a, False) for a in reversed(node.args))
+            stack += [(a, False) for a in reversed(node.args)]
+    return tuple(order)
 
 
 def rebuilt(root: Node, change: Callable[[Node, tuple[Node, ...]], Node]) -> Node:

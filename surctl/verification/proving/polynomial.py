@@ -34,7 +34,9 @@ def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor
     """Return the sum a + factor · b."""
     total = dict(a)
     for monomial, coefficient in b.items():
-        value = total.get(monomial, Fraction(0)) + factor * coefficient
+        value = coefficient if factor == 1 else -coefficient if factor == -1 else factor * coefficient
+        if monomial in total:
+            value += total[monomial]
         if value:
             total[monomial] = value
         else:
@@ -55,7 +57,9 @@ def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -
     for m, c in a.items():
         for n, d in b.items():
             product = _joined(m, n)
-            value = total.get(product, Fraction(0)) + c * d
+            value = c * d
+            if product in total:
+                value += total[product]
             if value:
                 total[product] = value
             else:

@@ -239,7 +239,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     constraints = build_tape(names, case.constraints)
     if case.choice and (outside := _outside(case, written, constraints, root)) is not None:
         return outside
-    everywhere = all(fine[0] for fine in written.run(root).defined)
+    everywhere = written.total or all(fine[0] for fine in written.run(root).defined)
     polynomial = not any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints))
     if attempt.simply:
         return _simple(attempt, constraints, root, seconds, everywhere=everywhere, polynomial=polynomial)

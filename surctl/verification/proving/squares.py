@@ -18,7 +18,7 @@ from surctl.errors import InputError
 from surctl.sos.division import quotient
 from surctl.sos.exact import Certificate, certify, completed
 from surctl.sos.polynomial import Polynomial
-from surctl.verification.formula import Node, number, text_of
+from surctl.verification.formula import Node, number, ordered, text_of
 from surctl.verification.proving.algebra import Algebra, Ratio, TooLarge
 from surctl.verification.proving.facts import VALUES, fact_polynomial, facts_about
 from surctl.verification.proving.forms import Form, signed, signs_of
@@ -114,7 +114,9 @@ class _Problem:
         over = signed(margin, signs)
         factors = {at: written.factor(at) if sign > 0 else -written.factor(at) for at, sign in signs.items()}
         under = tuple(itertools.chain.from_iterable((factors[at],) * e for at, e in margin.under))
-        self.form = Form(written.poly(over), under, (number(0),) * len(guards))
+        # the checker reads a polynomial from the margin as it is written
+        node = case.margin if not under and _has_no_division(case.margin) else written.poly(over)
+        self.form = Form(node, under, (number(0),) * len(guards))
         polynomials = [over, *(g.over for g in guards if g is not None and not g.under)]
         self._atoms = self._closed({k for p in polynomials for m in p for k, _ in m})
         if len(self._atoms) > _MOST_ATOMS or not self._atoms:
@@ -350,6 +352,11 @@ class _Problem:
                 node = node - number(origin) if origin > 0 else node + number(-origin)
             texts.append(text_of(node if scale == 1 else number(1 / scale) * node))
         return texts
+
+
+def _has_no_division(node: Node) -> bool:
+    """Return whether an expression divides by nothing but numbers."""
+    return not any((n.op == "div" and n.args[1].op != "num") or (n.op == "pow" and n.value < 0) for n in ordered(node))
 
 
 def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:

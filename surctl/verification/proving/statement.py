@@ -57,6 +57,9 @@ def substituted(statement: Statement) -> tuple[Node, ...]:
     ends = zip(statement.names, statement.lower, statement.upper, strict=True)
     fixed = {name: number(Fraction(repr(float(low)))) for name, low, high in ends if low == high}
 
+    if not fixed:
+        return statement.parts
+
     def change(node: Node, args: tuple[Node, ...]) -> Node:
         return fixed.get(node.name, node) if node.op == "var" else Node(node.op, args, node.value, node.name)
 
@@ -69,9 +72,11 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
     left, right, *constraints = parts
     if len(branches) > MOST_BRANCHES:
         return [Case("", left - right, tuple(constraints))]
+    if not branches:
+        return [Case("", left - right, tuple(constraints))]
     cases = []
     for bits in range(2 ** len(branches)):
-        choice = format(bits, f"0{len(branches)}b") if branches else ""
+        choice = format(bits, f"0{len(branches)}b")
         chosen, conditions = _chosen(parts, dict(zip(branches, choice, strict=True)))
         cases.append(Case(choice, chosen[0] - chosen[1], (*chosen[2:], *conditions)))
     return cases

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -49,15 +50,27 @@ class Tape:
     steps: tuple[tuple[Node, tuple[int, ...]], ...]
     roots: tuple[int, ...]
 
+    @cached_property
+    def total(self) -> bool:
+        """Whether all operations are defined for all numbers."""
+        return all(
+            node.op in _TOTAL
+            or (node.op == "pow" and node.value >= 0)
+            or (node.op == "div" and node.args[1].op == "num" and node.args[1].value != 0)
+            for node, _ in self.steps
+        )
+
     def run(self, box: Ends, *, order: int = 0) -> Read:
         """Evaluate the expressions on boxes (n, B); return enclosures, with derivatives up to `order` ≤ 2."""
         count = box[0].shape[1]
         jets: list[Jet] = []
-        defined: list[NDArray[np.bool_]] = []
+        defined = [np.ones(count, dtype=bool)] * (len(self.steps) if self.total else 0)
         with np.errstate(all="ignore"):
             for node, args in self.steps:
                 operands = [jets[a] for a in args]
                 jets.append(self._step(node, operands, box, order))
+                if self.total:
+                    continue
                 fine = ~_undefined(node, operands, count)
                 for a in args:
                     fine = fine & defined[a]
@@ -140,6 +153,7 @@ _UNARY: Mapping[str, Callable[[Jet], Jet]] = MappingProxyType(
     {"asin": Jet.arcsine, "tan": Jet.tangent, "exp": Jet.exponential, "log": Jet.logarithm,
      "sinh": Jet.hyperbolic_sine, "cosh": Jet.hyperbolic_cosine, "tanh": Jet.hyperbolic_tangent}
 )  # fmt: skip
+_TOTAL = frozenset({"num", "pi", "var", "add", "sub", "mul", "neg"})
 _TROUBLES = {
     "div": "division by an interval that contains 0:",
     "pow": "division by an interval that contains 0:",

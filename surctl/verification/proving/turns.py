@@ -21,7 +21,8 @@ class SplitAngles(Algebra):
         """Return the product a b, simplified by relations between atoms."""
         if len(a) * len(b) > 8 * MOST_TERMS:
             raise TooLarge
-        total = self._reduced({m: Fraction(c) for m, c in (Polynomial(a) * Polynomial(b)).terms.items()})
+        terms = (Polynomial(a) * Polynomial(b)).terms.items()
+        total = self._reduced({m: c if isinstance(c, Fraction) else Fraction(c) for m, c in terms})
         if len(total) > MOST_TERMS:
             raise TooLarge
         return total
