@@ -11,9 +11,9 @@ import casadi as ca
 
 from surctl.control.allocated import with_allocation
 from surctl.control.baselines import Situation
-from surctl.control.closing import CLIMB, Closing, Memory, yaw_limit
+from surctl.control.closing import Closing, Memory
 from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
-from surctl.control.decision import Decision, Scan, TaskLevel
+from surctl.control.decision import Scan
 from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import (
     DEGRADED,
@@ -40,25 +40,34 @@ from surctl.control.ports import (
 from surctl.control.reference import learnt, path_following
 from surctl.control.registry import SONARLESS, law_ref, law_source
 from surctl.control.routines import limited, sensing
+from surctl.control.solver_inputs import limit_rows, solver_inputs
 from surctl.control.source import LawSource, decision_of, perceived_by, thrust_of
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
-from surctl.ir import Layout, Port, Recording, cached_bytes, fold, source_digest, tabulated, without_libm
+from surctl.ir import (
+    Block,
+    Layout,
+    Port,
+    Recording,
+    cached_bytes,
+    fold,
+    read_block,
+    source_digest,
+    tabulated,
+    without_libm,
+    write_block,
+)
 from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, Mode, check_fallback, nsb_symbolic
 from surctl.sensing import Equipment
-from surctl.tasks import LimitRow, VelocityBox
 from surctl.vehicle import Actuators
 
 __all__ = ["MODES", "build_law", "build_law_of"]
 
 DEFAULT_EQUIPMENT = Equipment()
 MODES: tuple[Mode, ...] = get_args(Mode)
-
-_STEP_INPUTS = ("J", "reference", "rows", "box")
-
 
 _SOURCES = tuple(
     f"surctl.{name}" for name in ("control", "errors", "guidance", "ir", "priority", "sensing", "tasks", "vehicle")
@@ -197,7 +206,9 @@ def _cached_law(chosen: _Configuration) -> Law:
     """
     if is_own(chosen.law):
         try:
-            return _built(chosen)
+            own = _built(chosen)
+            _ = own.stages.pre  # the limit rows of the user's law are checked too, in every mode
+            return own
         except InputError as error:
             raise (error if error.file else error.inside(own_file(chosen.law))) from None
     try:
@@ -210,9 +221,13 @@ def _cached_law(chosen: _Configuration) -> Law:
         built.append(_built(chosen))
         return law_bytes(built[0])
 
+    def part(name: str) -> Block:
+        text = cached_bytes(key, f".{name}", lambda: write_block(getattr(_built(chosen).stages, name)).encode())
+        return read_block(text.decode())
+
     key = hashlib.sha256(f"{sources}\0{chosen!r}".encode()).hexdigest()
     stored = cached_bytes(key, ".law", build)
-    return built[0] if built else law_from(stored)
+    return built[0] if built else law_from(stored, part)
 
 
 def build_law_of(source: LawSource) -> Law:
@@ -327,14 +342,18 @@ def _decide(
         flags += TRAPPED * reported.get("trapped", 0)
         memory = Memory(state.join(carried), outputs.join({**unknown, **reported})[8:], flags)
 
-    rows = _rows(decision, ps)
+    rows = limit_rows(decision, ps)
     nsb = nsb_symbolic([(level.J, level.reference) for level in levels], damping=source.damping)
     close = Closing(state, outputs, u, us, p, ps, dt, thrust_of(source, chosen.law))
     arguments = {"x": x, "u": u, "p": p}
-    closed = recording.block("law", arguments, close.outputs_of(memory, nsb, ca.SX(0)))
-    step_inputs = dict(zip(_STEP_INPUTS, _step_inputs(levels, rows, ps), strict=True))
-    pre = recording.block("pre", arguments, {**step_inputs, **memory._asdict()})
-    post = close.block()
+
+    def closed() -> Block:
+        return recording.block("law", arguments, close.outputs_of(memory, nsb, ca.SX(0)))
+
+    def pre() -> Block:
+        return recording.block("pre", arguments, {**solver_inputs(levels, rows), **memory._asdict()})
+
+    stages = Stages(closed, pre, close.block)
     shapes = tuple((level.name, int(level.J.shape[0]), level.unit) for level in levels)
     return Law(
         name=source.name,
@@ -348,9 +367,11 @@ def _decide(
         outputs=outputs,
         # without libm functions such as sin, every compiler and processor gives identical results
         block=without_libm(
-            closed if mode == "nsb" else limited(mode, pre, post, levels=shapes, rows=len(rows), fallback=fallback)
+            stages.closed
+            if mode == "nsb"
+            else limited(mode, stages.pre, stages.post, levels=shapes, rows=len(rows), fallback=fallback)
         ),
-        stages=Stages(lambda: closed, lambda: pre, lambda: post),
+        stages=stages,
         levels=shapes,
         rows=tuple(row.name for row in rows),
         guidance=guidance,
@@ -358,26 +379,6 @@ def _decide(
         movers=movers,
         fallback=fallback,
     )
-
-
-def _rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
-    # first the rows of the velocity box, then those of the barriers: l ≤ a·v ≤ u
-    most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
-    return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
-
-
-def _step_inputs(levels: list[TaskLevel], rows: list[LimitRow], p: dict[str, ca.SX]) -> list[ca.SX]:
-    """Return the solver's inputs: J by rows; references; constraints (a, lower, upper, relaxable?); velocity box."""
-    flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
-    box = [ca.vertcat(*(getattr(row, side) for row in rows[:4])) for side in ("lower", "upper")]
-    J = ca.vertcat(*(level.J for level in levels))
-    outputs = [
-        ca.vec(J.T),
-        ca.vertcat(*(level.reference for level in levels)),
-        ca.vertcat(*flat),
-        ca.vertcat(*box),
-    ]
-    return [ca.densify(output) for output in outputs]
 
 
 def _state_layout(source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool) -> Layout:

@@ -190,7 +190,7 @@ class Law:
         Without a compiler, the routine runs in Python, which gives equal numbers more slowly.
         """
         closed = self.mode == "nsb" and self.perception is None and self.base is None
-        return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block)
+        return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block, quick=True)
 
     @cached_property
     def _before(self) -> Callable[..., list[Vector]]:
@@ -200,7 +200,7 @@ class Law:
     @cached_property
     def _sense(self) -> Callable[..., list[Vector]]:
         assert self.perception is not None
-        return runnable(self.perception.block)
+        return runnable(self.perception.block, quick=True)
 
     def telemetry_slice(self, name: str) -> slice:
         """Return the index range of an output in the telemetry vector, which does not contain tau."""

@@ -19,7 +19,19 @@ import casadi as ca
 from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
-from surctl.ir import Block, Call, Layout, Port, Program, Recording, Routine, each, lower_named, without_libm
+from surctl.ir import (
+    Block,
+    Call,
+    Layout,
+    Port,
+    Program,
+    Recording,
+    Routine,
+    each,
+    lower_named,
+    rearranged,
+    without_libm,
+)
 from surctl.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
 from surctl.sensing.mapping.local_map import READING, RING
 from surctl.vehicle import planar_rotation
@@ -203,10 +215,10 @@ class _Builder:
 
     def _split(self) -> Program:
         # three parts: small states, map cells, map corner
-        x = ca.SX.sym("x", self.state.size)
-        parts = {name: x[self.state.slice(f"map_{name}")] for name in ("cells", "corner")}
-        small = x[: LAST_THRUST.size + self._small.size]
-        return lower_named("split", {"x": x}, {"small": small, **{f"map_{k}": v for k, v in parts.items()}})
+        size = self.state.size
+        parts = {f"map_{name}": self.state.slice(f"map_{name}") for name in ("cells", "corner")}
+        pieces = {"small": slice(0, LAST_THRUST.size + self._small.size), **parts}
+        return rearranged("split", {"x": size}, {k: [("x", part.start, part.stop)] for k, part in pieces.items()})
 
     def _anew(self) -> Program:
         # to clear the map, its corner is moved far away
@@ -215,11 +227,9 @@ class _Builder:
         return lower_named("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
 
     def _join(self) -> Program:
-        parts = {
-            "small": ca.SX.sym("small", self._small.size),
-            **{name: ca.SX.sym(name, self.state.port(name).size) for name in ("map_cells", "map_corner")},
-        }
-        return lower_named("join", parts, {"x_next": ca.vertcat(*parts.values())})
+        parts = {"small": self._small.size}
+        parts |= {name: self.state.port(name).size for name in ("map_cells", "map_corner")}
+        return rearranged("join", parts, {"x_next": [(name, 0, size) for name, size in parts.items()]})
 
     def _measure(self) -> Block:
         recording = Recording()

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import casadi as ca
-
 from surctl.control.allocated import with_allocation
 from surctl.control.law import Law
 from surctl.control.layers import forgetting
 from surctl.control.perception import PerceptionStage
 from surctl.control.ports import PARAMETERS
-from surctl.ir import Block, Call, Layout, Real, Routine, lower, without_libm
+from surctl.ir import Block, Call, Layout, Real, Routine, rearranged, without_libm
 from surctl.priority import Fallback, LevelShape, Mode, priority_step
 from surctl.priority.solver.precision import FLOAT32, FLOAT64
 
@@ -50,18 +48,15 @@ def limited(
 def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routine:
     """Return the routine that runs perception, then the decision; `state` is the layout of the decision's state."""
     whole = Layout((*state.ports, *perception.state.ports))
-    x = ca.SX.sym("x", whole.size)
-    own = state.size
-    apart = lower(ca.Function("apart", [x], [x[:own], x[own:]], ["x"], ["decided", "sensed"]))
-    names = ("decided", "tau", "sensed")
-    parts = [ca.SX.sym(name, size) for name, size in zip(names, (own, 4, perception.state.size - 4), strict=True)]
-    together = lower(ca.Function("together", parts, [ca.vertcat(*parts)], names, ["x_next"]))
+    own, size = state.size, whole.size
+    apart = rearranged("apart", {"x": size}, {"decided": [("x", 0, own)], "sensed": [("x", own, size)]})
+    parts = {"decided": own, "tau": 4, "sensed": perception.state.size - 4}
+    together = rearranged("together", parts, {"x_next": [(name, 0, size) for name, size in parts.items()]})
     anew = ("anew",) if "changing" in state else ()
     gains = dict(decide.inputs)["p"]
     shared, first = ("p",), tuple[Call, ...]()
     if gains > PARAMETERS.size:  # a law with gains of its own, which perception does not know
-        p = ca.SX.sym("p", gains)
-        cut = lower(ca.Function("shared", [p], [p[: PARAMETERS.size]], ["p"], ["shared"]))
+        cut = rearranged("shared", {"p": gains}, {"shared": [("p", 0, PARAMETERS.size)]})
         shared, first = ("shared",), (Call(cut, ("p",), ("shared",)),)
     steps = (
         *first,

@@ -24,20 +24,26 @@ _STAGES = ("closed", "pre", "post")
 
 
 def law_bytes(law: Law) -> bytes:
-    """Return the law as bytes that `law_from` can read."""
-    blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in _STAGES))]
+    """Return the law, and those of its stages that are built, as bytes that `law_from` can read."""
+    stages = [name for name in _STAGES if name in law.stages.__dict__]
+    blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in stages))]
     head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
     own = [port for port in law.gains if port.name not in PARAMETERS]
     head |= {"gains": _listed(own), "state": _listed(law.state)}
     head |= {"inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
-    head |= {"levels": law.levels, "rows": law.rows, "lengths": [len(text) for text in blocks]}
+    head |= {"levels": law.levels, "rows": law.rows, "stages": stages, "lengths": [len(text) for text in blocks]}
     if law.perception is not None:
         head["perception"] = {name: _listed(getattr(law.perception, name)) for name in ("state", "inputs", "outputs")}
     return "\n".join([json.dumps(head), "".join(blocks)]).encode()
 
 
-def law_from(stored: bytes) -> Law:
-    """Load a law from the bytes of `law_bytes`; each part of the law is parsed when it is first used."""
+def law_from(stored: bytes, other: Callable[[str], Block]) -> Law:
+    """Load a law from the bytes of `law_bytes`; each part of the law is parsed when it is first used.
+
+    Args:
+        stored: the bytes.
+        other: function from the name of a stage that the bytes do not contain to this stage; called when it is needed.
+    """
     first, _, rest = stored.decode().partition("\n")
     head = json.loads(first)
     texts = []
@@ -45,9 +51,8 @@ def law_from(stored: bytes) -> Law:
         texts.append(rest[:length])
         rest = rest[length:]
     block = read_block(texts[0])
-    stages: dict[str, Callable[[], Block]] = {
-        name: partial(read_block, text) for name, text in zip(_STAGES, texts[1:], strict=True)
-    }
+    stages: dict[str, Callable[[], Block]] = {name: partial(other, name) for name in _STAGES}
+    stages |= {name: partial(read_block, text) for name, text in zip(head["stages"], texts[1:], strict=True)}
     return Law(
         **{word: head[word] for word in _WORDS},
         state=_layout(head["state"]),

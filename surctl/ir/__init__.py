@@ -15,6 +15,7 @@ from surctl.ir.folding import with_constants
 from surctl.ir.frames import stack_bytes, stack_from_report, stack_of
 from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower, lower_named
+from surctl.ir.moves import rearranged
 from surctl.ir.native import Native, Workspace, compile_block, runnable
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
 from surctl.ir.places import memory, reads
@@ -79,6 +80,7 @@ __all__ = [
     "picked",
     "read_block",
     "reads",
+    "rearranged",
     "repeat",
     "replay",
     "runnable",

@@ -89,14 +89,23 @@ def cached_bytes(key: str, suffix: str, build: Callable[[], bytes], *, folder: P
     return built
 
 
-def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | None = None, wide: bool = False) -> bytes:
+def shared_library(
+    source: str | Callable[[], str],
+    *,
+    flags: Sequence[str] = (),
+    folder: Path | None = None,
+    wide: bool = False,
+    identity: str = "",
+) -> bytes:
     r"""Return the shared library compiled from one C source.
 
     Args:
-        source: the C text.
+        source: the C text, or a function that writes it.
         flags: additional compiler flags, after `FLAGS`, `further_flags` and `tuned_flags`.
         folder: cache folder, as in `cached_bytes`.
         wide: whether to use the processor's widest vector instructions, see `tuned_flags`.
+        identity: text that differs if the C text differs; a function `source` is then called only if no library with
+            this identity is in the cache. Empty: the C text itself.
 
     Returns:
         The bytes of the library, so that the caller can load exactly the library that was checked.
@@ -114,8 +123,12 @@ def shared_library(source: str, *, flags: Sequence[str] = (), folder: Path | Non
         42
     """
     tuned = tuned_flags(wide=wide)
-    key = _key(source, (*tuned, *flags))
-    return cached_bytes(key, ".so", lambda: _build(source, flags, tuned), folder=folder)
+    key = _key(identity or _text(source), (*tuned, *flags))
+    return cached_bytes(key, ".so", lambda: _build(_text(source), flags, tuned), folder=folder)
+
+
+def _text(source: str | Callable[[], str]) -> str:
+    return source if isinstance(source, str) else source()
 
 
 def _key(source: str, flags: Sequence[str]) -> str:

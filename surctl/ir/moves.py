@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from surctl.ir.numbering import Numbering
 from surctl.ir.program import Instruction, Program, drop_dead
 
-__all__ = ["Move", "copy_loop", "entry", "handed_on", "move_lines", "only_moves", "remaining"]
+__all__ = ["Move", "copy_loop", "entry", "handed_on", "move_lines", "only_moves", "rearranged", "remaining"]
 
 _FEW = 8  # largest number of pieces of a program of moves that is written inline at its call
 _LEAST = 8  # from this many entries on, one call that copies is shorter than one line for each entry
@@ -30,6 +31,32 @@ class Move:
     def entries(self) -> range:
         """Return the indices of the entries in the output."""
         return range(self.to, self.to + self.to_step * self.count, self.to_step)
+
+
+def rearranged(name: str, inputs: Mapping[str, int], outputs: Mapping[str, Sequence[tuple[str, int, int]]]) -> Program:
+    """Return a program that copies pieces of its inputs; it is built much faster than from a CasADi function.
+
+    Args:
+        name: name of the program.
+        inputs: number of entries of each input.
+        outputs: for each output, its pieces in order: name of the input, first entry, entry after the last.
+
+    Raises:
+        InputError: a piece is not inside its input.
+
+    Example:
+        >>> from surctl.ir import rearranged, replay
+        >>> swapped = rearranged("swapped", {"x": 3}, {"y": [("x", 2, 3), ("x", 0, 2)]})
+        >>> replay(swapped, [1.0, 2.0, 3.0])[0].tolist()
+        [3.0, 1.0, 2.0]
+    """
+    code, which = Numbering(), {array: k for k, array in enumerate(inputs)}
+    refs = [
+        tuple([code.add("input", (which[array], entry)) for array, first, end in pieces for entry in range(first, end)])
+        for pieces in outputs.values()
+    ]
+    sizes = tuple((output, len(entries)) for output, entries in zip(outputs, refs, strict=True))
+    return Program(name, tuple(inputs.items()), sizes, tuple(code.instructions), tuple(refs))
 
 
 def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:

@@ -13,12 +13,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, ToolMissing
+from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.cache import shared_library
+from surctl.ir.compiler import quick_flags
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block
+from surctl.ir.sources import source_digest
 from surctl.ir.split import shortened
 
 __all__ = ["Native", "Workspace", "compile_block", "runnable"]
@@ -140,11 +142,24 @@ def compile_block(
         >>> speed([[0.3, 0.4], [0.0, 0.2]])[0].tolist()  # one run in each row
         [[0.5], [0.2]]
     """
-    return Native(block, shared_library(_source(block, real), flags=flags, folder=folder), real=real)
+    write = partial(_source, block, real)
+    return Native(block, shared_library(write, flags=flags, folder=folder, identity=_identity(block, real)), real=real)
 
 
-def runnable(block: Block) -> Callable[..., list[Array]]:
+def _identity(block: Block, real: Real) -> str:
+    """Return a text that identifies the C text of a block without writing it; empty if there is none."""
+    try:
+        return f"{source_digest('surctl.ir')} {block.digest()} {real}"
+    except SurctlError:  # the source code is missing or changed since the import
+        return ""
+
+
+def runnable(block: Block, *, quick: bool = False) -> Callable[..., list[Array]]:
     """Return the compiled program or routine; without a compiler, return a slower function with equal results.
+
+    Args:
+        block: program or routine.
+        quick: whether to compile with `quick_flags`.
 
     Example:
         >>> import casadi as ca
@@ -155,7 +170,7 @@ def runnable(block: Block) -> Callable[..., list[Array]]:
         [array([0.5])]
     """
     try:
-        return compile_block(block)
+        return compile_block(block, flags=quick_flags() if quick else ())
     except ToolMissing:
         return lambda *inputs: [np.asarray(y, dtype=np.float64) for y in replay(block, *inputs)]
 

@@ -102,7 +102,7 @@ class Recording:
             InputError, UnsupportedOperation: as in `lower`; also if an expression contains a symbol that is neither an
                 input nor a result of a loop.
         """
-        dense = [ca.densify(ca.SX(value)) for value in outputs.values()]
+        dense = [ca.densify(_sx(value)) for value in outputs.values()]
         loops = self._reached(dense)
         arguments = [*inputs.values(), *(s for loop in loops for s in (*loop.own, *loop.results))]
         results = [*dense, *(e for loop in loops for e in loop.expressions)]
@@ -179,7 +179,8 @@ class Recording:
         reached: set[int] = set()
         todo = list(outputs)
         while todo:
-            needed = {of[h] for e in todo for s in ca.symvar(e) if (h := s.element_hash()) in of} - reached
+            symbols = ca.symvar(ca.vertcat(*todo))
+            needed = {of[h] for s in symbols if (h := s.element_hash()) in of} - reached
             reached |= needed
             todo = [e for k in needed for e in self._loops[k].expressions]
         return [self._loops[k] for k in sorted(reached)]
@@ -222,7 +223,7 @@ def repeat(
         >>> float(total), ca.DM(products).full().ravel().tolist()  # unrolled, since no recording is open
         (4.0, [2.0, 12.0])
     """
-    state, tables = _columns(state), [ca.densify(ca.SX(table)) for table in tables]
+    state, tables = _columns(state), [ca.densify(_sx(table)) for table in tables]
     lengths = {int(table.shape[0]) for table in tables} | ({count} if count is not None else set())
     if len(lengths) != 1:
         raise InputError(f"runs over tables of {sorted(lengths)} rows", key=name, remedy="use tables of equal length")
@@ -325,7 +326,7 @@ def picked(name: str, table: ca.SX, index: ca.SX) -> ca.SX:
         >>> ca.DM(picked("second", ca.SX([[1, 2], [3, 4], [5, 6]]), ca.SX(1))).full().ravel().tolist()
         [3.0, 4.0]
     """
-    table = ca.densify(ca.SX(table))
+    table = ca.densify(_sx(table))
     if not table.shape[0]:
         raise InputError("reads a row of an empty table", key=name, remedy="use a table with at least one row")
     recording = _open.get()
@@ -346,12 +347,17 @@ def tabulated(rows: Iterable[Iterable[ca.SX | float]], width: int = 0) -> ca.SX:
         >>> ca.DM(tabulated([(ca.SX([1, 2]), 3.0), (ca.SX([4, 5]), 6.0)])).full().tolist()
         [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     """
-    listed = [ca.vertcat(*(ca.vec(ca.SX(part)) for part in row)).T for row in rows]
+    listed = [ca.vertcat(*(ca.vec(_sx(part)) for part in row)).T for row in rows]
     return ca.densify(ca.vertcat(*listed)) if listed else ca.SX.zeros(0, width)
 
 
 def _columns(values: Vectors) -> list[ca.SX]:
-    return [ca.densify(ca.vec(ca.SX(value))) for value in values]
+    return [ca.densify(ca.vec(_sx(value))) for value in values]
+
+
+def _sx(value: ca.SX | float) -> ca.SX:
+    # a conversion of a matrix that is SX already costs as much as any other
+    return value if isinstance(value, ca.SX) else ca.SX(value)
 
 
 def _check(name: str, state: Vectors, after: Vectors, collected: Vectors, until: int | None) -> None:

@@ -29,7 +29,9 @@ CASES = [
 @pytest.mark.parametrize("options", CASES, ids=str)
 def test_what_is_read_is_what_was_written(options: dict[str, object]) -> None:
     law = build_law(**options)  # type: ignore[arg-type]
-    read = law_from(law_bytes(law))
+    needed = ("closed",) if law.mode == "nsb" else ("pre", "post")
+    expected = {name: getattr(law.stages, name) for name in needed}
+    read = law_from(law_bytes(law), lambda name: pytest.fail(f"{name} is not stored"))
     for name in ("name", "avoidance", "mode", "dt", "levels", "rows", "guidance", "barrier", "movers", "fallback"):
         assert getattr(read, name) == getattr(law, name), name
     layouts = [(read, law, ("state", "inputs", "gains", "outputs"))]
@@ -41,7 +43,7 @@ def test_what_is_read_is_what_was_written(options: dict[str, object]) -> None:
             assert getattr(a, name).ports == getattr(b, name).ports, name
     pairs = [
         (read.block, law.block),
-        *((getattr(read.stages, n), getattr(law.stages, n)) for n in ("closed", "pre", "post")),
+        *((getattr(read.stages, name), block) for name, block in expected.items()),
     ]
     assert all(a.digest() == b.digest() and a is not b for a, b in pairs)
     if law.perception is not None and read.perception is not None:
@@ -87,6 +89,19 @@ def test_every_number_of_the_equipment_tells_laws_apart() -> None:
 
     for name, value in {"noise_sd": 0.02, "bias": 0.01, "maximum": 4.0}.items():
         assert told(**{name: value}) != told(), name
+
+
+def test_a_stage_that_the_mode_does_not_need_is_built_when_it_is_first_used_and_stored(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
+    built = count_builds(monkeypatch)
+    own = build_law("closed_form").stages.pre.digest()
+    assert {path.suffix for path in tmp_path.glob("*.*")} == {".law"}
+    for count in (2, 2):
+        law = build_law("closed_form")
+        assert law.stages.closed and law.stages.pre.digest() == own and len(built) == count
+    assert {path.suffix for path in tmp_path.glob("*.*")} == {".law", ".pre"}
 
 
 def test_other_sources_make_another_law(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import casadi as ca
 import pytest
 
 from surctl.errors import SurctlError, ToolMissing
-from surctl.ir import CacheUnused, Native, cache_folder, cached_bytes, lower, shared_library
+from surctl.ir import CacheUnused, Native, cache_folder, cached_bytes, compile_block, lower, native, shared_library
 from surctl.ir import cache as module
 from tests.tools import need_compiler
 
@@ -50,6 +50,39 @@ def test_the_second_time_nothing_is_compiled(builds: list[str], tmp_path: Path) 
     shared_library(SOURCE, flags=("-O3",), folder=tmp_path / "c")
     shared_library(SOURCE.replace("42", "43"), folder=tmp_path / "c")
     assert len(builds) == 3
+
+
+def test_a_source_with_an_identity_is_written_only_to_compile_it(builds: list[str], tmp_path: Path) -> None:
+    written: list[str] = []
+
+    def write() -> str:
+        written.append(SOURCE)
+        return SOURCE
+
+    for identity, count in (("one", 1), ("one", 1), ("another", 2)):
+        shared_library(write, folder=tmp_path, identity=identity)
+        assert len(written) == len(builds) == count
+
+
+def test_a_block_is_the_same_entry_only_with_the_same_operations_type_and_sources(
+    builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    x = ca.SX.sym("x")
+    half, third = (lower(ca.Function("part", [x], [x / k])) for k in (2, 3))
+    compile_block(half, folder=tmp_path)
+    assert compile_block(half, folder=tmp_path)([6.0]) == [3.0] and len(builds) == 1
+    assert compile_block(third, folder=tmp_path)([6.0]) == [2.0]
+    assert compile_block(half, folder=tmp_path, real="float32")([6.0]) == [3.0] and len(builds) == 3
+    monkeypatch.setattr(native, "source_digest", lambda *_: "other sources")
+    compile_block(half, folder=tmp_path)
+    assert len(builds) == 4
+    monkeypatch.setattr(native, "source_digest", changed)
+    for _ in range(2):
+        assert compile_block(half, folder=tmp_path)([6.0]) == [3.0] and len(builds) == 5  # by the C text
+
+
+def changed(*_: str) -> str:
+    raise SurctlError("surctl.ir was changed after this process began")
 
 
 def test_another_compiler_is_another_entry(builds: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.ir import compile_program, compiler_version, emit_c99, find_compiler, lower
+from surctl.ir.compiler import quick_flags
 from tests.tools import need_compiler
 
 
@@ -47,6 +48,12 @@ def test_further_flags_come_from_the_environment(monkeypatch: pytest.MonkeyPatch
     assert subprocess.run([str(built)], check=False).returncode == 7
     again = compile_program([source], tmp_path / "a", flags=["-USTATUS", "-DSTATUS=8"])  # after those
     assert subprocess.run([str(again)], check=False).returncode == 8
+
+
+def test_a_level_in_the_environment_goes_before_the_quick_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    for flags, expected in (("", ("-Og",)), ("-DLANES=1", ("-Og",)), ("-g -O0", ())):
+        monkeypatch.setenv("SURCTL_CFLAGS", flags)
+        assert quick_flags() == expected
 
 
 @pytest.mark.parametrize(("flags", "message"), [("-O1 -ffast-math", "-ffast-math"), ("-D'", "close its quotes")])

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 
 from surctl.errors import InputError, UnsupportedOperation
-from surctl.ir import Instruction, Program, lower, replay
+from surctl.ir import Instruction, Program, lower, rearranged, replay
 from surctl.ir.lowering import _Builder
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, numbers, picks, whole
 
@@ -138,3 +138,13 @@ def test_six_thousand_operations_lower() -> None:
         pool.append(pool[-1] * 0.5 + pool[-4] if k % 2 else ca.fmin(pool[-2], pool[-3]) - k)
     function = ca.Function("large", [x], [ca.vertcat(*pool[-8:])])
     assert lower(function).operations > 6000
+
+
+def test_a_rearrangement_is_the_program_that_lowering_gives() -> None:
+    a, b = ca.SX.sym("a", 4), ca.SX.sym("b", 2)
+    outputs = [ca.vertcat(b, a[1:]), a[2:3], a[:0]]
+    function = ca.Function("pieces", [a, b], outputs, ["a", "b"], ["x", "y", "z"])
+    pieces = {"x": [("b", 0, 2), ("a", 1, 4)], "y": [("a", 2, 3)], "z": [("a", 0, 0)]}
+    assert rearranged("pieces", {"a": 4, "b": 2}, pieces) == lower(function)
+    with pytest.raises(InputError, match="no such input entry"):
+        rearranged("pieces", {"a": 4}, {"x": [("a", 2, 5)]})

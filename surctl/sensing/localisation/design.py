@@ -54,8 +54,11 @@ def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every
     whole, grown = ahead(step, noise, every)
     P = np.diag([fix_variance, 1.0, noise[2, 2] / (1.0 - step[2, 2] ** 2)])
     for _ in range(_RECURSION_STEPS):
+        before = P
         P = whole @ P @ whole.T + grown
         P = P - np.outer(P[:, 0], P[0, :]) / (P[0, 0] + fix_variance)
+        if np.array_equal(P, before):  # no further step changes it
+            break
     return P
 
 
@@ -72,7 +75,10 @@ def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: f
     R = np.diag([yaw_sd**2, rate_sd**2])
     P, K = R.copy(), np.zeros((2, 2))
     for _ in range(_RECURSION_STEPS):
+        before = P
         P = F @ P @ F.T + Q
         K = P @ np.linalg.inv(P + R)
         P = P - K @ P
+        if np.array_equal(P, before):
+            break
     return K
