@@ -231,7 +231,7 @@ def test_one_task_is_trivially_equal_and_a_fixed_pose_is_one_sample():
 
 
 def test_the_same_seed_gives_the_same_diagnosis_and_json_keeps_it():
-    first, second = (look(SIGHT, FAR, samples=16).to_dict() for _ in range(2))
+    first, second = (look(SIGHT, POSITION, samples=16).to_dict() for _ in range(2))
     assert first == second
     assert json.loads(json.dumps(first, allow_nan=False)) == first
     assert first["region"]["point_1"] == [-1.0, 1.0]
