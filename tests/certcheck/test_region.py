@@ -139,7 +139,7 @@ def refuted(changed: dict[str, Any]) -> bool:
 def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     whole, rng = document(), np.random.default_rng(5)
     false, accepted = 0, 0
-    for _ in range(5):
+    for _ in range(6):
         path, changed = altered(whole, ("claim", "proof"), rng)
         found = check_document(sealed(changed))
         accepted += found.accepted
