@@ -45,7 +45,7 @@ def compiled(tracker: RangeTracker, prefix: str = "") -> tuple[ca.Function, Layo
     ids=["four", "one sample"],
 )
 def test_symbols_and_numbers_agree(array: SonarArray) -> None:
-    """Random histories, with jumps, gaps, repetitions and faults: a thousand draws in all."""
+    """Random histories, with jumps, gaps, repetitions and faults: thousands of draws in all."""
     tracker = RangeTracker(array=array, dt=DT)
     function, layout = compiled(tracker, "t_")
     function = on_vectors(function)
@@ -54,7 +54,7 @@ def test_symbols_and_numbers_agree(array: SonarArray) -> None:
     state, truth = tracker.start(prefix="t_"), rng.uniform(0.5, 4.0, n)
     samples, turn, seen = np.full((n, k), 1.0), 0.0, {"healthy": set(), "late": set(), "suspect": set()}
     dropped = np.zeros(n)
-    for tick in range(1500 if array == SonarArray() else 400):
+    for tick in range(2400 if array == SonarArray() else 400):
         closing = rng.uniform(-0.2, 0.25, n)
         truth = np.clip(truth - closing * DT, 0.05, 6.0)
         if rng.random() < 0.02:

@@ -29,7 +29,7 @@ LATE = Equipment(
 KINDS = ("dead", "stuck", "zero", "maximum", "second_echo", "crosstalk", "dropout", "spike")
 # a loop is compiled for the sensors, so all features are in one set
 SENSORS = Sensors(
-    replace(LATE, array=MOUNTED),
+    replace(LATE, array=SonarArray()),
     faults=(
         Fault(sensor=2, kind="delay", start_s=0.2, delay_s=0.3),
         *(Fault(sensor=k % 3, kind=kind, start_s=0.5 + 0.3 * k) for k, kind in enumerate(KINDS)),
@@ -38,12 +38,15 @@ SENSORS = Sensors(
 )
 
 
-def test_the_compiled_loop_hears_what_the_reference_hears() -> None:
-    """Three sonars, two in a step, mounted beside the hull, late and lost messages, faults and chances."""
+MOUNTED_SENSORS = replace(SENSORS, equipment=replace(LATE, array=MOUNTED))
+
+
+def test_the_compiled_loop_hears_what_the_reference_hears(law: str = "paper", sensors: Sensors = SENSORS) -> None:
+    """Two sonars in a step, late and lost messages, faults and chances; mounted beside the hull: study 40."""
     need_compiler()
-    scenario = replace(load_scenario("tank-moving"), sensors=SENSORS, time_limit=10.0)
-    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
-    run = simulate(scenario, case.vehicle, gains=case.gains, sensing="sonar", seed=5)
+    scenario = replace(load_scenario("tank-moving"), sensors=sensors, time_limit=10.0)
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), law, sensing="sonar")
+    run = simulate(scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=5)
     table = simulate_batch(case, seeds=[5, 6]).table
     np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)
     assert not np.allclose(table[0], table[1], atol=1e-6, equal_nan=True)

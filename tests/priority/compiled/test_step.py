@@ -362,7 +362,7 @@ def test_compiled_and_replayed_are_the_same_bytes(mode: Mode) -> None:
     assert mode in ("nsb", "filter") or set(outputs["status"][:, 0]) >= {1.0, 2.0, 3.0}
 
 
-@pytest.mark.parametrize("mode", ["nsb", "projected"])  # the others are made of the same kinds of steps
+@pytest.mark.parametrize("mode", ["nsb", "filter"])  # the others are made of the same kinds of steps
 def test_casadi_runs_the_same_routine(mode: Mode) -> None:
     shapes, rng = (LevelShape(1), LevelShape(1, True)), np.random.default_rng(6)
     routine = priority_step(mode, n=2, levels=shapes, rows=3)
