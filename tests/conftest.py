@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 SPENT = "processor time [s]"
 
 # files and rooms; elsewhere compiling is what takes the time
-MANY_RUNS = ("cli/test_tune.py", "simulation/test_closed_loop.py", "tuning")
+MANY_RUNS = ("cli/test_tune.py", "tuning")
 
 # rooms in which a loop flies a few runs: one run at a time compiles in two thirds of the time
 FEW_RUNS = (

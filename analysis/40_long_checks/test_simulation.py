@@ -1,4 +1,4 @@
-"""Simulation: both loops with sensors of other kinds than the suite's, and the escape by depth by sonar."""
+"""Simulation: both loops with sensors and missions of other kinds than the suite's, and more dead ends."""
 
 from __future__ import annotations
 
@@ -6,11 +6,21 @@ from dataclasses import replace
 from math import pi
 
 import numpy as np
+import pytest
 
 from surctl.control import load_gains
 from surctl.sensing import Equipment, SonarArray
-from surctl.simulation import METRICS, STOPS, Case, Sensors, load_scenario, simulate, simulate_batch
+from surctl.simulation import METRICS, STOPS, Case, Sensors, depth_changes, load_scenario, simulate, simulate_batch
 from surctl.vehicle import load_vehicle
+from tests.simulation import (
+    test_batch,
+    test_closed_loop,
+    test_corners,
+    test_crosstrack,
+    test_dead_end,
+    test_depth_escape,
+    test_missions,
+)
 from tests.simulation.test_depth_escape import SCENES, _across, _box, _case, _flown
 from tests.tools import need_compiler
 
@@ -58,3 +68,65 @@ def test_both_loops_hear_what_crosses_the_fan_and_nothing_else() -> None:
         (row,) = simulate_batch(short, seeds=[2]).table
         np.testing.assert_allclose(row, run.metrics.row(), rtol=0, atol=1e-9)
     assert heard == {"sill": True, "low": False, "high": False}
+
+
+@pytest.mark.parametrize("scene", ["a sill", "a low U"])
+def test_other_scenes_are_left_by_another_depth(scene: str) -> None:
+    test_depth_escape.test_where_only_another_depth_leads_on_it_is_found_and_left_again(scene, [1, 0])
+    test_depth_escape.test_it_changes_its_depth_in_place_and_within_the_water_that_is_allowed(scene)
+
+
+def test_a_second_dead_end_further_on_is_left_as_the_first() -> None:
+    first, second = _box("sill", (4.0, 2.5), (0.3, 5.0), top_m=-1.8), _box("bar", (7.0, 2.5), (0.3, 5.0), top_m=-1.8)
+    run = _flown(_case((first, second)))
+    assert run.metrics.reached and run.metrics.min_clearance_m > 0.04
+    assert [change.back for change in depth_changes(run)] == [False, True, False, True]
+
+
+def test_a_gap_narrower_than_the_hull_is_a_dead_end() -> None:
+    test_dead_end.test_a_dead_end_is_found_and_said_in_safety("a gap narrower than the hull")
+
+
+def test_guidance_with_memory_against_other_pushes() -> None:
+    test_crosstrack.test_a_steady_push_is_learnt("pool-static", 0.0, 1.0)
+    test_crosstrack.test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los("alos", 0.1)
+
+
+def test_a_detour_beyond_a_corner_ends_on_the_next_leg_without_overshoot() -> None:
+    """Else the robot goes back for the corner, crosses the next leg at 0.18 m/s and shoots 0.2 m past it."""
+    slalom = load_scenario("tank-slalom")
+    case = Case(slalom, load_vehicle(slalom.vehicle), load_gains("default"), sensing="sonar")
+    batch = simulate_batch(case, seeds=np.arange(100, 102))
+    assert batch.column("reached").all()
+    assert batch.column("path_error_m").max() < 0.05
+
+
+def test_a_thousand_waypoints_in_both_loops() -> None:
+    test_missions.test_hundreds_of_waypoints_in_both_loops(1000)
+
+
+def test_a_mission_by_sonar_in_both_loops() -> None:
+    scenario = test_missions.written([[2, 5], [3, 5]], {"to_m": [4, 5], "depth_m": -1.1, "speed_m_per_s": 0.2})
+    scenario = replace(scenario, time_limit=3)
+    case = Case(scenario, test_missions.VEHICLE, test_missions.GAINS, law="paper", sensing="sonar")
+    run = simulate(scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar")
+    test_missions.same(case, np.array(run.metrics.row()))
+
+
+@pytest.mark.parametrize(
+    ("name", "sensing", "seconds"), [("tank-static", "sonar", 5.0), ("tank-slalom", "truth", 12.0)]
+)
+def test_other_runs_of_the_batch_are_the_reference_runs(name: str, sensing: str, seconds: float) -> None:
+    case = test_batch._case(name, seconds=seconds, sensing=sensing)
+    test_batch.test_a_run_of_the_batch_is_the_reference_run(case, 1)
+
+
+def test_with_another_dead_sonar_it_touches_nothing() -> None:
+    flown = test_closed_loop._flown(replace(load_scenario("tank-static"), sensors=test_closed_loop._dead(1)), 4)
+    assert np.all(flown.column("collided") == 0)
+
+
+def test_a_fold_by_sonar() -> None:
+    case = test_corners.mission(test_corners.FOLD, corners="visit")
+    run = simulate(case, test_corners.VEHICLE, gains=test_corners.GAINS, sensing="sonar")
+    assert run.metrics.reached and run.metrics.missed_corner_m < 0.1 and run.metrics.path_error_m < 0.1

@@ -113,6 +113,8 @@ def _newton(functions: _Rest, point: Array) -> tuple[Array, bool]:
             trial = point + factor * step
             if np.linalg.norm(functions.error(trial)[0]) < np.linalg.norm(error):
                 break
+        else:  # no part of the step brings it nearer
+            break
         point = trial
     return point, False
 

@@ -12,7 +12,7 @@ from surctl.verification import claims, falsify, prove
 from surctl.verification.formula import parse, to_casadi, variable
 from tests.verification.made_claims import claim_from
 
-MUTATIONS = 64
+MUTATIONS = 40
 
 
 def proved(claim: Any) -> dict[str, Any]:

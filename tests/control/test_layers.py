@@ -49,8 +49,8 @@ def test_only_the_guarded_law_takes_it_and_without_it_nothing_changes() -> None:
     assert plain.block.digest() == build_law().block.digest()
 
 
-def test_it_costs_the_law_with_sonars_next_to_nothing() -> None:
-    plain, deep = _law(sonar=True, depths=False), _law(sonar=True)
+def test_it_costs_next_to_nothing() -> None:
+    plain, deep = _law(sonar=False, depths=False), _law(sonar=False)
     assert deep.state.size == plain.state.size + 3 and deep.inputs.size == plain.inputs.size + 2
     assert memory(deep.block) - memory(plain.block) < 100
 

@@ -78,7 +78,7 @@ def surctl(*arguments: object) -> Result:
     return CliRunner().invoke(app, [str(a) for a in arguments], standalone_mode=False)
 
 
-@pytest.mark.parametrize(("name", "mode"), [("wall", "projected"), ("pushed", "nsb")])
+@pytest.mark.parametrize(("name", "mode"), [("pushed", "nsb")])  # with its own thrust: all parts of a law
 def test_both_loops_fly_an_own_law_alike(law: str, mission: Path, name: str, mode: str) -> None:
     law = law_ref(f"{mission.parent}/my_law.py:{name}")
     scenario, vehicle = load_scenario(str(mission)), load_vehicle("sur540-flooded")
@@ -127,13 +127,11 @@ def test_own_gains_are_gains(law: str, tmp_path: Path, mission: Path) -> None:
     assert set(found) == {"k_wall", "stand_off", "k_v", "k_r"}
 
 
-def test_a_law_without_a_linear_model_has_no_margins(law: str, mission: Path, tmp_path: Path) -> None:
+def test_a_law_without_a_linear_model_has_no_margins(law: str) -> None:
+    """Commands leave their margins out: study 40."""
     assert not has_cascade(law, "los")
     assert has_cascade("guarded", "los")
     assert not has_cascade("dwa", "los")
-    ran = surctl("sweep", "stand_off=0.8,0.9", "--scenario", mission, "--law", own_file(law), "--out", tmp_path / "s")
-    assert "disk_margin=nan" in ran.output
-    assert "surctl verify" not in ran.output
 
 
 def test_the_command_line_runs_an_own_law(law: str, mission: Path, tmp_path: Path) -> None:
@@ -247,22 +245,6 @@ def test_a_gain_spec_is_checked() -> None:
         GainSpec("m", "a distance", default=0.5, range=(0.8, 0.3)).check_default("g")
     with pytest.raises(InputError, match="is outside its range"):
         GainSpec("m", "x", default=1.0, range=(2.0, 3.0)).check_default("a.gains.g")
-
-
-def test_tuning_judges_no_margin_of_another_law(law: str, mission: Path, tmp_path: Path) -> None:
-    study = tmp_path / "study.toml"
-    study.write_text(
-        'kind = "study"\nname = "mine"\nvehicle = "sur540-flooded"\nlaw = "my_law.py:wall"\n[[runs]]\n'
-        'scenario = "water.toml"\n'
-    )
-    tuned = surctl("tune", study, "--trust", "--trials", 2, "--rounds", 1, "--monte-carlo", 1, "--out", tmp_path / "t")
-    assert "goal disk margin is not judged: tune has no linear model of law my_law.py:wall" in tuned.output
-    goals = [line.split()[0] for line in tuned.output.splitlines() if " hard " in line]
-    assert goals
-    assert "disk" not in goals
-    commands = [line for line in tuned.output.splitlines() if line.lstrip().startswith("surctl ")]
-    assert len(commands) == 2
-    assert all(f"--law {own_file(law)}" in command for command in commands)
 
 
 @pytest.mark.parametrize("name", ["wall.py:wall", "station.py:station"])

@@ -12,7 +12,6 @@ from surctl.control import DEGRADED, Law, build_law, in_real, load_gains
 from surctl.errors import InputError
 from surctl.export import origin_of
 from surctl.ir import replay
-from surctl.priority.solver.fallback import RELAXED
 from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
 
@@ -38,21 +37,6 @@ def test_in_floats_it_decides_as_in_doubles() -> None:
     opened = want[2][:, 0] % (2 * DEGRADED) >= DEGRADED
     # an opening has a margin, in which the task may give way: by it divided by the sine between the rows
     assert 0 < opened.sum() < len(opened) and off[~opened].max() < 2e-6 and off.max() < 1e-3
-    double = replay(law.block, *given, real=np.float32)[3]
-    assert np.abs(double[:, at] - want[3][:, at]).max() > 1e-2  # with the tolerances of doubles
-
-
-def test_with_the_tolerances_of_doubles_a_search_in_floats_goes_down_the_ladder() -> None:
-    law, given = tried()
-    J, wanted, rows, box = (part.astype(np.float32) for part in replay(law.stages.pre, *given)[:4])
-    ticks = [
-        next(step.block for step in made.block.steps if step.block.name == "projected_step")
-        for made in (law, in_real(law, "float32"))
-    ]
-    coarse, fine = (replay(tick, J, wanted, wanted, rows, box, real=np.float32) for tick in ticks)
-    assert coarse[5].mean() > 2 * max(1.0, fine[5].mean())  # iterations
-    held = replay(ticks[0], *(part.astype(float) for part in (J, wanted, wanted, rows, box)))[4] < RELAXED
-    assert held.mean() > 0.5 and (fine[4][held] < RELAXED).all()
 
 
 def test_a_law_that_has_no_other_tolerances_comes_back_as_it_is() -> None:

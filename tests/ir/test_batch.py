@@ -52,9 +52,8 @@ def cases(runs: int, seed: int) -> tuple[Array, Array]:
 @pytest.mark.parametrize(
     ("lanes", "flags"),
     [
-        *((lanes, ()) for lanes in (None, 1, 2)),
+        (None, ()),
         (8, ("-mno-avx512f",)),
-        (4, ("-O3", "-mno-avx512f")),
         (4, ("-O1", "-mno-avx")),
     ],
 )
@@ -145,12 +144,12 @@ def test_a_grid_that_is_rewritten_every_tick() -> None:
     state, parameters = np.zeros((11, 4 + SIDE * SIDE)), np.zeros((11, 3))
     state[:, 1:4] = rng.uniform([10, 10, -3], [80, 80, 3], (11, 3))
     parameters[:] = rng.uniform([10, -0.3, 40], [30, 0.3, 95], (11, 3))
-    want, count = one_by_one(tick, state, parameters, 4)
+    want, count = one_by_one(tick, state, parameters, 2)
     assert len(set(count)) > 1
     assert (want[:, 4:] > 0).sum() > 200 and (want[:, 4:] < 0).sum() > 1000
     batch = compile_batch(tick)
     for threads in (1, 2):
-        assert batch.run(state, parameters, steps=4, threads=threads).tobytes() == want.tobytes()
+        assert batch.run(state, parameters, steps=2, threads=threads).tobytes() == want.tobytes()
 
 
 def test_a_tick_that_only_hands_on_its_own_state_reads_all_of_it_first() -> None:
@@ -173,7 +172,7 @@ def test_an_interrupt_ends_it_soon(threads: int) -> None:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
     begin = time.perf_counter()
     # a true signal: `_thread.interrupt_main` does not wake a thread that waits for a lock
-    timer = threading.Timer(0.3, signal.pthread_kill, (main, signal.SIGINT))
+    timer = threading.Timer(0.1, signal.pthread_kill, (main, signal.SIGINT))
     timer.start()
     try:
         with pytest.raises(KeyboardInterrupt):

@@ -49,7 +49,7 @@ def test_every_operation_inside_every_other_treats_special_numbers_alike(tmp_pat
     exact = [op for op in OPERATIONS.values() if op.name not in LIBM]
     pairs = [(o, i, at) for o in exact for i in exact for at in range(o.arity)]
     programs = [_nested(*pair) for pair in pairs]
-    points = np.array(list(itertools.product(SPECIAL, repeat=3)))[:: 11 * 2 - 3]
+    points = np.array(list(itertools.product(SPECIAL, repeat=3)))[:: 11 * 4 + 1]
     natives = compiled(programs, tmp_path, emit_folded, preamble(programs))
     for program, native in zip(programs, natives, strict=True):
         want = replay(program, points)[0][:, 0]

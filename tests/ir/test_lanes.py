@@ -36,8 +36,7 @@ def drawn(routine: Routine, seed: int, count: int = 40) -> list[np.ndarray]:
     return [*made, rng.integers(-2, 15, (count, 1)).astype(float)]
 
 
-@pytest.mark.parametrize("real", ["float64", "float32"])
-@pytest.mark.parametrize("lanes", [1, 2, 4, 8])
+@pytest.mark.parametrize(("lanes", "real"), [(1, "float64"), (4, "float64"), (8, "float32")])
 def test_every_operation_in_every_text(lanes: int, real: Real) -> None:
     need_compiler()
     routine = bench(whole(EXACT), len(EXACT), lanes=lanes)

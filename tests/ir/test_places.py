@@ -18,7 +18,7 @@ from tests.ir.expressions import compiled
 from tests.ir.routines import random_routine
 from tests.tools import need_compiler
 
-COUNT = 24  # of each variant; every variant has routines of its own
+COUNT = 14  # of each variant; every variant has routines of its own
 
 
 @pytest.mark.parametrize(("first", "folded", "few"), [(0, False, 8), (COUNT, True, 8), (2 * COUNT, True, 0)])

@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 # lanes and flags; without AVX-512 (and AVX) narrower vectors are taken, and several of them for many lanes
 TEXTS: list[tuple[int, tuple[str, ...]]] = [
     (1, ("-O1",)),
-    (2, ("-O1",)),
     (4, ("-O0", "-mno-avx")),
     (8, ("-O1",)),
 ]
@@ -187,7 +186,7 @@ def test_a_nan_stays_in_its_lane() -> None:
     points = np.random.default_rng(5).normal(size=(8, 4))
     spoiled = points.copy()
     spoiled[3] = np.nan
-    run = all_compiled(*TEXTS[3])["every"]
+    run = all_compiled(*TEXTS[-1])["every"]
     good, bad = run(points)[0], run(spoiled)[0]
     rest = np.arange(8) != 3
     assert good[rest].tobytes() == bad[rest].tobytes() and np.isnan(bad[3]).any()

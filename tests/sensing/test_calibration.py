@@ -67,7 +67,7 @@ def test_intervals_of_constant_noise_hold_what_they_promise(n: int) -> None:
     assert got["outlier"] <= binomial(SETS, 0.05)[1]
 
 
-@pytest.mark.parametrize("s1", [0.01, -0.004])
+@pytest.mark.parametrize("s1", [0.01])
 def test_intervals_of_noise_that_grows_or_falls_hold_what_they_promise(s1: float) -> None:
     got = coverage(80, 0.004 if s1 > 0 else 0.02, s1)
     low, high = binomial(SETS)
@@ -107,7 +107,7 @@ def test_constant_noise_gives_the_textbook_line() -> None:
 def test_a_weighted_line_is_nearer_where_the_noise_is_small() -> None:
     """Growing noise: the weighted bias has less than half the spread of the plain one."""
     rng, weighted, plain = np.random.default_rng(7), [], []
-    for _ in range(40):
+    for _ in range(20):
         x, y = drawn(rng, 80, 0.0005, 0.01)
         weighted.append(calibrate(x, y).bias.value)
         plain.append(stats.linregress(x, y).intercept)
@@ -210,14 +210,14 @@ def test_repeated_distances_of_coarse_readings_are_fitted() -> None:
 
 def test_many_rows_are_weighted_in_cells_as_a_thousand_are_one_by_one() -> None:
     rng = np.random.default_rng(2)
-    x = rng.uniform(0.25, 4.45, 200_000)
+    x = rng.uniform(0.25, 4.45, 50_000)
     found = calibrate(x, SCALE * x + BIAS + (0.005 + 0.004 * x) * rng.standard_normal(len(x)))
     assert found.varies
     assert found.noise_slope is not None and found.noise_at_zero is not None
-    assert found.noise_slope.value == pytest.approx(0.004, abs=7e-5)
-    assert found.noise_slope.high - found.noise_slope.low < 1.4e-4
-    assert found.scale.value == pytest.approx(SCALE, abs=7e-5)
-    x = np.linspace(0.25, 4.45, 5000)  # more than there are cells
+    assert found.noise_slope.value == pytest.approx(0.004, abs=1.4e-4)
+    assert found.noise_slope.high - found.noise_slope.low < 2.8e-4
+    assert found.scale.value == pytest.approx(SCALE, abs=1.4e-4)
+    x = np.linspace(0.25, 4.45, 4200)  # more than there are cells
     y = SCALE * x + BIAS + (0.005 + 0.004 * x) * rng.standard_normal(len(x))
     cells, exact = calibrate(x, y), _one_by_one(x, y)
     assert cells.bias.to_list() == pytest.approx(exact.bias.to_list(), abs=2e-7)  # metres

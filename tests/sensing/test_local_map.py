@@ -36,7 +36,7 @@ CHARTS = {
     "one block": {"blocks": 1, "block": 7, "sectors": 12, "free_time": 0.12},
 }
 SITE = (0.1, 2.9, -2.75, 30.0)
-WIDE = (75.0, 120.0)
+WIDE = (75.0,)  # other beams: study 40
 
 
 def random_readings(rng, chart, place, heading):
@@ -80,12 +80,12 @@ def same(chart, found, expected):
 
 @pytest.mark.parametrize(
     ("name", "walls"),
-    [("the law's", SITE), ("small", OPEN), ("blocks of one cell", OPEN), ("smooth", OPEN), ("specular", OPEN)],
+    [("small", OPEN), ("smooth", OPEN), ("specular", OPEN)],  # the law's: with the bits of whole arrays
 )
 def test_the_routine_and_the_numbers_agree(name, walls):
     need_compiler()
     chart = LocalMap(dt=DT, **CHARTS[name])
-    given, made = flight(chart, 80, seed=3, walls=walls)
+    given, made = flight(chart, 50, seed=3, walls=walls)
     stacked = [np.array(column) for column in zip(*given, strict=True)]
     for found, expected in zip(zip(*compile_block(chart.routine())(*stacked), strict=True), made, strict=True):
         same(chart, found, expected)
@@ -270,7 +270,7 @@ def test_what_is_unknown_in_the_two_cells_beside_a_wall_does_not_count(wall, cel
     assert bool(np.any(chart.unknown.reshape(-1, 3)[:, 2] < FAR)) == (cells > 2)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(st.floats(2.01, 6.0), st.floats(5.0, 40.0), st.sampled_from([-1.0, 1.0]))
 def test_nothing_larger_than_two_cells_hides_at_a_wall(across, x, side):
     """A disc that touches the wall: the cells that it touches and those beyond the wall are unknown; one is told."""
@@ -314,7 +314,7 @@ def test_what_was_free_is_unknown_again_after_its_time():
 # --- a world that stands still ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("beam", [15.0, *WIDE])
+@pytest.mark.parametrize("beam", WIDE)
 def test_what_one_reading_clears_lies_wholly_in_its_cone(beam):
     """Beyond where the middle of a beam is narrower than a cell: 0.2 m from the apex at 75°, 1 m at 15°."""
     rng, half = np.random.default_rng(1), math.radians(beam) / 2
@@ -344,7 +344,7 @@ def journeys(beam):
     return [list(journey(0, beam, chart=LocalMap(dt=DT)))]
 
 
-@pytest.mark.parametrize("beam", [15.0, *WIDE])
+@pytest.mark.parametrize("beam", WIDE)
 def test_a_surface_that_was_heard_is_never_known_to_be_free(beam):
     """Wide beams: never. Of 15°, whose middle clears cells that reach beyond its edge: 1 in 10,000 (25 worlds)."""
     chart, looked, wrong = LocalMap(dt=DT), 0, 0
@@ -417,19 +417,17 @@ def test_the_nearest_of_all_is_told_but_not_that_of_every_direction(beam):
     assert np.all(seen.told >= seen.mark - 1e-9)
 
 
-def test_false_marks_vanish_around_one_thing_alone():
+@pytest.mark.parametrize("beam", WIDE)
+def test_false_marks_vanish_around_one_thing_alone(beam):
     """One disc in open water, the robot turns once beside it: every mark lies within two cells of its surface."""
-    chart, disc = LocalMap(dt=DT), Disc((1.1, 0.2), 0.15)
-    most = {}
-    for beam in (15.0, 120.0):
-        path = journey(0, beam, chart=chart, seconds=2.2 * np.pi / SPIN, speed=0.0, shapes=[disc], place=(0.0, 0.0))
-        for now in path:
-            values, x, y = map_view(chart, now.cells, now.corner, edge=EDGE)
-            off = np.abs(np.hypot(x - 1.1, (y - 0.2)[:, None]) - 0.15)[values > 0]
-            most[beam] = max(most.get(beam, 0.0), off.max(initial=0.0))
-        assert off.size
-        assert off.max() < 2 * EDGE, (beam, off.max())
-    assert min(most.values()) > 2 * EDGE  # there were others
+    chart, disc, most = LocalMap(dt=DT), Disc((1.1, 0.2), 0.15), 0.0
+    path = journey(0, beam, chart=chart, seconds=2.2 * np.pi / SPIN, speed=0.0, shapes=[disc], place=(0.0, 0.0))
+    for now in path:
+        values, x, y = map_view(chart, now.cells, now.corner, edge=EDGE)
+        off = np.abs(np.hypot(x - 1.1, (y - 0.2)[:, None]) - 0.15)[values > 0]
+        most = max(most, off.max(initial=0.0))
+    assert off.size
+    assert off.max() < 2 * EDGE < most  # there were others
 
 
 @pytest.mark.parametrize("beam", WIDE)
@@ -454,7 +452,7 @@ def test_unknown_cells_that_no_disc_two_cells_across_fits_in_are_not_told(unknow
     assert np.any(told[2::3] < FAR) == (unknown >= 3)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=20)
 @given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), st.floats(1.0, 3.0))
 def test_where_such_a_disc_hides_its_cells_are_told(x, y, radius):
     """All cells that it touches are unknown, all others free: a cell of it is told."""
@@ -527,11 +525,7 @@ def same_bits(found, expected):
 
 @pytest.mark.parametrize(
     ("name", "real", "walls"),  # `plain_map` has no directions, and so no "specular"; `numbers` has
-    [
-        ("the law's", np.float64, SITE),
-        ("small", np.float32, (-0.4, 30.0, -30.0, -1.5)),
-        ("one block", np.float64, (-0.4, 30.0, -30.0, -1.5)),
-    ],
+    [("the law's", np.float64, SITE), ("small", np.float32, (-0.4, 30.0, -30.0, -1.5))],
 )
 def test_the_routine_has_the_bits_of_whole_arrays(name, real, walls):
     """Replay and compiled C, over periods in which the robot wanders and jumps once."""
@@ -623,7 +617,7 @@ def grazing(rng, chart):
     return [cells, low, place, np.array(OPEN), np.concatenate([slots[k] for k in rng.permutation(chart.slots)])]
 
 
-@pytest.mark.parametrize("real", [np.float64, np.float32])
+@pytest.mark.parametrize("real", [np.float64])
 def test_a_block_that_is_only_grazed_is_not_left_alone(real):
     """Cones, arcs and hulls that end at the centre of a block's corner cell, to the last bit and beside it."""
     need_compiler()

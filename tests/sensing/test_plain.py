@@ -71,8 +71,7 @@ def test_the_lms_step(step) -> None:
     assert 0.01 < still.mean() < 0.99, "both branches"
 
 
-@pytest.mark.parametrize("step", ["printed", "corrected"])
-@pytest.mark.parametrize("lambda1", [0.0, 3.0])
+@pytest.mark.parametrize(("step", "lambda1"), [("printed", 0.0), ("corrected", 3.0)])
 def test_the_whole_filter_over_many_runs(step, lambda1) -> None:
     """200 runs of 60 ticks as a leading axis: 12,000 draws of the filter, four sensors each."""
     filter_, runs = SensorFilter(step=step), 200

@@ -54,7 +54,7 @@ def test_symbols_and_numbers_agree(array: SonarArray) -> None:
     state, truth = tracker.start(prefix="t_"), rng.uniform(0.5, 4.0, n)
     samples, turn, seen = np.full((n, k), 1.0), 0.0, {"healthy": set(), "late": set(), "suspect": set()}
     dropped = np.zeros(n)
-    for tick in range(2400 if array == SonarArray() else 600):
+    for tick in range(2400 if array == SonarArray() else 400):
         closing = rng.uniform(-0.2, 0.25, n)
         truth = np.clip(truth - closing * DT, 0.05, 6.0)
         if rng.random() < 0.02:

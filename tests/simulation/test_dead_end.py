@@ -59,9 +59,9 @@ def _run(scene: str) -> Run:
     return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), seed=1)
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", ["a U across the tank", "a box as wide as the pool"])
 def test_a_dead_end_is_found_and_said_in_safety(scene: str) -> None:
-    """By sonar: `test_depth_escape`."""
+    """By sonar, and in the other scene: study 40."""
     run = _run(scene)
     assert run.metrics.stopped_because == "dead end"
     assert run.metrics.min_clearance_m > 0

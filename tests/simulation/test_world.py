@@ -101,7 +101,8 @@ def _pushed(**changes: float) -> World:
 
 
 def test_waves_push_in_one_direction_with_the_given_amplitude() -> None:
-    forces = np.array([_pushed(drift_force_n=0.0).force(t) for t in np.linspace(0, 3, 301)])
+    pushed = _pushed(drift_force_n=0.0)
+    forces = np.array([pushed.force(t) for t in np.linspace(0, 3, 301)])
     np.testing.assert_array_equal(forces[:, 2:], 0)
     assert np.linalg.norm(forces, axis=1).max() == pytest.approx(0.3, rel=1e-3)
     np.testing.assert_allclose(forces[0], forces[-1], atol=1e-12)  # period 3 s
@@ -121,7 +122,8 @@ def test_a_scenario_knows_whether_its_seed_matters(name: str, seeded: bool) -> N
 
 
 def test_the_drift_is_slow_and_has_a_direction_of_its_own() -> None:
-    forces = np.array([_pushed(wave_force_n=0.0).force(t) for t in np.linspace(0, 40, 401)])
+    pushed = _pushed(wave_force_n=0.0)
+    forces = np.array([pushed.force(t) for t in np.linspace(0, 40, 401)])
     assert np.linalg.norm(forces, axis=1).max() == pytest.approx(0.1, rel=1e-3)
     np.testing.assert_allclose(forces[0], forces[-1], atol=1e-12)  # period 40 s
     np.testing.assert_allclose(forces, -np.roll(forces[:-1], 200, axis=0)[[*range(400), 0]], atol=1e-12)

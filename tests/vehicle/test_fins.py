@@ -12,7 +12,6 @@ from surctl.allocation import allocate
 from surctl.control import build_law, law_source, load_gains
 from surctl.control.steering import turning_radius
 from surctl.errors import InputError
-from surctl.export import Records, software_in_the_loop
 from surctl.simulation import (
     METRICS,
     Case,
@@ -134,16 +133,6 @@ def test_the_plant_has_the_force_of_the_deflection_at_the_speed_through_the_wate
         assert components == pytest.approx([3.0, force], abs=1e-12)
         without, none = thrusters.achieved(np.zeros(4), 0.0, telemetry=None, speed=speed)  # as after a lost link
         assert not without.any() and not none.size
-
-
-def test_the_exported_c_gives_the_same_bytes(tmp_path: Path) -> None:
-    need_compiler()
-    run = simulate(turning(20.0), REMUS, gains=GAINS)
-    record = run.record
-    law = build_law("steered", actuators=REMUS.actuators)
-    records = Records(record.law_state, record.law_input, record.law_parameters)
-    report = software_in_the_loop(law, records, workdir=tmp_path / "sil")
-    assert report.passed and report.tau.mixed == report.state.mixed == 0.0
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from surctl.errors import InputError
 from surctl.vehicle import (
@@ -86,7 +87,7 @@ def test_a_lag_is_not_told_by_thrust_in_a_few_rows_or_at_its_bound() -> None:
     few[5:] = 0.0
     found = identify(MotionLog(log.time, log.motion, few, "log.csv"), START, name="fitted")
     assert "thrust_lag" in found.held and any("only 5 of 100 rows" in note for note in found.notes)
-    fast = made_log(TRUE.with_values({"thrust_lag": 0.0}), seed=3)
+    fast = made_log(TRUE.with_values({"thrust_lag": 0.0}), seed=3, rows=100)
     found = identify(fast, START, name="fitted")
     assert "thrust_lag" in found.held and any("smallest value that the fit allows" in note for note in found.notes)
 
@@ -122,11 +123,9 @@ def test_intervals_of_coloured_noise_are_those_of_the_estimates() -> None:
     """The mean of an AR(1) series: its interval is that of its long-run variance."""
     rng = np.random.default_rng(1)
     phi, n, hits, white = 0.9, 1500, 0, 0
-    for _ in range(200):
+    for _ in range(100):
         e = np.zeros((n, 8))
-        steps = rng.normal(size=n)
-        for k in range(1, n):
-            e[k, 4] = phi * e[k - 1, 4] + steps[k]
+        e[:, 4] = lfilter([1.0], [1.0, -phi], rng.normal(size=n))
         mean = e[:, 4].mean()
         slope = np.zeros((n, 8, 13))
         slope[:, 4, 0] = 1.0
@@ -138,7 +137,7 @@ def test_intervals_of_coloured_noise_are_those_of_the_estimates() -> None:
         spread = spread_of([(left / sd, slope / sd)], [present], np.full(1, 1e-6), np.full(12, 1.0))
         hits += abs(mean) <= spread.half_intervals()[0]
         white += abs(mean) <= 1.96 * sd / np.sqrt(n)
-    assert white < 100 and 180 <= hits <= 200
+    assert white < 50 and hits >= 87  # fewer of 100 at 95 %: 1 of 1000 cases
 
 
 def test_a_held_out_part_is_predicted_beside_the_last_velocity() -> None:

@@ -79,17 +79,6 @@ def test_six_degrees_of_freedom_are_fitted_with_their_truth_in_the_intervals() -
     assert later is not None and later.model["roll_rad"] < 0.3 * later.hold["roll_rad"]
 
 
-def test_a_free_oscillation_shows_only_ratios() -> None:
-    """Without thrust, moments of inertia, drag and distance of the centres have a common factor that nothing shows."""
-    values = {k: v for k, v in TILT.items() if k in ("mpp", "mqq", "weight", "buoyancy", "zg", "Kp", "Mq")}
-    log = made_log(boat(values | {"buoyancy": TILT["weight"]}), seed=2, rows=100, push=0.0, tilt=(0.4, -0.3))
-    found = identify(log, boat(values | {"mpp": 0.4, "zg": -0.05}), name="fitted")
-    assert not {"mpp", "mqq", "zg", "Kp"} & set(found.identified)
-    said = " ".join(found.directions)
-    assert "surge: no motion above the noise" in said
-    assert any({"+mpp", "+mqq", "+zg", "+Kp", "+Mq"} <= set(text.split()) for text in found.directions), said
-
-
 def test_roll_and_pitch_must_be_in_the_log_and_below_90_degrees() -> None:
     log = made_log(TRUE, seed=3, rows=60)
     with pytest.raises(InputError, match="contains neither roll nor pitch"):

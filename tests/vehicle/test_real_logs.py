@@ -168,14 +168,6 @@ def test_the_speed_before_a_window_follows_from_several_rows() -> None:
     assert found.hold["z_m"] < 0.04  # two rows alone give 0.10 or 0.15 m/s
 
 
-def test_an_axis_at_rest_by_its_depth_alone_is_still_at_rest() -> None:
-    log = depths(0)
-    motion = np.full((240, 8), np.nan)
-    motion[:, 2] = np.random.default_rng(3).normal(0, 0.05, 240)
-    found = identify(replace(log, motion=motion), diver(), name="fitted")
-    assert "m33" not in found.identified and any("heave: no motion above" in text for text in found.directions)
-
-
 def test_several_logs_and_windows_by_the_command_line(tmp_path: Path) -> None:
     names = []
     for seed in (0, 1):

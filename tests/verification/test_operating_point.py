@@ -56,7 +56,7 @@ def test_the_distance_decays_as_the_pole_says() -> None:
     assert loop.stable and loop.free == ("x",)  # the position along the wall, to the left of the hull
 
 
-@pytest.mark.parametrize("direction", [0.0, 2.0])
+@pytest.mark.parametrize("direction", [2.0])
 def test_a_course_in_another_direction_has_the_same_loop(direction: float) -> None:
     law, scenario, vehicle, gains = (
         build_law("vo"),

@@ -60,7 +60,7 @@ def size(v: Array) -> float:
 @pytest.mark.parametrize(
     ("shapes", "chosen"),
     # of the shapes with sets, those settings whose steps differ from those without
-    [*((VALUES, chosen) for chosen in (*SETTINGS[:4], SETTINGS[-1])), *((SETS, chosen) for chosen in SETTINGS[3:-1])],
+    [*((VALUES, chosen) for chosen in (*SETTINGS[:4], SETTINGS[-1])), *((SETS, chosen) for chosen in SETTINGS[3:5])],
     ids=lambda one: f"{one.mode}-{one.sweeps}-{one.damping}" if isinstance(one, Settings) else f"{len(one)} levels",
 )
 def test_it_is_the_law_in_numpy(shapes: tuple[LevelShape, ...], chosen: Settings) -> None:
@@ -81,13 +81,12 @@ def test_it_is_the_law_in_numpy(shapes: tuple[LevelShape, ...], chosen: Settings
     assert seen == expected - ({"limited"} if chosen.damping else set())
 
 
-@stacks
-def test_the_judge_refuses_a_moved_answer(shapes: tuple[LevelShape, ...]) -> None:
+def test_the_judge_refuses_a_moved_answer() -> None:
     rng = np.random.default_rng(3)
     for chosen in SETTINGS[1:4]:
-        tick, refused = tick_for(shapes, chosen), 0
+        tick, refused = tick_for(VALUES, chosen), 0
         for _ in range(20):
-            problem = draw_of_shape(rng, shapes)
+            problem = draw_of_shape(rng, VALUES)
             tick.load(problem)
             tick.solve()
             v = tick.v + 1e-4 * rng.normal(size=N)
@@ -345,7 +344,7 @@ def test_hard_rows_that_contradict_each_other_leave_the_box(mode: Mode) -> None:
     assert tick.stage == "clamped" and np.abs(tick.v).max() <= 0.2 and tick.binding() == ()
 
 
-@modes
+@pytest.mark.parametrize("mode", ["nsb", "lexicographic"])  # the others are made of the same kinds of steps
 def test_compiled_and_replayed_are_the_same_bytes(mode: Mode) -> None:
     need_compiler()
     routine, rng, made = priority_step(mode, n=N, levels=SETS, rows=7), np.random.default_rng(9), []
@@ -363,7 +362,7 @@ def test_compiled_and_replayed_are_the_same_bytes(mode: Mode) -> None:
     assert mode in ("nsb", "filter") or set(outputs["status"][:, 0]) >= {1.0, 2.0, 3.0}
 
 
-@pytest.mark.parametrize("mode", ["nsb", "projected"])  # the others are made of the same kinds of steps
+@pytest.mark.parametrize("mode", ["nsb", "filter"])  # the others are made of the same kinds of steps
 def test_casadi_runs_the_same_routine(mode: Mode) -> None:
     shapes, rng = (LevelShape(1), LevelShape(1, True)), np.random.default_rng(6)
     routine = priority_step(mode, n=2, levels=shapes, rows=3)
@@ -394,7 +393,7 @@ def test_without_a_compiler_the_replay_answers(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_one_velocity_and_more_rows_than_velocities() -> None:
-    for mode in ("nsb", "lexicographic"):
+    for mode in ("lexicographic",):
         tall = Level("tall", np.array([[1.0], [2.0], [2.0]]), np.array([0.1, 0.2, 0.2]))
         tick = PriorityStep.of(build_problem([tall], [Row("fast", "barrier", np.array([1.0]), -np.inf, 0.5)]), mode)
         tick.solve()

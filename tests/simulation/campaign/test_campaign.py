@@ -10,7 +10,7 @@ from tests.simulation.campaign.test_draws import plan
 
 
 def test_chunks_and_threads_change_no_byte():
-    drawn = plan("tank-moving", seconds=10.0)
+    drawn = plan("tank-moving", law="closed_form", seconds=10.0)
     whole = run_campaign(drawn, runs=24)
     for chunk, threads in ((7, 3), (24, 2), (1000, 1)):
         other = run_campaign(drawn, runs=24, chunk=chunk, threads=threads)

@@ -155,7 +155,7 @@ def test_the_heading_steered_loop_is_proved_and_compared_with_what_can_be() -> N
     assert proof.ratios.falsifier < 1 < proof.ratios.thrust  # beyond where thrust binds, and not beyond what holds
     assert "smallest level with a counterexample" in proof.sentence
     assert proof.to_dict()["level_ratios"]["thrust"] == proof.ratios.thrust
-    found = prove_heading(replace(claim, rate=2.0), rounds=1, cells=300)
+    found = prove_heading(replace(claim, rate=2.0), rounds=1, cells=60)
     assert found.verdict == "unknown" and "found no" in found.reason
     with pytest.raises(InputError, match="m22"):
         heading_claim("test", load_vehicle("sur540-flooded").with_values({"m22": 80.0}))
@@ -169,7 +169,7 @@ def test_the_ratio_to_the_falsifier_is_that_of_a_loop_with_a_known_level() -> No
     assert np.isclose(told.falsifier, 1 / 9, rtol=0.1) and np.isclose(told.thrust, 1 / 4, rtol=0.1)
 
 
-@pytest.mark.parametrize("name", ["region-cruise-20", "region-cruise-20-spin"])  # the least and the most of a loop
+@pytest.mark.parametrize("name", ["region-cruise-20"])  # the least of a loop; the most of one: study 40
 def test_flights_from_the_edge_stay_below_the_envelope(name: str) -> None:
     whole = json.loads((KEPT / f"{name}.json").read_text())
     claim, P, floor = whole["claim"], matrix(whole), whole["proof"]["floor"]
@@ -269,7 +269,7 @@ def test_all_vertices_of_a_turning_cruise_are_judged_at_once() -> None:
     assert worst == pytest.approx(values.max(), abs=1e-8) and values[known[0]] == pytest.approx(worst)
 
 
-def test_unequal_masses_are_proved_and_an_impossible_rate_is_not() -> None:
+def test_unequal_masses_are_proved_and_a_weak_yaw_thrust_is_not() -> None:
     claim = turning_claim(
         "test", load_vehicle("bluerov2-wu"), load_gains("default"), share=0.0, mass_share=0.0, rate=0.02, rest=True
     )
@@ -277,10 +277,9 @@ def test_unequal_masses_are_proved_and_an_impossible_rate_is_not() -> None:
     assert proof.verdict == "proved", proof.reason
     assert proof.offset > 0.25 and proof.rest_offset is not None and proof.rest_offset > 0.2
     assert check_document(proof.certificate()).accepted and "for a start at rest" in proof.sentence
-    again = prove_turning(replace(claim, rate=5.0), attempts=1)
-    assert again.verdict == "unknown" and again.sentence.startswith("unknown: not provable for this vehicle")
     weak = prove_turning(replace(claim, yaw_limit=0.01), attempts=2)
     assert weak.verdict == "unknown" and "Munk moment" in weak.reason
+    assert weak.sentence.startswith("unknown: not provable for this vehicle")
     with pytest.raises(InputError, match="k_i"):
         turning_claim("test", load_vehicle("bluerov2-wu"), load_gains("default").with_values({"k_i": 0.1}))
     with pytest.raises(InputError, match="cap"):

@@ -1,0 +1,84 @@
+"""Control: commands leave the margins of a user's own law out, and a steered craft in front of what moves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from surctl.control import build_law, in_real
+from surctl.ir import replay
+from surctl.own_code import own_file
+from surctl.priority.solver.fallback import RELAXED
+from surctl.simulation import Case, simulate_batch
+from tests.control import test_baselines, test_own_laws
+from tests.control.test_own_laws import law as law
+from tests.control.test_own_laws import mission as mission
+from tests.control.test_own_laws import surctl
+from tests.control.test_routines import tried
+from tests.control.test_steered import gains, radius_of
+from tests.craft import craft
+from tests.craft import mission as written
+
+
+def test_every_baseline_is_built_with_sonars() -> None:
+    for name in test_baselines.BASELINES:
+        assert build_law(name, sonar=True).perception is not None
+
+
+def test_a_default_thrust_flies_alike_in_both_loops(law: str, mission: Path) -> None:
+    test_own_laws.test_both_loops_fly_an_own_law_alike(law, mission, "wall", "projected")
+
+
+def test_a_sweep_prints_no_margin_of_another_law(law: str, mission: Path, tmp_path: Path) -> None:
+    ran = surctl("sweep", "stand_off=0.8,0.9", "--scenario", mission, "--law", own_file(law), "--out", tmp_path / "s")
+    assert "disk_margin=nan" in ran.output
+    assert "surctl verify" not in ran.output
+
+
+def test_tuning_judges_no_margin_of_another_law(law: str, mission: Path, tmp_path: Path) -> None:
+    study = tmp_path / "study.toml"
+    study.write_text(
+        'kind = "study"\nname = "mine"\nvehicle = "sur540-flooded"\nlaw = "my_law.py:wall"\n[[runs]]\n'
+        'scenario = "water.toml"\n'
+    )
+    tuned = surctl("tune", study, "--trust", "--trials", 2, "--rounds", 1, "--monte-carlo", 1, "--out", tmp_path / "t")
+    assert "goal disk margin is not judged: tune has no linear model of law my_law.py:wall" in tuned.output
+    goals = [line.split()[0] for line in tuned.output.splitlines() if " hard " in line]
+    assert goals
+    assert "disk" not in goals
+    commands = [line for line in tuned.output.splitlines() if line.lstrip().startswith("surctl ")]
+    assert len(commands) == 2
+    assert all(f"--law {own_file(law)}" in command for command in commands)
+
+
+@pytest.mark.parametrize(("start", "end"), [((36, 20), (10, 20))])  # head on
+def test_moving_obstacles_are_evaded(start: tuple[float, float], end: tuple[float, float]) -> None:
+    r, vehicle = radius_of("otter"), craft("otter")
+    mover = {
+        "name": "M",
+        "shape": "moving",
+        "centre_m": [r * x for x in start],
+        "to_m": [r * x for x in end],
+        "speed_m_per_s": 0.3,
+        "radius_m": vehicle["radius"],
+    }
+    scenario = written(
+        [[20 * r, 20 * r], [36 * r, 20 * r]], "otter", size=(60 * r, 40 * r), time=60 * r, obstacles=[mover]
+    )
+    batch = simulate_batch(Case(scenario, vehicle, gains()))
+    assert batch.column("reached")[0] == 1 and batch.column("min_clearance_m")[0] > 0.05
+
+
+def test_with_the_tolerances_of_doubles_a_search_in_floats_goes_down_the_ladder() -> None:
+    law, given = tried()
+    J, wanted, rows, box = (part.astype(np.float32) for part in replay(law.stages.pre, *given)[:4])
+    ticks = [
+        next(step.block for step in made.block.steps if step.block.name == "projected_step")
+        for made in (law, in_real(law, "float32"))
+    ]
+    coarse, fine = (replay(tick, J, wanted, wanted, rows, box, real=np.float32) for tick in ticks)
+    assert coarse[5].mean() > 2 * max(1.0, fine[5].mean())  # iterations
+    held = replay(ticks[0], *(part.astype(float) for part in (J, wanted, wanted, rows, box)))[4] < RELAXED
+    assert held.mean() > 0.5 and (fine[4][held] < RELAXED).all()

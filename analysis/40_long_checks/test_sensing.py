@@ -1,0 +1,49 @@
+"""Sensing: the map with other beams and charts than the suite's, and the hull's shadow on other beams."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.sensing import test_echo, test_local_map
+
+BEAMS = pytest.mark.parametrize("beam", [15.0, 75.0, 120.0])
+
+
+@BEAMS
+def test_a_world_that_stands_still(beam: float) -> None:
+    test_local_map.test_what_one_reading_clears_lies_wholly_in_its_cone(beam)
+    test_local_map.test_a_surface_that_was_heard_is_never_known_to_be_free(beam)
+
+
+def test_marks_of_a_wide_beam() -> None:
+    for check in (
+        test_local_map.test_once_swept_a_mark_stands_before_every_surface,
+        test_local_map.test_the_nearest_of_all_is_told_but_not_that_of_every_direction,
+        test_local_map.test_false_marks_before_a_near_surface_are_few,
+        test_local_map.test_false_marks_vanish_around_one_thing_alone,
+    ):
+        check(120.0)
+
+
+@pytest.mark.parametrize("name", ["the law's", "blocks of one cell"])
+def test_the_routine_and_the_numbers_agree(name: str) -> None:
+    walls = test_local_map.SITE if name == "the law's" else test_local_map.OPEN
+    test_local_map.test_the_routine_and_the_numbers_agree(name, walls)
+
+
+def test_bits_of_other_charts_and_numbers() -> None:
+    test_local_map.test_the_routine_has_the_bits_of_whole_arrays("one block", np.float64, (-0.4, 30.0, -30.0, -1.5))
+    test_local_map.test_a_block_that_is_only_grazed_is_not_left_alone(np.float32)
+
+
+@pytest.mark.parametrize("beam", test_echo.BEAMS)
+@pytest.mark.parametrize("limit", [None, test_echo.WEBOTS], ids=["all", "facing"])
+def test_the_hulls_shadow(beam: float, limit: float | None) -> None:
+    test_echo.test_the_hulls_shadow_against_ray_casting(beam, limit)
+
+
+@pytest.mark.parametrize("beam", test_echo.BEAMS)
+@pytest.mark.parametrize(("limit", "mounted"), [(None, True), (test_echo.WEBOTS, False), (1.2, False)])
+def test_symbols_and_numbers(beam: float, limit: float | None, mounted: bool) -> None:
+    test_echo.test_symbols_and_numbers_give_the_same_range(beam, limit, mounted)

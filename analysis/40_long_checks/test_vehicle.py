@@ -1,0 +1,66 @@
+"""Vehicles: fits from a start that is far too light, of more logs, and the C code of a vehicle with fins."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from surctl.control import build_law
+from surctl.export import Records, software_in_the_loop
+from surctl.simulation import simulate
+from surctl.vehicle import identify
+from tests.tools import need_compiler
+from tests.vehicle import test_identify, test_identify_robust, test_identify_tilt
+from tests.vehicle.test_fins import GAINS, REMUS, turning
+from tests.vehicle.test_identify import START, TRUE, made_log
+from tests.vehicle.test_identify_tilt import TILT, boat
+from tests.vehicle.test_real_logs import depths, diver
+
+
+def test_a_start_vehicle_that_is_five_times_too_light() -> None:
+    test_identify_robust.test_a_start_vehicle_that_is_off_by_a_factor_of_five(0.2)
+
+
+def test_what_was_not_moved_is_not_told() -> None:
+    for seed in (1, 9):
+        test_identify.test_what_was_not_moved_is_not_told(seed)
+
+
+def test_the_exported_c_of_a_vehicle_with_fins_gives_the_same_bytes(tmp_path: Path) -> None:
+    need_compiler()
+    record = simulate(turning(20.0), REMUS, gains=GAINS).record
+    law = build_law("steered", actuators=REMUS.actuators)
+    records = Records(record.law_state, record.law_input, record.law_parameters)
+    report = software_in_the_loop(law, records, workdir=tmp_path / "sil")
+    assert report.passed and report.tau.mixed == report.state.mixed == 0.0
+
+
+def test_a_drift_that_predicts_nothing_is_not_fitted() -> None:
+    """A beat, as of a tail, makes residuals slow too. A drifting force explains a part of it, and nothing unseen."""
+    beat = np.sin(2.0 * np.pi * 0.1 * np.arange(400) / 6.0)[:, None] * np.array([0.8, 0.8, 0.0, 0.05])
+    found = identify(made_log(TRUE, seed=1, rows=400, drift=beat), START, name="fitted")
+    assert found.sections == 1 and not any("the constant force drifts" in note for note in found.notes)
+    assert any("a constant force that drifts was tried and not used" in note for note in found.notes)
+
+
+def test_a_free_oscillation_shows_only_ratios() -> None:
+    """Without thrust, moments of inertia, drag and distance of the centres have a common factor that nothing shows."""
+    values = {k: v for k, v in TILT.items() if k in ("mpp", "mqq", "weight", "buoyancy", "zg", "Kp", "Mq")}
+    log = test_identify_tilt.made_log(
+        boat(values | {"buoyancy": TILT["weight"]}), seed=2, rows=100, push=0.0, tilt=(0.4, -0.3)
+    )
+    found = identify(log, boat(values | {"mpp": 0.4, "zg": -0.05}), name="fitted")
+    assert not {"mpp", "mqq", "zg", "Kp"} & set(found.identified)
+    said = " ".join(found.directions)
+    assert "surge: no motion above the noise" in said
+    assert any({"+mpp", "+mqq", "+zg", "+Kp", "+Mq"} <= set(text.split()) for text in found.directions), said
+
+
+def test_an_axis_at_rest_by_its_depth_alone_is_still_at_rest() -> None:
+    log = depths(0)
+    motion = np.full((240, 8), np.nan)
+    motion[:, 2] = np.random.default_rng(3).normal(0, 0.05, 240)
+    found = identify(replace(log, motion=motion), diver(), name="fitted")
+    assert "m33" not in found.identified and any("heave: no motion above" in text for text in found.directions)

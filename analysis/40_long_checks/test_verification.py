@@ -1,0 +1,44 @@
+"""Verification: every claim of the library, runs from the edge of the largest region, a rate that no search proves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from surctl.control import load_gains
+from surctl.vehicle import load_vehicle
+from surctl.verification import claims
+from surctl.verification.braking import BRAKING_CLAIMS
+from surctl.verification.region import prove_turning, turning_claim
+from tests.verification import test_claim_file
+from tests.verification.braking import test_proof as braking
+from tests.verification.proving import test_squares
+from tests.verification.region.test_proof import test_flights_from_the_edge_stay_below_the_envelope as below
+
+
+def test_from_the_edge_with_lag_and_spin() -> None:
+    below("region-cruise-20-spin")
+
+
+def test_an_impossible_rate_of_a_turning_hull_is_not_proved() -> None:
+    vehicle, gains = load_vehicle("bluerov2-wu"), load_gains("default")
+    claim = turning_claim("test", vehicle, gains, share=0.0, mass_share=0.0, rate=0.02, rest=True)
+    again = prove_turning(replace(claim, rate=5.0), attempts=1)
+    assert again.verdict == "unknown" and again.sentence.startswith("unknown: not provable for this vehicle")
+
+
+@pytest.mark.parametrize("name", BRAKING_CLAIMS)
+def test_every_braking_claim(name: str, tmp_path: Path) -> None:
+    braking.test_every_claim_is_proved_of_the_paper_s_robot(name, tmp_path)
+    braking.test_the_kept_certificates_are_those_of_the_claims(name)
+
+
+@pytest.mark.parametrize("name", [claim.name for claim in claims()])
+def test_every_claim_goes_out_and_comes_back(name: str, tmp_path: Path) -> None:
+    test_claim_file.test_every_claim_of_the_library_goes_out_and_comes_back(name, tmp_path)
+
+
+def test_a_polynomial_with_several_zeros() -> None:
+    test_squares.test_a_polynomial_with_several_zeros_is_proved_without_slack(test_squares.ROBINSON)
