@@ -2,17 +2,14 @@
 
 import csv
 import json
-import os
 import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from tests.cli.process import surctl
-from tests.tools import PATIENCE, need_compiler
+from tests.processes import Running
+from tests.tools import need_compiler
 
 MANY = ["simulate", "pool-speed-010", "--monte-carlo", "--out", "mc"]  # flights of 16 s
 
@@ -59,16 +56,11 @@ def test_killed_halfway_the_same_command_ends_with_the_same_bytes(tmp_path):
     need_compiler()
     command = [*MANY, "--runs", "300", "--threads", "1"]  # three chunks
     surctl(*MANY[:3], "--runs", "1", cwd=tmp_path)  # compiled
-    root = str(Path(__file__).parents[2])
-    process = subprocess.Popen(
-        [sys.executable, "-m", "surctl", *command],
-        cwd=tmp_path, env=os.environ | {"PYTHONPATH": root}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    chunks, end = tmp_path / "mc" / "campaign.chunks" / "pool-speed-010", time.monotonic() + PATIENCE
-    while len(list(chunks.glob("*.chunk"))) < 1 and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.001)
-    process.send_signal(signal.SIGKILL)
-    assert process.wait() == -signal.SIGKILL
+    chunks = tmp_path / "mc" / "campaign.chunks" / "pool-speed-010"
+    with Running(["-m", "surctl", *command], cwd=tmp_path) as process:
+        process.until(lambda: list(chunks.glob("*.chunk")))
+        process.send(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
     done = {p.name: p.stat().st_mtime_ns for p in chunks.glob("*.chunk")}
     assert 1 <= len(done) < 3 and not (tmp_path / "mc" / "pool-speed-010.csv").exists()
     again = surctl(*command[:-1], "2", cwd=tmp_path)
