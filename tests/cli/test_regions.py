@@ -3,8 +3,10 @@ import re
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from surctl.cli import regions
+from surctl.cli.app import app
 from surctl.cli.next_export import export_command
 from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.verification.region import REGION_CLAIMS, load_region
@@ -28,10 +30,10 @@ def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypa
 
 def test_what_show_prints_is_the_claim_again(tmp_path) -> None:
     for name, statement in REGION_CLAIMS.items():
-        done = surctl("verify", name, "--show", cwd=tmp_path)
-        assert done.status == 0, done.err
+        done = CliRunner().invoke(app, ["verify", name, "--show"])
+        assert done.exit_code == 0, done.output
         file = tmp_path / f"{name}.toml"
-        file.write_text(done.out)
+        file.write_text(done.stdout)
         assert load_region(file) == statement
     assert "nothing found" in surctl("lint", file.name, cwd=tmp_path).out
 
