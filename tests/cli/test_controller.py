@@ -19,7 +19,7 @@ from surctl.export import Origin, build_bundle, closed_form, write_bundle
 from surctl.ir import compile_program
 from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
-from tests.cli.process import LIBRARY, surctl
+from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.processes import Running
 from tests.tools import need_compiler
 
@@ -149,7 +149,7 @@ def test_ctrl_c_ends_a_flight_in_one_line(bundle: Path, tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_told_in_one_line(words: tuple[str, ...], told: str, tmp_path: Path) -> None:
-    done = surctl("simulate", SCENARIO, "--law", LAW, *words, cwd=tmp_path)
+    done = surctl_here("simulate", SCENARIO, "--law", LAW, *words, cwd=tmp_path)
     assert done.status == 2 and told in done.complaint
 
 

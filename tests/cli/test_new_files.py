@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.process import LIBRARY, surctl
+from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.processes import run_python
 
 
@@ -68,7 +68,7 @@ def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
     ],
 )
 def test_a_run_that_cannot_be_saved(tmp_path: Path, words: list[str], fragment: str) -> None:
-    done = surctl("simulate", "tank-speed-025", *words, cwd=tmp_path)
+    done = surctl_here("simulate", "tank-speed-025", *words, cwd=tmp_path)
     assert done.status == 2 and fragment in done.complaint
 
 

@@ -15,7 +15,7 @@ from surctl.sensing import Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.simulation import load_scenario
 from surctl.simulation.scenario import LIBRARY
 from surctl.simulation.sensors import Sensors
-from tests.cli.process import surctl
+from tests.cli.process import surctl, surctl_here
 
 SONAR = ["simulate", "pool-behind", "--sensing", "sonar"]
 
@@ -113,7 +113,7 @@ MISTAKES = {
 @pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_is_one_line(tmp_path, case) -> None:
     words, expected = MISTAKES[case]
-    done = surctl(*SONAR, *words, cwd=tmp_path)
+    done = surctl_here(*SONAR, *words, cwd=tmp_path)
     assert done.status == 2, done
     for word in expected:
         assert word in done.complaint
@@ -126,7 +126,7 @@ def test_a_mistake_is_one_line(tmp_path, case) -> None:
     ids=lambda words: words[0],
 )
 def test_with_true_positions_they_are_refused(tmp_path, words) -> None:
-    done = surctl("simulate", "pool-behind", *words, cwd=tmp_path)
+    done = surctl_here("simulate", "pool-behind", *words, cwd=tmp_path)
     assert done.status == 2
     assert words[0] in done.complaint and "no effect" in done.complaint and "--sensing sonar" in done.complaint
 

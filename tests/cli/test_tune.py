@@ -3,7 +3,7 @@ import json
 import pytest
 
 from surctl.cli.output import same_command
-from tests.cli.process import LIBRARY, surctl
+from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.tools import need_compiler
 
 STUDY = """
@@ -104,11 +104,11 @@ def test_the_command_to_repeat_replaces_the_options_that_it_changes(monkeypatch)
 def test_speeds_above_the_cap_are_told_with_the_file_before_anything_is_flown(tmp_path):
     goal = '[[goals]]\nname = "robust"\nmetric = "disk_margin"\nat_least = "0.6"\ncruise_m_per_s = [0.1, 0.9]\n'
     (tmp_path / "small.toml").write_text(STUDY % "0.01" + goal)
-    done = surctl("tune", "small.toml", *SMALL, cwd=tmp_path)
+    done = surctl_here("tune", "small.toml", *SMALL, cwd=tmp_path)
     assert done.status == 2 and not (tmp_path / "surctl-out").exists()
     assert "small.toml: goals.robust.cruise_m_per_s = 0.9: is above the cap" in done.complaint
     (tmp_path / "small.toml").write_text(STUDY % "0.01")
-    done = surctl("tune", "small.toml", *SMALL, "--cruise", "0.1", cwd=tmp_path)
+    done = surctl_here("tune", "small.toml", *SMALL, "--cruise", "0.1", cwd=tmp_path)
     assert done.status == 2 and "--cruise" in done.complaint and "no goal is about the linear loop" in done.complaint
 
 
@@ -132,5 +132,5 @@ MISTAKES = {
 def test_a_mistake_is_one_line_and_status_2(tmp_path, what):
     (tmp_path / "small.toml").write_text(STUDY % "0.01")
     words, told = MISTAKES[what]
-    done = surctl("tune", *words, cwd=tmp_path)
+    done = surctl_here("tune", *words, cwd=tmp_path)
     assert done.status == 2 and told in done.complaint

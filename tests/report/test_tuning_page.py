@@ -25,7 +25,7 @@ from surctl.tuning import Goal, Overshoot, Profile, Rejection, Settling, load_go
 from surctl.vehicle import load_vehicle
 from surctl.verification import system_margins
 from tests.browser import open_page
-from tests.cli.process import surctl
+from tests.cli.process import surctl_here
 from tests.processes import Running
 from tests.report.test_page_in_chromium import CONTRAST
 from tests.tools import PATIENCE, need, need_compiler
@@ -328,5 +328,5 @@ MISTAKES = {
 @pytest.mark.parametrize("what", MISTAKES)
 def test_a_mistake_is_one_line_and_status_2(tmp_path, what):
     words, problem = MISTAKES[what]
-    done = surctl("tune", *words, cwd=tmp_path)
+    done = surctl_here("tune", *words, cwd=tmp_path)
     assert done.status == 2 and problem in done.complaint
