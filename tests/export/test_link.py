@@ -235,9 +235,13 @@ def test_ctrl_c_is_seen_even_where_it_wakes_no_system_call() -> None:
 
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(KeyboardInterrupt):
+        with (
+            socket.create_server(("127.0.0.1", 0)) as silent,
+            connect(f"tcp://127.0.0.1:{silent.getsockname()[1]}", patience=20) as opened,
+            pytest.raises(KeyboardInterrupt),
+        ):
             threading.Thread(target=interrupt).start()
-            connect(f"tcp://127.0.0.1:{silent.getsockname()[1]}", patience=20).request()
+            opened.request()
     finally:
         signal.signal(signal.SIGINT, before)
 
