@@ -10,6 +10,7 @@ STUDY = """
 kind = "study"
 name = "small"
 vehicle = "sur400"
+law = "closed_form"
 runs = [{ scenario = "pool-behind" }]
 
 [[goals]]
@@ -74,7 +75,7 @@ def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
     assert 0 < miss["figure"] < 5 and miss["ending"].startswith("reached at")
     assert done.json["next"] == [
         "surctl simulate pool-behind --vehicle sur400 --gains surctl-out/gains.toml "
-        "--law guarded --guidance los --sensing truth --seed 0 --explain"
+        "--law closed_form --guidance los --sensing truth --seed 0 --explain"
     ]
 
 
