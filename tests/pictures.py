@@ -6,17 +6,26 @@ The plots are made as ever; their files have name, size and metadata. What is in
 from __future__ import annotations
 
 from collections.abc import Mapping
+from io import BytesIO
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
 
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 _drawn = Figure.savefig
+
+
+def rendered(plot: Axes | Figure) -> Figure:
+    """The figure, rendered coarsely, for nobody looks at it: a warning of the renderer is an error in the tests."""
+    figure = plot if isinstance(plot, Figure) else plot.figure.figure
+    figure.savefig(BytesIO(), format="png", dpi=20)
+    return figure
 
 
 def blank_pictures(patch: pytest.MonkeyPatch) -> None:

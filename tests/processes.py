@@ -16,10 +16,11 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 import pytest
 
@@ -52,18 +53,75 @@ def run_python(
     """
     words = [str(word) for word in words]
     with tempfile.TemporaryDirectory(prefix="surctl-process-") as name:
-        folder = Path(name)
-        request = {
-            "words": words,
-            "cwd": str(cwd or Path.cwd()),
-            "environment": dict(os.environ if environment is None else environment),
-            "out": str(folder / "out"),
-            "err": str(folder / "err"),
-            "drawn": drawn,
-        }
-        status = _asked(request)
-        out, err = ((folder / which).read_text(encoding="utf-8") for which in ("out", "err"))
-    return subprocess.CompletedProcess(words, status, out, err)
+        request = _request(words, cwd, environment, Path(name)) | {"drawn": drawn}
+        status, seconds = _asked(request)
+        spent.append(seconds)
+        out, err = (Path(request[which]).read_text(encoding="utf-8") for which in ("out", "err"))
+    return subprocess.CompletedProcess(words, int(status), out, err)
+
+
+def _request(
+    words: Sequence[str], cwd: Path | None, environment: Mapping[str, str] | None, folder: Path
+) -> dict[str, Any]:
+    return {
+        "words": [str(word) for word in words],
+        "cwd": str(cwd or Path.cwd()),
+        "environment": dict(os.environ if environment is None else environment),
+        "out": str(folder / "out"),
+        "err": str(folder / "err"),
+        "drawn": False,
+    }
+
+
+class Running:
+    """A process of `run_python` that is not waited for; it leads a session of its own."""
+
+    def __init__(self, words: Sequence[str], *, cwd: Path, environment: Mapping[str, str] | None = None) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="surctl-process-")
+        request = _request(words, cwd, environment, Path(self._folder.name))
+        self._out, self._err = Path(request["out"]), Path(request["err"])
+        for file in (self._out, self._err):
+            file.touch()
+        self.pid = int(_asked(request | {"waited": False})[0])
+        self._status: int | None = None
+
+    @property
+    def out(self) -> str:
+        """What it has printed so far."""
+        return self._out.read_text(encoding="utf-8")
+
+    @property
+    def err(self) -> str:
+        """What it has printed on the stream of errors so far."""
+        return self._err.read_text(encoding="utf-8")
+
+    def until(self, condition: Callable[[], object]) -> None:
+        """Wait until something holds; fail if the process ends before."""
+        while not condition():
+            state = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0]
+            assert state != "Z", f"it has ended by itself: {self.out}{self.err}"
+            time.sleep(0.001)
+
+    def send(self, number: int) -> None:
+        """Send a signal to the process and all that it has started, as a terminal does."""
+        os.killpg(self.pid, number)
+
+    def wait(self) -> int:
+        """Its status, once it has ended."""
+        if self._status is None:
+            status, seconds = _asked({"pid": self.pid})
+            spent.append(seconds)
+            self._status = int(status)
+        return self._status
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is None:
+            os.kill(self.pid, signal.SIGKILL)
+            self.wait()
+        self._folder.cleanup()
 
 
 def collect_seldom() -> None:
@@ -79,7 +137,7 @@ spent: list[float] = []
 """Processor time of each process so far, with all that it started and waited for [s]."""
 
 
-def _asked(request: Mapping[str, object]) -> int:
+def _asked(request: Mapping[str, object]) -> list[float]:
     if not _server:
         command = [sys.executable, "-W", "error", "-m", "tests.processes"]
         pipe = subprocess.PIPE
@@ -90,9 +148,8 @@ def _asked(request: Mapping[str, object]) -> int:
     print(json.dumps(request), file=server.stdin, flush=True)
     answer = server.stdout.readline()
     assert answer, "the process that forks the others has ended"
-    status, seconds = json.loads(answer)
-    spent.append(seconds)
-    return int(status)
+    told: list[float] = json.loads(answer)
+    return told
 
 
 def _ended() -> None:
@@ -112,11 +169,15 @@ def _serve() -> None:
     with os.fdopen(os.dup(1), "w") as answers:
         os.dup2(2, 1)
         while line := sys.stdin.readline():
-            child = os.fork()
+            request = json.loads(line)
+            child = request.get("pid") or os.fork()
             if child == 0:
-                _be(json.loads(line))
-            _, how, used = os.wait4(child, 0)
-            told = [os.waitstatus_to_exitcode(how), used.ru_utime + used.ru_stime]
+                _be(request)
+            if request.get("waited", True):
+                _, how, used = os.wait4(child, 0)
+                told = [os.waitstatus_to_exitcode(how), used.ru_utime + used.ru_stime]
+            else:
+                told = [child]
             print(json.dumps(told), file=answers, flush=True)
 
 
@@ -143,6 +204,9 @@ def _be(request: Mapping[str, Any]) -> NoReturn:
 
 
 def _become(request: Mapping[str, Any]) -> None:
+    if not request.get("waited", True):
+        os.setsid()
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
     signal.alarm(PATIENCE)  # one that hangs is killed, and does not outlive the tests
     for number, path, flags in (
         (0, os.devnull, os.O_RDONLY),

@@ -1,20 +1,38 @@
-"""Export: more errors that the proof of the C reports, and the memory of the law with sonars in floats."""
+"""Export: further errors that the proof reports, further processors, MISRA, pip, and the law with sonars in floats."""
 
 from __future__ import annotations
 
 import re
+import subprocess
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
-from surctl.control import build_law
-from surctl.export import REALS, TARGETS, build_bundle, prove_bundle, write_bundle
+import pytest
+
+from surctl.control import build_law, in_real
+from surctl.export import (
+    REALS,
+    TARGETS,
+    Records,
+    build_bundle,
+    check_builds,
+    chosen_targets,
+    prove_bundle,
+    write_bundle,
+)
 from surctl.export.check import step_stack
 from surctl.export.own_names import with_own_names
 from surctl.export.process import compile_controller
-from surctl.ir import emit_parts, memory
+from surctl.ir import Call, Real, Routine, emit_parts, memory
+from surctl.priority import Mode
 from tests.export.altered import altered
 from tests.export.closed_form import exported, searching, vehicle
-from tests.tools import need
+from tests.export.test_check import compiled
+from tests.export.test_firmware import assert_the_wrapper_computes_the_same
+from tests.export.test_gains_in_c import guarded
+from tests.export.test_guard import LOOK_FOR, STRICT
+from tests.tools import _without, need
 
 
 def test_a_guard_that_lets_a_number_of_any_size_in_leaves_an_overflow() -> None:
@@ -77,3 +95,78 @@ def test_what_the_law_with_sonars_takes_in_float(tmp_path: Path) -> None:
     assert stack is not None
     assert 4 * arrays <= stack <= 4 * arrays + 1280  # numbers on their way and saved addresses
     assert 4 * (state + 3 + structs) + stack <= 1024 * 29
+
+
+def test_in_double_all_warnings_are_of_misra_and_the_readme_has_a_note_on_every_kind(
+    tmp_path: Path,
+) -> None:
+    cppcheck, clang = need("cppcheck"), need("clang")
+    _, bundle, _ = exported("float64")
+    write_bundle(bundle, tmp_path)
+    compile_controller(bundle, tmp_path, flags=STRICT)
+    files = [*bundle.sources, bundle.selftest, "loop.c"]
+    command = [cppcheck, "--addon=misra", LOOK_FOR, "-q", "--std=c99", "--template={id}|{code}", *files]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    if "misra" not in done.stderr:
+        _without("this cppcheck has no MISRA addon")
+    text = bundle.files["README.md"].split("## MISRA")[1].split("## Evidence")[0]
+    noted = set(re.findall(r"^\| ([\d.]+) \(", text, flags=re.MULTILINE))
+    reports = re.findall(r"^misra-c2012-([\d.]+)\|(.*)", done.stderr, flags=re.MULTILINE)
+    assert len(re.findall(r"^[\w.-]+\|", done.stderr, flags=re.MULTILINE)) == len(reports), done.stderr
+    assert {rule for rule, _ in reports} == noted | {"2.4", "12.3"} and len(noted) == 4
+    # 2.4 is about tags: these enumerations have none
+    assert all(line.strip().startswith("enum {") for rule, line in reports if rule == "2.4")
+    # 12.3 is about the comma operator: the code has none, the reports are on declarations
+    (tmp_path / "comma.c").write_text("int f(int a, int b) { return (a, b); }\n")
+    (tmp_path / "all.c").write_text("".join(f'#include "{file}"\n' for file in files))
+    for file in ("comma.c", "all.c"):
+        tree = [clang, "-std=c99", "-fsyntax-only", "-Xclang", "-ast-dump", file]
+        nodes = subprocess.run(tree, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+        assert bool(re.search(r"BinaryOperator.* ','", nodes)) == (file == "comma.c"), file
+
+
+@pytest.mark.parametrize(("real", "names"), [("float64", ("cortex-m7",)), ("float32", ("cortex-m3", "cortex-m4f"))])
+def test_every_processor_gives_the_bytes_of_python(tmp_path: Path, real: Real, names: tuple[str, ...]) -> None:
+    law, _, run = exported(real)
+    run = Records(run.X[:40], run.U[:40], run.P[:40])
+    report = check_builds(compiled(law, run, tmp_path, real), [run], chosen_targets(names)[0], steps=60)
+    assert report.passed, report.summary()
+    counted = {build.target: build.instructions for build in report.builds}
+    if real == "float32":  # without a floating-point unit each operation is a subroutine
+        slow, quick = counted["cortex-m3"], counted["cortex-m4f"]
+        assert slow is not None and quick is not None and slow.mean > 5 * quick.mean
+
+
+def test_what_is_wrong_is_told_with_its_place() -> None:
+    need("frama-c")
+    law, bundle, _ = exported("float32")
+    broken = altered(bundle, r"\w+max_of\((v\d+), v\d+\)", r"\1")  # a quotient's floor
+    report = prove_bundle(law, broken, vehicle().thrust_limit)
+    kind = "division_by_zero|is_nan_or_infinite"
+    assert not report.proved and any(re.search(kind, alarm.kind) for alarm in report.alarms), report.summary()
+    assert all(alarm.line > 0 and alarm.file in (*bundle.sources, "proof.c") for alarm in report.alarms)
+    assert report.to_dict()["status"] == "open" and report.alarms[0].file in report.summary()
+
+
+@pytest.mark.parametrize("mode", ["nsb", "projected"])
+def test_in_floats_it_keeps_its_senses_and_gets_another_tick(mode: Mode) -> None:
+    law = build_law(mode=mode, sonar=True)
+    single = in_real(law, "float32")
+    assert (single is law) == (mode == "nsb")
+    assert single.perception is law.perception and single.block.inputs == law.block.inputs
+    assert isinstance(single.block, Routine) and isinstance(law.block, Routine)
+    for mine, other in zip(single.block.steps, law.block.steps, strict=True):
+        assert isinstance(mine, Call) and isinstance(other, Call) and mine.args == other.args
+        same = mode == "nsb" or "telemetry" not in mine.results
+        assert (mine.block.digest() == other.block.digest()) == same
+    # what the compiler counts of the other mode below; the projected one's solver has arrays of its own
+    numbers = law.inputs.size + law.gains.size + law.outputs.size + 7 + memory(single.block)
+    assert 4 * numbers + 1280 <= 1024 * (31 if mode == "projected" else 29)
+
+
+def test_pip_installs_the_python_wrapper_which_computes_the_same(tmp_path: Path) -> None:
+    if find_spec("wheel") is None and find_spec("setuptools.command.bdist_wheel") is None:
+        _without("nothing that builds wheels is installed")
+    write_bundle(guarded()[1], tmp_path / "b")
+    pip = ("-m", "pip", "install", "--no-index", "--no-deps", "--no-build-isolation", "-q", "--target", "site", ".")
+    assert_the_wrapper_computes_the_same(tmp_path / "b", tmp_path, *pip)

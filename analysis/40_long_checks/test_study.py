@@ -1,4 +1,4 @@
-"""Studies: a rudder craft's whole study."""
+"""Studies: two vehicles and sonars of two kinds in one study, and a rudder craft's whole study."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import pytest
 from surctl.simulation import load_scenario
 from surctl.study import conduct, load_plan
 from surctl.tuning import Axis
+from tests.cli.process import surctl
 from tests.pictures import blank_pictures
+from tests.study.test_study import WIDE
 from tests.tools import need_compiler
 
 
@@ -35,3 +37,49 @@ def test_the_study_of_a_rudder_craft_tells_margins_missions_and_limits(
     mission = load_scenario(str(tmp_path / "missions" / "straight-lauv.toml"))
     assert mission.path.waypoints.tolist() == plan.legs[0].scenario.path.waypoints.tolist()
     assert "disk margin of all thrust loops" in study.report.read_text(encoding="utf-8")
+
+
+# part of the runs and of the sweep of the built-in study
+MAIN = """kind = "study"
+name = "main"
+vehicle = "sur540-flooded"
+cruise_m_per_s = [0.05, 0.15]
+[[runs]]
+scenario = "tank-speed-015"
+[[runs]]
+scenario = "wide.toml"
+vehicle = "sur400"
+[sweep]
+seeds = [0]
+[[sweep.axes]]
+gain = "lookahead"
+values = [0.5, 0.8]
+[[sweep.axes]]
+gain = "k_v"
+values = [1.5, 2.5]
+"""
+
+
+def test_only_flights_by_the_exported_law_are_replayed_and_claims_that_do_not_apply_are_left_out(
+    tmp_path: Path,
+) -> None:
+    need_compiler()
+    (tmp_path / "main.toml").write_text(MAIN)
+    (tmp_path / "wide.toml").write_text(WIDE)
+    done = surctl("study", "main.toml", "--json", cwd=tmp_path)
+    data = done.json
+    assert done.status == 0 and data["passed"]
+    # at tank-speed-015 the cap is the cruise speed: no claim about catching up
+    left_out = [v["claim"] for v in data["verdicts"] if v["verdict"] == "not applicable"]
+    assert left_out == ["v1-speed-cap", "v1-speed-cap-region"]
+    assert all(v["verdict"] == v["expected"] for v in data["verdicts"] if v["claim"] not in left_out)
+    runs = {(run["scenario"], run["sensing"]): run for run in data["runs"]}
+    assert set(runs) == {(name, how) for name in ("tank-speed-015", "wide") for how in ("truth", "sonar")}
+    for (name, how), run in runs.items():
+        assert run["vehicle"] == ("sur540-flooded" if name.startswith("tank") else "sur400")
+        assert run["decides"] == (how == "truth") and (how == "sonar" or run["reached"])
+    (report,) = data["export"]["sil"]
+    assert report["scenario"] == "tank-speed-015" and report["passed"] and report["fault_failures"] == []
+    assert max(report["tau"], report["state"], report["telemetry"]) == 0.0
+    (note,) = [note for note in data["summary"] if "other sensors" in note["text"]]
+    assert note["passed"] is None and note["text"].startswith("wide by sur400, sonar")

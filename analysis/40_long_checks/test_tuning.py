@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
+
+from surctl.simulation import Case, simulate, simulate_batch
 from surctl.tuning import derive_gains
+from surctl.vehicle import load_vehicle
+from tests.craft import mission
+from tests.tuning import test_gradient
 from tests.tuning.test_derived import WU, made
 
 
@@ -12,3 +20,23 @@ def test_the_bearable_speed_is_borne_and_less_thrust_lag_raises_the_margin() -> 
     assert derive_gains(WU, cruise=fast.bearable).reached
     quick = made("quick", **{n: p.value for n, p in WU.parameters.items()} | {"thrust_lag": 0.05})
     assert derive_gains(quick, cruise=0.47).disk_margin > fast.disk_margin + 0.2, "the remedy that it names"
+
+
+def test_a_craft_without_sway_force_arrives_beyond_its_limit_astern_in_both_loops() -> None:
+    otter = load_vehicle("otter")  # 239 N ahead, 133 N astern; 2 m/s need 155 N
+    gains = derive_gains(otter, cruise=2.0).gains
+    scenario = replace(
+        mission([[30.0, 30.0], [60.0, 30.0]], "otter", size=(120.0, 120.0), time=90.0), cruise=2.0, cap=2.2
+    )
+    run = simulate(scenario, otter, gains=gains)
+    assert run.metrics.reached and run.record.nu[:, 0].max() > 1.95
+    assert 133.5 < run.record.tau[:, 0].max() < 239.4 and run.record.tau[:, 0].min() > -133.5
+    batch = simulate_batch(Case(scenario, otter, gains))
+    assert batch.column("peak_thrust_share")[0] == pytest.approx(run.metrics.peak_thrust_share, abs=1e-6)
+    assert batch.column("time_s")[0] == run.metrics.time_s and run.metrics.peak_thrust_share <= 1.0 + 1e-9
+
+
+def test_the_run_and_its_gradient_past_a_moving_obstacle() -> None:
+    name = "tank-speed-015"
+    test_gradient.test_the_run_is_that_of_the_reference_loop(name)
+    test_gradient.test_the_gradient_is_that_of_central_differences(name)

@@ -1,10 +1,15 @@
-"""The command line as a process."""
+"""The command line as a process, and in this one."""
 
+import contextlib
+import io
 import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
+from surctl.cli import main
 from tests.processes import run_python
 
 
@@ -32,6 +37,20 @@ def surctl(*words, cwd, drawn=False, **environment) -> Outcome:
     """The command; its pictures are plotted, and drawn only if asked for."""
     done = run_python(["-m", "surctl", *words], cwd=cwd, environment={**os.environ, **environment}, drawn=drawn)
     return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+def surctl_here(*words, cwd) -> Outcome:
+    """The command in this process: for mistakes, which end before anything is computed."""
+    raw, err = io.BytesIO(), io.StringIO()
+    out = io.TextIOWrapper(raw, encoding="utf-8")
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(err):
+        patch.chdir(cwd)
+        patch.setattr("sys.argv", ["surctl", *map(str, words)])
+        patch.setattr("sys.stdout", out)
+        patch.setenv("OPENBLAS_NUM_THREADS", os.environ.get("OPENBLAS_NUM_THREADS", "1"))  # `main` sets it
+        with pytest.raises(SystemExit) as end:
+            main()
+    return Outcome(end.value.code, raw.getvalue().decode(), err.getvalue())
 
 
 LIBRARY = Path(__file__).parents[2] / "surctl"

@@ -7,7 +7,7 @@ from surctl.cli import braking
 from surctl.errors import InputError
 from surctl.verification import claims
 from surctl.verification.braking import BRAKING_CLAIMS
-from tests.cli.process import surctl
+from tests.cli.process import surctl_here
 
 
 def test_names_of_braking_claims_are_told_apart_from_the_steps_of_their_proof() -> None:
@@ -15,12 +15,15 @@ def test_names_of_braking_claims_are_told_apart_from_the_steps_of_their_proof() 
     assert not any(braking.is_braking(claim.name) for claim in claims())
 
 
-def test_a_proved_claim_leaves_a_certificate_that_is_accepted(tmp_path) -> None:
+def test_a_proved_claim_leaves_a_certificate_that_is_accepted_and_tells_what_it_rests_on(tmp_path) -> None:
     name = "braking-rule-20"
     found = braking.prove_all([name], vehicle="sur540-flooded", gains="default", cap=0.22, out=tmp_path / "proofs")
     assert found.passed and found.lines[0].startswith(f"ok   {name}")
-    assert check_file(tmp_path / "proofs" / f"{name}.json").accepted
+    file = tmp_path / "proofs" / f"{name}.json"
+    assert check_file(file).accepted
     json.dumps(found.claims)
+    checked = surctl_here("check", file, cwd=tmp_path)
+    assert checked.status == 0 and "    - there is one obstacle or wall at a time" in checked.out
 
 
 def test_what_is_not_proved_fails_and_leaves_nothing(tmp_path) -> None:
@@ -32,10 +35,3 @@ def test_what_is_not_proved_fails_and_leaves_nothing(tmp_path) -> None:
 def test_an_unknown_name_is_a_mistake() -> None:
     with pytest.raises(InputError, match="did you mean 'braking-rule-20'"):
         braking.prove_all(["braking-rule-21"], vehicle="sur540-flooded", gains="default", cap=0.22)
-
-
-def test_the_command_proves_and_the_checker_tells_what_it_rests_on(tmp_path) -> None:
-    done = surctl("verify", "braking-rule-20", "--out", "proofs", "--json", cwd=tmp_path)
-    assert done.status == 0 and done.json["claims"][0]["verdict"] == "proved"
-    checked = surctl("check", "proofs/braking-rule-20.json", cwd=tmp_path)
-    assert checked.status == 0 and "    - there is one obstacle or wall at a time" in checked.out

@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from tests.cli.process import surctl
+from tests.cli.process import surctl, surctl_here
 
 RNG = np.random.default_rng(8)
 TRUE = np.linspace(0.3, 3.0, 30)
@@ -96,7 +96,7 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, case):
     text, words = MISTAKES[case]
     if text is not None:
         (tmp_path / "m.csv").write_text(text)
-    done = surctl("calibrate", "no.csv" if text is None else "m.csv", "--out", "out", cwd=tmp_path)
+    done = surctl_here("calibrate", "no.csv" if text is None else "m.csv", "--out", "out", cwd=tmp_path)
     assert done.status == 2 and done.out == ""
     assert words in done.complaint
     assert not list((tmp_path / "out").glob("*")), "nothing is left behind"
@@ -104,13 +104,13 @@ def test_a_mistake_is_one_line_and_status_2(tmp_path, case):
 
 def test_bytes_that_are_no_text_and_folders(tmp_path):
     (tmp_path / "b.csv").write_bytes(b"true_m,measured_m\n\xff\xfe\n")
-    assert "b.csv:2: is not text" in surctl("calibrate", "b.csv", cwd=tmp_path).complaint
+    assert "b.csv:2: is not text" in surctl_here("calibrate", "b.csv", cwd=tmp_path).complaint
     (tmp_path / "d.csv").mkdir()
-    assert "d.csv" in surctl("calibrate", "d.csv", cwd=tmp_path).complaint
+    assert "d.csv" in surctl_here("calibrate", "d.csv", cwd=tmp_path).complaint
     (tmp_path / "c.csv").write_text(GOOD)
-    done = surctl("calibrate", "c.csv", "--out", "/proc/surctl", cwd=tmp_path)
+    done = surctl_here("calibrate", "c.csv", "--out", "/proc/surctl", cwd=tmp_path)
     assert done.status == 2 and "/proc/surctl" in done.complaint
-    done = surctl("calibrate", "c.csv", "--out", "c.csv/in", cwd=tmp_path)
+    done = surctl_here("calibrate", "c.csv", "--out", "c.csv/in", cwd=tmp_path)
     assert done.status == 2 and "c.csv/in" in done.complaint
 
 

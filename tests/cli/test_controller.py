@@ -7,7 +7,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,10 +19,12 @@ from surctl.export import Origin, build_bundle, closed_form, write_bundle
 from surctl.ir import compile_program
 from surctl.simulation import law_numbers, load_scenario
 from surctl.vehicle import load_vehicle
-from tests.cli.process import LIBRARY, surctl
+from tests.cli.process import LIBRARY, surctl, surctl_here
+from tests.processes import Running
 from tests.tools import need_compiler
 
-SCENARIO = "pool-behind"
+SCENARIO, LAW = "pool-behind", "closed_form"
+LOSSY = ("--link-loss", "0.2", "--runs", "2")
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The exported law of the scenario, its process compiled."""
     need_compiler()
     folder = tmp_path_factory.mktemp("exported") / "bundle"
-    mission, law = load_scenario(SCENARIO), build_law()
+    mission, law = load_scenario(SCENARIO), build_law(LAW)
     vehicle = load_vehicle(mission.vehicle)
     p = law_numbers(mission, load_gains("default"), vehicle)
     made = build_bundle(
@@ -79,17 +80,17 @@ def between(port: int, *, after: int, then: Callable[[socket.socket], object]) -
 def test_a_scenario_flies_through_a_process_and_the_line_may_be_bad(bundle: Path, tmp_path: Path) -> None:
     with controller(bundle) as (_, port):
         address = ("--controller", f"tcp://127.0.0.1:{port}")
-        done = surctl("simulate", SCENARIO, *address, "--json", cwd=tmp_path)
+        done = surctl("simulate", SCENARIO, "--law", LAW, *address, "--json", cwd=tmp_path)
         (run,) = done.json["runs"]
         assert done.status == 0 and run["reached"]
         link = run["link"]
         assert (link["real"], link["differing"], link["failsafe_steps"], link["gone_s"]) == ("float32", 0, 0, None)
         assert link["answered"] == link["steps"] > 200
-        bad = surctl("simulate", SCENARIO, *address, "--link-loss", "0.2", "--runs", "2", "--json", cwd=tmp_path)
+        bad = surctl("simulate", SCENARIO, "--law", LAW, *address, *LOSSY, "--json", cwd=tmp_path)
         losses = [run["link"]["lost_requests"] for run in bad.json["runs"]]
         assert min(losses) > 20 and losses[0] != losses[1]
         assert all(run["link"]["differing"] == 0 for run in bad.json["runs"])
-        other = surctl("simulate", "pool-ahead", *address, cwd=tmp_path)
+        other = surctl("simulate", "pool-ahead", "--law", LAW, *address, cwd=tmp_path)
         assert other.status == 2 and "runs controller" in other.complaint and "same scenario" in other.complaint
 
 
@@ -106,7 +107,7 @@ def test_a_controller_that_dies_or_falls_silent_is_reported(bundle: Path, tmp_pa
 
             with between(port, after=42, then=end) as relay:
                 words = ("--controller", f"tcp://127.0.0.1:{relay}", "--link-timeout", "3", "--runs", "3", "--json")
-                done = surctl("simulate", SCENARIO, *words, cwd=tmp_path)
+                done = surctl("simulate", SCENARIO, "--law", LAW, *words, cwd=tmp_path)
         (run,) = done.json["runs"]  # the runs after it are not flown
         # it drifts, and what comes from behind runs into it
         assert done.status == 1 and run["stopped_because"] == "collision" and not run["reached"]
@@ -123,30 +124,13 @@ def test_ctrl_c_ends_a_flight_in_one_line(bundle: Path, tmp_path: Path) -> None:
         over.wait(60)
 
     with controller(bundle) as (_, port), between(port, after=10, then=wait) as relay:
-        command = [sys.executable, "-m", "surctl", "simulate", SCENARIO, "--controller", f"tcp://127.0.0.1:{relay}"]
-        flight = subprocess.Popen(
-            [*command, "--link-timeout", "60"],
-            cwd=LIBRARY.parent,
-            # a shell's background job has it ignored, and hands that on
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-            stderr=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            assert begun.wait(60)
-            flight.send_signal(signal.SIGINT)
-            out, err = flight.communicate(timeout=30)
-        except subprocess.TimeoutExpired:
-            status = Path(f"/proc/{flight.pid}/status").read_text(encoding="utf-8")
-            pytest.fail(
-                "Ctrl-C does not end it: " + " ".join(x for x in status.splitlines() if x[:3] in ("Sig", "Sta"))
-            )
-        finally:
-            over.set()
-            flight.kill()
-            flight.communicate()
-    assert flight.returncode == 130 and out.startswith("vehicle ") and out.count("\n") == 1
+        words = ["simulate", SCENARIO, "--law", LAW, "--controller", f"tcp://127.0.0.1:{relay}", "--link-timeout", "60"]
+        with Running(["-m", "surctl", *words], cwd=LIBRARY.parent) as flight:
+            flight.until(begun.is_set)
+            flight.send(signal.SIGINT)
+            status, out, err = flight.wait(), flight.out, flight.err
+        over.set()
+    assert status == 130 and out.startswith("vehicle ") and out.count("\n") == 1
     assert err.strip() == "surctl: stopped; the run was not finished"
 
 
@@ -165,7 +149,7 @@ def test_ctrl_c_ends_a_flight_in_one_line(bundle: Path, tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_told_in_one_line(words: tuple[str, ...], told: str, tmp_path: Path) -> None:
-    done = surctl("simulate", SCENARIO, *words, cwd=tmp_path)
+    done = surctl_here("simulate", SCENARIO, "--law", LAW, *words, cwd=tmp_path)
     assert done.status == 2 and told in done.complaint
 
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from tests.cli.process import LIBRARY, surctl
+from tests.cli.process import LIBRARY, surctl_here
 
 VEHICLE = (LIBRARY / "vehicle" / "library" / "sur400.toml").read_text()
 GAINS = (LIBRARY / "control" / "library" / "default.toml").read_text()
@@ -37,7 +37,7 @@ FILES = {
 def test_study_of_a_bad_file(tmp_path, case):
     text, words = FILES[case]
     (tmp_path / "m.toml").write_text(text)
-    done = surctl("study", "m.toml", cwd=tmp_path)
+    done = surctl_here("study", "m.toml", cwd=tmp_path)
     assert done.status == 2, done
     for word in words:
         assert word in done.complaint
@@ -46,10 +46,10 @@ def test_study_of_a_bad_file(tmp_path, case):
 
 def test_binary_file_and_missing_file_and_folder(tmp_path):
     (tmp_path / "b.toml").write_bytes(bytes(range(256)))
-    assert "not text" in surctl("study", "b.toml", cwd=tmp_path).complaint
-    assert "no such file" in surctl("study", "c.toml", cwd=tmp_path).complaint
+    assert "not text" in surctl_here("study", "b.toml", cwd=tmp_path).complaint
+    assert "no such file" in surctl_here("study", "c.toml", cwd=tmp_path).complaint
     (tmp_path / "d.toml").mkdir()
-    done = surctl("study", "d.toml", cwd=tmp_path)
+    done = surctl_here("study", "d.toml", cwd=tmp_path)
     assert done.status == 2
     assert "d.toml" in done.complaint
 
@@ -66,7 +66,7 @@ GAIN_MISTAKES = {
 def test_bad_gain_file(tmp_path, case):
     text, words = GAIN_MISTAKES[case]
     (tmp_path / "g.toml").write_text(text)
-    done = surctl("simulate", "pool-static", "--gains", "g.toml", cwd=tmp_path)
+    done = surctl_here("simulate", "pool-static", "--gains", "g.toml", cwd=tmp_path)
     assert done.status == 2
     for word in ["g.toml", *words]:
         assert word in done.complaint
@@ -104,7 +104,7 @@ SCENARIO_MISTAKES = {
 def test_bad_scenario_file(tmp_path, case):
     text, words = SCENARIO_MISTAKES[case]
     (tmp_path / "s.toml").write_text(text)
-    done = surctl("simulate", "s.toml", cwd=tmp_path)
+    done = surctl_here("simulate", "s.toml", cwd=tmp_path)
     assert done.status == 2, done
     for word in words:
         assert word in done.complaint
@@ -196,16 +196,17 @@ WORDS = {
 @pytest.mark.parametrize("case", WORDS)
 def test_bad_words(tmp_path, case):
     words, expected = WORDS[case]
-    done = surctl(*words, cwd=tmp_path)
+    done = surctl_here(*words, cwd=tmp_path)
     assert done.status == 2, done
     for word in expected:
         assert word in done.complaint
     assert done.out == ""
 
 
-def test_no_compiler(tmp_path):
+def test_no_compiler(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
     for words in (["study"], ["export"]):
-        done = surctl(*words, cwd=tmp_path, CC="no-such-compiler")
+        done = surctl_here(*words, cwd=tmp_path)
         assert done.status == 2
         assert "no-such-compiler" in done.complaint and not list(tmp_path.iterdir())
         assert "CC" in done.complaint
@@ -214,12 +215,12 @@ def test_no_compiler(tmp_path):
 def test_folder_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("in the way")
     for words in (["study"], ["export"], ["simulate", "pool-behind"], ["sweep", "k_v=1,2", "lookahead=1,2"]):
-        done = surctl(*words, "--out", "file/inside", cwd=tmp_path)
+        done = surctl_here(*words, "--out", "file/inside", cwd=tmp_path)
         assert done.status == 2, done
         assert "file/inside" in done.complaint
 
 
 def test_folder_that_not_even_root_can_write(tmp_path):
-    done = surctl("study", "--out", "/proc/surctl", cwd=tmp_path)
+    done = surctl_here("study", "--out", "/proc/surctl", cwd=tmp_path)
     assert done.status == 2
     assert "/proc/surctl" in done.complaint

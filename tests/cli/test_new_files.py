@@ -3,12 +3,9 @@
 import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
-import xarray as xr
-from scipy.io import loadmat
 
-from tests.cli.process import surctl
+from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.processes import run_python
 
 
@@ -47,18 +44,13 @@ def test_a_vehicle_from_its_geometry(tmp_path: Path) -> None:
 
 
 def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
-    for kind in ("csv", "mat", "nc"):
-        done = surctl("simulate", "tank-speed-025", "--save", kind, "--out", "log", cwd=tmp_path)
-        assert done.status == 0, done.err
-    rows = np.genfromtxt(tmp_path / "log" / "tank-speed-025-0.csv", delimiter=",", names=True, skip_header=1)
-    matlab = loadmat(tmp_path / "log" / "tank-speed-025-0.mat")
-    with xr.open_dataset(tmp_path / "log" / "tank-speed-025-0.nc") as data:
-        for name in rows.dtype.names:
-            np.testing.assert_array_equal(rows[name], data[name])
-            np.testing.assert_array_equal(rows[name], matlab[name][:, 0])
-    log = (tmp_path / "log" / "tank-speed-025-0.csv").read_text().splitlines(keepends=True)
-    (tmp_path / "log.csv").write_text("".join(log[:200]))  # 10 s
-    done = surctl("vehicle", "from-log", "log.csv", "--start", "sur400", "--json", cwd=tmp_path)
+    """`tests/simulation` reads the other formats."""
+    text = (LIBRARY / "simulation" / "library" / "tank-speed-025.toml").read_text()
+    (tmp_path / "short.toml").write_text(text.replace("time_limit_s = 120.0", "time_limit_s = 10.0"))
+    saved = surctl("simulate", "short.toml", "--law", "closed_form", "--save", "csv", "--out", "log", cwd=tmp_path)
+    assert saved.status == 1 and "time limit" in saved.out, saved.err
+    words = ("log/tank-speed-025-0.csv", "--start", "sur400", "--json")
+    done = surctl("vehicle", "from-log", *words, cwd=tmp_path)
     assert done.status == 0, done.err
     found = done.json["estimates"]
     for name, value in {"m11": 95.0, "Xuu": 60.0, "Xu": 2.0, "thrust_lag": 0.3}.items():
@@ -76,7 +68,7 @@ def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
     ],
 )
 def test_a_run_that_cannot_be_saved(tmp_path: Path, words: list[str], fragment: str) -> None:
-    done = surctl("simulate", "tank-speed-025", *words, cwd=tmp_path)
+    done = surctl_here("simulate", "tank-speed-025", *words, cwd=tmp_path)
     assert done.status == 2 and fragment in done.complaint
 
 

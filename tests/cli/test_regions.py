@@ -3,13 +3,15 @@ import re
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
 from surctl.cli import regions
+from surctl.cli.app import app
 from surctl.cli.next_export import export_command
 from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.verification.region import REGION_CLAIMS, load_region
 from tests.certcheck import test_bundle
-from tests.cli.process import surctl
+from tests.cli.process import surctl, surctl_here
 
 
 def test_names_of_regions_are_told_apart() -> None:
@@ -28,30 +30,12 @@ def test_a_region_that_is_not_proved_fails_and_leaves_nothing(tmp_path, monkeypa
 
 def test_what_show_prints_is_the_claim_again(tmp_path) -> None:
     for name, statement in REGION_CLAIMS.items():
-        done = surctl("verify", name, "--show", cwd=tmp_path)
-        assert done.status == 0, done.err
+        done = CliRunner().invoke(app, ["verify", name, "--show"])
+        assert done.exit_code == 0, done.output
         file = tmp_path / f"{name}.toml"
-        file.write_text(done.out)
+        file.write_text(done.stdout)
         assert load_region(file) == statement
     assert "nothing found" in surctl("lint", file.name, cwd=tmp_path).out
-
-
-def test_a_region_claim_of_ones_own_is_proved(tmp_path) -> None:
-    (tmp_path / "mine.toml").write_text(
-        'kind = "region"\nname = "mine"\nshare = 0.1\nforce_n = 0.1\nattempts = 2\n[gains]\nk_v = 1.2\n'
-    )
-    done = surctl("verify", "mine.toml", "--out", "proofs", "--json", cwd=tmp_path)
-    assert done.status == 0, done.err
-    (told,) = done.json["claims"]
-    assert told["claim"] == "mine" and told["verdict"] == "proved"
-    stated = json.loads((tmp_path / "proofs" / "mine.json").read_text())["claim"]
-    assert stated["vehicle"]["mass_kg"] == [85.5, 104.5] and stated["vehicle"]["force_n"] == 0.1
-    assert stated["law"]["k_v"] == 1.2
-    assert surctl("check", "proofs/mine.json", cwd=tmp_path).status == 0
-    assert [path.name for path in (tmp_path / "proofs").glob("mine*.png")] == ["mine-levels.png"]
-    # it is not about the law with the gains that are exported: it has gains of its own
-    check, export = done.json["next"]
-    assert check == "surctl check proofs/mine.json" and "--certificate" not in export
 
 
 def test_a_region_of_the_loop_steered_by_heading_does_not_travel(tmp_path) -> None:
@@ -80,7 +64,7 @@ def test_a_region_of_the_loop_steered_by_heading_does_not_travel(tmp_path) -> No
 )
 def test_a_region_claim_with_a_mistake_is_told_in_one_line(tmp_path, text: str, complaint: str) -> None:
     (tmp_path / "mine.toml").write_text(f'kind = "region"\nname = "mine"\n{text}\n')
-    done = surctl("verify", "mine.toml", cwd=tmp_path)
+    done = surctl_here("verify", "mine.toml", cwd=tmp_path)
     assert done.status == 2 and "mine.toml" in done.complaint and complaint in done.complaint, done.err
 
 

@@ -2,7 +2,7 @@ import csv
 
 import pytest
 
-from tests.cli.process import surctl
+from tests.cli.process import surctl, surctl_here
 from tests.sensing.recording import HEADER, recorded, write
 
 ROWS = recorded(6.0)
@@ -67,7 +67,7 @@ MISTAKES = {
 def test_a_mistake_is_one_line_and_status_2(tmp_path, case):
     header, rows, options, words = MISTAKES[case]
     write(tmp_path, rows, header=header)
-    done = surctl("sonar-replay", "log.csv", *options, "--out", "out", cwd=tmp_path)
+    done = surctl_here("sonar-replay", "log.csv", *options, "--out", "out", cwd=tmp_path)
     assert done.status == 2 and done.out == "", done
     assert words in done.complaint
 

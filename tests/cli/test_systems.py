@@ -20,6 +20,7 @@ from surctl.errors import InputError
 from surctl.own_code import object_of, pinned
 from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
 from surctl.verification import system_disk_margin, system_margins
+from tests.pictures import blank_pictures
 from tests.tools import need, need_compiler
 
 # without control, x is about 1/(1 + t); with `blow` = 1 the root is not a number below x = 0.5, from about t = 1 s on
@@ -88,6 +89,11 @@ def complaint(*words: str) -> str:
     return done.output.strip().splitlines()[-1]
 
 
+@pytest.fixture(autouse=True)
+def _blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    blank_pictures(monkeypatch)
+
+
 @pytest.fixture
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.chdir(tmp_path)
@@ -130,7 +136,7 @@ def test_a_run_gives_the_figures_and_signals_of_the_system(file: str) -> None:
         "status [1]",
     ]  # fmt: skip
     np.testing.assert_array_equal(np.array(rows, dtype=float)[:, 2:4], record["pose"])
-    assert Path("out/pool-pump.png").stat().st_size > 10_000
+    assert Path("out/pool-pump.png").exists()
     assert data(*words, "--out", "out", "--save", "nc")["files"][1] == "out/pool-pump.nc"
     with xarray.open_dataset("out/pool-pump.nc") as read:
         np.testing.assert_array_equal(read["pose[1]"].values, np.asarray(record["pose"])[:, 1])

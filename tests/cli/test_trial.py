@@ -51,7 +51,9 @@ def test_from_a_tape_measure_to_code(tmp_path: Path) -> None:
     shell.next = then
     words = ("--sensing", "truth", "--target", "fmu", "--out", "code")
     made = shell.follow("surctl export", *words).json
-    assert made["sil"]["passed"] and made["run"]["vehicle"] == "scout"
+    assert made["sil"]["passed"] and (made["run"]["vehicle"], made["run"]["sensing"]) == ("scout", "truth")
+    header = (tmp_path / "code" / "surctl_guarded.h").read_text()
+    assert "double eta[4];" in header and "double samples" not in header
     assert shell.next[1:3] == [
         "make -C code controller && code/controller 5555",
         "surctl simulate pool-static --vehicle scout.toml --gains gains.toml --law guarded"

@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 
@@ -151,14 +150,16 @@ assert c.step(eta=[np.nan] * 4)[0] == module.STATUS["NONFINITE"]
 """
 
 
-def test_pip_installs_the_python_wrapper_which_computes_the_same(folder: Path, tmp_path: Path) -> None:
+def test_the_python_wrapper_is_built_as_pip_does_and_computes_the_same(folder: Path, tmp_path: Path) -> None:
+    assert_the_wrapper_computes_the_same(folder, tmp_path, "setup.py", "-q", "build", "--build-lib", "site")
+
+
+def assert_the_wrapper_computes_the_same(folder: Path, tmp_path: Path, *install: str) -> None:
+    """Installed by these words of Python, in which `site` stands for the folder."""
     law, _, p = guarded()
     site = tmp_path / "site"
-    install = [sys.executable, "-m", "pip", "install", "--no-index", "--no-deps", "--no-build-isolation", "-q"]
-    install += ["--target", str(site), "."]
-    if find_spec("wheel") is None and find_spec("setuptools.command.bdist_wheel") is None:
-        install = [sys.executable, "setup.py", "-q", "build", "--build-lib", str(site)]  # what pip would call
-    done = subprocess.run(install, cwd=folder, capture_output=True, text=True, check=False)
+    words = [sys.executable, *(str(site) if word == "site" else word for word in install)]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     env = {**os.environ, "PYTHONPATH": str(site)}
     done = subprocess.run(

@@ -60,14 +60,6 @@ def self_test(bundle: Bundle, folder: Path, *flags: str, compiler: str = "gcc") 
     return run(folder / "sil", "--selftest", cwd=folder).stdout
 
 
-def test_arithmetic_of_80_bits_passes_the_self_test_and_says_so(tmp_path: Path) -> None:
-    need_compiler()
-    bundle = guarded("float64")[1]
-    assert self_test(bundle, tmp_path / "sse", "-ffp-contract=off").endswith(" ok\n")
-    wide = self_test(bundle, tmp_path / "wide", "-ffp-contract=off", "-mfpmath=387")
-    assert wide.endswith("ok, but not to the last bit: operations are merged or wider\n")
-
-
 def test_i686_has_the_same_bytes_with_sse_and_says_so_without(tmp_path: Path) -> None:
     bundle = guarded("float32")[1]
     for name, flags, ending in (

@@ -1,11 +1,11 @@
 from dataclasses import replace
-from io import BytesIO
 
 import numpy as np
 import pytest
 
 from surctl.report import GoalBars, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
 from surctl.tuning import Goal, tune
+from tests.pictures import rendered
 from tests.tuning.synthetic import CLEAR, MARGIN, NEAR, THRIFT, case, install, request
 
 
@@ -20,7 +20,7 @@ def tuning():
 
 
 def drawn(ax):
-    ax.figure.figure.savefig(BytesIO(), format="png")
+    rendered(ax)
     return ax
 
 

@@ -1,14 +1,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from io import BytesIO
 from pathlib import Path
 
 import control
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
@@ -39,14 +37,8 @@ from surctl.simulation import Run, load_scenario, simulate
 from surctl.tuning import Sensitivity, SweepTable
 from surctl.vehicle import load_vehicle
 from surctl.verification import build_cascade, evaluate, replay
+from tests.pictures import rendered
 from tests.report.data import ABOUT, GAINS, report, run, sweep, swept, vehicle, verdict
-
-
-def drawn(plot: Axes | Figure) -> Figure:
-    """The figure, rendered: warnings of the renderer are errors here."""
-    figure = plot if isinstance(plot, Figure) else plot.figure.figure
-    figure.savefig(BytesIO(), format="png")
-    return figure
 
 
 def first_tick(flown: Run) -> Run:
@@ -57,23 +49,25 @@ def first_tick(flown: Run) -> Run:
     return replace(flown, record=replace(r, **short), metrics=metrics)
 
 
+def odd(flown: Run) -> Run:
+    return replace(flown, scenario=replace(flown.scenario, name="$\\frac{$ 潜水 \t<b>", title="$"))
+
+
 RUNS = {
-    "sonar": lambda: run(sensing="sonar"),
     "boxes": lambda: run("tank-static", limit=3.0),
     "drifting": lambda: run("pool-static", "sonar", 4.0),
-    "first tick, sonar": lambda: first_tick(run(sensing="sonar")),
+    "first tick, sonar, odd names": lambda: odd(first_tick(run(sensing="sonar"))),
     "no obstacle": lambda: simulate(
         replace(load_scenario("pool-behind"), obstacles=(), time_limit=1.0), run().vehicle, gains=GAINS
     ),
-    "odd names": lambda: replace(run(), scenario=replace(run().scenario, name="$\\frac{$ 潜水 \t<b>", title="$")),
 }
 
 
 @pytest.mark.parametrize("name", RUNS)
 def test_runs_are_drawn_without_a_warning(name: str) -> None:
     flown = RUNS[name]()
-    drawn(plot_run(flown))
-    drawn(plot_run_signals(flown))
+    rendered(plot_run(flown))
+    rendered(plot_run_signals(flown))
 
 
 def test_the_plan_view_holds_what_was_flown() -> None:
@@ -95,7 +89,7 @@ def test_the_plan_view_says_where_the_depth_was_changed() -> None:
     near = replace(scenario, path=Route(np.array([[4.0, 2.5], [9.5, 2.5]])), time_limit=80.0)
     flown = simulate(near, vehicle(), gains=GAINS.with_values({"patience": 5.0}))
     ax = plot_run(flown)
-    drawn(ax)
+    rendered(ax)
     texts = {text.get_text() for text in ax.texts}
     assert {"to z -1.41", "to z -2.00", "sill, below z -1.8 m"} <= texts
     legend = ax.get_legend()
@@ -153,21 +147,21 @@ def test_loop_responses_are_those_of_python_control() -> None:
 
 def test_loops_and_poles_are_drawn() -> None:
     loops = report().loops
-    gain, phase = drawn(plot_bode(loops[:4])).axes
+    gain, phase = rendered(plot_bode(loops[:4])).axes
     assert (gain.get_xscale(), phase.get_xscale()) == ("log", "log")
     dots = [line for line in gain.lines if line.get_marker() == "o"]
     crossover = {m.name: m.crossover_rad_s for m in report().margins}
     for loop, dot in zip(loops, dots, strict=False):
         assert np.max(dot.get_xdata()) == pytest.approx(crossover[loop.name], rel=0.03)
-    drawn(plot_nyquist(loops, disk_margin=0.7))
-    drawn(plot_nyquist(loops))
+    rendered(plot_nyquist(loops, disk_margin=0.7))
+    rendered(plot_nyquist(loops))
     poles = report().poles
     assert poles is not None
     shown = next(line for line in plot_poles(poles).lines if line.get_label() == "stable")
     assert len(shown.get_xdata()) == 12  # twelve more belong to the delay
-    drawn(plot_poles(poles))
-    drawn(plot_poles(np.array([0.1 + 2j, 0.1 - 2j, -1.0])))
-    drawn(plot_poles(np.array([-1.0 + 0j])))
+    rendered(plot_poles(poles))
+    rendered(plot_poles(np.array([0.1 + 2j, 0.1 - 2j, -1.0])))
+    rendered(plot_poles(np.array([-1.0 + 0j])))
 
 
 def test_a_fast_unstable_pole_is_never_hidden() -> None:
@@ -188,7 +182,7 @@ def test_the_disk_is_that_of_the_disk_margin() -> None:
 
 def test_the_heat_map_marks_and_hatches_the_right_cells() -> None:
     ax = plot_heat_map(sweep(picked=(2, 1)), "score")
-    drawn(ax)
+    rendered(ax)
     frames = [p for p in ax.patches if isinstance(p, Rectangle)]
     assert [p.get_xy() for p in frames if p.get_hatch()] == [(-0.5, 0.5)]
     assert {p.get_xy() for p in frames if not p.get_hatch()} == {(1.5, 0.5)}
@@ -203,7 +197,7 @@ def test_the_heat_map_takes_what_is_not_a_number() -> None:
     nothing = sweep(picked=None)
     for value in (np.nan, 1.0):
         flat = nothing.dataset.assign(score=nothing.dataset["score"] * 0 + value)
-        drawn(plot_heat_map(SweepTable(flat), "score"))
+        rendered(plot_heat_map(SweepTable(flat), "score"))
     with pytest.raises(InputError, match="score"):
         plot_heat_map(sweep(), "scores")
 
@@ -235,7 +229,7 @@ def test_parallel_coordinates_are_the_points() -> None:
     columns = {"score": np.array([3.0, 1.0, np.inf]), "feasible": np.array([1.0, 1.0, 0.0])}
     table = swept(points, columns, design="lhs")
     ax = plot_parallel(table, ["score"])
-    drawn(ax)
+    rendered(ax)
     bad, good, picked = (c for c in ax.collections if isinstance(c, LineCollection))
     np.testing.assert_allclose(picked.get_segments(), [[[0, 1], [1, 1], [2, 0]]])
     np.testing.assert_allclose(good.get_segments(), [[[0, 0], [1, 0], [2, 1]], [[0, 1], [1, 1], [2, 0]]])
@@ -251,7 +245,7 @@ def test_parallel_coordinates_are_the_points() -> None:
 def test_bars_of_sensitivity_have_their_intervals() -> None:
     spans = ((0.1, 0.3), (0.5, 0.7))
     ax = plot_sensitivity(Sensitivity("time_s", ("k_v", "plant.m11"), (0.2, 0.6), (0.3, 0.9), spans, spans, False, 64))
-    drawn(ax)
+    rendered(ax)
     assert [b.get_width() for b in ax.patches[:4]] == [0.2, 0.6, 0.3, 0.9]
     assert [t.get_text() for t in ax.get_yticklabels()] == ["k_v", "plant.m11"]
     none = ((0.0, 0.0),) * 2
@@ -259,6 +253,7 @@ def test_bars_of_sensitivity_have_their_intervals() -> None:
     assert "constant" in plot_sensitivity(flat).get_title(loc="left")
 
 
+@pytest.mark.usefixtures("blank")
 def test_pictures_on_disk_stay_in_their_folder(tmp_path: Path) -> None:
     evil = replace(run(), scenario=replace(run().scenario, name="../../a b"))
     path = save_run(evil, tmp_path)
@@ -269,9 +264,9 @@ def test_pictures_on_disk_stay_in_their_folder(tmp_path: Path) -> None:
 
 
 def test_a_counterexample_is_replayed_where_it_moves_and_sliced_where_not() -> None:
-    moving = drawn(plot_counterexample(verdict("v1-printed"))).axes[0]
+    moving = rendered(plot_counterexample(verdict("v1-printed"))).axes[0]
     assert "time" in moving.get_xlabel() and moving.get_ylabel() == "V1 [m^2]"
-    assert "x_e" in drawn(plot_counterexample(verdict("m-norm-printed"))).axes[0].get_xlabel()
+    assert "x_e" in rendered(plot_counterexample(verdict("m-norm-printed"))).axes[0].get_xlabel()
     with pytest.raises(InputError, match="no counterexample"):
         plot_counterexample(verdict("v1-corrected"))
     with pytest.raises(InputError, match="no counterexample"):
@@ -297,7 +292,7 @@ def test_the_allowed_curve_is_on_the_right_side(name: str, sense: int) -> None:
 def test_a_slice_holds_the_claims_margin(name: str) -> None:
     found = verdict(name)
     cut = margin_slice(found)
-    drawn(plot_slice(cut))
+    rendered(plot_slice(cut))
     assert found.counterexample is not None
     for i, j in ((0, 0), (60, 30), (120, 120)):
         values = {**found.counterexample.values, cut.one.name: cut.x[j], cut.other.name: cut.y[i]}

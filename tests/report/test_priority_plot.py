@@ -16,6 +16,7 @@ from surctl.priority.timeline import NOTICEABLE
 from surctl.report.priority_plot import plot_priority, relaxation_text
 from surctl.simulation import Run, explain, load_scenario, priority_timeline, simulate
 from surctl.vehicle import load_vehicle
+from tests.pictures import blank_pictures
 
 
 @cache
@@ -30,7 +31,7 @@ def test_every_tick_is_the_decision_solved_again(law: str, mode: str) -> None:
     run = flight(law, mode)
     found, record = priority_timeline(run), run.record
     assert found.levels == tuple(name for name, _, _ in run.law.levels)
-    for k in range(0, len(record.time), 7):
+    for k in range(0, len(record.time), 21):
         answer = run.law.explained(record.law_state[k], record.law_input[k], record.law_parameters)
         total = found.to_levels[k] + found.to_rows[k]
         assert total == pytest.approx([answer.residuals[name] for name in found.levels], abs=1e-12)
@@ -104,7 +105,8 @@ def test_only_the_rows_that_matter_longest_are_drawn() -> None:
     assert relaxation_text(found) == f"a gave up at most 1 m/s because of {some}, for 12 s in total"
 
 
-def test_explained_runs_are_drawn_as_well(tmp_path: Path) -> None:
+def test_explained_runs_are_drawn_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blank_pictures(monkeypatch)
     result: dict[str, object] = {}
     lines = further_output(flight(), result, explained=True, out=tmp_path)
     (file,) = tmp_path.glob("*-priority.png")

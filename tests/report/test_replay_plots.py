@@ -1,22 +1,14 @@
 from __future__ import annotations
 
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from surctl.report import plot_replay_sensor, plot_sonar_replay, save_sonar_replay
 from surctl.sensing import Replay, read_readings, replay_readings, sonar_array
+from tests.pictures import rendered
 from tests.sensing.recording import recorded, write
-
-
-def drawn(plot: Axes | Figure) -> Figure:
-    figure = plot if isinstance(plot, Figure) else plot.figure.figure
-    figure.savefig(BytesIO(), format="png")
-    return figure
 
 
 def replayed(folder: Path, rows: list[str], *, header: str = "", sensors: int = 4) -> Replay:
@@ -32,11 +24,12 @@ PLAIN = "time_s,sensor,range_m"
 
 
 def test_recordings_are_drawn_without_a_warning(tmp_path: Path) -> None:
-    drawn(plot_sonar_replay(replayed(tmp_path, recorded(5.0)), title="$\\frac{$ 潜水"))
-    drawn(plot_sonar_replay(replayed(tmp_path, recorded(3.0) + later(recorded(3.0), 1e4))))
-    drawn(plot_sonar_replay(replayed(tmp_path, ["0,0,2", "0.1,0,2"], header=PLAIN, sensors=1)))
-    drawn(plot_sonar_replay(replayed(tmp_path, [f"{0.1 * k},{k % 8},0" for k in range(32)], header=PLAIN, sensors=8)))
-    drawn(plot_replay_sensor(replayed(tmp_path, [f"{0.1 * k},0,2" for k in range(4_000)], header=PLAIN), 0))
+    twice = replayed(tmp_path, recorded(2.0) + later(recorded(2.0), 1e4))
+    rendered(plot_sonar_replay(twice, title="$\\frac{$ 潜水"))
+    rendered(plot_sonar_replay(replayed(tmp_path, ["0,0,2", "0.1,0,2"], header=PLAIN, sensors=1)))
+    rendered(
+        plot_sonar_replay(replayed(tmp_path, [f"{0.1 * k},{k % 8},0" for k in range(32)], header=PLAIN, sensors=8))
+    )
 
 
 def test_a_panel_holds_samples_range_and_bound(tmp_path: Path) -> None:

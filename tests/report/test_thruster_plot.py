@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from io import BytesIO
-
 import numpy as np
 import pytest
 from matplotlib.patches import Rectangle
@@ -11,6 +9,7 @@ from matplotlib.patches import Rectangle
 from surctl.errors import InputError
 from surctl.report import plot_attainable
 from surctl.vehicle import attainable, load_vehicle
+from tests.pictures import rendered
 
 
 @pytest.mark.parametrize(("name", "failed"), [("bluerov2-heavy", ()), ("bluerov2-heavy", ("T2",)), ("sur540-jets", ())])
@@ -18,7 +17,7 @@ def test_every_corner_of_the_plot_is_on_the_edge_of_the_attainable_set(name: str
     vehicle = load_vehicle(name)
     assert vehicle.actuators is not None
     ax = plot_attainable(vehicle, failed=failed)
-    ax.figure.figure.savefig(BytesIO(), format="png")
+    rendered(ax)
     forces, working = attainable(vehicle.actuators), [one.name not in failed for one in vehicle.actuators.thrusters]
     for line in ax.lines:
         yaw = float(str(line.get_label()).split()[2])

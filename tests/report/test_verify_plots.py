@@ -1,5 +1,6 @@
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,8 @@ def test_the_flow_is_that_of_the_loop_written_for_the_checkers_tests() -> None:
 
 
 @pytest.mark.usefixtures("blank")
-def test_a_portrait_needs_a_region(tmp_path: Path) -> None:
+def test_a_portrait_needs_a_region(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surctl.report.region_plots.portrait", partial(portrait, points=15))
     with pytest.raises(InputError, match="level sets"):
         portrait({"kind": "interval", "claim": {}}, "along")
     with pytest.raises(InputError, match="across"):

@@ -11,7 +11,7 @@ import pytest
 from surctl.cli.gains_choice import choose_gains
 from surctl.control import GAINS, load_gains, write_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, findings, simulate, simulate_batch
+from surctl.simulation import findings
 from surctl.tuning import DERIVED_MARGIN, default_cruise, derive_gains, derived_gains, gains_for, shared_gains
 from surctl.tuning.vehicle_rule import inner_start, munk_rate, rule
 from surctl.vehicle import Vehicle, load_vehicle
@@ -125,20 +125,15 @@ def test_mistakes_are_one_line() -> None:
 
 
 def test_a_craft_without_sway_force_cruises_beyond_its_limit_astern() -> None:
+    """Its mission in both loops is a check of `analysis/40_long_checks`."""
     otter = load_vehicle("otter")  # 239 N ahead, 133 N astern; 2 m/s need 155 N
-    gains = derive_gains(otter, cruise=2.0).gains
+    derive_gains(otter, cruise=2.0)
     assert choose_gains("default", otter, cruise=2.0).lines == []
     scenario = replace(
         mission([[30.0, 30.0], [60.0, 30.0]], "otter", size=(120.0, 120.0), time=90.0), cruise=2.0, cap=2.2
     )
     assert not [one for one in findings(scenario, otter) if one.level == "error"]
     check_held((2.0,), otter, cap=3.0, key="--cruise")
-    run = simulate(scenario, otter, gains=gains)
-    assert run.metrics.reached and run.record.nu[:, 0].max() > 1.95
-    assert 133.5 < run.record.tau[:, 0].max() < 239.4 and run.record.tau[:, 0].min() > -133.5
-    batch = simulate_batch(Case(scenario, otter, gains))
-    assert batch.column("peak_thrust_share")[0] == pytest.approx(run.metrics.peak_thrust_share, abs=1e-6)
-    assert batch.column("time_s")[0] == run.metrics.time_s and run.metrics.peak_thrust_share <= 1.0 + 1e-9
     with pytest.raises(InputError, match=r"needs thrust \[248"):
         derive_gains(otter, cruise=3.2)
 

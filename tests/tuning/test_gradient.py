@@ -18,7 +18,8 @@ GAINS = load_gains("default")
 NAMES = ("k_v", "lookahead", "margin", "k1", "k_r")
 AT = np.array([1.37, 0.93, 0.061, 0.33, 1.2])
 WEIGHTS = {"deviation": 1.0, "clearance": 0.7, "effort": 0.01, "remaining": 0.4}
-SCENARIOS = {"pool-static": 60, "tank-speed-015": 160}  # steps to where an obstacle counts
+# steps to where an obstacle counts; `analysis/40_long_checks` takes the second
+SCENARIOS = {"pool-static": 60, "tank-speed-015": 160}
 
 
 def case(name: str) -> Case:
@@ -31,7 +32,7 @@ def prepared(name: str) -> DifferentiableRun:
     return prepare(case(name), NAMES, steps=SCENARIOS[name], seed=3)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", ["pool-static"])
 def test_the_run_is_that_of_the_reference_loop(name: str) -> None:
     flown = case(name)
     gains = GAINS.with_values(dict(zip(NAMES, AT, strict=True)))
@@ -41,7 +42,7 @@ def test_the_run_is_that_of_the_reference_loop(name: str) -> None:
     np.testing.assert_allclose(track[:shared, :4], record.eta[1 : shared + 1], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", ["pool-static"])
 def test_the_gradient_is_that_of_central_differences(name: str) -> None:
     run = prepared(name)
     gradient = run.gradient(AT, WEIGHTS)

@@ -36,6 +36,7 @@ from surctl.tuning import (
 from surctl.tuning.executors import DaskExecutor
 from surctl.tuning.sweep import run_chunks
 from surctl.tuning.table import judged
+from tests.processes import run_python
 from tests.tools import PATIENCE
 from tests.tuning import stub
 from tests.tuning.chunk_work import CHUNKS, own_number, slow_squares
@@ -423,11 +424,9 @@ fly()
 
 
 def test_killed_twenty_times_it_is_the_same_to_the_byte(tmp_path, monkeypatch):
-    environment = os.environ | {"SURCTL_TEST_TRACE": str(tmp_path / "trace"), "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, "-c", KILLED, str(tmp_path / "killed"), "7"],
-        env=environment, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE,
-    )  # fmt: skip
+    (tmp_path / "script.py").write_text(KILLED)
+    environment = os.environ | {"SURCTL_TEST_TRACE": str(tmp_path / "trace")}
+    done = run_python([str(tmp_path / "script.py"), str(tmp_path / "killed"), "7"], environment=environment)
     assert done.returncode == 0, done.stderr
     runs = [int(line) for line in (tmp_path / "trace").read_text().split()]
     assert set(runs) == set(range(40))
@@ -478,21 +477,14 @@ def test_workers_do_not_outlive_who_asked_for_them(tmp_path):
         time.sleep(0.05)
 
 
-def test_workers_give_the_same(tmp_path, monkeypatch):
-    monkeypatch.setenv("SURCTL_TEST_TRACE", str(tmp_path / "trace"))
-    one = dict(LocalExecutor(1).map_chunks(slow_squares, CHUNKS))
-    two = dict(LocalExecutor(2, alone_s=0.005).map_chunks(slow_squares, CHUNKS))  # some here, some in workers
-    assert sorted(two) == list(range(40))
-    assert all(np.array_equal(one[k], two[k]) for k in one)
-
-
-def test_workers_are_started_for_long_work_alone():
-    chunks = [(k, np.ones((1, 1))) for k in range(6)]
+def test_workers_are_started_for_long_work_alone_and_give_the_same():
+    chunks = CHUNKS[:6]
     short = dict(LocalExecutor(2, alone_s=60.0).map_chunks(own_number, chunks))
     assert {int(found[0, 0]) for found in short.values()} == {os.getpid()}
     long = dict(LocalExecutor(2, alone_s=0.015).map_chunks(own_number, chunks))
     own = [k for k, found in long.items() if int(found[0, 0]) == os.getpid()]
     assert sorted(long) == list(range(6)) and own in ([0], [0, 1])  # at least 10 ms each
+    assert all(np.array_equal(short[k][:, 1], long[k][:, 1]) for k in short)
 
 
 def test_a_case_that_no_seed_changes_is_flown_once():

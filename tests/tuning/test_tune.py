@@ -79,7 +79,7 @@ def test_a_search_meets_the_hard_goals_and_beats_the_start(monkeypatch):
 
 def test_the_front_is_undominated_and_feasible(monkeypatch):
     install(monkeypatch)
-    pool = search(request(), trials=96)
+    pool = search(request(), trials=64)
     start = pool.evaluation.normalised[0]
     front = pool.front(start)
     score, effort = pool.score(start), pool.evaluation.effort
@@ -91,9 +91,9 @@ def test_the_front_is_undominated_and_feasible(monkeypatch):
 
 def test_the_same_seed_finds_the_same_and_another_another(monkeypatch):
     install(monkeypatch)
-    one = search(request(), trials=64)
-    assert same(one, search(request(), trials=64))
-    assert not same(one, search(request(seed=1), trials=64))
+    one = search(request(), trials=32)
+    assert same(one, search(request(), trials=32))
+    assert not same(one, search(request(seed=1), trials=32))
 
 
 def test_an_interrupted_search_resumes_to_the_same_end(monkeypatch, tmp_path):
@@ -244,7 +244,7 @@ def test_what_a_search_begins_with_is_part_of_its_name():
 
 def test_counterexamples_become_constraints_until_nothing_is_refuted(monkeypatch):
     install(monkeypatch, Loop(mass=0.05))
-    tuning = tune(heavy(), trials=64, rounds=6, runs=300)
+    tuning = tune(heavy(), trials=32, rounds=6, runs=300)
     assert tuning.rounds[0].training, "the first search leans on the nominal plant"
     assert tuning.accepted and not tuning.result.refuted and not tuning.conflict
     assert all(tuning.better[1:]), "what is left is not the start gains"

@@ -1,0 +1,26 @@
+"""Report: the certified region on the robot's tuning page."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+import surctl.report.bench as bench_module
+from surctl.report.bench import Bench
+from tests.report.test_tuning_page import ROBOT
+
+
+def test_the_page_of_the_robot_draws_the_certified_region_and_the_falsified_level(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(bench_module, "_STARTS", 4)
+    monkeypatch.setattr(Bench, "verdicts", lambda self, values: ())  # claims have tests of their own
+    view = ROBOT.decide({one.name: one.value for one in ROBOT.sliders})
+    assert view.picture is not None
+    figure, _ = view.picture
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    level = float(next(text for text in labels if "counterexample" in text).split("V = ")[1].split(",")[0])
+    told = re.search(r"certified level: (\d+)%", view.lines[-1][0])
+    assert told is not None and abs(level * float(told[1]) / 100 - 1) < 0.1
+    assert view.lines[-1][1] == "good" and labels[0].startswith("certified")
