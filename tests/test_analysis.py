@@ -79,13 +79,32 @@ def test_the_study_of_sessions_with_an_autopilot() -> None:
     assert len(rows) == 8 and all(row[2] == "1" and row[5] == "0" for row in rows)
 
 
-def test_the_study_of_long_checks() -> None:
-    done = run(ANALYSIS / "40_long_checks" / "run.py", "--quick")
-    assert done.returncode == 0, done.stdout + done.stderr
+def test_every_long_check_can_be_collected() -> None:
     files = sorted((ANALYSIS / "40_long_checks").glob("test_*.py"))
-    assert files and all(f"{file.name}::test_" in done.stdout for file in files)
-    none = run(ANALYSIS / "40_long_checks" / "run.py", "simulations")
-    assert none.returncode == 2 and "there is no file test_simulations.py" in none.stderr
+    assert files
+    for file in files:
+        names = runpy.run_path(str(file))  # what it takes from tests and surctl is there
+        assert any(name.startswith("test_") for name in names), file.name
+
+
+def test_the_study_of_long_checks_counts_what_passes_and_what_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = runpy.run_path(str(ANALYSIS / "40_long_checks" / "run.py"))
+    names = study["main"].__globals__
+    monkeypatch.setitem(names, "HERE", tmp_path)
+    monkeypatch.setattr(subprocess, "run", lambda words, cwd, check: run_python(words[1:], cwd=cwd))
+    (tmp_path / "test_good.py").write_text("def test_a(): pass\n")
+    (tmp_path / "test_bad.py").write_text("def test_b(): pass\ndef test_c(): assert False\n")
+    for given, status, rows in (([], 1, {"bad": ["1", "1", "0"], "good": ["1", "0", "0"]}), (["--quick"], 0, {})):
+        monkeypatch.setattr(sys, "argv", ["run.py", *given, "-pno:cacheprovider", "-oaddopts="])
+        assert study["main"]() == status
+        found = {row[0].strip("`"): row[1:4] for row in table(capsys.readouterr().out)[1:]}
+        assert found == {f"test_{name}": counts for name, counts in rows.items()}
+    monkeypatch.setattr(sys, "argv", ["run.py", "simulations"])
+    with pytest.raises(SystemExit, match="2"):
+        study["main"]()
+    assert "there is no file test_simulations.py" in capsys.readouterr().err
 
 
 def test_the_study_of_echoes() -> None:
@@ -176,7 +195,9 @@ def test_the_study_of_fitted_vehicles_that_roll_and_pitch() -> None:
 def test_the_study_of_import_times() -> None:
     done = run(ANALYSIS / "21_import_time" / "run.py", "--quick")
     rows = {row[0].strip("`"): row[4].strip("| ") for row in table(done.stdout) if len(row) == 5}
-    assert rows["import surctl"] == rows["surctl --help"] == "none" and rows["surctl list"] == "casadi", done.stderr
+    assert rows["import surctl"] == rows["surctl --help"] == "none", done.stderr
+    study = runpy.run_path(str(ANALYSIS / "21_import_time" / "run.py"))
+    assert study["heavy"](["-c", "import casadi"]) == ["casadi"]
 
 
 def test_the_study_of_the_design_page() -> None:
@@ -186,11 +207,27 @@ def test_the_study_of_the_design_page() -> None:
     assert all(times[0] > 0 for times in taken.values())
 
 
-def test_the_study_of_mutants() -> None:
-    done = run(ANALYSIS / "23_mutants" / "run.py", "--quick")
-    assert done.returncode == 0, done.stdout + done.stderr
-    rows = [row for row in table(done.stdout) if len(row) == 4][1:]
-    assert len(rows) == 1 and not any("survives" in row[3] for row in rows)
+def test_the_study_of_mutants(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = runpy.run_path(str(ANALYSIS / "23_mutants" / "run.py"))
+    assert [m.id for m in study["load_model"](study["CONFIG"], study["Config"]).mutant if m.quick] == ["unit-suffix"]
+    for name, text in {  # a project in miniature, whose test knows one of two numbers
+        "surctl/sizes.py": "LENGTH = 2\nWIDTH = 3\n",
+        "tests/test_sizes.py": "from surctl.sizes import LENGTH, WIDTH\n\ndef test_length(): assert LENGTH == 2\n",
+        "pyproject.toml": "",
+    }.items():
+        (tmp_path / "whole" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "whole" / name).write_text(text)
+    one = 'id = "{0}", room = "r", file = "surctl/sizes.py", changes = "", tests = ["tests/test_sizes.py"]'
+    rows = [f'{{ {one.format(w.lower())}, old = "{w} = ", new = "{w} = 1" }}' for w in ("LENGTH", "WIDTH")]
+    (tmp_path / "mutants.toml").write_text(f"patience = 99\nmutant = [{', '.join(rows)}]\n")
+    monkeypatch.setitem(study["main"].__globals__, "ROOT", tmp_path / "whole")
+    monkeypatch.setitem(study["main"].__globals__, "CONFIG", tmp_path / "mutants.toml")
+    assert study["main"](["--out", str(tmp_path / "found.jsonl")]) == 1
+    rows = {row[0]: row[3] for row in table(capsys.readouterr().out) if len(row) == 4}
+    assert rows["`length`"] == "`test_sizes.py::test_length`" and rows["`width`"].startswith("**survives**")
+    assert [json.loads(line)["status"] for line in (tmp_path / "found.jsonl").read_text().splitlines()] == [1, 0]
 
 
 def test_the_study_of_what_the_checker_accepts() -> None:
