@@ -132,7 +132,7 @@ def _(check_document, claims, decide):
     from surctl.report import margin_slice, plot_counterexample, plot_slice
 
     gains = load_gains("default")
-    _verdicts = {c.name: decide(c, seed=0) for c in claims(gains.values, ["v1-printed", "v1-corrected", "v2-static"])}
+    _verdicts = {c.name: decide(c, seed=0) for c in claims(gains.values, ["v1-printed", "v1-corrected"])}
     for _name, _v in _verdicts.items():
         _proof = "" if _v.certificate is None else f", accepted: {check_document(_v.certificate).accepted}"
         print(f"{_name}: {_v.verdict}{_proof}")

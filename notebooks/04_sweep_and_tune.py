@@ -129,7 +129,7 @@ def _(system):
     ranges = {"k_p": (0.2, 20.0), "k_d": (0.2, 20.0)}
     robust = Margins(name="robust", at="force", phase_deg=60.0, kind="hard")
     tuned = tune_system(
-        system, 10.0, ranges, cases={"start.place": [0.8, -0.4]}, objective="late", trials=100, goals=[robust]
+        system, 10.0, ranges, cases={"start.place": [0.8, -0.4]}, objective="late", trials=40, goals=[robust]
     )
     print("tuned:", {name: round(value, 2) for name, value in tuned.gains.items()}, "unmet:", tuned.unmet)
     print(f"late: {tuned.before['late']:.2f} s before, {tuned.costs['late']:.2f} s tuned")

@@ -101,7 +101,7 @@ def _(mo):
 
     The compiled C replays the run on its own state, and each step is compared with Python in the same precision. Then
     each state and input in turn is set to NaN and to infinity: the C must return a negative status and zero force.
-    The last lines compare the run and 500 varied steps at two optimisation levels; `surctl export --check` does the
+    The last lines compare the run and 200 varied steps at two optimisation levels; `surctl export --check` does the
     same with more compilers and processors.
     """)
     return
@@ -115,7 +115,7 @@ def _(bundle, folder, record, speed_law):
     _records = Records(*record.controller)
     (_report,) = compare_runs(_controller, [_records])
     print(_report.summary().replace(str(folder), "."))
-    for _build in check_builds(_controller, [_records], [TARGETS["gcc-O0"], TARGETS["gcc-O3"]], steps=500).builds:
+    for _build in check_builds(_controller, [_records], [TARGETS["gcc-O0"], TARGETS["gcc-O3"]], steps=200).builds:
         print(f"{_build.target}: {_build.differing} differing steps")
     return
 

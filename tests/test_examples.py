@@ -45,7 +45,7 @@ TOOLS = {  # beside a C compiler
 MCAP = ("simulation.SceneFile", "simulation.save_scene")
 MUJOCO = ("report.film_frames", "report.film_pictures", "report.moment_of", "report.save_film")
 
-LONG = {"falsify", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
+LONG = {"falsify", "prove_bundle", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
 _KNOWN: dict[tuple[str, ...], Any] = {}
 
 

@@ -127,11 +127,13 @@ def contents(folder: Path) -> dict[str, bytes]:
 def shared(command: str, folder: Path) -> str:
     """`run`; what several pages make, prove or export of the same files is made once: the others get what was written.
 
-    Of its own folder such a command reads only the files that it names.
+    Of its own folder such a command reads only the files and folders that it names.
     """
-    if not command.startswith(("surctl vehicle ", "surctl verify ", "surctl export ")):
+    if not command.startswith(("surctl vehicle ", "surctl verify ", "surctl export ", "surctl check ")):
         return run(command, folder)
     named = [folder / word for word in shlex.split(command)]
+    if command.startswith("surctl check "):
+        named = [file for path in named for file in (path, *sorted(path.rglob("*")))]
     asked = (command, *(path.read_bytes() for path in named if path.is_file()))
     if asked not in _KNOWN:
         before = contents(folder)

@@ -167,7 +167,7 @@ def test_an_example_runs_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -
 # cells of tables beside the screen of a phone: a row is a card there
 _HIDDEN = """() => [...document.querySelectorAll("td[data-label]")]
   .filter((cell) => cell.getBoundingClientRect().right > innerWidth).map((cell) => cell.textContent)"""
-PAGES = ("index", "tune", "explanation/priorities", "reference/files/vehicle", "gallery/index", "coming-from/matlab")
+PAGES = ("index", "explanation/priorities", "reference/files/vehicle", "gallery/index", "coming-from/matlab")
 
 
 def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
@@ -180,6 +180,8 @@ def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:
                 dark = opened.page.evaluate("document.body.dataset.mdColorScheme") == "slate"
                 assert dark == (scheme == "dark")
                 assert opened.page.evaluate(_CONTRAST) == [], (name, scheme)
+                if scheme == "dark":  # only colours differ
+                    continue
                 for width in (1280, 400):
                     assert opened.overflow(width) <= 0, (name, width)
                 assert opened.page.evaluate(_HIDDEN) == [], name

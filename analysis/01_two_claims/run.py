@@ -29,6 +29,11 @@ from surctl.verification import (
 from surctl.verification.setting import Setting
 
 CONFIG = Path(__file__).with_name("config.toml")
+QUICK = [
+    *("v1-printed", "v1-corrected", "v1-speed-cap", "course-printed", "clearance-printed", "clearance-corrected"),
+    *("v2-printed", "v2-obstacle", "v2-clockwise"),
+]
+"""The claims that `--quick` decides: those of the figures and two corrected ones."""
 
 
 class Config(Strict):
@@ -57,8 +62,10 @@ def main(arguments: list[str]) -> int:
 
 def study(config: Config, *, quick: bool) -> int:
     """Print verdicts and figures; return 0 if all are as expected."""
-    samples = config.samples // (8 if quick else 1)
-    verdicts = [decide(claim, samples=samples, seed=config.seed) for claim in claims(config.gains)]
+    samples, starts, names = (config.samples // 8, 4, QUICK) if quick else (config.samples, 16, None)
+    verdicts = [
+        decide(claim, samples=samples, starts=starts, seed=config.seed) for claim in claims(config.gains, names)
+    ]
     replays_hold = print_verdicts(verdicts)
     by_name = {v.claim.name: v for v in verdicts}
     found = tracking_figures(by_name, config) | avoidance_figures(by_name, config)

@@ -110,8 +110,10 @@ def main(words: list[str]) -> int:
     options = parser.parse_args(words)
     config = tomllib.loads(Path(__file__).with_name("config.toml").read_text(encoding="utf-8"))
     size, bars = config["quick" if options.quick else "full"], config["bars"]
-    names = ["tank-static"] if options.quick else config["scenarios"]
+    names = ["pool-behind"] if options.quick else config["scenarios"]
     chosen = list(conditions().items())
+    if options.quick:  # the loop that study 22 compiles too
+        chosen = [one for one in chosen if one[0] == "10 % lost"]
     collisions = 0
     print(f"## {size['seeds']} seeds each\n")
     print(
@@ -119,10 +121,10 @@ def main(words: list[str]) -> int:
         "| thrust varies, surge / sway / heave [N/s] | sign changes of the worst axis [1/s] | at its limit |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
-    for condition, (sensors, judged) in chosen[:1] if options.quick else chosen:
+    for condition, (sensors, judged) in chosen:
         for name in names:
             hit = row(condition, name, flown(name, sensors, size["seeds"]))
-            collisions += hit if judged and name in config["judged"] else 0
+            collisions += hit if judged and (options.quick or name in config["judged"]) else 0
     if not options.quick:
         for name in ("tank-static", "tank-moving"):
             row("vehicle at its worst", name, flown(name, Sensors(), size["seeds"], WORST))

@@ -127,7 +127,7 @@ def parameters() -> str:
 def main(words: list[str]) -> int:
     """Run the study and print the results."""
     parser = argparse.ArgumentParser(prog="run.py", description="Simulate every law in every scenario.")
-    parser.add_argument("--quick", action="store_true", help="two seeds, one scenario, true positions")
+    parser.add_argument("--quick", action="store_true", help="two seeds, two laws, one scenario, true positions")
     parser.add_argument("--out", help="folder for the picture")
     options = parser.parse_args(words)
     config = tomllib.loads(Path(__file__).with_name("config.toml").read_text(encoding="utf-8"))

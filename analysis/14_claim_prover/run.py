@@ -30,6 +30,7 @@ equality on a whole surface."""
 WIDTH = 1e-2
 MARGIN_24 = "-e2*u*sin(atan2(e2 + delta, 0.5)) + u*e2^2/sqrt(0.25 + (e2 + delta)^2)"
 """Left minus right for a static obstacle; both sides of the obstacle give the same expression."""
+QUICK = ("v1-corrected", "v2-static", "clearance-corrected")
 GAINS: Mapping[str, Mapping[str, float] | None] = {
     "defaults": None,
     "odd numbers": {"k1": 0.3714159, "k2": 0.61, "lookahead": 0.8333333, "kappa": 0.2072333577977318, "k3": 1.37},
@@ -75,7 +76,7 @@ def main(arguments: list[str]) -> int:
         timed(label, claim, rounds)
         for label, gains in chosen.items()
         for claim in claims(gains)
-        if claim.expected == "proved" and claim.paper
+        if claim.expected == "proved" and claim.paper and (not quick or claim.name in QUICK)
     ]
     print("| gains | claim | proved to within | boxes | proof | check | certificate |\n|---|---|---|---|---|---|---|")
     for r in rows:
@@ -89,7 +90,7 @@ def main(arguments: list[str]) -> int:
     print("| prover | (24) | times this prover's | shows |\n|---|---|---|---|")
     print(f"| this prover, certificate included | {ours.seconds:.3f} s | 1 | left ≤ right, exactly |")
     for name, told in (
-        ("its branch and bound alone, nothing rewritten", bare_24()),
+        *(() if quick else (("its branch and bound alone, nothing rewritten", bare_24()),)),
         ("codac", codac_24()),
         ("samples and local searches", sampled_24()),
         ("Drake, sums of squares", drake_24()),

@@ -148,7 +148,7 @@ def flights() -> Iterator[str]:
 def hour(seconds: float) -> Iterator[str]:
     """Write a long flight as MCAP; yield one line, which begins with a count of failures."""
     scenario, vehicle = load_scenario("tank-speed-015"), load_vehicle("sur540-flooded")
-    run = simulate(scenario, vehicle, gains=load_gains("default"))
+    run = simulate(replace(scenario, time_limit=seconds), vehicle, gains=load_gains("default"))
     record, dt = run.record, run.law.dt
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory() as folder:

@@ -15,7 +15,7 @@ from surctl.vehicle import load_vehicle
 Path("survey.toml").write_text("""
 kind = "scenario"
 name = "survey"
-title = "Three lines of 20 m in a current"
+title = "Two lines of 20 m in a current"
 provenance = "chosen"
 vehicle = "otter"
 path_m = [[20, 20], [30, 20]]
@@ -29,7 +29,7 @@ disturbance = { current_m_per_s = [0.0, 0.1] }
 kind = "lawnmower"
 corner_m = [30, 20]
 length_m = 20
-width_m = 16
+width_m = 8
 spacing_m = 8
 ends = "round"
 """)

@@ -287,7 +287,7 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
     """Return the bundle with the analysed program and the analyser's log added, and with the outcome in the manifest.
 
     Example:
-        >>> import json
+        >>> from json import loads
         >>> from surctl.control import build_law, load_gains
         >>> from surctl.export import build_bundle, closed_form, operating_envelope, prove_bundle, with_proof
         >>> from surctl.simulation import law_numbers, load_scenario
@@ -299,7 +299,7 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
         >>> bundle = build_bundle(shipped, {}, real="float32", envelope=within)
         >>> report = prove_bundle(shipped, bundle, vehicle.thrust_limit)
         >>> proved = with_proof(bundle, report)
-        >>> json.loads(proved.files["manifest.json"])["proof"]["status"], sorted(set(proved.files) - set(bundle.files))
+        >>> loads(proved.files["manifest.json"])["proof"]["status"], sorted(set(proved.files) - set(bundle.files))
         ('proved', ['proof.c', 'proof.log'])
     """
     files = {name: text for name, text in bundle.files.items() if name != "manifest.json"}

@@ -162,10 +162,10 @@ def advice(tuning: Tuning, *, trials: int) -> tuple[str, bool]:
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
         >>> goals = (Goal("fast", "time_s", "s", 15.0, kind="hard"),)
-        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=32, rounds=1, runs=0)
-        >>> text, longer = advice(tuning, trials=32)
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> text, longer = advice(tuning, trials=8)
         >>> text.split(";")[0], longer
-        ('no gain set of the searches (32 trials each) meets fast even without the other goals', False)
+        ('no gain set of the searches (8 trials each) meets fast even without the other goals', False)
     """
     clash = tuning.conflict
     if not clash:

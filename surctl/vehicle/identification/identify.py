@@ -83,10 +83,10 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     Example:
         >>> import numpy as np
         >>> from surctl.vehicle import MotionLog, identify, load_vehicle
-        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(300)
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(150)
         >>> force = np.where(t % 10 < 5, 4.0, -2.0)  # N, in surge; the true motion uses Euler steps of 1 ms
-        >>> motion, thrust, x, u, f = np.zeros((300, 8)), np.outer(force, [1, 0, 0, 0]), 0.0, 0.0, 4.0
-        >>> for k in range(1, 300):
+        >>> motion, thrust, x, u, f = np.zeros((150, 8)), np.outer(force, [1, 0, 0, 0]), 0.0, 0.0, 4.0
+        >>> for k in range(1, 150):
         ...     for _ in range(100):
         ...         f += 1e-3 * (force[k - 1] - f) / 0.3
         ...         x, u = x + 1e-3 * u, u + 1e-3 * (f - 2.0 * u - 29.5 * u * abs(u)) / 60.0

@@ -1,0 +1,29 @@
+"""Studies whose quick form takes too long for the suite, which runs them on made-up results, or runs their like."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.test_analysis import ANALYSIS, examine_example, run, table
+from tests.tools import need_compiler
+
+
+@pytest.mark.parametrize("example", ["cybership2", "bluerov2_attitude"])
+def test_an_example_of_a_ship_or_an_rov(example: str) -> None:
+    examine_example(example)
+
+
+def test_by_sonar_the_way_through_the_pool_is_longer_and_takes_longer() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "17_pool_static_limits" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row[0]: [float(cell) for cell in row[1:]] for row in table(done.stdout)[1:] if len(row) == 8}
+    truth, sonar = rows["true positions"], rows["nothing: by sonar"]
+    assert truth[0] == 4 and sonar[4] > 1.5 * truth[4] and sonar[5] > truth[5]
+
+
+def test_a_run_with_the_echo_model_of_smooth_walls() -> None:
+    done = run(ANALYSIS / "33_echoes" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if len(row) == 8][1:]
+    assert [row[:2] for row in rows] == [["`pool-behind`", "specular"]] and sum(map(int, rows[0][2:6])) == 2
