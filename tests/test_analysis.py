@@ -97,11 +97,13 @@ def test_the_study_of_long_checks_counts_what_passes_and_what_fails(
     monkeypatch.setattr(subprocess, "run", lambda words, cwd, check: run_python(words[1:], cwd=cwd))
     (tmp_path / "test_good.py").write_text("def test_a(): pass\n")
     (tmp_path / "test_bad.py").write_text("def test_b(): pass\ndef test_c(): assert False\n")
-    for given, status, rows in (([], 1, {"bad": ["1", "1", "0"], "good": ["1", "0", "0"]}), (["--quick"], 0, {})):
+    for given, status, counts in (
+        ([], 1, {"test_bad": ["1", "1", "0"], "test_good": ["1", "0", "0"]}),
+        (["--quick"], 0, {}),
+    ):
         monkeypatch.setattr(sys, "argv", ["run.py", *given, "-pno:cacheprovider", "-oaddopts="])
         assert study["main"]() == status
-        found = {row[0].strip("`"): row[1:4] for row in table(capsys.readouterr().out)[1:]}
-        assert found == {f"test_{name}": counts for name, counts in rows.items()}
+        assert {row[0].strip("`"): row[1:4] for row in table(capsys.readouterr().out)[1:]} == counts
     monkeypatch.setattr(sys, "argv", ["run.py", "simulations"])
     with pytest.raises(SystemExit, match="2"):
         study["main"]()
@@ -239,8 +241,8 @@ def test_the_study_of_mutants(
         (tmp_path / "whole" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "whole" / name).write_text(text)
     one = 'id = "{0}", room = "r", file = "surctl/sizes.py", changes = "", tests = ["tests/test_sizes.py"]'
-    rows = [f'{{ {one.format(w.lower())}, old = "{w} = ", new = "{w} = 1" }}' for w in ("LENGTH", "WIDTH")]
-    (tmp_path / "mutants.toml").write_text(f"patience = 99\nmutant = [{', '.join(rows)}]\n")
+    wrong = [f'{{ {one.format(w.lower())}, old = "{w} = ", new = "{w} = 1" }}' for w in ("LENGTH", "WIDTH")]
+    (tmp_path / "mutants.toml").write_text(f"patience = 99\nmutant = [{', '.join(wrong)}]\n")
     monkeypatch.setitem(study["main"].__globals__, "ROOT", tmp_path / "whole")
     monkeypatch.setitem(study["main"].__globals__, "CONFIG", tmp_path / "mutants.toml")
     assert study["main"](["--out", str(tmp_path / "found.jsonl")]) == 1

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from surctl.report.calibration_plots import plot_calibration
-from surctl.report.goals import goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
+from surctl.report.goals import goal_bars, goal_views, plot_front, plot_goal_bars, plot_goal_view
 from surctl.report.heat_map import plot_heat_map
 from surctl.report.locus import plot_locus
 from surctl.report.pictures import save_figure
@@ -181,10 +181,8 @@ def save_tuning(tuning: Tuning, folder: Path | str) -> list[Path]:
         ['tuning-goals.png', 'tuning-front.png', 'tuning-soon.png', 'tuning-clear.png']
     """
     axes = {"goals": plot_goal_bars(goal_bars(tuning)), "front": plot_front(tuning)}
-    for goal in tuning.request.goals:
-        view = goal_view(tuning, goal)
-        if view is not None:
-            axes[goal.name] = plot_goal_view(view)
+    for view in goal_views(tuning, tuning.request.goals):
+        axes[view.goal.name] = plot_goal_view(view)
     return [save_figure(ax.figure.figure, Path(folder), ("tuning", name)) for name, ax in axes.items()]
 
 

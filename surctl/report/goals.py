@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from textwrap import fill
 
@@ -25,7 +26,7 @@ from surctl.report.theme import (
     new_axes,
     printable,
 )
-from surctl.simulation import simulate
+from surctl.simulation import Run, simulate
 from surctl.tuning import Condition, Goal, Tuning, figures, scope
 from surctl.vehicle import Vehicle
 
@@ -209,23 +210,32 @@ def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
         >>> view.label, view.course, round(float(view.values["tuned"].min()), 2)
         ('pool-behind/sur400/truth, seed 0', 'clearance [m]', 0.1)
     """
-    if goal.metric not in _OVER_TIME:
-        return None
-    conditions = tuning.request.conditions
-    own = [conditions[k] for k in scope(goal, conditions)]
-    tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
-    worst = int(goal.normalised(figures([goal], own, tuned)[goal.metric][0]).argmax())
-    base = tuning.request.base
+    return next(goal_views(tuning, [goal]), None)
+
+
+def goal_views(tuning: Tuning, goals: Iterable[Goal]) -> Iterator[GoalView]:
+    """Yield the view of each goal that has one; a run that several of them show is simulated once."""
+    conditions, base = tuning.request.conditions, tuning.request.base
     sets = {"start gains": base, "tuned": base.with_values(tuning.result.gains)}
-    time, values = {}, {}
-    for label, gains in sets.items():
-        time[label], values[label] = _course(own[worst], gains, goal.metric)
-    return GoalView(goal, own[worst].label, _OVER_TIME[goal.metric], time, values)
+    tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
+    runs: dict[tuple[int, str], Run] = {}
+    for goal in goals:
+        if goal.metric not in _OVER_TIME:
+            continue
+        own = scope(goal, conditions)
+        measured = figures([goal], [conditions[k] for k in own], tuned)[goal.metric][0]
+        worst = own[int(goal.normalised(measured).argmax())]
+        time, values = {}, {}
+        for label, gains in sets.items():
+            if (worst, label) not in runs:
+                runs[worst, label] = _simulated(conditions[worst], gains)
+            time[label], values[label] = _course(runs[worst, label], goal.metric)
+        yield GoalView(goal, conditions[worst].label, _OVER_TIME[goal.metric], time, values)
 
 
-def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _simulated(condition: Condition, gains: Gains) -> Run:
     case = condition.case
-    run = simulate(
+    return simulate(
         case.scenario,
         _actual_vehicle(case.vehicle, condition),
         gains=gains,
@@ -234,15 +244,18 @@ def _course(condition: Condition, gains: Gains, metric: str) -> tuple[NDArray[np
         seed=condition.seed,
         model=case.model or case.vehicle,
     )
+
+
+def _course(run: Run, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     record = run.record
-    away = case.scenario.follower().track(record.eta[:, :2])
+    away = run.scenario.follower().track(record.eta[:, :2])
     counted = np.arange(1, len(away) + 1)
     course = {
         "min_clearance_m": record.clearance,
         "deviation_m": np.sqrt(np.cumsum(away**2) / counted),  # the metric is the last value of the curve
         "max_deviation_m": away,
         "effort_n": np.cumsum(np.hypot(record.tau[:, 0], record.tau[:, 1])) / counted,
-        "time_s": np.hypot(*(record.eta[:, :2] - case.scenario.target).T),
+        "time_s": np.hypot(*(record.eta[:, :2] - run.scenario.target).T),
     }[metric]
     return record.time, np.asarray(course, dtype=float)
 

@@ -46,7 +46,7 @@ def plot_heat_map(
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, grid, parse_axis, sweep
         >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8")]))
+        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
         >>> ax = plot_heat_map(table, "disk_margin")
         >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
         ('least disk margin (high is good)', 'k_v [1/s]', 'lookahead [m]')
