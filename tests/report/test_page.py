@@ -125,7 +125,7 @@ def test_the_same_plot_gives_the_same_bytes() -> None:
 
 
 def test_many_runs_do_not_make_the_page_grow_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surctl.report.evidence_sections._BUDGET", 250_000)
+    monkeypatch.setattr("surctl.report.evidence_sections._BUDGET", 500_000)
     flown = run(sensing="sonar")
     stopped = replace(flown, metrics=replace(flown.metrics, reached=False, stopped_because="collision"))
     many = render_page(bare(runs=(stopped,) * 40))
