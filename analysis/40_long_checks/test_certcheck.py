@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from tests.certcheck import test_heading, test_region, test_turning
+from tests.certcheck import test_heading, test_region, test_steering, test_turning
 
 
 @pytest.mark.parametrize("path", test_region.FILES, ids=lambda path: path.stem)
@@ -26,3 +27,14 @@ def test_turns(name: str) -> None:
 
 def test_misled_it_settles_as_close_as_is_said() -> None:
     test_region.test_pushed_and_misled_it_settles_as_close_as_is_said("region-cruise-20-noise")
+
+
+@pytest.mark.parametrize("module", [test_region, test_heading, test_steering], ids=lambda module: module.__name__)
+def test_what_asks_for_more_is_rejected(module: ModuleType) -> None:
+    for kind in module.STRONGER:
+        module.test_what_asks_for_more_is_rejected_however_it_is_sealed(kind)
+
+
+@pytest.mark.parametrize("kind", test_region.CELLS)
+def test_a_proof_by_cells_of_headings_proves_no_more_either(kind: str) -> None:
+    test_region.test_a_proof_by_cells_of_headings_proves_no_more_either(kind)

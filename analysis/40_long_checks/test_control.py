@@ -7,17 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build_law, in_real
+from surctl.control import build_law, courses, in_real
 from surctl.ir import replay
 from surctl.own_code import own_file
 from surctl.priority.solver.fallback import RELAXED
 from surctl.simulation import Case, simulate_batch
-from tests.control import test_baselines, test_own_laws
+from tests.control import test_baselines, test_layers, test_own_laws, test_steered
 from tests.control.test_own_laws import law as law
 from tests.control.test_own_laws import mission as mission
 from tests.control.test_own_laws import surctl
 from tests.control.test_routines import tried
 from tests.control.test_steered import gains, radius_of
+from tests.control.test_steered_courses import EXACT, numbers, rebuilt
 from tests.craft import craft
 from tests.craft import mission as written
 
@@ -82,3 +83,36 @@ def test_with_the_tolerances_of_doubles_a_search_in_floats_goes_down_the_ladder(
     assert coarse[5].mean() > 2 * max(1.0, fine[5].mean())  # iterations
     held = replay(ticks[0], *(part.astype(float) for part in (J, wanted, wanted, rows, box)))[4] < RELAXED
     assert held.mean() > 0.5 and (fine[4][held] < RELAXED).all()
+
+
+def test_an_unfinished_search_goes_on_in_the_next_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    p, chosen = numbers(brake=0.1), []
+    # a row of discs across the path, so that only a course far aside is clear
+    across = np.zeros((8, 6))
+    across[:5, :2] = [[24.0, 30.0 + 3.0 * k] for k in range(-2, 3)]
+    across[:5, 2], across[:5, 5] = 1.5, 1.0
+    for budget in (EXACT, 2 * courses.STEPS):
+        monkeypatch.setattr(courses, "BUDGET", budget)
+        law = rebuilt()
+        x = law.initial_state()
+        x[law.state.slice("progress")] = 15.0
+        u = law.inputs.pack({"eta": [12.0, 30.0, 0.0, 0.0], "nu": [0.7, 0.0, 0.0, 0.0], "contacts": across})
+        begun = x.copy()
+        for _ in range(20):
+            step = law.step(x, u, p)
+            x = begun.copy()  # the craft stays where it is; only the search goes on
+            for name in ("offset", "share", "skipped"):
+                x[law.state.slice(name)] = step.x_next[law.state.slice(name)]
+            chosen.append([float(x[law.state.slice(name)][0]) for name in ("offset", "share", "skipped")])
+    exact, partial = chosen[:20], chosen[20:]
+    assert exact[0][0] != 0 and exact[0] == exact[-1] and exact[0][2] == 0
+    assert partial[0][2] > 0  # the first search did not end
+    assert exact[0][:2] in [one[:2] for one in partial] and partial[-1][:2] == exact[0][:2]
+
+
+def test_the_map_is_not_forgotten_before_another_depth_is_reached() -> None:
+    test_layers.test_the_map_is_forgotten_once_another_depth_is_reached(1.0, False)
+
+
+def test_corners_are_visited_without_crabbing() -> None:
+    test_steered.test_two_legs_are_followed_without_crabbing("otter", "visit")

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from surctl.priority import Settings
+import platform
+
+from surctl.ir import compile_block
+from surctl.priority import Settings, safe_step
 from tests.priority.compiled import test_step
 from tests.priority.solver import test_bounded
+from tests.priority.solver.test_fallback import SMALL, small
+from tests.tools import need_compiler
+
+X86 = platform.machine().lower() in ("x86_64", "amd64")
+FLAGS = ("-O2", *(["-march=x86-64"] if X86 else []))  # the others are compiled with -O0, and for this processor
 
 
 def test_several_sweeps_of_a_stack_with_sets() -> None:
@@ -18,3 +26,10 @@ def test_compiled_and_replayed_are_the_same_bytes() -> None:
 
 def test_the_first_rung_of_one_task_row() -> None:
     test_bounded.test_what_the_first_rung_finds_in_few_iterations_is_the_exact_answer_to_the_last_bit((3, 1, 9))
+
+
+def test_with_another_level_for_the_oldest_processor_it_gives_the_same_bytes() -> None:
+    need_compiler()
+    trials, outputs = small()
+    for a, b in zip(compile_block(safe_step(*SMALL), flags=FLAGS)(*trials.arrays), outputs, strict=True):
+        assert a.tobytes() == b.tobytes()

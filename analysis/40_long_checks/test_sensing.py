@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.sensing import test_echo, test_local_map
+from surctl.sensing import FaultChances, SonarArray
+from tests.sensing import test_echo, test_estimate, test_faults, test_local_map
 
 BEAMS = pytest.mark.parametrize("beam", [15.0, 75.0, 120.0])
 
@@ -47,3 +48,16 @@ def test_the_hulls_shadow(beam: float, limit: float | None) -> None:
 @pytest.mark.parametrize(("limit", "mounted"), [(None, True), (test_echo.WEBOTS, False), (1.2, False)])
 def test_symbols_and_numbers(beam: float, limit: float | None, mounted: bool) -> None:
     test_echo.test_symbols_and_numbers_give_the_same_range(beam, limit, mounted)
+
+
+@pytest.mark.parametrize("told", test_faults.FAULTS)
+@pytest.mark.parametrize("chances", test_faults.CHANCES, ids=["none", "some", "always"])
+def test_faults_in_symbols_and_numbers(told: str, chances: FaultChances) -> None:
+    array = SonarArray(order=(0, 2, 1, 3), calibrated_for=1400.0)
+    test_faults.test_symbols_and_numbers_give_the_same_arrivals(told, chances, array)
+
+
+@pytest.mark.parametrize("sensor", range(4))
+@pytest.mark.parametrize("degrees", [7.5, 37.5, 60.0])
+def test_expected_range_is_the_worlds(sensor: int, degrees: float) -> None:
+    test_estimate.test_expected_range_is_the_worlds(sensor, degrees)

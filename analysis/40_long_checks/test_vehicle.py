@@ -6,21 +6,28 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from surctl.control import build_law
 from surctl.export import Records, software_in_the_loop
 from surctl.simulation import simulate
 from surctl.vehicle import identify
 from tests.tools import need_compiler
-from tests.vehicle import test_identify, test_identify_robust, test_identify_tilt
+from tests.vehicle import test_identify, test_identify_tilt, test_plant
 from tests.vehicle.test_fins import GAINS, REMUS, turning
 from tests.vehicle.test_identify import START, TRUE, made_log
+from tests.vehicle.test_identify_robust import MASSES, made
 from tests.vehicle.test_identify_tilt import TILT, boat
 from tests.vehicle.test_real_logs import depths, diver
 
 
-def test_a_start_vehicle_that_is_five_times_too_light() -> None:
-    test_identify_robust.test_a_start_vehicle_that_is_off_by_a_factor_of_five(0.2)
+@pytest.mark.parametrize("factor", [5.0, 0.2])
+def test_a_start_vehicle_that_is_off_by_a_factor_of_five(factor: float) -> None:
+    free = replace(START, parameters={k: replace(p, range=None) for k, p in START.parameters.items()})
+    far = free.with_values({k: factor * TRUE[k] for k in (*MASSES, "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag")})
+    near, found = identify(made(), START, name="near"), identify(made(), far, name="far")
+    for name in (*MASSES, "thrust_lag"):
+        assert found.estimates[name][0] == pytest.approx(near.estimates[name][0], abs=0.2 * near.estimates[name][1])
 
 
 def test_what_was_not_moved_is_not_told() -> None:
@@ -64,3 +71,9 @@ def test_an_axis_at_rest_by_its_depth_alone_is_still_at_rest() -> None:
     motion[:, 2] = np.random.default_rng(3).normal(0, 0.05, 240)
     found = identify(replace(log, motion=motion), diver(), name="fitted")
     assert "m33" not in found.identified and any("heave: no motion above" in text for text in found.directions)
+
+
+@pytest.mark.parametrize("name", test_plant.ALL)
+def test_steady_speeds(name: str) -> None:
+    for axis in range(4):
+        test_plant.test_steady_speeds(name, axis)

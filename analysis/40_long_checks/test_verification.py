@@ -12,7 +12,7 @@ from surctl.vehicle import load_vehicle
 from surctl.verification import claims
 from surctl.verification.braking import BRAKING_CLAIMS
 from surctl.verification.region import prove_turning, turning_claim
-from tests.verification import test_claim_file
+from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims
 from tests.verification.braking import test_proof as braking
 from tests.verification.proving import test_squares
 from tests.verification.region.test_proof import test_flights_from_the_edge_stay_below_the_envelope as below
@@ -42,3 +42,15 @@ def test_every_claim_goes_out_and_comes_back(name: str, tmp_path: Path) -> None:
 
 def test_a_polynomial_with_several_zeros() -> None:
     test_squares.test_a_polynomial_with_several_zeros_is_proved_without_slack(test_squares.ROBINSON)
+
+
+@pytest.mark.parametrize(("left", "right", "box", "slack"), test_functions_of_claims.TRUE)
+def test_functions(left: str, right: str, box: dict[str, tuple[float, float]], slack: float, tmp_path: Path) -> None:
+    test_functions_of_claims.test_a_true_claim_is_proved_and_one_that_is_false_by_a_millionth_is_refuted(
+        left, right, box, slack, tmp_path
+    )
+
+
+@pytest.mark.parametrize("name", test_counterexample.REFUTED)
+def test_every_counterexample_is_confirmed_from_its_json(name: str) -> None:
+    test_counterexample.test_every_counterexample_is_confirmed_from_its_json(name)

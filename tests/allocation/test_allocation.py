@@ -56,7 +56,7 @@ def _wrenches(actuators: Actuators, count: int, seed: int = 0) -> Array:
     return wrenches
 
 
-@pytest.mark.parametrize("failed", [(), (0,), (5,), (0, 1), (0, 1, 2, 3)])
+@pytest.mark.parametrize("failed", [(), (0, 1)])
 @pytest.mark.parametrize("vehicle", ["bluerov2-thrusters", "skewed"])
 def test_forces_equal_those_of_an_exhaustive_search(vehicle: str, failed: tuple[int, ...]) -> None:
     actuators = _skewed() if vehicle == "skewed" else _library(vehicle)

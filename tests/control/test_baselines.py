@@ -19,7 +19,6 @@ from surctl.control import (
     DEGRADED,
     LAW_NAMES,
     LAWS,
-    MODES,
     Law,
     LawStep,
     build_law,
@@ -84,7 +83,7 @@ def test_every_law_of_the_registry_is_built_and_every_mode_is() -> None:
     assert LAW_NAMES == tuple(LAWS) == ("guarded", "paper", "closed_form", *BASELINES, "steered", "calm")
     for name in BASELINES:  # study 13 flies them in each mode
         assert build_law(name).name == f"surctl_{name}"
-    assert build_law("apf", mode=MODES[-1]).mode == MODES[-1]
+    assert build_law("apf", mode="filter").mode == "filter"
     assert all(LAWS[name].scans for name in BASELINES)  # by sonar: study 40
 
 
@@ -188,7 +187,7 @@ def test_the_window_holds_what_the_thrust_can_change() -> None:
 # --- time to contact ----------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=32, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_the_time_to_contact_is_when_the_simulated_discs_touch(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -272,7 +271,7 @@ def _nearest_of(count: int) -> ca.Function:
     return ca.Function("nearest", [wish, normals, bounds, cap], cbf.nearest_velocity(wish, rows, cap=cap))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12))
 def test_the_filtered_velocity_keeps_its_rows_and_is_the_nearest(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -302,7 +301,7 @@ def _enumerated(wish: Array, rows: list[tuple[Array, float]], cap: float) -> Arr
     return min(kept, key=lambda v: float(np.linalg.norm(v - wish)), default=None)
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_far_below_the_cap_it_is_the_answer_of_a_qp_solver(seed: int) -> None:
     rng = np.random.default_rng(seed)

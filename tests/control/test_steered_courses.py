@@ -72,28 +72,3 @@ def test_a_course_counts_as_clear_only_as_far_as_it_was_predicted(
     x[law.state.slice("progress")] = 15.0
     u = law.inputs.pack({"eta": [12.0, 30.0, 0.0, 0.0], "nu": [0.77, 0.0, 0.0, 0.0], "contacts": np.zeros((8, 6))})
     assert bool(law.step(x, u, p).status & DEGRADED) == stops
-
-
-def test_an_unfinished_search_goes_on_in_the_next_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    p, chosen = numbers(brake=0.1), []
-    # a row of discs across the path, so that only a course far aside is clear
-    across = np.zeros((8, 6))
-    across[:5, :2] = [[24.0, 30.0 + 3.0 * k] for k in range(-2, 3)]
-    across[:5, 2], across[:5, 5] = 1.5, 1.0
-    for budget in (EXACT, 2 * courses.STEPS):
-        monkeypatch.setattr(courses, "BUDGET", budget)
-        law = rebuilt()
-        x = law.initial_state()
-        x[law.state.slice("progress")] = 15.0
-        u = law.inputs.pack({"eta": [12.0, 30.0, 0.0, 0.0], "nu": [0.7, 0.0, 0.0, 0.0], "contacts": across})
-        begun = x.copy()
-        for _ in range(20):
-            step = law.step(x, u, p)
-            x = begun.copy()  # the craft stays where it is; only the search goes on
-            for name in ("offset", "share", "skipped"):
-                x[law.state.slice(name)] = step.x_next[law.state.slice(name)]
-            chosen.append([float(x[law.state.slice(name)][0]) for name in ("offset", "share", "skipped")])
-    exact, partial = chosen[:20], chosen[20:]
-    assert exact[0][0] != 0 and exact[0] == exact[-1] and exact[0][2] == 0
-    assert partial[0][2] > 0  # the first search did not end
-    assert exact[0][:2] in [one[:2] for one in partial] and partial[-1][:2] == exact[0][:2]

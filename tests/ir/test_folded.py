@@ -43,12 +43,12 @@ def test_random_programs_bit_for_bit(tmp_path: Path, apart: bool) -> None:
             assert native(point)[0].tobytes() == np.ascontiguousarray(want).tobytes()
 
 
-def test_every_operation_inside_every_other_treats_special_numbers_alike(tmp_path: Path) -> None:
-    """Each pair of exact operations, the inner one in each place of the outer one."""
+def test_every_operation_inside_every_other_treats_special_numbers_alike(tmp_path: Path, share: int = 3) -> None:
+    """A third of them (all: study 40): each pair of exact operations, the inner one in each place of the outer one."""
     need_compiler()
     exact = [op for op in OPERATIONS.values() if op.name not in LIBM]
     pairs = [(o, i, at) for o in exact for i in exact for at in range(o.arity)]
-    programs = [_nested(*pair) for pair in pairs]
+    programs = [_nested(*pair) for pair in pairs[::share]]
     points = np.array(list(itertools.product(SPECIAL, repeat=3)))[:: 11 * 4 + 1]
     natives = compiled(programs, tmp_path, emit_folded, preamble(programs))
     for program, native in zip(programs, natives, strict=True):

@@ -122,7 +122,7 @@ def test_text_and_digest_tell_programs_apart() -> None:
     assert digest(0.1) != digest(np.nextafter(0.1, 1))
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(steps=picks, values=numbers)
 def test_replay_is_the_casadi_machine_bit_for_bit(steps: list[tuple[str, int, int, int]], values: list[float]) -> None:
     function = grown(steps, EXACT)

@@ -248,7 +248,7 @@ def _twin(array, *, slots, delays):
 
 
 @pytest.mark.parametrize("told", FAULTS)
-@pytest.mark.parametrize("chances", CHANCES, ids=["none", "some", "always"])
+@pytest.mark.parametrize("chances", CHANCES[1:2], ids=["some"])
 @pytest.mark.parametrize("array", [SonarArray(order=(0, 2, 1, 3), calibrated_for=1400.0)], ids=["order and scale"])
 def test_symbols_and_numbers_give_the_same_arrivals(told, chances, array):
     faults = FAULTS[told]

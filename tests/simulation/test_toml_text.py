@@ -21,7 +21,7 @@ VALUES = st.recursive(
 TABLES = st.dictionaries(st.from_regex(r"[A-Za-z0-9_\-é.\" ]{1,5}", fullmatch=True), VALUES, max_size=5)
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(TABLES)
 def test_it_reads_back_to_the_last_bit(table):
     assert tomllib.loads(toml_text(table)) == table

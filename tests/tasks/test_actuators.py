@@ -174,6 +174,8 @@ def test_the_widened_limits_bring_a_runaway_vehicle_back():
         assert (np.abs(tau) <= numbers["thrust_limit"] * (1 + 1e-9)).all()
         for _ in range(2):
             x = np.array(advance()(x, tau, PLANT_DISTURBANCE.pack(), p)).reshape(-1)
+        if (np.abs(x[PLANT_STATE.slice("nu")]) <= np.array([0.3, 0.3, 0.1, 0.4]) - 1e-3).all():
+            break
     assert (np.abs(x[PLANT_STATE.slice("nu")]) <= np.array([0.3, 0.3, 0.1, 0.4]) + 1e-3).all()
 
 

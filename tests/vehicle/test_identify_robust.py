@@ -65,15 +65,6 @@ def test_coarse_resolution_is_noise() -> None:
     ]
 
 
-@pytest.mark.parametrize("factor", [5.0])
-def test_a_start_vehicle_that_is_off_by_a_factor_of_five(factor: float) -> None:
-    free = replace(START, parameters={k: replace(p, range=None) for k, p in START.parameters.items()})
-    far = free.with_values({k: factor * TRUE[k] for k in (*MASSES, "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag")})
-    near, found = identify(made(), START, name="near"), identify(made(), far, name="far")
-    for name in (*MASSES, "thrust_lag"):
-        assert found.estimates[name][0] == pytest.approx(near.estimates[name][0], abs=0.2 * near.estimates[name][1])
-
-
 def test_a_trim_that_drifts_is_said_and_does_not_change_masses_and_drag() -> None:
     """0.5 N of drift, a tenth of the thrust: with a constant force, masses would be wrong by 8 %, drag by far more."""
     rows = 400

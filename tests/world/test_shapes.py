@@ -32,7 +32,7 @@ def fan(axis, half):
     return np.column_stack((np.cos(angles), np.sin(angles)))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_cone_against_ray_casting(seed):
     rng = np.random.default_rng(seed)
     outcomes = {"hit": 0, "miss": 0, "inside": 0}
@@ -59,7 +59,7 @@ def test_cone_against_ray_casting(seed):
     assert min(outcomes["hit"], outcomes["miss"]) >= 5
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(
     st.integers(0, 2**32 - 1),
     st.floats(-4, 4),
@@ -75,7 +75,7 @@ def test_wider_cone_never_sees_further(seed, x, y, axis, half):
     assert narrow >= max(shape.nearest((x, y))[0], 0.0) - 1e-9
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@settings(max_examples=80, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.floats(-4, 4), st.floats(-4, 4))
 def test_nearest_point_lies_on_the_surface_at_the_distance(seed, x, y):
     shape = random_shape(np.random.default_rng(seed))

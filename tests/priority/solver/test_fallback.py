@@ -244,13 +244,6 @@ X86 = platform.machine().lower() in ("x86_64", "amd64")
 FLAGS = ("-O2", *(["-march=x86-64"] if X86 else []))  # the others are compiled with -O0, and for this processor
 
 
-def test_with_another_level_for_the_oldest_processor_it_gives_the_same_bytes() -> None:
-    need_compiler()
-    trials, outputs = small()
-    for a, b in zip(compile_block(safe_step(*SMALL), flags=FLAGS)(*trials.arrays), outputs, strict=True):
-        assert a.tobytes() == b.tobytes()
-
-
 ODD = [np.nan, np.inf, -np.inf, 1e-320, 1e38, 1e-40]
 CASES = [("float64", 1e308), ("float64", -1e308), *((real, bad) for real in ("float64", "float32") for bad in ODD)]
 

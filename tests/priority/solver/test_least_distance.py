@@ -114,7 +114,7 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
 
 def test_the_backend_own_solves_whole_ticks_as_daqp_does() -> None:
     rng = np.random.default_rng(11)
-    for _ in range(25):
+    for _ in range(12):
         problem = draw_problem(rng)
         own, other = solve(problem, backend="own"), solve(problem, backend="daqp")
         assert own.status == other.status

@@ -82,7 +82,7 @@ def test_a_hull_fits_between_two_that_move():
     assert 2 * VEHICLE["radius"] + 0.1 - 1e-9 <= min(apart) < 1.0
 
 
-@pytest.mark.parametrize(("law", "sensing", "seconds"), [("closed_form", "truth", 15.0), ("paper", "sonar", 3.0)])
+@pytest.mark.parametrize(("law", "sensing", "seconds"), [("closed_form", "truth", 8.0), ("paper", "sonar", 3.0)])
 def test_one_compiled_loop_flies_each_as_the_reference_loop_does(law, sensing, seconds):
     given = worlds(sensing, law=law, seconds=seconds, plant=True)
     values = given.values(0, 12)
