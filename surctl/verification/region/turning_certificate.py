@@ -63,7 +63,7 @@ def certificate_of(claim: TurningClaim, candidate: TurningCandidate) -> dict[str
     """Return the certificate of a candidate."""
     region = region_of(claim, candidate)
     apart = np.abs(corner_factors(claim.mass_factor, claim.mass_asymmetry) @ (claim.mass * np.array([1, -1]))).max()
-    moment = apart * region.fastest**2 / 2 + float(other_moment(claim.stated(), Fraction(region.fastest)))
+    moment = apart * region.fastest**2 / 2 + float(other_moment(claim.stated, Fraction(region.fastest)))
     stated = claim.document(
         offset=region.offset,
         rest_offset=region.rest_offset,

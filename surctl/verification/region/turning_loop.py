@@ -13,7 +13,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
 from surctl.certcheck.turning_terms import other_forces
 from surctl.verification.region.turning import TurningClaim
 
@@ -186,16 +185,13 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     loops = _loops(claim, cruise, covariance * high * 1.002, turn, plans)
     if loops is None:
         return None
-    stated = claim.stated()
-    coupling = coupling_of(stated)
-    loose, masses = float(coupling.loose), np.array(inverse_masses(stated, coupling))
-    turns = np.array(turn_points(stated))
+    loose, masses, turns = claim.vertex_numbers
     cross = np.array([[[0.0, a], [b, 0.0]] for a, b, _ in turns])
     coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]
     bodies, crossed = np.einsum("hji,hki->hijk", turn, turn), np.einsum("hji,hki->hijk", turn[..., ::-1], turn)
     effect = (coriolis[..., 0] + np.outer(turns[:, 2], [0.0, 1.0])) * claim.cruise
     fastest = v + np.sqrt(np.linalg.eigvalsh(covariance[2:, 2:])[-1] * max(high, 1.0))
-    others = np.array([float(force) for force in other_forces(stated, Fraction(float(fastest)))])
+    others = np.array([float(force) for force in other_forces(claim.stated, Fraction(float(fastest)))])
     heavy = masses[:, :2] + np.abs(masses[:, 2:])
     lack = (cruise.lack + others)[:, None, :] * heavy + loose * v
     return Vertices(

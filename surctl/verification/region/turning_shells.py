@@ -107,7 +107,7 @@ def best_growth(P: Array, at: Vertices, rate: float, low: float, guess: float) -
         half, side = (change @ P) @ A @ change.T, change @ P[:, 2:]
         half, effect = half + half.swapaxes(-1, -2), side @ Q @ side.T / low
         grid = np.unique(np.clip(growth * np.geomspace(0.4, 2.5, 25), _LEAST_GROWTH, _LARGEST_GROWTH))
-        rates = [float(np.linalg.eigvalsh(half + effect / g)[:, -1].max() + g) for g in grid]
+        rates = np.linalg.eigvalsh(half + effect / grid[:, None, None, None])[..., -1].max(axis=1) + grid
         growth = float(grid[int(np.argmin(rates))])
     return float(f"{best[0]:.4g}"), best[1]
 
