@@ -279,7 +279,7 @@ def one_function(text: str, points: int, seed: int) -> dict[str, str]:
     if text == "decimal":
         looked, outside, widest = missed_decimals(points, seed)
     elif text.endswith(ARRAYS):
-        looked, outside, widest = missed_by_arrays(text.removesuffix(ARRAYS), points // 10 or 1, seed)
+        looked, outside, widest = missed_by_arrays(text.removesuffix(ARRAYS), max(points // 100, 100), seed)
     else:
         looked, outside, widest = missed(text, points, seed)
     print(f"{text}: {outside} of {looked}", file=sys.stderr)
@@ -317,7 +317,7 @@ def functions(points: int, seed: int, workers: int, saved: Path | None) -> tuple
 
 def asked_points(points: int) -> tuple[str, str]:
     """Return the numbers of points of a row: one by one, and in arrays."""
-    return str(points), str(points // 10 or 1)
+    return str(points), str(max(points // 100, 100))
 
 
 def forgeries(count: int, seed: int) -> tuple[list[str], bool]:

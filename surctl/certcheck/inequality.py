@@ -76,6 +76,8 @@ class Inequality:
 
     def _substituted(self, roots: Sequence[int]) -> list[int]:
         """Replace each variable whose range has zero width by its decimal number."""
+        if all(low < high for low, high in self.box):
+            return list(roots)
 
         def change(at: int, _: tuple[int, ...]) -> int | None:
             entry = self.expressions.entries[at]
@@ -150,6 +152,8 @@ class _Case:
 
     def _chosen(self, picked: Mapping[int, str]) -> tuple[list[int], list[int]]:
         """Return the claim's expressions after all choices, and expressions that are ≤ 0 where the choices hold."""
+        if not picked:
+            return list(self.claim.parts), []
         put, conditions = self.expressions.put, dict[int, int]()
 
         def change(at: int, args: tuple[int, ...]) -> int | None:

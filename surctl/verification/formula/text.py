@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import lru_cache
 
 from surctl.errors import InputError
 from surctl.verification.formula.node import Node, ordered
@@ -11,6 +12,7 @@ from surctl.verification.formula.parser import LONGEST
 __all__ = ["decimal_text", "text_of"]
 
 
+@lru_cache(128)
 def text_of(root: Node) -> str:
     """Return the text of an expression in the claim grammar.
 
