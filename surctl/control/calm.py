@@ -24,10 +24,12 @@ from surctl.ir import Port, fold, tabulated
 
 __all__ = [
     "ACCELERATION_NOISE",
-    "BRAKING",
+    "BRAKE",
+    "BRAKE_AT_START",
     "CALM_GAINS",
     "CALM_PORTS",
     "EVADE",
+    "HARD",
     "MODEL_NOISE",
     "beside_margin",
     "calm_parameters",
@@ -47,15 +49,15 @@ ACCELERATION_NOISE = 0.012
 """Acceleration noise that the own-state filter of a calm law always assumes [m/s^1.5] (*chosen*): a filter that follows
 the fixes faster costs the loop less of its margins."""
 
-BRAKING = {"brake": 3.0, "hard": 0.03}
-"""How a calm law brakes above a speed bound, see `stopping.braked` (*chosen*)."""
+BRAKE, BRAKE_AT_START, HARD = 3.0, 6.0, 0.03
+"""How a calm law brakes above a speed bound, see `stopping.braked` (*chosen*): harder near the start, where an obstacle
+may be in the blind range of the sonars."""
 
 _SMOOTH = 0.4  # [s] time constant of the reference's acceleration before it becomes thrust
 _WIDEST = 0.3  # share of the thrust limit: largest half width of the band
 _HEAVE, _DEPTH = 0.18, 0.33  # shares of `k_v` and `k2`: nothing is near above or below, so the depth may return slowly
 _HEAVE_SETTLE = 1.0  # [s] `settle` in heave, whose demand is about 0 and would often change its sign
 _BESIDE, _AHEAD = 0.3, 0.8  # cosines to the desired course: a mark beside the robot, and ahead of it
-_WIDER = 1.2  # share of `margin` ahead: 1 of 1,000 runs of `pool-static` with a share of 1 touched a cylinder
 
 CALM_PORTS = (
     Port("eased", (2,), "m/s", "velocity reference of the step before, without braking, in {E}", gap="anew"),
@@ -75,7 +77,7 @@ CALM_GAINS: Mapping[str, GainSpec] = {
     "still": GainSpec(
         "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.02, range=(0.0, 0.04)
     ),
-    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=0.2, range=(0.1, 5.0)),
+    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=0.15, range=(0.1, 5.0)),
     "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=0.1, range=(0.0, 1.0)),
 }  # fmt: skip
 """Gains of law `calm` in addition to those of law `guarded`."""
@@ -106,7 +108,7 @@ def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
 
 
 def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
-    """Return the margin [m] to a mark: 1.2 times `margin` ahead, and its share `beside` beside the desired course.
+    """Return the margin [m] to a mark of the map: `margin` ahead, and its share `beside` beside the desired course.
 
     In a gap between two marks the robot passes both, and does not approach them. Ahead the margin covers an obstacle
     that drifts towards the robot within the blind range of its sonars.
@@ -123,11 +125,11 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, 
         >>> p, to_x = {"margin": ca.DM(0.05), "beside": ca.DM(0.2)}, ca.DM([0.15, 0])
         >>> marks = (ca.DM([1, 0]), ca.DM([0, 1]), ca.DM([-1, 0]))
         >>> [round(float(beside_margin(n, course=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
-        [0.06, 0.01, 0.01]
+        [0.05, 0.01, 0.01]
     """
     cosine = ca.dot(normal, course) / ca.fmax(ca.sqrt(ca.sumsqr(course)), 1e-3)
     ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
-    return p["margin"] * ca.if_else(full, 1, p["beside"] + (_WIDER - p["beside"]) * ahead)
+    return p["margin"] * ca.if_else(full, 1, p["beside"] + (1 - p["beside"]) * ahead)
 
 
 def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:

@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from surctl.control.calm import BRAKING, EVADE, beside_margin, eased, pushed
+from surctl.control.calm import BRAKE, BRAKE_AT_START, EVADE, HARD, beside_margin, eased, pushed
 from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
@@ -146,7 +146,9 @@ def guarded_law(
             velocity = eased(target, x["eased"], bounds, time=time, fastest=fastest, dt=calm)
             firm = []
             memory = {"eased": velocity, "pushed": pushed(velocity, x["eased"], x["pushed"], dt=calm)}
-        brake = partial(braked, calm=ca.logic_not(chased), **({} if calm is None else BRAKING))
+        brake = partial(braked, calm=ca.logic_not(chased))
+        if calm is not None:
+            brake = partial(brake, brake=ca.if_else(away, BRAKE, BRAKE_AT_START), hard=HARD)
         velocity = brake(velocity, over_ground, bounds[:marks])
         velocity = brake(velocity, over_ground, [*bounds[marks:], *firm])
         # the walls' normals are at right angles, so one projection after the other is exact

@@ -74,7 +74,7 @@ def braked(
     bounds: Bounds,
     *,
     calm: ca.SX | float = 1.0,
-    brake: float = BRAKE,
+    brake: ca.SX | float = BRAKE,
     hard: float = HARD,
 ) -> ca.SX:
     """Return a velocity command that brakes harder than the velocity loop alone, if the robot exceeds a speed bound.
