@@ -49,13 +49,14 @@ class Loop:
     def __init__(self, name: str, vessel: str, cruise: float, gains: dict[str, float], manoeuvre: float) -> None:
         law, vehicle, own = build_law(name, sonar=True), load_vehicle(vessel), Equipment().own
         assert own is not None
-        noise = law_source(name).model_noise
+        source = law_source(name)
+        noise = source.model_noise
         filt = OwnStateFilter(
             dt=law.dt, latency=own.fixes.latency, period=own.fixes.period, position_sd=own.position_sd,
             yaw_sd=own.yaw_sd, rate_sd=own.rate_sd, model_noise=noise,
-            acceleration_noise=float(np.hypot(0.003, noise * manoeuvre)),
+            acceleration_noise=float(np.hypot(source.acceleration_noise, noise * manoeuvre)),
         )  # fmt: skip
-        whole = load_gains("default").with_own(law_source(name).gains).with_values(gains)
+        whole = load_gains("default").with_own(source.gains).with_values(gains)
         path, site = Path([[-FAR, 0.0], [FAR, 0.0]]), (-2 * FAR, 2 * FAR, -2 * FAR, 2 * FAR)
         p = law_parameters(whole, vehicle, path=path, depth=0.0, cruise=cruise, cap=1.5 * cruise, walls=site)
         p = law.gains.pack({**law.gains.split(p), "spin": 0.0}) if "spin" in law.gains else p

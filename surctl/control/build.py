@@ -254,7 +254,14 @@ def _built(c: _Configuration) -> Law:
     inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
     return _with_perception(
         _decide(source, c, decision_inputs),
-        build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, model_noise=source.model_noise),
+        build_perception(
+            c.equipment,
+            inputs,
+            decision_inputs,
+            dt=c.dt,
+            model_noise=source.model_noise,
+            acceleration_noise=source.acceleration_noise,
+        ),
     )
 
 

@@ -22,7 +22,22 @@ from surctl.control.gains import GainSpec
 from surctl.control.stopping import Bounds
 from surctl.ir import Port, fold, tabulated
 
-__all__ = ["CALM_GAINS", "CALM_PORTS", "EVADE", "MODEL_NOISE", "calmed", "eased", "pushed"]
+__all__ = [
+    "ACCELERATION_NOISE",
+    "BRAKE",
+    "BRAKE_AT_START",
+    "CALM_GAINS",
+    "CALM_PORTS",
+    "EVADE",
+    "HARD",
+    "MODEL_NOISE",
+    "beside_margin",
+    "calm_parameters",
+    "calmed",
+    "eased",
+    "pushed",
+    "soft_gain",
+]
 
 EVADE = 0.1
 """Time constant [s] of the velocity reference while the robot evades a moving obstacle (*chosen*)."""
@@ -30,8 +45,19 @@ EVADE = 0.1
 MODEL_NOISE = 0.05
 """Error of the vehicle model that the own-state filter of a calm law assumes [s^0.5] (*chosen*)."""
 
-_SMOOTH = 0.5  # [s] time constant of the reference's acceleration before it becomes thrust
+ACCELERATION_NOISE = 0.012
+"""Acceleration noise that the own-state filter of a calm law always assumes [m/s^1.5] (*chosen*): a filter that follows
+the fixes faster costs the loop less of its margins."""
+
+BRAKE, BRAKE_AT_START, HARD = 3.0, 6.0, 0.03
+"""How a calm law brakes above a speed bound, see `stopping.braked` (*chosen*): harder near the start, where an obstacle
+may be in the blind range of the sonars."""
+
+_SMOOTH = 0.4  # [s] time constant of the reference's acceleration before it becomes thrust
 _WIDEST = 0.3  # share of the thrust limit: largest half width of the band
+_HEAVE, _DEPTH = 0.18, 0.33  # shares of `k_v` and `k2`: nothing is near above or below, so the depth may return slowly
+_HEAVE_SETTLE = 1.0  # [s] `settle` in heave, whose demand is about 0 and would often change its sign
+_BESIDE, _AHEAD = 0.3, 0.8  # cosines to the desired course: a mark beside the robot, and ahead of it
 
 CALM_PORTS = (
     Port("eased", (2,), "m/s", "velocity reference of the step before, without braking, in {E}", gap="anew"),
@@ -40,19 +66,70 @@ CALM_PORTS = (
 )
 
 CALM_GAINS: Mapping[str, GainSpec] = {
-    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.9, range=(0.0, 1.5)),
+    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.65, range=(0.0, 1.5)),
     "ramp": GainSpec(
-        "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=0.9,
+        "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=1.1,
         range=(0.5, 2.0),
     ),
-    "soft": GainSpec("1", "share of `k_v` and `reaction` that this law uses", default=0.8, range=(0.6, 1.0)),
-    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.5, range=(0.0, 1.0)),
+    "soft": GainSpec("1", "share of `k_v` that this law uses in surge and sway", default=0.43, range=(0.3, 1.0)),
+    "prompt": GainSpec("1", "share of `reaction` that this law uses", default=0.95, range=(0.5, 1.0)),
+    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.45, range=(0.0, 1.0)),
     "still": GainSpec(
-        "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.015, range=(0.0, 0.02)
+        "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.02, range=(0.0, 0.04)
     ),
-    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=1.0, range=(0.2, 5.0)),
+    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=0.15, range=(0.1, 5.0)),
+    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=0.1, range=(0.0, 1.0)),
 }  # fmt: skip
 """Gains of law `calm` in addition to those of law `guarded`."""
+
+
+def calm_parameters(p: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    """Return the parameters with the shares of `reaction` and `k2` that the decision of a calm law uses.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control.calm import calm_parameters
+        >>> float(calm_parameters({"prompt": ca.DM(0.8), "reaction": ca.DM(0.5), "k2": ca.DM(0.3)})["reaction"])
+        0.4
+    """
+    return {**p, "reaction": p["prompt"] * p["reaction"], "k2": _DEPTH * p["k2"]}
+
+
+def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the bandwidth (3, 1) of the velocity loops in surge, sway and heave [1/s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control.calm import soft_gain
+        >>> soft_gain({"k_v": ca.DM(1.5), "soft": ca.DM(0.5)})
+        DM([0.75, 0.75, 0.405])
+    """
+    return p["k_v"] * ca.vertcat(p["soft"], p["soft"], _HEAVE)
+
+
+def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the margin [m] to a mark of the map: `margin` ahead, and its share `beside` beside the desired course.
+
+    In a gap between two marks the robot passes both, and does not approach them. Ahead the margin covers an obstacle
+    that drifts towards the robot within the blind range of its sonars.
+
+    Args:
+        normal: unit vector (2, 1) from the robot to the mark, in {E}.
+        course: desired velocity (2, 1) in {E} [m/s].
+        full: 1 where every mark needs `margin`.
+        p: parameters by name: `margin`, `beside`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control.calm import beside_margin
+        >>> p, to_x = {"margin": ca.DM(0.05), "beside": ca.DM(0.2)}, ca.DM([0.15, 0])
+        >>> marks = (ca.DM([1, 0]), ca.DM([0, 1]), ca.DM([-1, 0]))
+        >>> [round(float(beside_margin(n, course=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
+        [0.05, 0.01, 0.01]
+    """
+    cosine = ca.dot(normal, course) / ca.fmax(ca.sqrt(ca.sumsqr(course)), 1e-3)
+    ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
+    return p["margin"] * ca.if_else(full, 1, p["beside"] + (1 - p["beside"]) * ahead)
 
 
 def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:
@@ -78,9 +155,10 @@ def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.
         (0.04, 2.0)
     """
     free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
-    width = ca.fmin(p["mass"][:3] * p["soft"] * p["k_v"] * p["still"], _WIDEST * p["thrust_limit"][:3])
+    width = ca.fmin(p["mass"][:3] * soft_gain(p) * p["still"], _WIDEST * p["thrust_limit"][:3])
     width = ca.vertcat(width, 0)
-    slow = held + dt / (dt + p["settle"]) * (free - held)
+    settle = ca.vertcat(p["settle"], p["settle"], _HEAVE_SETTLE, p["settle"])
+    slow = held + dt / (dt + settle) * (free - held)
     return ca.fmin(ca.fmax(slow, free - width), free + width)
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 
 import casadi as ca
 
-from surctl.control.calm import calmed
+from surctl.control.calm import calmed, soft_gain
 from surctl.control.law import DEGRADED, SATURATED, TRAPPED
 from surctl.control.ports import YAW_SHARE
 from surctl.control.velocity import velocity_control
@@ -121,7 +121,7 @@ class Closing:
             return tau, following, ca.mmax(ca.fabs(free - tau) > _CLIPPED), clamped
         k_v = p["k_v"]
         if "held" in carried:
-            k_v = p["soft"] * k_v
+            k_v = soft_gain(p)
             acceleration = planar_rotation(self.u["eta"][3]).T @ carried["pushed"]
             calm = partial(calmed, held=carried["held"], acceleration=acceleration, p=p, dt=self.dt)
         tau, integral, saturated = velocity_control(

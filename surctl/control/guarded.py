@@ -8,11 +8,13 @@ and it stops before unknown space.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import TypeAlias
 
 import casadi as ca
 
-from surctl.control.calm import EVADE, eased, pushed
+from surctl.control.calm import BRAKE, BRAKE_AT_START, EVADE, HARD, beside_margin, eased, pushed
 from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
 from surctl.control.ports import SECTORS
@@ -35,6 +37,8 @@ from surctl.tasks import HalfPlane, velocity_task
 from surctl.vehicle import planar_rotation
 
 __all__ = ["guarded_law"]
+
+Margin: TypeAlias = Callable[[ca.SX], ca.SX]
 
 _CRAWL = 0.01  # [m/s] commanded speed below which the robot counts as stopped
 _GROPING = 0.5  # share of the cruise speed allowed in the direction of an untrusted sonar
@@ -79,16 +83,19 @@ def guarded_law(
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0
     sectors, cones = _movers(perceived.known[:movers], desired, eta, p, stop)
-    for retreat, contacts in (
-        (_NO_BOUND, perceived.all[movers:marks]),
-        (_BACK_OFF, perceived.all[marks : len(perceived.known)]),
-        (_NO_BOUND, perceived.all[max(marks, len(perceived.known)) :]),
+    away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
+    mark_margin: Margin | None = None
+    if scan is not None and calm is not None:
+        mark_margin = partial(beside_margin, course=desired.velocity, full=ca.logic_not(away), p=p)
+    for retreat, contacts, margin in (
+        (_NO_BOUND, perceived.all[movers:marks], None),
+        (_BACK_OFF, perceived.all[marks : len(perceived.known)], mark_margin),
+        (_NO_BOUND, perceived.all[max(marks, len(perceived.known)) :], None),
     ):
-        sectors += _standing(contacts, eta, p, stop, retreat=retreat)
+        sectors += _standing(contacts, eta, p, stop, retreat=retreat, margin=margin)
     over_ground = planar_rotation(eta[3]) @ nu[:2]
     slower = None
     if scan is not None:  # near the start an obstacle may drift undetected: keep the clearance of the full speed there
-        away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
         slower = ca.logic_and(ca.logic_and(scan.placed, away), x["stalled"] < _STALLED)
     choice = choose_velocity(
         desired.velocity,
@@ -139,9 +146,11 @@ def guarded_law(
             velocity = eased(target, x["eased"], bounds, time=time, fastest=fastest, dt=calm)
             firm = []
             memory = {"eased": velocity, "pushed": pushed(velocity, x["eased"], x["pushed"], dt=calm)}
-        freely = ca.logic_not(chased)
-        velocity = braked(velocity, over_ground, bounds[:marks], calm=freely)
-        velocity = braked(velocity, over_ground, [*bounds[marks:], *firm], calm=freely)
+        brake = partial(braked, calm=ca.logic_not(chased))
+        if calm is not None:
+            brake = partial(brake, brake=ca.if_else(away, BRAKE, BRAKE_AT_START), hard=HARD)
+        velocity = brake(velocity, over_ground, bounds[:marks])
+        velocity = brake(velocity, over_ground, [*bounds[marks:], *firm])
         # the walls' normals are at right angles, so one projection after the other is exact
         for sector in sectors[-len(perceived.walls) :]:
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal
@@ -221,15 +230,24 @@ def _movers(
 
 
 def _standing(
-    contacts: Sequence[Contact], eta: ca.SX, p: Mapping[str, ca.SX], stop: Stop, *, retreat: float
+    contacts: Sequence[Contact],
+    eta: ca.SX,
+    p: Mapping[str, ca.SX],
+    stop: Stop,
+    *,
+    retreat: float,
+    margin: Margin | None = None,
 ) -> list[Sector]:
     """Return, for obstacles at rest, the sectors of courses that the braking distance blocks.
 
     If an obstacle is closer than the margin, the robot moves away from the obstacle at no more than `retreat` [m/s].
+    `margin` is the margin [m] as a function of the unit vector to the obstacle; None: the gain `margin`.
     """
 
     def one(row: ca.SX) -> tuple[ca.SX]:
-        normal, bound, point = _sector(Contact.of(row), eta, p, stop)
+        contact = Contact.of(row)
+        kept = p["margin"] if margin is None else margin(contact.normal)
+        normal, bound, point = _sector(contact, eta, {**p, "margin": kept}, stop)
         return (ca.vertcat(normal, bound if retreat >= _NO_BOUND else ca.fmax(bound, -retreat), point),)
 
     if not contacts:

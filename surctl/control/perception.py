@@ -89,7 +89,13 @@ def _after_gap(port: Port) -> Port:
 
 
 def build_perception(
-    equipment: Equipment, inputs: Layout, outputs: Layout, *, dt: float, model_noise: float = 0.3
+    equipment: Equipment,
+    inputs: Layout,
+    outputs: Layout,
+    *,
+    dt: float,
+    model_noise: float = 0.3,
+    acceleration_noise: float = 0.003,
 ) -> PerceptionStage:
     """Assemble the perception of a law for its sensors.
 
@@ -98,12 +104,12 @@ def build_perception(
         inputs: see `ports.sonar_inputs`.
         outputs: see `ports.scan_inputs`.
         dt: control period [s].
-        model_noise: see `OwnStateFilter`.
+        model_noise, acceleration_noise: see `OwnStateFilter`.
 
     Raises:
         InputError: the hull divides the beam of a sonar into two parts.
     """
-    return _Builder(equipment, inputs, outputs, dt, model_noise).build()
+    return _Builder(equipment, inputs, outputs, dt, model_noise, acceleration_noise).build()
 
 
 @dataclass(frozen=True)
@@ -113,6 +119,7 @@ class _Builder:
     outputs: Layout
     dt: float
     model_noise: float = 0.3
+    acceleration_noise: float = 0.003
 
     def build(self) -> PerceptionStage:
         array = self.equipment.array
@@ -170,6 +177,7 @@ class _Builder:
             yaw_sd=max(own.yaw_sd, 1e-4),
             rate_sd=max(own.rate_sd, 1e-4),
             model_noise=self.model_noise,
+            acceleration_noise=self.acceleration_noise,
         )
 
     @cached_property

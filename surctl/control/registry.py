@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from surctl.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
-from surctl.control.calm import CALM_GAINS, CALM_PORTS, MODEL_NOISE
+from surctl.control.calm import ACCELERATION_NOISE, CALM_GAINS, CALM_PORTS, MODEL_NOISE, calm_parameters
 from surctl.control.closed_form import CLOSED_FORM_PORTS, DAMPING, closed_form_law, known_obstacle
 from surctl.control.decision import Decision
 from surctl.control.guarded import guarded_law
@@ -24,7 +24,7 @@ __all__ = ["LAWS", "LAW_NAMES", "SONARLESS", "check_forces", "default_law", "law
 
 
 def _guarded(s: Situation, calm: float | None = None) -> Decision:
-    p = s.p if calm is None else {**s.p, "reaction": s.p["soft"] * s.p["reaction"]}
+    p = s.p if calm is None else calm_parameters(s.p)
     stop = BARRIERS[s.barrier](p, s.dt)
     moving = s.moving and s.movers == "predict"
     return guarded_law(s.desired, s.perceived, s.x, s.eta, s.nu, p, stop=stop, scan=s.scan, moving=moving, calm=calm)
@@ -91,6 +91,7 @@ LAWS: Mapping[str, LawSource] = MappingProxyType(
             options=frozenset({"barrier", "movers", "depths"}),
             gives_up=True,
             model_noise=MODEL_NOISE,
+            acceleration_noise=ACCELERATION_NOISE,
             # without parts: its reference is not the velocity of equations (8)-(12), which the claims are about
         ),
     }

@@ -61,6 +61,7 @@ class LawSource:
         steering: for a law that needs no sway force, the function from its parameters to the abilities of a craft
             steered by heading and speed; None: the law moves in any direction, so it needs a sway force.
         model_noise: error of the vehicle model that the own-state filter assumes [s^0.5], see `OwnStateFilter`.
+        acceleration_noise: acceleration noise that this filter always assumes [m/s^1.5].
         parts: parts of the law for which the library has claims and linear models; empty if there are none.
 
     Raises:
@@ -92,6 +93,7 @@ class LawSource:
     damping: float = 0.0
     steering: Callable[[Mapping[str, ca.SX]], Steering] | None = None
     model_noise: float = 0.3
+    acceleration_noise: float = 0.003
     parts: frozenset[str] = frozenset()
 
     @property

@@ -68,7 +68,15 @@ BARRIERS: Mapping[Barrier, Callable[[Mapping[str, ca.SX], float], Stop]] = Mappi
 """For each barrier by name, a function from the law's parameters and control period [s] to its speed bound."""
 
 
-def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float = 1.0) -> ca.SX:
+def braked(
+    velocity: ca.SX,
+    now: ca.SX,
+    bounds: Bounds,
+    *,
+    calm: ca.SX | float = 1.0,
+    brake: ca.SX | float = BRAKE,
+    hard: float = HARD,
+) -> ca.SX:
     """Return a velocity command that brakes harder than the velocity loop alone, if the robot exceeds a speed bound.
 
     The thrust limit acts on each axis separately, so a simultaneous sideways command can halve the braking force.
@@ -81,12 +89,14 @@ def braked(velocity: ca.SX, now: ca.SX, bounds: Bounds, *, calm: ca.SX | float =
         bounds: bounds on the speed along unit vectors (`Bounds`).
         calm: 0 while the robot must evade a moving obstacle, so that braking does not change the sideways command;
             otherwise 1.
+        brake: see `BRAKE`.
+        hard: see `HARD` [m/s].
     """
     excess, normal = _worst(now, bounds)
     straight = now + ca.dot(velocity - now, normal) * normal
     beyond, other = _worst(straight, bounds)
-    velocity += calm * ca.fmin(excess / HARD, 1) * (straight - beyond * other - velocity)
-    return velocity - BRAKE * excess * normal
+    velocity += calm * ca.fmin(excess / hard, 1) * (straight - beyond * other - velocity)
+    return velocity - brake * excess * normal
 
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:

@@ -36,7 +36,7 @@ def velocity_control(
         nu: measured velocity over ground (4, 1) in {B}.
         integral: ξ (4, 1) [m/s², rad/s²].
         model: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit` of the controller's model, each (4, 1).
-        k_v: bandwidth in surge, sway and heave [1/s].
+        k_v: bandwidth in surge, sway and heave [1/s], one number or (3, 1).
         k_r: bandwidth in yaw [1/s].
         k_i: integral gain [1/s²]; the integral of an axis does not change while the thrust of this axis is saturated
             (conditional anti-windup).
@@ -49,7 +49,7 @@ def velocity_control(
         allow a large sideways command to remove most of the braking force.
     """
     error = nu_reference - nu
-    gain = ca.vertcat(k_v, k_v, k_v, k_r)
+    gain = ca.vertcat(ca.SX.ones(3) * k_v, k_r)
     drag = model["linear_drag"] * nu_reference + model["quadratic_drag"] * nu_reference * ca.fabs(nu_reference)
     free = drag + model["mass"] * (gain * error + integral)
     if calm is not None:

@@ -10,11 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.control import build_law, load_gains
-from surctl.control.calm import CALM_GAINS, calmed, eased, pushed
+from surctl.control.calm import CALM_GAINS, beside_margin, calmed, eased, pushed, soft_gain
 
 Array = NDArray[np.float64]
 LIMIT, MASS, STILL, DT = np.array([5.0, 5.0, 5.0, 0.5]), np.array([95.0, 95.0, 95.0, 1.5]), 0.006, 0.05
-HALF = np.array([1.5 * 95.0 * STILL] * 3 + [0.0])  # mass times gain times velocity error; the yaw moment is the demand
+GAIN = ca.evalf(soft_gain({"k_v": ca.DM(1.5), "soft": ca.DM(1.0)})).full().ravel()
+HALF = np.append(GAIN * 95.0 * STILL, 0.0)  # mass times gain times velocity error; the yaw moment is the demand
 
 
 def _model(still: float) -> dict[str, Any]:
@@ -82,4 +83,14 @@ def test_the_law_has_its_gains_and_others_have_no_band() -> None:
     law = build_law("calm", sonar=True)
     assert "held" in law.state and set(CALM_GAINS) <= {port.name for port in law.gains}
     assert "held" not in build_law(sonar=True).state
-    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 1.0
+    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 0.15
+
+
+def test_marks_beside_the_course_need_less_margin_than_marks_ahead() -> None:
+    p = {"margin": ca.DM(0.05), "beside": ca.DM(0.1)}
+    normals = [ca.DM([np.cos(a), np.sin(a)]) for a in np.linspace(0, np.pi, 19)]
+    kept = [float(beside_margin(n, course=ca.DM([0.1, 0.0]), full=ca.DM(0), p=p)) for n in normals]
+    assert kept[0] == pytest.approx(0.05) and kept[8:] == pytest.approx([0.005] * 11)  # from 80 degrees off the course
+    assert kept == sorted(kept, reverse=True)
+    everywhere = [float(beside_margin(n, course=ca.DM.zeros(2), full=ca.DM(1), p=p)) for n in normals]
+    assert everywhere == [0.05] * 19
