@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, pi
+from types import MappingProxyType
 from typing import Literal, get_args
 
 from surctl.errors import InputError
 from surctl.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.sensing.sonar.array import SonarArray
 
-__all__ = ["SURFACE_MODELS", "Equipment", "SurfaceModel"]
+__all__ = ["ANSWERS_WITHIN", "SURFACE_MODELS", "Equipment", "SurfaceModel"]
 
 SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
 """What a law assumes of surfaces.
@@ -24,6 +26,11 @@ that was silent may cause an echo from another direction. With `smooth` and `spe
 beams sweep past an obstacle from back to front."""
 
 SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
+
+ANSWERS_WITHIN: Mapping[SurfaceModel, float | None] = MappingProxyType(
+    {"diffuse": None, "smooth-walls": None, "smooth": pi / 8, "specular": pi / 36}
+)
+"""Angle from its normal [rad] within which a face of an obstacle answers, as each `SurfaceModel` assumes; None: any."""
 
 
 @dataclass(frozen=True, kw_only=True)
