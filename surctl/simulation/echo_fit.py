@@ -28,7 +28,7 @@ _NAMED = 4  # faces that a finding names
 _CLEARED = {
     "diffuse": "silence is free water: a smooth face that a beam meets obliquely is cleared from the map",
     "smooth-walls": "only walls may be silent: a smooth obstacle that a beam meets obliquely is cleared from the map",
-    "smooth": "a mark of a smooth obstacle lasts 15 s, and a face that never answered is not in the map",
+    "smooth": "a mark of a smooth obstacle lasts 9 s, and a face that never answered is not in the map",
     "specular": "a face that never answered is not in the map",
 }
 _OBLIQUE = pi / 3  # [rad] with a larger limit, the missions arrive as if all surfaces answered (chosen)
