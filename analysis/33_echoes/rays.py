@@ -1,4 +1,4 @@
-"""The echo model against brute force: ranges against rays, and shares of detections against the sonar equation."""
+"""Brute force: ranges and a corner ahead against rays, and shares of detections against the sonar equation."""
 
 from __future__ import annotations
 
@@ -25,12 +25,17 @@ from surctl.sensing import (  # noqa: E402
 )
 from surctl.world import Box, Disc, Shape, site_walls  # noqa: E402
 from tests.conerays import nearest_in_space, shares, weak_probability  # noqa: E402
-from tests.raycasting import nearest_by_rays  # noqa: E402
+from tests.raycasting import heard_along, nearest_by_rays  # noqa: E402
 
 LENGTH, WIDTH, DEPTH = 6.0, 4.0, 2.5
 KINDS = ("ideal", "webots", "specular", "diffuse", "silent")
 PLACE, SHARE = 1e-6, 0.01  # [m] and share of the firings
 ARRAY = SonarArray(hull_radius=0.1)
+
+HULL = SonarArray()
+COURSES = (15, 25, 35, 45)  # [deg] between the course and the nearer normal; 45: along the bisector
+LIMITS = (5.0, 22.5, 70.0)  # [deg] largest incidence at which a face answers: specular, webots, diffuse
+CLOSE = 0.002  # [m] allowed difference of rays and closed form
 
 
 def scene(seed: int) -> tuple[list[tuple[Shape, Reflector]], Surfaces, tuple[float, float, float], float]:
@@ -124,3 +129,63 @@ def agreement(*, quick: bool) -> tuple[list[str], dict[str, bool]]:
         f"range within {PLACE:g} m of the rays": bool(apart.max() <= PLACE),
         f"shares of detections within {3 * SHARE if quick else SHARE:.0%}": max(worst) <= (3 if quick else 1) * SHARE,
     }
+
+
+def heard_from(course: float, limit: float, *, turns: int, rays: int) -> float:
+    """Return the distance [m] from the hull at which the corner ahead is first heard at the best heading, 0 if never.
+
+    The corner lies at the origin, between faces with the normals -x and -y, and the hull comes straight to it.
+
+    Args:
+        course: angle between the course and the normal of a face [rad].
+        limit: largest incidence at which a face answers [rad].
+        turns: number of headings in a quarter turn.
+        rays: number of rays in a beam.
+    """
+    box, fan = Box((2.0, 2.0), (4.0, 4.0)), np.linspace(-HULL.half_angle, HULL.half_angle, rays)
+
+    def heard(away: float) -> bool:
+        distance = HULL.hull_radius + away
+        place = (-distance * math.cos(course), -distance * math.sin(course))
+        for heading in np.linspace(0.0, math.pi / 2, turns, endpoint=False):
+            for sensor in range(HULL.size):
+                x, y, axis = HULL.apex(sensor, position=place, heading=heading)
+                ranges = heard_along([box], (x, y), axis + fan, limit=limit)
+                if (ranges < HULL.maximum).any():
+                    return True
+        return False
+
+    near, far = 0.0, HULL.maximum
+    if not heard(near):
+        return 0.0
+    if heard(far - HULL.hull_radius):
+        return far
+    while far - near > 0.2 * CLOSE:
+        middle = 0.5 * (near + far)
+        near, far = (middle, far) if heard(middle) else (near, middle)
+    return near
+
+
+def corner_table(*, quick: bool) -> tuple[list[str], dict[str, bool]]:
+    """Return the lines of a table, and whether rays and closed form agree along the bisector."""
+    limits, courses = (LIMITS[1:2], COURSES[-1:]) if quick else (LIMITS, COURSES)
+    turns, rays = (180, 151) if quick else (360, 601)
+    found = {
+        (limit, course): heard_from(math.radians(course), math.radians(limit), turns=turns, rays=rays)
+        for limit in limits
+        for course in courses
+    }
+    lines = [
+        "| faces answer within | "
+        + " | ".join(f"{course}° off a normal" for course in courses)
+        + " | closed form, 45° |",
+        "|---|" + "---|" * (len(courses) + 1),
+    ]
+    worst = 0.0
+    for limit in limits:
+        formula = HULL.corner_range(math.radians(limit))
+        cells = [f"{found[limit, course]:.3f}" for course in courses]
+        lines.append(f"| {limit:g}° | {' | '.join(cells)} | {formula:.3f} |")
+        worst = max(worst, abs(found[limit, 45] - formula))
+    close = 5 * CLOSE if quick else CLOSE
+    return lines, {f"distance at which a corner is heard within {1000 * close:g} mm of the closed form": worst <= close}

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rays import agreement
+from rays import agreement, corner_table
 
 from surctl.control import load_gains
 from surctl.reproduction.simulations import scenario_names
@@ -91,7 +91,10 @@ def study(options: argparse.Namespace) -> tuple[str, bool]:
     ]
     out += [f"| {echoes} | {' | '.join(map(str, counts))} |" for echoes, counts in totals.items()]
     lines, bars = agreement(quick=quick)
-    out += ["", "## The echo model against rays", "", *lines, "", "## Bars", ""]
+    corner, close = corner_table(quick=quick)
+    bars |= close
+    title = "## A silent corner ahead: distance [m] from the hull at which it is first heard"
+    out += ["", "## The echo model against rays", "", *lines, "", title, "", *corner, "", "## Bars", ""]
     out += [f"- {what}: {'holds' if holds else '**does not hold**'}" for what, holds in bars.items()]
     return "\n".join(out), all(bars.values())
 

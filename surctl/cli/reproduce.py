@@ -22,10 +22,17 @@ __all__ = ["reproduce", "row_lines"]
     "--seeds", type=click.IntRange(min=1), metavar="N", help="Number of seeds for each scenario (default 20)."
 )
 @click.option("--independent", is_flag=True, help="Simulate each scenario in MuJoCo, too: one more column.")
+@click.option("--webots", is_flag=True, help="Simulate with sonars and Webots' echoes, too: one more column.")
 @out_folder
 @as_json
 def reproduce(
-    rows: tuple[str, ...], quick: bool, seeds: int | None, independent: bool, out: Path | None, as_json: bool
+    rows: tuple[str, ...],
+    quick: bool,
+    seeds: int | None,
+    independent: bool,
+    webots: bool,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
     """Compute the paper's results again and compare: one row per result, all rows or only those with the given ids.
 
@@ -47,6 +54,7 @@ def reproduce(
             quick=quick,
             seeds=seeds,
             independent=independent,
+            webots=webots,
             progress=progress,
             done=lambda row: lines.extend(row_lines(row)),
         )
@@ -57,7 +65,13 @@ def reproduce(
     if out is not None:
         from surctl.reproduction.page import write_reproduction
 
-        words = ["surctl reproduce", *rows, *["--quick"] * quick, *["--independent"] * independent]
+        words = [
+            "surctl reproduce",
+            *rows,
+            *["--quick"] * quick,
+            *["--independent"] * independent,
+            *["--webots"] * webots,
+        ]
         words += [f"--seeds {seeds}"] if seeds else []
         page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
         lines.append(f"page {page}")
@@ -73,5 +87,6 @@ def row_lines(row: Row) -> list[str]:
         f"       paper   {item.paper}",
         f"       ours    {row.result.ours}",
         *([f"       MuJoCo  {row.result.independent}"] if row.result.independent else []),
+        *([f"       Webots  {row.result.webots}"] if row.result.webots else []),
         f"       verdict {row.result.verdict}   [{item.command}, {row.seconds:.2f} s]",
     ]

@@ -64,22 +64,38 @@ def write_reproduction(done: Reproduction, path: Path, *, command: str) -> Path:
 
 
 def _table(group: str, rows: list[Row]) -> Section:
-    independent = any(row.result.independent for row in rows)
-    engine = ("independent engine",) if independent else ()
-    heads = ("row", "what", "paper", "ours", *engine, "verdict", "as expected", "command", "time [s]")
+    further = [
+        (head, texts)
+        for head, texts in (
+            ("independent engine", [row.result.independent for row in rows]),
+            ("echoes as in Webots", [row.result.webots for row in rows]),
+        )
+        if any(texts)
+    ]
+    heads = (
+        "row",
+        "what",
+        "paper",
+        "ours",
+        *(head for head, _ in further),
+        "verdict",
+        "as expected",
+        "command",
+        "time [s]",
+    )
     cells: tuple[tuple[Cell | str, ...], ...] = tuple(
         (
             Cell(row.item.id, code=True),
             row.item.what,
             row.item.paper,
             row.result.ours,
-            *([row.result.independent] if independent else []),
+            *(texts[k] for _, texts in further),
             Cell(row.result.verdict, "good" if row.result.word == "agrees" else "note"),
             outcome_cell(row.as_expected, "yes", "NO"),
             Cell(row.item.command, code=True),
             Cell(f"{row.seconds:.2f}", number=True),
         )
-        for row in rows
+        for k, row in enumerate(rows)
     )
     return Section(group.replace(" ", "-"), group.capitalize(), (Table(group.capitalize(), heads, cells),))
 

@@ -102,6 +102,7 @@ def reproduce(
     quick: bool = False,
     seeds: int | None = None,
     independent: bool = False,
+    webots: bool = False,
     progress: Callable[[str], None] = lambda _: None,
     done: Callable[[Row], None] = lambda _: None,
 ) -> Reproduction:
@@ -112,6 +113,7 @@ def reproduce(
         quick: whether to use fewer seeds and samples.
         seeds: number of seeds of the compiled loop for each scenario; default: 20, or 3 if `quick` is true.
         independent: whether each scenario is simulated in MuJoCo, too (seed 0, six degrees of freedom).
+        webots: whether each scenario with sonars is simulated with echoes as in the paper's simulator, too.
         progress: function that is called with the id of each comparison before its computation.
         done: function that is called with each comparison as soon as it is computed.
 
@@ -126,7 +128,7 @@ def reproduce(
         II-C: less than 4.5 cm | largest error 3.0 cm | differs
     """
     count = seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS
-    simulations = Simulations(count, independent=independent)
+    simulations = Simulations(count, independent=independent, webots=webots)
     known = {item.id: item for item in items(simulations, samples=QUICK_SAMPLES if quick else FULL)}
     for name in names:
         if name not in known:

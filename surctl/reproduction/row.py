@@ -28,6 +28,8 @@ class Result:
         safe: for simulations, whether every run arrived and none collided; None if arrivals and collisions do not
             decide the comparison.
         independent: for simulations, the result in an independent engine; empty if it was not requested.
+        webots: for simulations with sonars, the result with echoes as in the paper's simulator; empty if it was not
+            requested.
     """
 
     ours: str
@@ -36,6 +38,7 @@ class Result:
     numbers: Mapping[str, float] = field(default_factory=dict)
     safe: bool | None = None
     independent: str = ""
+    webots: str = ""
 
     def __post_init__(self) -> None:
         if self.word not in WORDS:
@@ -131,6 +134,7 @@ class Row:
             "as_expected": self.as_expected,
             "numbers": dict(self.result.numbers),
             "independent": self.result.independent or None,
+            "webots": self.result.webots or None,
             "command": self.item.command,
             "seconds": round(self.seconds, 3),
         }

@@ -125,6 +125,12 @@ def time_verdict(ours: float, paper: float, kind: str) -> tuple[bool, str]:
 
 def _arrivals(simulations: Simulations, name: str, sensing: Sensing) -> Result:
     result = _simulated(simulations, name, sensing)
+    if simulations.webots and sensing == "sonar":
+        batch = simulations.in_webots(name)
+        times, runs = batch.column("time_s")[batch.column("reached") > 0.5], batch.runs
+        text, _ = _ended(len(times), int(batch.column("collided").sum()), runs)
+        text += f", {times.mean():.2f} ± {times.std():.2f} s" if len(times) else ""
+        result = replace(result, webots=text, safe=result.safe is not False and len(times) == runs)
     if not simulations.independent:
         return result
     run = simulations.in_engine(name, sensing)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,12 +36,14 @@ class Simulations:
         threads: number of threads of the compiled loop.
         gains: gains of the control law.
         independent: whether each scenario is simulated in MuJoCo, too.
+        webots: whether each scenario with sonars is simulated with echoes as in the paper's simulator, too.
     """
 
     seeds: int = 20
     threads: int = 2
     gains: Gains = field(default_factory=lambda: load_gains("default"), repr=False)
     independent: bool = False
+    webots: bool = False
     _batches: dict[tuple[str, Sensing, str, Factors], BatchResult] = field(
         default_factory=dict, repr=False, compare=False
     )
@@ -68,6 +70,17 @@ class Simulations:
             case = Case(scenario, robot, self.gains, sensing=sensing)
             self._batches[key] = simulate_batch(case, seeds=np.arange(self.seeds), threads=self.threads)
         return self._batches[key]
+
+    def in_webots(self, name: str) -> BatchResult:
+        """Return the metrics of the runs with sonars to which surfaces answer within 22.5° of their normal, as Webots.
+
+        The law assumes the surface model `smooth`.
+        """
+        scenario = self.scenario(name)
+        sensors = scenario.sensors.hearing("webots")
+        sensors = replace(sensors, equipment=replace(sensors.equipment, surface_model="smooth"))
+        case = Case(replace(scenario, sensors=sensors), load_vehicle(scenario.vehicle), self.gains, sensing="sonar")
+        return simulate_batch(case, seeds=np.arange(self.seeds), threads=self.threads)
 
     def run(self, name: str, sensing: Sensing = "truth") -> Run:
         """Return the run of the reference loop with seed 0, including the recorded signals."""

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
+from math import inf, pi
+from types import MappingProxyType
 from typing import Literal, get_args
 
 from surctl.errors import InputError
 from surctl.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.sensing.sonar.array import SonarArray
 
-__all__ = ["SURFACE_MODELS", "Equipment", "SurfaceModel"]
+__all__ = ["ANSWERS_WITHIN", "SURFACE_MODELS", "Equipment", "SurfaceModel"]
 
 SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
 """What a law assumes of surfaces.
@@ -18,12 +20,17 @@ SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
 `diffuse`: every surface answers from every direction, so silence means free water, and a reading beyond the nearest
 point of a known wall is a fault of the sonar. `smooth-walls`: a known wall surely answers near its normal only, so a
 reading is a fault only if it is beyond a wall that the beam meets near its normal. `smooth`: obstacles are smooth too
-and answer within about 22° of their normal, so for 15 s silence clears a mark only from directions from which the mark
+and answer within about 22° of their normal, so for 9 s silence clears a mark only from directions from which the mark
 was heard (see `mapping.directions`). `specular`: obstacles are mirrors, so this lasts as long as the mark, and a cell
 that was silent may cause an echo from another direction. With `smooth` and `specular`, the robot turns such that its
 beams sweep past an obstacle from back to front."""
 
 SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
+
+ANSWERS_WITHIN: Mapping[SurfaceModel, float | None] = MappingProxyType(
+    {"diffuse": None, "smooth-walls": None, "smooth": pi / 8, "specular": pi / 36}
+)
+"""Angle from its normal [rad] within which a face of an obstacle answers, as each `SurfaceModel` assumes; None: any."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ hull fits in no place to which the face returns an echo.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from math import cos, degrees, pi, sin
 
 from surctl.sensing import Reflector, SonarArray, Surfaces, level_range
@@ -27,7 +28,7 @@ _NAMED = 4  # faces that a finding names
 _CLEARED = {
     "diffuse": "silence is free water: a smooth face that a beam meets obliquely is cleared from the map",
     "smooth-walls": "only walls may be silent: a smooth obstacle that a beam meets obliquely is cleared from the map",
-    "smooth": "a mark of a smooth obstacle lasts 15 s, and a face that never answered is not in the map",
+    "smooth": "a mark of a smooth obstacle lasts 9 s, and a face that never answered is not in the map",
     "specular": "a face that never answered is not in the map",
 }
 _OBLIQUE = pi / 3  # [rad] with a larger limit, the missions arrive as if all surfaces answered (chosen)
@@ -57,6 +58,7 @@ def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> li
             f"answer only within {angle} of their normal"
         )
         listed.append(Finding("warning", key, text))
+    listed += _corners(scenario, vehicle, array, key)
     if surfaces is None:
         return listed
     return [*listed, *_level(scenario, array, surfaces), *_weak(scenario, vehicle, surfaces, key)]
@@ -71,9 +73,7 @@ def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str
         array: the sonars; their `incidence_limit` is the largest angle [rad] from a face's normal at which it answers,
             unless the scenario gives its surfaces reflectors.
     """
-    surfaces = scenario.surfaces
-    count = len(scenario.obstacles)
-    limits = [array.incidence_limit] * count if surfaces is None else [r.incidence_limit for r in surfaces.obstacles]
+    limits = [reflector.incidence_limit for reflector in _reflectors(scenario, array)]
     still = [obstacle for obstacle in scenario.obstacles if obstacle.shape != "moving"]
 
     def audible(box: Obstacle, normal: Point, limit: float) -> bool:
@@ -87,6 +87,32 @@ def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str
         for side, normal in _SIDES.items()
         if not audible(box, normal, limit)
     ]
+
+
+def _reflectors(scenario: Scenario, array: SonarArray) -> Sequence[Reflector]:
+    # of each obstacle
+    surfaces = scenario.surfaces
+    return [Reflector(array.incidence_limit)] * len(scenario.obstacles) if surfaces is None else surfaces.obstacles
+
+
+def _corners(scenario: Scenario, vehicle: Vehicle, array: SonarArray, key: str) -> Iterator[Finding]:
+    # corners of boxes that are heard nearer than the distance in which the hull stops at full thrust
+    slowing = min(vehicle["Fu_max"], vehicle["Fv_max"]) / max(vehicle["m11"], vehicle["m22"])
+    stopping, on_hull = scenario.cap**2 / (2 * slowing), replace(array, hull_radius=vehicle["radius"])
+    heard: dict[float, list[str]] = {}
+    for box, reflector in zip(scenario.obstacles, _reflectors(scenario, array), strict=True):
+        if box.size_m is not None and reflector.edge_range == 0 and reflector.incidence_limit != 0:
+            at = on_hull.corner_range(reflector.incidence_limit)
+            heard.setdefault(at, []).extend([box.name] if at < stopping else [])
+    for at, boxes in heard.items():
+        if boxes:
+            when = f"hears it {at:.2f} m away at best" if at > 0 else "touches it before any sonar can hear it"
+            text = (
+                f"a hull that comes to a corner of {', '.join(boxes)} along its bisector {when}, and needs "
+                f"{stopping:.2f} m to stop from {scenario.cap:g} m/s; only paths along the normals of the faces, "
+                "slower motion or wider beams help"
+            )
+            yield Finding("warning", key, text)
 
 
 def _upright(surfaces: Surfaces) -> set[Reflector]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from math import ceil, inf, isfinite
+from math import ceil, degrees, inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from surctl.guidance.braking import (
     range_needed,
     stopping_distance_with_drag,
 )
+from surctl.sensing import ANSWERS_WITHIN
 from surctl.simulation.column import BAND, FOOTPRINT
 from surctl.simulation.margin import Bound, mass_difference, munk, turned
 from surctl.simulation.scenario import Scenario
@@ -50,6 +51,7 @@ class SafetyClaim:
         assumptions: the assumptions of the claim, with their numbers.
         derived: numbers that follow from the assumptions.
         holds: whether detection range and margin are enough at every speed up to the speed cap.
+        echoes: what the claim assumes of surfaces, if the law has sonars; else empty.
     """
 
     scenario: str
@@ -60,6 +62,7 @@ class SafetyClaim:
     assumptions: tuple[Figure, ...]
     derived: tuple[Figure, ...]
     holds: bool
+    echoes: str = ""
 
     def __getitem__(self, name: str) -> float:
         """Return the value of an assumption or a derived number of the claim; KeyError if the name is unknown."""
@@ -87,7 +90,7 @@ class SafetyClaim:
             for f in figures
         ]
         end = "holds" if self.holds else f"DOES NOT HOLD at every speed up to the cap: {self.shortfall}"
-        return [head, *rows, f"  {end}"]
+        return [head, *rows, *([f"  assumes  {self.echoes}"] if self.echoes else []), f"  {end}"]
 
     @property
     def least_margin(self) -> float:
@@ -270,6 +273,19 @@ def safety_claim(
     )
     what = "an obstacle at rest" if movers == "predict" else f"an obstacle that approaches at up to {covered:.3g} m/s"
     statement = f"the hull never touches {what} (one obstacle at a time, barrier {barrier})"
-    return SafetyClaim(
-        scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, not short and sight <= detection
-    )
+    holds, echoes = not short and sight <= detection, _echoes(scenario, vehicle, sight) if isfinite(detection) else ""
+    return SafetyClaim(scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, holds, echoes)
+
+
+def _echoes(scenario: Scenario, vehicle: Vehicle, sight: float) -> str:
+    # what must be true of surfaces for obstacles to be detected at the distance `sight` [m]
+    surfaces = scenario.sensors.equipment.surface_model
+    within, model = ANSWERS_WITHIN[surfaces], f"surface_model {surfaces}"
+    if within is None:
+        return f"every face of an obstacle in a beam answers, at any angle of incidence ({model})"
+    at = scenario.sensors.array_on(vehicle["radius"]).corner_range(within)
+    text = f"faces answer within {degrees(within):.3g} deg of their normal ({model})"
+    if at >= sight:
+        return text
+    heard = f"is heard {at:.2f} m away at best" if at > 0 else "is touched before it is heard"
+    return f"{text}, and no corner points at the hull: on its bisector it {heard}"

@@ -44,6 +44,7 @@ KEYS = {
     "command",
     "seconds",
     "independent",
+    "webots",
 }
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from surctl.cli.reproduce import row_lines
 from surctl.errors import InputError
 from surctl.reproduction import Row, Simulations
 from surctl.reproduction.instants import avoidances, instant_items
@@ -139,3 +141,19 @@ def test_a_changed_vehicle_is_flown_as_one() -> None:
 def test_no_seeds_is_a_mistake() -> None:
     with pytest.raises(InputError, match="at least 1"):
         Simulations(0)
+
+
+@pytest.mark.parametrize(("lost", "good"), [(0.0, True), (1.0, False)])
+def test_runs_with_the_echoes_of_webots_stand_beside_those_with_sonars(
+    monkeypatch: pytest.MonkeyPatch, lost: float, good: bool
+) -> None:
+    other = batch(reached=[1.0, 1.0 - lost], collided=[0.0, lost], time_s=[50.0, 54.0])
+    monkeypatch.setattr(Simulations, "in_webots", lambda self, name: other)
+    made = replace(flights(), webots=True)
+    found = {item.id: item.row() for item in scenario_items(made) if item.id.startswith("tank-static")}
+    assert found["tank-static-sonar"].as_expected is good and not found["tank-static"].result.webots
+    told = found["tank-static-sonar"].to_dict()["webots"]
+    assert told == (
+        "2 of 2 arrived, 0 collided, 52.00 ± 2.00 s" if good else "1 of 2 arrived, 1 collided, 50.00 ± 0.00 s"
+    )
+    assert row_lines(found["tank-static-sonar"])[3] == f"       Webots  {told}"

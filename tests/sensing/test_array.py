@@ -9,6 +9,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.sensing import SonarArray, fire, speed_of_sound, true_range
 from surctl.world import Box, Disc, Wall, site_walls
+from tests.raycasting import heard_along
 
 QUIET = SonarArray(noise_sd=0.0, bias=0.0)
 
@@ -226,3 +227,30 @@ def test_unknown_sensor_and_nan_pose_are_refused():
         true_range(QUIET, 4, position=(0, 0), heading=0.0, shapes=())
     with pytest.raises(InputError, match="finite"):
         true_range(QUIET, 0, position=(0, math.nan), heading=0.0, shapes=())
+
+
+@pytest.mark.parametrize(
+    ("limit", "beam", "mount"),
+    [(22.5, 75, None), (30, 75, None), (5, 120, None), (5, 75, None), (5, 75, (0.1, 0.3)), (22.5, 60, (0.2, -0.3))],
+)
+def test_a_corner_is_first_heard_where_rays_first_find_a_face_that_answers(limit, beam, mount):
+    array = SonarArray(
+        azimuths=(0.0,), order=(0,), mounts=None if mount is None else (mount,), beam_angle=math.radians(beam)
+    )
+    at, box = array.corner_range(math.radians(limit)), Box((math.sqrt(2), 0.0), (2.0, 2.0), math.pi / 4)
+
+    def heard(away):
+        for heading in np.radians(np.arange(-180, 180, 0.25)):
+            x, y, axis = array.apex(0, position=(-array.hull_radius - away, 0.0), heading=heading)
+            for offset, half in array.cones[0]:
+                looks = axis + offset + np.linspace(-half, half, 301)
+                if np.isfinite(heard_along([box], (x, y), looks, limit=math.radians(limit))).any():
+                    return True
+        return False
+
+    assert not heard(at + 0.01)
+    assert heard(at - 0.01) if at > 0 else (limit, beam, mount) == (5, 75, None)
+
+
+def test_a_corner_of_faces_that_answer_from_the_bisector_is_heard_at_the_longest_range():
+    assert [SonarArray().corner_range(limit) for limit in (None, math.pi / 4)] == [4.5, 4.5]

@@ -142,3 +142,19 @@ def test_other_depths_rest_on_the_echo_sounders() -> None:
     added = {f.name for f in deep.assumptions} - {f.name for f in plain.assumptions}
     assert added == {"sounder footprint", "sonar fan"} and deep["sonar fan"] >= GAINS["margin"]
     assert deep.derived == plain.derived
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "words"),
+    [
+        ("diffuse", "at any angle of incidence (surface_model diffuse)"),
+        ("smooth", "within 22.5 deg of their normal (surface_model smooth), and no corner"),
+        ("specular", "on its bisector it is touched before it is heard"),
+    ],
+)
+def test_the_claim_names_what_it_assumes_of_surfaces(surfaces: Any, words: str) -> None:
+    equipment = replace(SCENARIO.sensors.equipment, surface_model=surfaces)
+    scenario = replace(SCENARIO, sensors=replace(SCENARIO.sensors, equipment=equipment))
+    told = safety_claim(scenario, VEHICLE, GAINS, detection=4.5)
+    assert words in told.echoes and told.to_dict()["echoes"] == told.echoes
+    assert f"  assumes  {told.echoes}" in told.lines() and not claim().echoes

@@ -21,6 +21,7 @@ __all__ = [
     "BENT",
     "BESIDE",
     "DIRECTIONS",
+    "NEAR",
     "PROTECTED",
     "WIDEST",
     "WIDEST_FREE",
@@ -42,8 +43,13 @@ A surface of the paper's simulator answers from 45 degrees."""
 BESIDE = 1.0
 """Directions beside a sector that still count: the error of a direction, and of the place of a cell."""
 
-PROTECTED = 0.75
-"""Strength below which any silence clears a mark of a `smooth` map: it was last heard 15 s before."""
+NEAR = 10
+"""Distance [cells] from the sensor within which, in a `smooth` map, no direction beside a sector counts.
+
+The corner of a face that was heard stays marked there until the robot has passed it, although it has fallen silent."""
+
+PROTECTED = 0.85
+"""Strength below which any silence clears a mark of a `smooth` map: it was last heard 9 s before."""
 
 BENT = 0.42
 """Coefficient of the cubic that makes the directions of `bearing` nearly equal in width."""
@@ -96,9 +102,9 @@ def confirms(value: ca.SX) -> ca.SX:
     return ca.floor(ca.fabs(value) / 2) > DIRECTIONS
 
 
-def includes(value: ca.SX, direction: ca.SX) -> ca.SX:
-    """Return whether the sector includes a direction (see `bearing`), or is at most `BESIDE` directions beside it."""
+def includes(value: ca.SX, direction: ca.SX, beside: ca.SX | float = BESIDE) -> ca.SX:
+    """Return whether the sector includes a direction (see `bearing`), or is at most `beside` directions beside it."""
     has, first, further = _sector(value)
     off = _modulo(direction - first)
-    inside = ca.logic_or(off <= further + 1 + BESIDE, off >= DIRECTIONS - BESIDE)
+    inside = ca.logic_or(off <= further + 1 + beside, off >= DIRECTIONS - beside)
     return ca.logic_or(ca.logic_not(has), inside)

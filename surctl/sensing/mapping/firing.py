@@ -5,6 +5,8 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.sensing.mapping.directions import (
+    BESIDE,
+    NEAR,
     PROTECTED,
     WIDEST,
     WIDEST_FREE,
@@ -29,6 +31,7 @@ __all__ = [
     "in_front",
     "limit_values",
     "named_limits",
+    "nearby",
     "on_arc",
     "split",
 ]
@@ -111,7 +114,7 @@ def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
 
 
 def by_direction(
-    value: ca.SX, away: ca.SX, *, known: float, specular: bool
+    value: ca.SX, away: ca.SX, *, near: ca.SX, known: float, specular: bool
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
     """Return what a firing from a direction means for a cell that stores directions.
 
@@ -121,18 +124,25 @@ def by_direction(
     Args:
         value: the cell's value.
         away: the direction, see `directions.bearing`.
+        near: whether the cell is near the sensor, see `nearby`.
         known, specular: see `LocalMap`.
     """
-    now, beside = level(value), includes(value, away)
+    now, beside = level(value), includes(value, away, BESIDE if specular else ca.if_else(near, 0, BESIDE))
     mark = ca.logic_and(now > (0 if specular else PROTECTED), confirms(value))
     lasts = ca.logic_and(mark, ca.logic_not(beside))
     remark = sector_with(value, away, goes_on=now > BLIND, widest=WIDEST)
     if not specular:
         return lasts, remark, ca.if_else(now > BLIND, value, BLIND), ca.SX(-1), now >= -known
-    near = sector_with(value, away, goes_on=now > 0, widest=WIDEST) - (1 - BLIND)
+    unmeasured = sector_with(value, away, goes_on=now > 0, widest=WIDEST) - (1 - BLIND)
     silent = -sector_with(value, away, goes_on=now < 0, widest=WIDEST_FREE)
     may = ca.logic_or(now >= -known, ca.logic_not(beside))
-    return lasts, remark, ca.if_else(now > BLIND, value, near), silent, may
+    return lasts, remark, ca.if_else(now > BLIND, value, unmeasured), silent, may
+
+
+def nearby(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
+    """Return whether a cell is nearer to the sensor than `directions.NEAR`."""
+    edge = -2 * limit["outside"]
+    return line[2] < NEAR * NEAR * (edge * edge)
 
 
 def cell_line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:

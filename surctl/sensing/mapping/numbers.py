@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, PROTECTED, WIDEST, WIDEST_FREE
+from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, NEAR, PROTECTED, WIDEST, WIDEST_FREE
 from surctl.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
@@ -85,7 +85,8 @@ def map_step(
         if directed:
             now = _level(value)
             lasting = (now > (0 if specular else PROTECTED)) & (_stored(value) > DIRECTIONS)
-            free &= np.logical_not(lasting) | _includes(value, beam.direction)
+            beside = BESIDE if specular else np.where(beam.square < NEAR * NEAR * (edge * edge), 0.0, BESIDE)
+            free &= np.logical_not(lasting) | _includes(value, beam.direction, beside)
             remark = _sector_with(value, beam.direction, goes_on=now > BLIND, widest=WIDEST)
             blind = np.where(now > BLIND, value, BLIND)
         if specular:
@@ -163,12 +164,12 @@ def _bearing(x: Vector, y: Vector) -> Vector:
     return np.asarray(np.where(y >= 0, upper, 4 - upper) * (DIRECTIONS / 4))
 
 
-def _includes(value: Vector, direction: Vector) -> NDArray[np.bool_]:
+def _includes(value: Vector, direction: Vector, beside: Vector | float = BESIDE) -> NDArray[np.bool_]:
     """Return whether the sector of each cell includes a direction, or is close to it; see `directions.includes`."""
     stored = _stored(value)
     further = np.floor(np.maximum(stored - 1, 0) / DIRECTIONS)
     off = np.mod(direction - (stored - 1 - DIRECTIONS * further), DIRECTIONS)
-    return np.asarray((stored < 1) | (off <= further + 1 + BESIDE) | (off >= DIRECTIONS - BESIDE))
+    return np.asarray((stored < 1) | (off <= further + 1 + beside) | (off >= DIRECTIONS - beside))
 
 
 def _sector_with(value: Vector, direction: Vector, *, goes_on: NDArray[np.bool_], widest: int) -> Vector:

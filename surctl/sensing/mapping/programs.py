@@ -30,6 +30,7 @@ from surctl.sensing.mapping.firing import (
     in_front,
     limit_values,
     named_limits,
+    nearby,
     on_arc,
     split,
 )
@@ -248,7 +249,8 @@ class MapPrograms:
         blind = ca.fmax(value, BLIND)
         if self.directed:
             away = direction(across, down, limit)
-            lasts, remark, blind, cleared, may = by_direction(value, away, known=self.known, specular=self.specular)
+            kind = {"near": nearby(line, limit), "known": self.known, "specular": self.specular}
+            lasts, remark, blind, cleared, may = by_direction(value, away, **kind)
             free = ca.logic_and(free, ca.logic_not(lasts))
         marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
         mark = ca.if_else(limit["ranged"], remark, blind)

@@ -8,7 +8,7 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import acos, ceil, cos, isfinite, pi, sin
+from math import acos, atan2, ceil, cos, hypot, isfinite, pi, remainder, sin
 
 from surctl.errors import InputError
 from surctl.sensing.sonar.mounting import inside_hull, open_cones
@@ -163,6 +163,36 @@ class SonarArray:
             float(position[1]) + self.hull_radius * sin(axis),
             axis,
         )
+
+    def corner_range(self, incidence: float | None) -> float:
+        """Return the distance [m] from the hull at which a corner ahead is first heard; 0: the hull touches it first.
+
+        The corner is a right angle whose edge is silent, and the hull moves straight along its bisector, at the heading
+        that hears most. Seen from there, each face lies at 45° to the course. A sensor hears a face once the end of the
+        face is within `incidence` of the sensor's view along the normal. A sensor with a beam of half angle β on a hull
+        of radius R does so at R (sin β / sin(45° − incidence) − 1) from the hull. Other courses hear one of the faces
+        earlier.
+
+        Args:
+            incidence: largest angle of incidence [rad] at which a face answers; None: a face answers at any.
+
+        Example:
+            >>> from math import radians
+            >>> from surctl.sensing import SonarArray
+            >>> [round(SonarArray().corner_range(radians(angle)), 3) for angle in (5, 15, 22.5, 30)]
+            [0.0, 0.059, 0.16, 0.365]
+        """
+        if incidence is None or incidence >= pi / 4:
+            return self.maximum
+        aside = 0.0
+        for i, parts in enumerate(self.cones):
+            x, y = (self.hull_radius, 0.0) if self.mounts is None else self.mounts[i]
+            turned = 0.0 if self.mounts is None else self.azimuths[i] - atan2(y, x)
+            for offset, half in parts:
+                for side in (-1, 1):
+                    angle = abs(remainder(turned + offset + side * half, 2 * pi))
+                    aside = max(aside, hypot(x, y) * sin(min(angle, pi / 2)))
+        return min(max(aside / sin(pi / 4 - incidence) - self.hull_radius, 0.0), self.maximum)
 
     def _cones(self, sensor: int) -> tuple[tuple[float, float], ...]:
         if self.mounts is None:  # on the hull and pointing outward: the hull does not hide a beam narrower than π
