@@ -17,10 +17,12 @@ from tests.control.test_own_laws import law as law
 from tests.control.test_own_laws import mission as mission
 from tests.control.test_own_laws import surctl
 from tests.control.test_routines import tried
-from tests.control.test_steered import gains, radius_of
+from tests.control.test_steered import files as files
+from tests.control.test_steered import gains, radius_of, run
 from tests.control.test_steered_courses import EXACT, numbers, rebuilt
-from tests.craft import craft
+from tests.craft import CRUISE, craft
 from tests.craft import mission as written
+from tests.tools import need_compiler
 
 
 def test_every_baseline_is_built_with_sonars() -> None:
@@ -116,3 +118,36 @@ def test_the_map_is_not_forgotten_before_another_depth_is_reached() -> None:
 
 def test_corners_are_visited_without_crabbing() -> None:
     test_steered.test_two_legs_are_followed_without_crabbing("otter", "visit")
+
+
+def test_a_sweep_without_a_feasible_point_sets_an_earlier_gain_file_aside(mission: Path, tmp_path: Path) -> None:
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "gains.toml").write_text("of before")
+    ran = surctl("sweep", "k_v=0.01,0.02", "--scenario", mission, "--law", "closed_form", "--out", tmp_path / "s")
+    assert "the gain file of an earlier sweep is now" in ran.output
+    assert not (tmp_path / "s" / "gains.toml").exists()
+    assert (tmp_path / "s" / "gains-before.toml").read_text() == "of before"
+
+
+def test_export_agrees_with_python_at_more_thrust_than_it_has_astern(files: Path) -> None:
+    need_compiler()
+    file = files / "otter.toml"
+    weaker = '[thrust]\nFu_reverse = { value = 45.0, unit = "N", provenance = "chosen" }\n'
+    file.write_text(file.read_text().replace("[thrust]\n", weaker, 1))
+    assert craft("otter")["Xu"] * CRUISE["otter"] > 45.0  # the drag at the cruise speed
+    words = (
+        "--vehicle",
+        "otter.toml",
+        "--scenario",
+        "way.toml",
+        "--sensing",
+        "truth",
+        "--out",
+        str(files / "firmware"),
+    )
+    exported = run(files, "export", *words)
+    assert exported.exit_code == 0, exported.output
+    assert "thrust 0.0e+00, state 0.0e+00, telemetry 0.0e+00" in exported.output and "reached" in exported.output
+    assert "| `ahead_limit` | 133.0 | N | largest surge thrust ahead | 0 to 133 |" in (
+        (files / "firmware" / "README.md").read_text()
+    )

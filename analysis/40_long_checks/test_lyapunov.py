@@ -8,6 +8,7 @@ import pytest
 from surctl.lyapunov import find_stability, least_level
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.equilibrium import linearisation
+from surctl.verification.formula import parse, variable
 from tests.lyapunov.test_search import TRUE_AREA, dynamics, leavers, van_der_pol
 
 
@@ -34,3 +35,14 @@ def test_where_the_linearisation_decides_nothing_the_largest_level_is_proved() -
     outcome = find_stability(d, degree=4, time_limit=20.0)
     assert outcome.verdict == "proved"
     assert outcome.ratio >= 0.9
+
+
+def test_energy_is_made_strict_and_the_largest_rate_is_proved() -> None:
+    d = dynamics({"a": (-2.0, 2.0), "w": (-3.0, 3.0)}, ["w", "-a - w"])
+    energy = parse("0.5*w^2 + 0.5*a^2", {"a": variable("a"), "w": variable("w")})
+    outcome = find_stability(d, function=energy, rate="largest", time_limit=30.0)
+    assert outcome.verdict == "proved"
+    assert outcome.label.startswith("given function plus")
+    assert outcome.claim is not None
+    assert outcome.claim.rate is not None
+    assert outcome.claim.rate > 0

@@ -88,7 +88,9 @@ def test_a_gap_narrower_than_the_hull_is_a_dead_end() -> None:
 
 
 def test_guidance_with_memory_against_other_pushes() -> None:
-    test_crosstrack.test_a_steady_push_is_learnt("pool-static", 0.0, 1.0)
+    for learns in ("ilos", "alos"):
+        test_crosstrack.test_a_steady_push_is_learnt("pool-static", 0.0, 1.0, learns)
+    test_crosstrack.test_a_steady_push_is_learnt("tank-static", 0.05, 0.0, "alos")
     test_crosstrack.test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los("alos", 0.1)
 
 
@@ -130,3 +132,7 @@ def test_a_fold_by_sonar() -> None:
     case = test_corners.mission(test_corners.FOLD, corners="visit")
     run = simulate(case, test_corners.VEHICLE, gains=test_corners.GAINS, sensing="sonar")
     assert run.metrics.reached and run.metrics.missed_corner_m < 0.1 and run.metrics.path_error_m < 0.1
+
+
+def test_a_leg_twice() -> None:
+    test_corners.test_it_arrives_once_it_went_all_the_way_in_both_loops("a leg twice")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from surctl.control import build_law
 from surctl.export import Records, software_in_the_loop
 from surctl.simulation import simulate
 from surctl.vehicle import identify
+from tests.cli.process import surctl
 from tests.tools import need_compiler
 from tests.vehicle import test_identify, test_identify_tilt, test_plant
 from tests.vehicle.test_fins import GAINS, REMUS, turning
@@ -77,3 +79,19 @@ def test_an_axis_at_rest_by_its_depth_alone_is_still_at_rest() -> None:
 def test_steady_speeds(name: str) -> None:
     for axis in range(4):
         test_plant.test_steady_speeds(name, axis)
+
+
+def test_several_logs_and_windows_by_the_command_line(tmp_path: Path) -> None:
+    names = []
+    for seed in (0, 1):
+        log = depths(seed)
+        names.append(f"dive{seed}.csv")
+        rows = [f"{t},{z},0,0,{f},0" for t, z, f in zip(log.time, log.motion[:, 2], log.thrust[:, 2], strict=True)]
+        (tmp_path / names[-1]).write_text("\n".join(["t_s,z_m,Fu_N,Fv_N,Fw_N,Fr_N_m", *rows[:120]]))
+    words = ["vehicle", "from-log", *names, "--start", "sur540-flooded", "--window", "5", "--window", "20", "--json"]
+    done = surctl(*words, cwd=tmp_path)
+    result = json.loads(done.out)
+    assert [one["window_s"] for one in result["held_out_windows"]] == [5.0, 20.0] and result["sections"] == 4
+    assert result["held_out"] == result["held_out_windows"][0]
+    done = surctl("vehicle", "from-log", *names, "--topics", cwd=tmp_path)
+    assert done.status == 2 and "--topics takes one log" in done.err

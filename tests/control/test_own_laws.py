@@ -315,12 +315,3 @@ def test_what_a_file_prints_or_does_to_the_path_stays_there(tmp_path: Path, caps
     printed = capsys.readouterr()
     assert printed.out == ""
     assert "HELLO" in printed.err
-
-
-def test_a_sweep_without_a_feasible_point_sets_an_earlier_gain_file_aside(mission: Path, tmp_path: Path) -> None:
-    (tmp_path / "s").mkdir()
-    (tmp_path / "s" / "gains.toml").write_text("of before")
-    ran = surctl("sweep", "k_v=0.01,0.02", "--scenario", mission, "--law", "closed_form", "--out", tmp_path / "s")
-    assert "the gain file of an earlier sweep is now" in ran.output
-    assert not (tmp_path / "s" / "gains.toml").exists()
-    assert (tmp_path / "s" / "gains-before.toml").read_text() == "of before"

@@ -30,7 +30,6 @@ from surctl.vehicle import load_vehicle
 from surctl.vehicle.vehicle_file import write_vehicle
 from surctl.verification import build_cascade, law_loop, loop_margins
 from tests.craft import CRUISE, craft, factor, mission, scaled, table
-from tests.tools import need_compiler
 
 
 @cache
@@ -190,27 +189,3 @@ def test_commands_choose_the_law_and_say_so(files: Path) -> None:
     verified = run(files, "verify", "braking-mass", "--vehicle", "otter.toml", "--scenario", "way.toml")
     assert "n/a  braking-mass" in verified.output and "sampled loop of law steered at 0.77 m/s" in verified.output
     assert "no-contact claim: not judged" in verified.output
-
-
-def test_export_agrees_with_python_at_more_thrust_than_it_has_astern(files: Path) -> None:
-    need_compiler()
-    file = files / "otter.toml"
-    weaker = '[thrust]\nFu_reverse = { value = 45.0, unit = "N", provenance = "chosen" }\n'
-    file.write_text(file.read_text().replace("[thrust]\n", weaker, 1))
-    assert craft("otter")["Xu"] * CRUISE["otter"] > 45.0  # the drag at the cruise speed
-    words = (
-        "--vehicle",
-        "otter.toml",
-        "--scenario",
-        "way.toml",
-        "--sensing",
-        "truth",
-        "--out",
-        str(files / "firmware"),
-    )
-    exported = run(files, "export", *words)
-    assert exported.exit_code == 0, exported.output
-    assert "thrust 0.0e+00, state 0.0e+00, telemetry 0.0e+00" in exported.output and "reached" in exported.output
-    assert "| `ahead_limit` | 133.0 | N | largest surge thrust ahead | 0 to 133 |" in (
-        (files / "firmware" / "README.md").read_text()
-    )

@@ -198,17 +198,6 @@ def test_a_map_has_a_region_too() -> None:
     assert text_of(outcome.claim.function).endswith("(x - 0.25)^2")
 
 
-def test_energy_is_made_strict_and_the_largest_rate_is_proved() -> None:
-    d = dynamics({"a": (-2.0, 2.0), "w": (-3.0, 3.0)}, ["w", "-a - w"])
-    energy = parse("0.5*w^2 + 0.5*a^2", {"a": variable("a"), "w": variable("w")})
-    outcome = find_stability(d, function=energy, rate="largest", time_limit=30.0)
-    assert outcome.verdict == "proved"
-    assert outcome.label.startswith("given function plus")
-    assert outcome.claim is not None
-    assert outcome.claim.rate is not None
-    assert outcome.claim.rate > 0
-
-
 def test_a_barrier_is_found_in_continuous_and_in_discrete_time() -> None:
     x = {"x": variable("x"), "y": variable("y")}
     start, bad = [parse("x^2 + y^2 - 0.25", x)], [parse("1.2 - x - y", x)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from surctl.vehicle import (
     velocity_notes,
 )
 from surctl.vehicle.identification.model import sections_of
-from tests.cli.process import surctl
 
 TANK = """
 kind = "log-map"
@@ -166,19 +164,3 @@ def test_the_speed_before_a_window_follows_from_several_rows() -> None:
     motion[:, 2] = np.round(0.13 * np.arange(120.0) / 0.05) * 0.05
     found = predict(MotionLog(np.arange(120.0), motion, np.zeros((120, 4))), diver(), window=5.0)
     assert found.hold["z_m"] < 0.04  # two rows alone give 0.10 or 0.15 m/s
-
-
-def test_several_logs_and_windows_by_the_command_line(tmp_path: Path) -> None:
-    names = []
-    for seed in (0, 1):
-        log = depths(seed)
-        names.append(f"dive{seed}.csv")
-        rows = [f"{t},{z},0,0,{f},0" for t, z, f in zip(log.time, log.motion[:, 2], log.thrust[:, 2], strict=True)]
-        (tmp_path / names[-1]).write_text("\n".join(["t_s,z_m,Fu_N,Fv_N,Fw_N,Fr_N_m", *rows[:120]]))
-    words = ["vehicle", "from-log", *names, "--start", "sur540-flooded", "--window", "5", "--window", "20", "--json"]
-    done = surctl(*words, cwd=tmp_path)
-    result = json.loads(done.out)
-    assert [one["window_s"] for one in result["held_out_windows"]] == [5.0, 20.0] and result["sections"] == 4
-    assert result["held_out"] == result["held_out_windows"][0]
-    done = surctl("vehicle", "from-log", *names, "--topics", cwd=tmp_path)
-    assert done.status == 2 and "--topics takes one log" in done.err
