@@ -12,10 +12,11 @@ import casadi as ca
 
 from surctl.ir import each, tabulated
 from surctl.sensing import Ranging, SonarArray, expected_range
+from surctl.sensing.mapping.local_map import READING
 from surctl.sensing.sonar.cones import turned
 from surctl.vehicle import planar_rotation
 
-__all__ = ["SILENT", "Around", "Expected", "beams", "corrected", "expected", "honest"]
+__all__ = ["SILENT", "Around", "Expected", "beams", "corrected", "expected", "honest", "least_of", "slotted"]
 
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""
@@ -154,3 +155,22 @@ def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, 
             differ = ca.sumsqr(samples[other, :] - samples[sensor, :]) > 0
             fine = ca.logic_and(fine, ca.logic_or(differ, ca.logic_not(informative)))
     return fine
+
+
+def least_of(values: ca.SX) -> ca.SX:
+    """Return the least entry of a column."""
+    least = values[0]
+    for k in range(1, values.numel()):
+        least = ca.fmin(least, values[k])
+    return least
+
+
+def slotted(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
+    """Return `slots` rows `READING` as a column: one firing (fresh, row) in each, or one that changes no map cell."""
+    size = sum(k for _, k, _ in READING)
+    empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
+    listed, count = [empty] * slots, ca.SX(0)
+    for fresh, firing in firings:
+        listed = [ca.if_else(ca.logic_and(fresh, count == s), firing, old) for s, old in enumerate(listed)]
+        count += fresh
+    return ca.vertcat(*listed)

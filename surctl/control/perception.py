@@ -16,7 +16,7 @@ from math import ceil, cos, sin
 
 import casadi as ca
 
-from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest
+from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest, least_of, slotted
 from surctl.control.ports import PARAMETERS, SECTORS
 from surctl.errors import InputError
 from surctl.ir import (
@@ -282,7 +282,7 @@ class _Builder:
                 strange = ca.logic_and(strange, reading < floor - _TOLERANCE)
             echo = ca.logic_and(reading < array.maximum - SILENT, strange)
             blind = reading <= array.lowest / array.scale + array.resolution
-            clear = ca.fmax(_least(recent) - _READING - _DIAGONAL * edge, 0)
+            clear = ca.fmax(least_of(recent) - _READING - _DIAGONAL * edge, 0)
             firing = {
                 "apex": apexes[i],
                 "axis": axes[i],
@@ -304,7 +304,7 @@ class _Builder:
             "nu": around.nu,
             "uncertainty": around.uncertainty,
             "placed": around.placed,
-            "echoed": _least(ca.vertcat(*silent)) < _NEVER,
+            "echoed": least_of(ca.vertcat(*silent)) < _NEVER,
             "sonars": ca.vertcat(*sonars),
         }
         if self._movers:
@@ -324,7 +324,7 @@ class _Builder:
             # if the robot does not know its position, the cells under its hull do not count as free
             "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
             "walls": known["walls"],
-            "readings": _listed(firings, local_map.slots),
+            "readings": slotted(firings, local_map.slots),
             "perceived": self._perceived.join(perceived),
         }
         return {"small": small, "u": u, "p": p}, outputs
@@ -398,21 +398,3 @@ class _Builder:
             values["column"] = perceived["column"]
         inputs = {"p": p, "perceived": flat, "marked": marked, "unknown": unknown}
         return recording.block("report", inputs, {"decision_inputs": self.outputs.join(values)})
-
-
-def _least(values: ca.SX) -> ca.SX:
-    least = values[0]
-    for k in range(1, values.numel()):
-        least = ca.fmin(least, values[k])
-    return least
-
-
-def _listed(firings: list[tuple[ca.SX, ca.SX]], slots: int) -> ca.SX:
-    # one firing in each slot; an empty slot neither clears nor marks map cells
-    size = sum(k for _, k, _ in READING)
-    empty = ca.vertcat(ca.SX.zeros(size - 2), -1, 0)
-    listed, count = [empty] * slots, ca.SX(0)
-    for fresh, firing in firings:
-        listed = [ca.if_else(ca.logic_and(fresh, count == s), firing, old) for s, old in enumerate(listed)]
-        count += fresh
-    return ca.vertcat(*listed)
