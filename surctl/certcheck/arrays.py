@@ -24,7 +24,7 @@ from surctl.certcheck.enclosure import Interval, Undefined, enclose, rational
 from surctl.certcheck.expressions import BRANCHES, Entry, ExpressionTable
 from surctl.certcheck.patience import go_on
 
-__all__ = ["FEWEST", "TOGETHER", "ranges", "settled"]
+__all__ = ["FEWEST", "TOGETHER", "proved_together", "ranges"]
 
 TOGETHER = 512
 """Number of boxes that are worth a look together."""
@@ -43,7 +43,7 @@ _ONE = (np.ones(1), np.ones(1))
 _TERMS = 10  # of the series of cosine and sine
 
 
-def settled(
+def proved_together(
     expressions: ExpressionTable, numerator: int | None, constraints: Sequence[int], leaves: Sequence[Leaf]
 ) -> list[bool]:
     """Return for each leaf, a rule and a box, whether it is certain that the rule proves the inequality on the box.

@@ -22,7 +22,7 @@ from typing import Any
 from mpmath import libmp
 
 from surctl.certcheck.angles import BITS, pi
-from surctl.certcheck.arrays import TOGETHER, settled
+from surctl.certcheck.arrays import TOGETHER, proved_together
 from surctl.certcheck.document import Rejected, listed, number, record
 from surctl.certcheck.enclosure import (
     Interval,
@@ -248,9 +248,9 @@ class _Case:
         self._decide(leaves)
 
     def _decide(self, leaves: Sequence[tuple[str, Box]]) -> None:
-        """Check leaves: all of them in arrays of doubles, then one by one those that this does not settle."""
+        """Check leaves: all of them in arrays of doubles, then one by one those that this leaves open."""
         numerator = self.numerator if self.claim.everywhere else None
-        quick = settled(self.expressions, numerator, self.constraints, leaves)
+        quick = proved_together(self.expressions, numerator, self.constraints, leaves)
         for (rule, box), done in zip(leaves, quick, strict=True):
             if not done:
                 self._leaf(rule, box)

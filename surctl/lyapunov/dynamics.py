@@ -159,6 +159,15 @@ class Dynamics:
         Raises:
             UnsupportedOperation: the function has kinks or jumps (continuous time).
         """
+        if function not in self._changes:
+            self._changes[function] = self._changed(function)
+        return self._changes[function]
+
+    @cached_property
+    def _changes(self) -> dict[Node, Node]:
+        return {}
+
+    def _changed(self, function: Node) -> Node:
         if self.discrete:
             return substitute(function, dict(zip(self.names, self.rates, strict=True)))
         total: Node | None = None

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mpmath import mp, mpf
 
 from surctl.certcheck import arrays, check_document, seal
-from surctl.certcheck.arrays import ranges, settled
+from surctl.certcheck.arrays import proved_together, ranges
 from surctl.certcheck.enclosure import enclose, exact
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.verification.formula import Node, parse, text_of, variable
@@ -126,14 +126,14 @@ def halved(times: int, rule: str) -> str:
 
 
 @pytest.mark.parametrize("rule", "nm")
-def test_many_boxes_are_settled_together_and_one_false_box_is_noticed(rule: str, monkeypatch) -> None:
+def test_many_boxes_are_proved_together_and_one_false_box_is_noticed(rule: str, monkeypatch) -> None:
     """The largest value of sin x + x − x³/4 on [0.5, 2.5] is 1.888305…, at one of 512 boxes."""
     top = mp.findroot(lambda x: mp.cos(x) + 1 - 3 * x**2 / 4, 1.3)
     most = mp.sin(top) + top - top**3 / 4
     one_by_one = []
-    own = arrays.settled
+    own = arrays.proved_together
     monkeypatch.setattr(
-        "surctl.certcheck.inequality.settled",
+        "surctl.certcheck.inequality.proved_together",
         lambda *args: one_by_one.append(own(*args).count(False)) or own(*args),
     )
     assert check_document(claim(mp.nstr(most + 0.01, 15), halved(9, rule))).accepted
@@ -149,12 +149,12 @@ def test_a_box_counts_as_outside_only_where_a_constraint_is_positive(rule: str) 
     assert check_document(claim("0", halved(9, rule), "1", ["-1", "sin(x) + x - 0.98"])).reason.startswith("rule")
 
 
-def test_a_bound_between_a_double_and_its_decimal_is_not_settled() -> None:
+def test_a_bound_between_a_double_and_its_decimal_is_not_proved() -> None:
     """The double 0.3 is less than the decimal by 1.1e-17, and the other number is a double."""
     table = ExpressionTable(["x"])
     for bound, wanted in (("7.6293945312e-07", False), ("7.63e-07", True)):
         root = table.read(f"x - 0.299999237060546875 - {bound}")
-        assert settled(table, root, [], [("n", [(0.1, 0.3)])] * 32) == [wanted] * 32
+        assert proved_together(table, root, [], [("n", [(0.1, 0.3)])] * 32) == [wanted] * 32
 
 
 def is_defined(text: str, low: float, high: float) -> bool:
@@ -166,20 +166,20 @@ def is_defined(text: str, low: float, high: float) -> bool:
     return not low <= 0 <= high
 
 
-def test_what_is_not_defined_on_a_whole_box_settles_nothing() -> None:
+def test_what_is_not_defined_on_a_whole_box_proves_nothing() -> None:
     leaves = [(rule, [(-1.0 + k / 16, -0.9 + k / 16)]) for k in range(32) for rule in "nmij"]
     for text in ("0/x - 1", "sqrt(x) - 9", "0*log(x)^2 - 1", "1/x^3*0 - 1", "x/x - 2", "tan(2*x)*0 - 1"):
         table = ExpressionTable(["x"])
         root = table.read(text)
-        shown = settled(table, root, [table.read(f"-({text})")], leaves)
+        shown = proved_together(table, root, [table.read(f"-({text})")], leaves)
         defined = [is_defined(text, low, high) for _, [(low, high)] in leaves]
         assert not any(done and not fine for done, fine in zip(shown, defined, strict=True)), text
         assert any(shown), text
 
 
-def test_without_gradual_underflow_nothing_is_settled(monkeypatch) -> None:
+def test_without_gradual_underflow_nothing_is_proved(monkeypatch) -> None:
     table = ExpressionTable(["x"])
     root, leaves = table.read("x - 2"), [("n", [(0.0, 1.0)])] * 32
-    assert all(settled(table, root, [], leaves))
+    assert all(proved_together(table, root, [], leaves))
     monkeypatch.setattr(arrays, "_has_gradual_underflow", lambda: False)
-    assert not any(settled(table, root, [], leaves))
+    assert not any(proved_together(table, root, [], leaves))

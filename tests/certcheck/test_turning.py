@@ -68,9 +68,9 @@ def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 20_000
 def test_the_kept_certificates_are_accepted_and_small(name: str) -> None:
     """All of them: study 40."""
     whole = document(name)
-    found = check_document(whole)
+    found = check_document(whole, time_limit=20.0)
     assert found.accepted, found.reason
-    assert len((HERE / f"{name}.json").read_text()) < 10_000 and found.seconds < 20
+    assert len((HERE / f"{name}.json").read_text()) < 10_000
     claim = whole["claim"]
     equal = claim["law"]["mass_kg"][0] == claim["law"]["mass_kg"][1]
     assert equal == (name in ("region-turning-20-scale", CURVED)) and claim["motion"]["offset_m"] >= (
