@@ -16,7 +16,7 @@ if TYPE_CHECKING:
         sonar_fragment,
     )
     from surctl.sensing.calibration.table2 import RangeTest, table_ii
-    from surctl.sensing.equipment import ANSWERS_WITHIN, SURFACE_MODELS, Equipment, SurfaceModel
+    from surctl.sensing.equipment import INCIDENCE_LIMITS, SURFACE_MODELS, Equipment, SurfaceModel
     from surctl.sensing.localisation.base_station import BaseStation, OwnState
     from surctl.sensing.localisation.delivery import Delivery, delayed, delayed_symbols
     from surctl.sensing.localisation.movers import Movers, MoverTracker, mover_step
@@ -68,9 +68,9 @@ if TYPE_CHECKING:
     from surctl.sensing.sonar.sound import Medium, speed_of_sound
 
 __all__ = [
-    "ANSWERS_WITHIN",
     "ECHO_KEY",
     "FAULT_KINDS",
+    "INCIDENCE_LIMITS",
     "LONGEST_DELAY",
     "NOISE_STATE",
     "OUTLIER_RULE",
@@ -188,7 +188,7 @@ load_at_first_use(
         "calibration.file": "SensorCalibration calibrate_file calibrate_table_ii calibration_rows file_stems"
         " pick_calibration sonar_fragment",
         "calibration.table2": "RangeTest table_ii",
-        "equipment": "ANSWERS_WITHIN SURFACE_MODELS Equipment SurfaceModel",
+        "equipment": "INCIDENCE_LIMITS SURFACE_MODELS Equipment SurfaceModel",
         "localisation.base_station": "BaseStation OwnState",
         "localisation.delivery": "Delivery delayed delayed_symbols",
         "localisation.movers": "Movers MoverTracker mover_step",

@@ -12,7 +12,7 @@ from surctl.errors import InputError
 from surctl.sensing.localisation.base_station import BaseStation, OwnState
 from surctl.sensing.sonar.array import SonarArray
 
-__all__ = ["ANSWERS_WITHIN", "SURFACE_MODELS", "Equipment", "SurfaceModel"]
+__all__ = ["INCIDENCE_LIMITS", "SURFACE_MODELS", "Equipment", "SurfaceModel"]
 
 SurfaceModel = Literal["diffuse", "smooth-walls", "smooth", "specular"]
 """What a law assumes of surfaces.
@@ -27,7 +27,7 @@ beams sweep past an obstacle from back to front."""
 
 SURFACE_MODELS: tuple[SurfaceModel, ...] = get_args(SurfaceModel)
 
-ANSWERS_WITHIN: Mapping[SurfaceModel, float | None] = MappingProxyType(
+INCIDENCE_LIMITS: Mapping[SurfaceModel, float | None] = MappingProxyType(
     {"diffuse": None, "smooth-walls": None, "smooth": pi / 8, "specular": pi / 36}
 )
 """Angle from its normal [rad] within which a face of an obstacle answers, as each `SurfaceModel` assumes; None: any."""

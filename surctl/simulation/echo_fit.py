@@ -99,12 +99,12 @@ def _corners(scenario: Scenario, vehicle: Vehicle, array: SonarArray, key: str) 
     # corners of boxes that are heard nearer than the distance in which the hull stops at full thrust
     slowing = min(vehicle["Fu_max"], vehicle["Fv_max"]) / max(vehicle["m11"], vehicle["m22"])
     stopping, on_hull = scenario.cap**2 / (2 * slowing), replace(array, hull_radius=vehicle["radius"])
-    heard: dict[float, list[str]] = {}
+    late: dict[float, list[str]] = {}
     for box, reflector in zip(scenario.obstacles, _reflectors(scenario, array), strict=True):
         if box.size_m is not None and reflector.edge_range == 0 and reflector.incidence_limit != 0:
             at = on_hull.corner_range(reflector.incidence_limit)
-            heard.setdefault(at, []).extend([box.name] if at < stopping else [])
-    for at, boxes in heard.items():
+            late.setdefault(at, []).extend([box.name] if at < stopping else [])
+    for at, boxes in late.items():
         if boxes:
             when = f"hears it {at:.2f} m away at best" if at > 0 else "touches it before any sonar can hear it"
             text = (

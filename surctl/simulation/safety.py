@@ -18,7 +18,7 @@ from surctl.guidance.braking import (
     range_needed,
     stopping_distance_with_drag,
 )
-from surctl.sensing import ANSWERS_WITHIN
+from surctl.sensing import INCIDENCE_LIMITS
 from surctl.simulation.column import BAND, FOOTPRINT
 from surctl.simulation.margin import Bound, mass_difference, munk, turned
 from surctl.simulation.scenario import Scenario
@@ -280,12 +280,12 @@ def safety_claim(
 def _echoes(scenario: Scenario, vehicle: Vehicle, sight: float) -> str:
     # what must be true of surfaces for obstacles to be detected at the distance `sight` [m]
     surfaces = scenario.sensors.equipment.surface_model
-    within, model = ANSWERS_WITHIN[surfaces], f"surface_model {surfaces}"
+    within, model = INCIDENCE_LIMITS[surfaces], f"surface_model {surfaces}"
     if within is None:
         return f"every face of an obstacle in a beam answers, at any angle of incidence ({model})"
     at = scenario.sensors.array_on(vehicle["radius"]).corner_range(within)
     text = f"faces answer within {degrees(within):.3g} deg of their normal ({model})"
     if at >= sight:
         return text
-    heard = f"is heard {at:.2f} m away at best" if at > 0 else "is touched before it is heard"
-    return f"{text}, and no corner points at the hull: on its bisector it {heard}"
+    when = f"is heard {at:.2f} m away at best" if at > 0 else "is touched before it is heard"
+    return f"{text}, and no corner points at the hull: on its bisector it {when}"

@@ -249,8 +249,10 @@ class MapPrograms:
         blind = ca.fmax(value, BLIND)
         if self.directed:
             away = direction(across, down, limit)
-            kind = {"near": nearby(line, limit), "known": self.known, "specular": self.specular}
-            lasts, remark, blind, cleared, may = by_direction(value, away, **kind)
+            near = nearby(line, limit)
+            lasts, remark, blind, cleared, may = by_direction(
+                value, away, near=near, known=self.known, specular=self.specular
+            )
             free = ca.logic_and(free, ca.logic_not(lasts))
         marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
         mark = ca.if_else(limit["ranged"], remark, blind)
