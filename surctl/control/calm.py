@@ -57,7 +57,8 @@ _SMOOTH = 0.4  # [s] time constant of the reference's acceleration before it bec
 _WIDEST = 0.3  # share of the thrust limit: largest half width of the band
 _HEAVE, _DEPTH = 0.18, 0.33  # shares of `k_v` and `k2`: nothing is near above or below, so the depth may return slowly
 _HEAVE_SETTLE = 1.0  # [s] `settle` in heave, whose demand is about 0 and would often change its sign
-_BESIDE, _AHEAD = 0.3, 0.8  # cosines to the desired course: a mark beside the robot, and ahead of it
+_BESIDE, _AHEAD = 0.3, 0.8  # cosines to the course: a mark beside the robot, and ahead of it
+_RESTS = 0.05  # [m/s] speed below which the robot hardly approaches anything
 
 CALM_PORTS = (
     Port("eased", (2,), "m/s", "velocity reference of the step before, without braking, in {E}", gap="anew"),
@@ -107,7 +108,7 @@ def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
     return p["k_v"] * ca.vertcat(p["soft"], p["soft"], _HEAVE)
 
 
-def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+def beside_margin(normal: ca.SX, *, course: ca.SX, now: ca.SX, full: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     """Return the margin [m] to a mark of the map: `margin` ahead, and its share `beside` beside the desired course.
 
     In a gap between two marks the robot passes both, and does not approach them. Ahead the margin covers an obstacle
@@ -116,6 +117,7 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, 
     Args:
         normal: unit vector (2, 1) from the robot to the mark, in {E}.
         course: desired velocity (2, 1) in {E} [m/s].
+        now: velocity over ground (2, 1) in {E} [m/s]; a mark that the robot approaches is ahead, too.
         full: 1 where every mark needs `margin`.
         p: parameters by name: `margin`, `beside`.
 
@@ -124,10 +126,10 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, 
         >>> from surctl.control.calm import beside_margin
         >>> p, to_x = {"margin": ca.DM(0.05), "beside": ca.DM(0.2)}, ca.DM([0.15, 0])
         >>> marks = (ca.DM([1, 0]), ca.DM([0, 1]), ca.DM([-1, 0]))
-        >>> [round(float(beside_margin(n, course=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
+        >>> [round(float(beside_margin(n, course=to_x, now=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
         [0.05, 0.01, 0.01]
     """
-    cosine = ca.dot(normal, course) / ca.fmax(ca.sqrt(ca.sumsqr(course)), 1e-3)
+    cosine = ca.fmax(_cosine(normal, course, 1e-3), _cosine(normal, now, _RESTS))
     ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
     return p["margin"] * ca.if_else(full, 1, p["beside"] + (1 - p["beside"]) * ahead)
 
@@ -160,6 +162,10 @@ def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.
     settle = ca.vertcat(p["settle"], p["settle"], _HEAVE_SETTLE, p["settle"])
     slow = held + dt / (dt + settle) * (free - held)
     return ca.fmin(ca.fmax(slow, free - width), free + width)
+
+
+def _cosine(normal: ca.SX, velocity: ca.SX, least: float) -> ca.SX:
+    return ca.dot(normal, velocity) / ca.fmax(ca.sqrt(ca.sumsqr(velocity)), least)
 
 
 def eased(
