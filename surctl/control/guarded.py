@@ -246,8 +246,8 @@ def _standing(
 
     def one(row: ca.SX) -> tuple[ca.SX]:
         contact = Contact.of(row)
-        kept = p["margin"] if margin is None else margin(contact.normal)
-        normal, bound, point = _sector(contact, eta, {**p, "margin": kept}, stop)
+        distance = p["margin"] if margin is None else margin(contact.normal)
+        normal, bound, point = _sector(contact, eta, {**p, "margin": distance}, stop)
         return (ca.vertcat(normal, bound if retreat >= _NO_BOUND else ca.fmax(bound, -retreat), point),)
 
     if not contacts:
