@@ -56,8 +56,9 @@ may be in the blind range of the sonars."""
 _SMOOTH = 0.4  # [s] time constant of the reference's acceleration before it becomes thrust
 _WIDEST = 0.3  # share of the thrust limit: largest half width of the band
 _HEAVE, _DEPTH = 0.18, 0.33  # shares of `k_v` and `k2`: nothing is near above or below, so the depth may return slowly
-_HEAVE_SETTLE = 1.0  # [s] `settle` in heave, whose demand is about 0 and would often change its sign
-_BESIDE, _AHEAD = 0.3, 0.8  # cosines to the desired course: a mark beside the robot, and ahead of it
+_HEAVE_LAG = 1.0  # [s] `settle` in heave, whose demand is about 0 and would often change its sign
+_BESIDE, _AHEAD = 0.3, 0.8  # cosines to the course: a mark beside the robot, and ahead of it
+_SLOW = 0.05  # [m/s] speed below which the robot hardly approaches anything
 
 CALM_PORTS = (
     Port("eased", (2,), "m/s", "velocity reference of the step before, without braking, in {E}", gap="anew"),
@@ -66,19 +67,19 @@ CALM_PORTS = (
 )
 
 CALM_GAINS: Mapping[str, GainSpec] = {
-    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.65, range=(0.0, 1.5)),
+    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.5, range=(0.0, 1.5)),
     "ramp": GainSpec(
         "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=1.1,
         range=(0.5, 2.0),
     ),
     "soft": GainSpec("1", "share of `k_v` that this law uses in surge and sway", default=0.43, range=(0.3, 1.0)),
-    "prompt": GainSpec("1", "share of `reaction` that this law uses", default=0.95, range=(0.5, 1.0)),
-    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.45, range=(0.0, 1.0)),
+    "prompt": GainSpec("1", "share of `reaction` that this law uses", default=0.85, range=(0.5, 1.0)),
+    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.6, range=(0.0, 1.0)),
     "still": GainSpec(
         "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.02, range=(0.0, 0.04)
     ),
-    "settle": GainSpec("s", "time constant with which the thrust follows such an error", default=0.15, range=(0.1, 5.0)),
-    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=0.1, range=(0.0, 1.0)),
+    "settle": GainSpec("s", "time constant of the thrust after such an error", default=0.1, range=(0.1, 5.0)),
+    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=0.5, range=(0.0, 1.0)),
 }  # fmt: skip
 """Gains of law `calm` in addition to those of law `guarded`."""
 
@@ -107,7 +108,7 @@ def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
     return p["k_v"] * ca.vertcat(p["soft"], p["soft"], _HEAVE)
 
 
-def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+def beside_margin(normal: ca.SX, *, course: ca.SX, now: ca.SX, full: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
     """Return the margin [m] to a mark of the map: `margin` ahead, and its share `beside` beside the desired course.
 
     In a gap between two marks the robot passes both, and does not approach them. Ahead the margin covers an obstacle
@@ -116,6 +117,7 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, 
     Args:
         normal: unit vector (2, 1) from the robot to the mark, in {E}.
         course: desired velocity (2, 1) in {E} [m/s].
+        now: velocity over ground (2, 1) in {E} [m/s]; a mark that the robot approaches is ahead, too.
         full: 1 where every mark needs `margin`.
         p: parameters by name: `margin`, `beside`.
 
@@ -124,10 +126,10 @@ def beside_margin(normal: ca.SX, *, course: ca.SX, full: ca.SX, p: Mapping[str, 
         >>> from surctl.control.calm import beside_margin
         >>> p, to_x = {"margin": ca.DM(0.05), "beside": ca.DM(0.2)}, ca.DM([0.15, 0])
         >>> marks = (ca.DM([1, 0]), ca.DM([0, 1]), ca.DM([-1, 0]))
-        >>> [round(float(beside_margin(n, course=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
+        >>> [round(float(beside_margin(n, course=to_x, now=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
         [0.05, 0.01, 0.01]
     """
-    cosine = ca.dot(normal, course) / ca.fmax(ca.sqrt(ca.sumsqr(course)), 1e-3)
+    cosine = ca.fmax(_cosine(normal, course, 1e-3), _cosine(normal, now, _SLOW))
     ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
     return p["margin"] * ca.if_else(full, 1, p["beside"] + (1 - p["beside"]) * ahead)
 
@@ -157,9 +159,13 @@ def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.
     free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
     width = ca.fmin(p["mass"][:3] * soft_gain(p) * p["still"], _WIDEST * p["thrust_limit"][:3])
     width = ca.vertcat(width, 0)
-    settle = ca.vertcat(p["settle"], p["settle"], _HEAVE_SETTLE, p["settle"])
-    slow = held + dt / (dt + settle) * (free - held)
+    lag = ca.vertcat(p["settle"], p["settle"], _HEAVE_LAG, p["settle"])
+    slow = held + dt / (dt + lag) * (free - held)
     return ca.fmin(ca.fmax(slow, free - width), free + width)
+
+
+def _cosine(normal: ca.SX, velocity: ca.SX, least: float) -> ca.SX:
+    return ca.dot(normal, velocity) / ca.fmax(ca.sqrt(ca.sumsqr(velocity)), least)
 
 
 def eased(

@@ -83,17 +83,17 @@ def guarded_law(
     marks = len(perceived.known) - SECTORS if scan is not None else len(perceived.all)
     movers = min(marks, len(perceived.known)) if moving else 0
     sectors, cones = _movers(perceived.known[:movers], desired, eta, p, stop)
+    over_ground = planar_rotation(eta[3]) @ nu[:2]
     away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
     mark_margin: Margin | None = None
     if scan is not None and calm is not None:
-        mark_margin = partial(beside_margin, course=desired.velocity, full=ca.logic_not(away), p=p)
+        mark_margin = partial(beside_margin, course=desired.velocity, now=over_ground, full=ca.logic_not(away), p=p)
     for retreat, contacts, margin in (
         (_NO_BOUND, perceived.all[movers:marks], None),
         (_BACK_OFF, perceived.all[marks : len(perceived.known)], mark_margin),
         (_NO_BOUND, perceived.all[max(marks, len(perceived.known)) :], None),
     ):
         sectors += _standing(contacts, eta, p, stop, retreat=retreat, margin=margin)
-    over_ground = planar_rotation(eta[3]) @ nu[:2]
     slower = None
     if scan is not None:  # near the start an obstacle may drift undetected: keep the clearance of the full speed there
         slower = ca.logic_and(ca.logic_and(scan.placed, away), x["stalled"] < _STALLED)
@@ -246,8 +246,8 @@ def _standing(
 
     def one(row: ca.SX) -> tuple[ca.SX]:
         contact = Contact.of(row)
-        kept = p["margin"] if margin is None else margin(contact.normal)
-        normal, bound, point = _sector(contact, eta, {**p, "margin": kept}, stop)
+        distance = p["margin"] if margin is None else margin(contact.normal)
+        normal, bound, point = _sector(contact, eta, {**p, "margin": distance}, stop)
         return (ca.vertcat(normal, bound if retreat >= _NO_BOUND else ca.fmax(bound, -retreat), point),)
 
     if not contacts:

@@ -83,14 +83,16 @@ def test_the_law_has_its_gains_and_others_have_no_band() -> None:
     law = build_law("calm", sonar=True)
     assert "held" in law.state and set(CALM_GAINS) <= {port.name for port in law.gains}
     assert "held" not in build_law(sonar=True).state
-    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 0.15
+    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 0.1
 
 
 def test_marks_beside_the_course_need_less_margin_than_marks_ahead() -> None:
     p = {"margin": ca.DM(0.05), "beside": ca.DM(0.1)}
     normals = [ca.DM([np.cos(a), np.sin(a)]) for a in np.linspace(0, np.pi, 19)]
-    kept = [float(beside_margin(n, course=ca.DM([0.1, 0.0]), full=ca.DM(0), p=p)) for n in normals]
+    rest, to_x, back = ca.DM.zeros(2), ca.DM([0.1, 0.0]), ca.DM([-0.1, 0.0])
+    kept = [float(beside_margin(n, course=to_x, now=rest, full=ca.DM(0), p=p)) for n in normals]
     assert kept[0] == pytest.approx(0.05) and kept[8:] == pytest.approx([0.005] * 11)  # from 80 degrees off the course
     assert kept == sorted(kept, reverse=True)
-    everywhere = [float(beside_margin(n, course=ca.DM.zeros(2), full=ca.DM(1), p=p)) for n in normals]
+    everywhere = [float(beside_margin(n, course=rest, now=rest, full=ca.DM(1), p=p)) for n in normals]
     assert everywhere == [0.05] * 19
+    assert float(beside_margin(normals[-1], course=to_x, now=back, full=ca.DM(0), p=p)) == pytest.approx(0.05)
