@@ -47,8 +47,12 @@ PAIRS = (
     ("region-turning-20", "rexrov"),
     (STEERED, "otter"),
     (STEERED, "remus100"),
+    (STEERED, "remus100@1.0"),
+    (STEERED, "remus100@1.25"),
+    (STEERED, "remus100@1.5"),
 )
-OWN = {"bluerov2-heavy": 0.17, "rexrov": 0.95, "otter": 1.1, "remus100": 0.87}
+OWN = {"bluerov2-heavy": 0.17, "rexrov": 0.95, "otter": 1.1, "remus100": 0.87,
+       "remus100@1.0": 1.0, "remus100@1.25": 1.25, "remus100@1.5": 1.5}  # fmt: skip
 """Vehicles with gains derived at their cruise speed [m/s]; the others have the gains `default` at 0.15 m/s."""
 
 MOTIONS, SECONDS, STEP = 10_000, 40.0, 0.02
@@ -217,11 +221,11 @@ def steered(document: Mapping[str, Any], count: int, seconds: float, *, seed: in
 
     ahead = max(law["lookahead"], law["cruise"] / float(planned(law["cruise"])))
 
-    def rate(state: Array, u: Array) -> Array:
+    def rate(state: Array, u: Array, modelled: Array) -> Array:
         y, psi, v, r, crab, sway = state
         error = -np.arctan(y / ahead) - crab - psi
         limit = available(u)
-        most = np.minimum(planned(u), np.sqrt(limit / m4 * np.abs(error)))
+        most = np.minimum(planned(modelled), np.sqrt(available(modelled) / m4 * np.abs(error)))
         turn = np.clip(law["k_psi"] * error, -most, most)
         yaw = law["linear_drag"][1] * turn + law["quadratic_drag"][1] * np.abs(turn) * turn
         yaw = np.clip(yaw + m4 * law["k_r"] * (turn - r) + law["munk"] * u * sway, -limit, limit)
@@ -239,23 +243,27 @@ def steered(document: Mapping[str, Any], count: int, seconds: float, *, seed: in
                 first, *second = ({"u": u, "v": v, "r": r}[axis] for axis in name[1:])
                 load["YN".index(name[0])] -= drag[2 + k % 18] * value * (np.abs(first) * second[0] if second else first)
         size = a2 * a4 - a24**2
-        modelled = (law["linear_drag"][0] + law["quadratic_drag"][0] * np.abs(sway)) * sway
+        damped = (law["linear_drag"][0] + law["quadratic_drag"][0] * np.abs(sway)) * sway
         return np.stack([
             u * np.sin(psi) + v * np.cos(psi), r, (a4 * load[0] - a24 * load[1]) / size,
             (a2 * load[1] - a24 * load[0]) / size, (np.arctan2(v, u) - crab) / law["crab_time"],
-            -law["centripetal"] / m2 * u * r - modelled / m2,
+            -law["centripetal"] / m2 * modelled * r - damped / m2,
         ])  # fmt: skip
 
     xi = rng.normal(size=(count, 6)) @ np.linalg.inv(np.linalg.cholesky(P))
     state = (xi / np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]).T
-    u = rng.choice(vehicle["speed_m_per_s"], size=count)
+    u, other = rng.choice(vehicle["speed_m_per_s"], size=(2, count))
     ratio, left = 0.0, np.zeros(count, dtype=bool)
     for k in range(1, int(seconds / STEP) + 1):
-        u = np.where(rng.uniform(size=count) < 0.01, rng.choice(vehicle["speed_m_per_s"], size=count), u)
-        a = rate(state, u)
-        b = rate(state + STEP / 2 * a, u)
-        d = rate(state + STEP / 2 * b, u)
-        state = state + STEP / 6 * (a + 2 * b + 2 * d + rate(state + STEP * d, u))
+        u, other = (
+            np.where(rng.uniform(size=count) < 0.01, rng.choice(vehicle["speed_m_per_s"], size=count), one)
+            for one in (u, other)
+        )
+        own = other if law["fin_share"] else u  # with fins, the law has its own model of the surge speed
+        a = rate(state, u, own)
+        b = rate(state + STEP / 2 * a, u, own)
+        d = rate(state + STEP / 2 * b, u, own)
+        state = state + STEP / 6 * (a + 2 * b + 2 * d + rate(state + STEP * d, u, own))
         now = np.einsum("in,ij,jn->n", state, P, state)
         ratio = max(ratio, float(now.max()) / np.exp(-claim["motion"]["rate_per_s"] * k * STEP))
         left |= now > 1
@@ -301,7 +309,7 @@ def main(arguments: list[str]) -> int:
             document = json.loads((RECORDED / f"{name}.json").read_text())
         else:
             began = time.process_time()
-            robot, cruise = load_vehicle(vehicle), OWN.get(vehicle)
+            robot, cruise = load_vehicle(vehicle.partition("@")[0]), OWN.get(vehicle)
             gains = load_gains("default") if cruise is None else derived_gains(robot, cruise=cruise)
             cap = None if cruise is None else round(cruise * 0.22 / 0.15, 9)
             proof = prove_statement(REGION_CLAIMS[name], robot, gains, cruise=cruise, cap=cap)

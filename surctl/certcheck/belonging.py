@@ -218,7 +218,9 @@ class _Comparison:
         vehicle, law, met = self.claim["vehicle"], self.claim["law"], self.claim["encounter"]
         self._hashes(lawless=law is None)
         self.excludes += [*self.claim["assumes"], _ROUNDING.format(self.manifest.real)]
-        self._vehicle(vehicle)
+        self._vehicle(vehicle, ratio=vehicle["mass_ratio"])
+        if vehicle["drag"] == "along":
+            self._alike(0.0)
         limits = self._limits()
         self._at_least("thrust_limit", vehicle["brake_n"], "N", limits)
         self._lower_ends("thrust", vehicle["brake_n"], "N")
@@ -228,7 +230,7 @@ class _Comparison:
             self.excludes.append(f"thrust of both axes together: {text}")
         self._at_most("thrust_lag", vehicle["lag_s"], "s", self._numbers("thrust_lag"))
         self._at_most("yaw rate", met["turn_rad_per_s"], "rad/s", self._gains("spin"))
-        if met["turn_rad_per_s"]:
+        if met["turn_rad_per_s"] or vehicle["mass_ratio"] > 1:
             self._at_most("thrust across", vehicle["side_n"], "N", limits)
         cap = self._gains("cap")
         self._at_most("speed", met["fastest_m_per_s"], "m/s", cap)
@@ -274,7 +276,7 @@ class _Comparison:
         """Compare the law's model (mass and drag in surge and sway) with the certified values."""
         for port, key in (("mass", "mass_kg"), ("linear_drag", "linear_drag"), ("quadratic_drag", "quadratic_drag")):
             for axis in (0, 1):
-                self._gain(port, law[key], axis)
+                self._gain(port, law[key][axis] if isinstance(law[key], list) else law[key], axis)
 
     def _at_least(self, what: str, certified: float, unit: str, have: Sequence[float]) -> None:
         if not have:
@@ -335,13 +337,15 @@ class _Comparison:
             elif have[name] != value:
                 self.differs.append(f"{name}: {value!r} certified, {have[name]!r} exported")
 
-    def _vehicle(self, vehicle: Mapping[str, Any]) -> None:
+    def _vehicle(self, vehicle: Mapping[str, Any], *, ratio: float = 1.0) -> None:
+        masses = sorted((self.manifest.values.get(name, 0.0), name) for name in _ALIKE[0][2])
         for what, key, names in _ALIKE:
-            self._within(what, vehicle[key], names)
-        masses = self._numbers("m11", "m22")
-        if len(set(masses)) > 1:
-            text = f"{masses[0]!r} kg and {masses[1]!r} kg exported"
-            self.differs.append(f"mass: equal for surge and sway certified, {text}")
+            # of unequal masses, the range is that of the lighter one
+            self._within(what, vehicle[key], (masses[0][1],) if what == "mass" and ratio > 1 else names)
+        (light, _), (heavy, _) = masses
+        if heavy > light * ratio:
+            share = "equal for surge and sway" if ratio == 1 else f"at most {ratio!r} times the lighter one"
+            self.differs.append(f"mass: {share} certified, {light!r} kg and {heavy!r} kg exported")
 
     def _alike(self, asymmetry: float) -> None:
         for what, _, names in _ALIKE[1:]:

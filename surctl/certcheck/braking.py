@@ -21,6 +21,8 @@ from typing import Any
 
 from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw, read_claim
 from surctl.certcheck.braking_distance import (
+    ROOT2,
+    ROOT27,
     BrakingDistance,
     Forces,
     drag,
@@ -63,6 +65,7 @@ def _check_steady(claim: BrakingClaim) -> None:
     """Check that the period is short enough for the needed range to rise with the speed at the start of the period."""
     fastest = claim.fastest + claim.speed_error + claim.current
     steepest = claim.linear[1] + 2 * claim.quadratic[1] * (fastest + claim.sideways)
+    steepest = claim.ratio * steepest + claim.turn * claim.mass[1] * (claim.ratio**2 - 1)
     if claim.period * steepest > claim.mass[0]:
         raise Rejected("the control period is too long for the mass and drag of the vehicle")
 
@@ -105,7 +108,7 @@ def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, c
     left = claim.brake - at.disturbance - drag(claim, at.through)
     for row, speed in enumerate(claim.speeds):
         closing = speed + at.obstacle
-        closed = max(m * (closing + at.swing / m) ** 2 / (2 * left) for m in claim.mass)
+        closed = max(claim.ratio * m * (closing + at.swing / m) ** 2 / (2 * left) for m in claim.mass)
         for name, stated, computed in (
             ("closed_m", claim.closed, closed),
             ("distance_m", claim.distance, distance.worst(claim, at, closing, at.swing)),
@@ -155,12 +158,19 @@ def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
     """Return x [m/s]: if the speed exceeds the bound b by x, the velocity loop commands the braking force F_b.
 
     At the speed v, the loop commands the force drag(v_d) + m k_v (v_d − v) for a desired speed v_d ≤ b − gain x. The
-    law's drag model computes the drag of each axis separately and includes the sideways speed.
+    law's drag model computes the drag of each axis separately and includes the sideways speed. If the masses of the
+    law's model differ, an error of up to 2 w across adds a force along.
     """
     v, w = max(bound, Fraction(0)), claim.sideways
-    square = v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2
-    forward = law.linear * v + law.quadratic * square
-    return rounded((claim.brake + forward) / (law.mass * law.k_v * (1 + law.gain)))
+    (low, high), (low2, high2), (light, heavy) = (sorted(pair) for pair in (law.linear, law.quadratic, law.mass))
+    if low == high and low2 == high2:
+        square = v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2
+        forward = high * v + high2 * square
+    else:
+        forward = high * v + (high - low) * w / 2 + high2 * v**2 + ROOT2[1] * high2 * v * w
+        forward += (2 * high2 - low2) * w**2 * ROOT27
+    forward += (heavy - light) * law.k_v * w
+    return rounded((claim.brake + forward) / (light * law.k_v * (1 + law.gain)))
 
 
 def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
@@ -168,7 +178,7 @@ def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fracti
     force = law.brake * law.limit
     if law.barrier == "simple":
         c, t = bound + at.obstacle, law.reaction
-        return c * t + max(c, Fraction(0)) ** 2 * law.mass / (2 * force) + t * at.obstacle
+        return c * t + max(c, Fraction(0)) ** 2 * max(law.mass) / (2 * force) + t * at.obstacle
     lightest, heaviest, most, lag, linear, quadratic = law.stopping
     dragged = linear * at.obstacle + quadratic * at.obstacle**2
     left = force - dragged

@@ -15,11 +15,12 @@ __all__ = ["ASSUMES", "DRAGS", "LEMMAS", "BrakingClaim", "GuardedLaw", "read_cla
 
 ASSUMES = (
     "there is one obstacle or wall at a time; it is convex, does not rotate and never approaches faster than stated",
-    "surge and sway have the same mass; drag acts along the velocity, or axis by axis at any heading, as stated",
+    "the lighter one of the masses in surge and sway is within mass_kg, the heavier one at most mass_ratio times as "
+    "large; drag acts along the velocity, or axis by axis at any heading, as stated",
     "thrust follows its command with a first-order lag of at most lag_s and never exceeds most_n",
     "while the vehicle brakes, the commanded thrust is delivered up to brake_n against the direction that was latched "
-    "at the last decision without braking; no thrust across that direction is commanded, and the hull turns no faster "
-    "than stated",
+    "at the last decision without braking; no thrust across that direction is commanded, or at most side_n if "
+    "mass_ratio is above 1; and the hull turns no faster than stated",
     "range and own speed are measured with no more than the stated age and errors; a decision holds for one period",
     "own speed is at most fastest_m_per_s; across the latched direction, the true and the commanded speed are at most "
     "sideways_m_per_s",
@@ -33,8 +34,10 @@ ASSUMES = (
 LEMMAS = (
     "distance: G' >= z/(F_b - f + D(z - v_o)) and G' rises; so clearance - m G(z) does not fall while the vehicle "
     "brakes",
-    "retreat: the same holds while the vehicle retreats faster than the obstacle approaches",
-    "mass: m G(s + q/m) is convex in m, so that one end of the mass range is the worst case",
+    "retreat: the same holds while the vehicle retreats faster than the obstacle approaches; or G is then that at the "
+    "closing speed 0, while the clearance grows and the lagging thrust falls",
+    "mass: m G(s + q/m) is convex in m, so that one end of the mass range is the worst case; for unequal masses, m is "
+    "the lighter one and the distance is mass_ratio times as large",
     "period: with any thrust during one period, the range needed is enough for the period and the braking distance "
     "after it",
     "law: wherever the law does not brake with brake_n, the clearance is at least the range needed",
@@ -60,7 +63,7 @@ class GuardedLaw:
             braking.
         k_v, gain: k_v is the bandwidth of the velocity loop [1/s]; the law subtracts gain times the excess of the speed
             over the bound from the commanded velocity.
-        mass, linear, quadratic: mass, and linear and quadratic drag, of surge and sway in the law's model.
+        mass, linear, quadratic: mass, and linear and quadratic drag, of (surge, sway) in the law's model.
         stopping: parameters of the speed bound `inertia`: least mass, largest mass, largest thrust, lag, linear drag,
             quadratic drag.
     """
@@ -72,9 +75,9 @@ class GuardedLaw:
     limit: Fraction
     k_v: Fraction
     gain: Fraction
-    mass: Fraction
-    linear: Fraction
-    quadratic: Fraction
+    mass: Pair
+    linear: Pair
+    quadratic: Pair
     stopping: tuple[Fraction, ...]
 
 
@@ -83,7 +86,8 @@ class BrakingClaim:
     """A claim about braking; SI units, pairs are (least, largest).
 
     Attributes:
-        mass, linear, quadratic: true mass, linear drag and quadratic drag.
+        mass, linear, quadratic: true mass, that of the lighter axis; and linear drag and quadratic drag of both axes.
+        ratio: largest ratio of the masses in surge and sway, the heavier one over the lighter one.
         drag: `along` if the drag depends on the speed and acts against the velocity, `axes` if each body axis has a
             drag of its own.
         brake, most, side: brake is the guaranteed braking force F_b; most is the largest thrust towards the obstacle;
@@ -102,6 +106,7 @@ class BrakingClaim:
     """
 
     mass: Pair
+    ratio: Fraction
     linear: Pair
     quadratic: Pair
     drag: str
@@ -144,7 +149,7 @@ def read_claim(claim: Any) -> BrakingClaim:
     for key in ("sha256_vehicle", "sha256_law"):
         if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
             raise Rejected(f"claim.{key} is not a SHA-256")
-    names = ("mass_kg", "linear_drag", "quadratic_drag", "drag", "brake_n", "most_n", "side_n", "lag_s")
+    names = ("mass_kg", "mass_ratio", "linear_drag", "quadratic_drag", "drag", "brake_n", "most_n", "side_n", "lag_s")
     vehicle = record(top["vehicle"], names, "claim.vehicle")
     if vehicle["drag"] not in DRAGS:
         raise Rejected(f"claim.vehicle.drag must be one of {', '.join(DRAGS)}")
@@ -180,6 +185,7 @@ def read_claim(claim: Any) -> BrakingClaim:
 
     return BrakingClaim(
         mass=_pair(vehicle["mass_kg"], "mass_kg", above=True),
+        ratio=number(vehicle["mass_ratio"], "claim: mass_ratio", least=1),
         linear=_pair(vehicle["linear_drag"], "linear_drag"),
         quadratic=_pair(vehicle["quadratic_drag"], "quadratic_drag"),
         drag=vehicle["drag"],
@@ -223,6 +229,12 @@ def _law(value: Any) -> GuardedLaw:
     def positive(name: str) -> Fraction:
         return number(law[name], f"claim.law.{name}", above=True)
 
+    def axes(name: str, *, above: bool = False) -> Pair:
+        if not isinstance(law[name], list) or len(law[name]) != 2:
+            raise Rejected(f"claim.law.{name} must be [surge, sway]")
+        surge, sway = (number(entry, f"claim.law.{name}", above=above) for entry in law[name])
+        return surge, sway
+
     bound = tuple(number(stopping[n], f"claim.law.stopping.{n}", above=n.endswith("_kg")) for n in names)
     if bound[0] > bound[1]:
         raise Rejected("claim.law.stopping: lightest_kg exceeds heaviest_kg")
@@ -234,9 +246,9 @@ def _law(value: Any) -> GuardedLaw:
         positive("limit_n"),
         positive("k_v_per_s"),
         number(law["gain"], "claim.law.gain"),
-        positive("mass_kg"),
-        number(law["linear_drag"], "claim.law.linear_drag"),
-        number(law["quadratic_drag"], "claim.law.quadratic_drag"),
+        axes("mass_kg", above=True),
+        axes("linear_drag"),
+        axes("quadratic_drag"),
         bound,
     )
 

@@ -12,7 +12,7 @@ polynomial is negative. The checks use exact arithmetic.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -20,8 +20,11 @@ from typing import Any
 from surctl.certcheck.braking_claim import BrakingClaim
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.region_claim import number
+from surctl.certcheck.region_exact import root_down
 
 __all__ = ["BrakingDistance", "drag", "forces", "read_distance", "rounded"]
+
+Pair = tuple[Fraction, Fraction]
 
 _MOST_KNOTS = 400
 _DIGITS = 10**12
@@ -41,7 +44,33 @@ def rounded(value: Fraction) -> Fraction:
 
 def drag(claim: BrakingClaim, speed: Fraction) -> Fraction:
     """Return the largest drag D(v) [N] at a speed v ≥ 0 [m/s]."""
-    return claim.linear[1] * speed + claim.quadratic[1] * speed**2
+    linear, quadratic = drag_ranges(claim)
+    return linear[1] * speed + quadratic[1] * speed**2
+
+
+def drag_ranges(claim: BrakingClaim) -> tuple[Pair, Pair]:
+    """Return the ranges of the drag coefficients for one mass μ along n; unequal masses weight the axes differently.
+
+    With n = (c, s) in axes of the hull, the light one first, and N = ρ c² + s², the force along n is that of an equal
+    mass μ = ρ m/N whose light axis has ρ/N times its force, and the other 1/N times; 1 ≤ N ≤ ρ.
+    """
+    ratio = claim.ratio if claim.drag == "axes" else 1
+    linear, quadratic = ((low / ratio, high * ratio) for low, high in (claim.linear, claim.quadratic))
+    return linear, quadratic
+
+
+def coupling(claim: BrakingClaim) -> Fraction:
+    """Return κ = (ρ − 1)/(2√ρ), the largest share of a force across n that acts along n because the masses differ."""
+    return (claim.ratio - 1) / (2 * root_down(claim.ratio)) if claim.ratio > 1 else Fraction(0)
+
+
+def _turning(claim: BrakingClaim, through: Fraction) -> Fraction:
+    """Return the largest Coriolis force of unequal masses along n [N], for a hull that turns at r.
+
+    Along n at v and across n at w, it is r m (ρ − 1)((ρ + 1) c s v + (ρ c² − s²) w)/N.
+    """
+    fast = max(through, claim.fastest) * (claim.ratio + 1) / (2 * root_down(claim.ratio))
+    return claim.turn * claim.mass[1] * (claim.ratio - 1) * (fast + claim.sideways)
 
 
 @dataclass(frozen=True)
@@ -65,15 +94,20 @@ def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
     """Return the largest disturbance f [N] for a vehicle that moves astern through the water at up to `through` [m/s].
 
     f includes the drag that a sideways speed causes in addition to D(through), and the braking force that is lost
-    because the hull turns.
+    because the hull turns. If the masses differ, f also includes the thrust and the drag across n and the Coriolis
+    force.
     """
-    w, (low, high), (low2, high2) = claim.sideways, claim.linear, claim.quadratic
+    w, ((low, high), (low2, high2)) = claim.sideways, drag_ranges(claim)
     if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w and X2 w²/2
         side = high2 * min(through * w, w**2 / 2)
+        side += coupling(claim) * w * (high + high2 * (max(through, claim.fastest) + w))
     else:
         side = (high - low) * w / 2 + ROOT2[1] * high2 * through * w + (2 * high2 - low2) * w**2 * ROOT27
     turned = claim.turn * claim.lag
-    return claim.disturbance + side + turned**2 * max(claim.most, claim.brake)
+    lost = claim.ratio * turned**2 * max(claim.most, claim.brake)
+    if claim.ratio > 1:
+        lost += (coupling(claim) + claim.ratio * turned) * claim.side + _turning(claim, through)
+    return claim.disturbance + side + lost
 
 
 def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
@@ -82,6 +116,8 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
     Raises:
         Rejected: drag and disturbance are as large as the braking force.
     """
+    if claim.ratio > 1 and claim.current:
+        raise Rejected("a current together with unequal masses is not covered")
     through = obstacle + claim.current
     disturbance = largest_disturbance(claim, through)
     if claim.brake - disturbance - drag(claim, through) <= 0:
@@ -92,11 +128,15 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
 
 @dataclass(frozen=True)
 class BrakingDistance:
-    """The function G of the braking distance m G(z): its knots z_j, and its slopes g_j and values at these knots."""
+    """The function G of the braking distance m G(z): its knots z_j, and its slopes g_j and values at these knots.
+
+    `retreats` is whether the distance may be evaluated at closing speeds below 0; if not, it is that at 0.
+    """
 
     knots: tuple[Fraction, ...]
     slopes: tuple[Fraction, ...]
     values: tuple[Fraction, ...]
+    retreats: bool = True
 
     def __call__(self, z: Fraction) -> Fraction:
         """Return an upper bound on G(max(z, 0)); raise Rejected for z beyond the table."""
@@ -121,8 +161,9 @@ class BrakingDistance:
         return min(bisect_right(self.knots, z), len(self.knots) - 1) - 1
 
     def worst(self, claim: BrakingClaim, at: Forces, closing: Fraction, swing: Fraction) -> Fraction:
-        """Return the largest m G(s + q/m) [m] over the mass range; it is convex in m, so the ends suffice."""
-        return rounded(max(m * self(closing + swing / m) for m in claim.mass))
+        """Return the largest ρ m G(s + q/m) [m] over the mass range; it is convex in m, so the ends suffice."""
+        closing = closing if self.retreats else max(closing, Fraction(0))
+        return rounded(max(claim.ratio * m * self(closing + swing / m) for m in claim.mass))
 
 
 def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistance:
@@ -145,21 +186,20 @@ def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistanc
         _check_cell(claim, at, knots[k : k + 2], slopes[k : k + 2])
         values.append(rounded(values[-1] + (knots[k + 1] - knots[k]) * (slopes[k] + slopes[k + 1]) / 2))
     distance = BrakingDistance(knots, slopes, tuple(values))
-    _check_retreat(claim, at, distance)
-    return distance
+    return replace(distance, retreats=_retreats(claim, at, distance))
 
 
 def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tuple[Fraction, ...]) -> None:
     """Check G' (F_b − f + D) ≥ z between two knots: no Bernstein coefficient of the cubic polynomial is negative."""
-    h, left = z[1] - z[0], claim.brake - at.disturbance
+    h, left, (linear, quadratic) = z[1] - z[0], claim.brake - at.disturbance, drag_ranges(claim)
     behind = z[0] - at.through  # speed through the water at the cell's start
     if behind < 0 < z[1] - at.through:
         raise Rejected("the speed through the water changes sign inside a cell: put a knot there")
     if behind >= 0:
         share = Fraction(1) if claim.drag == "along" else HALF_ROOT2
-        first, second = claim.linear[0], claim.quadratic[0] * share
+        first, second = linear[0], quadratic[0] * share
     else:
-        first, second = claim.linear[1], -claim.quadratic[1]
+        first, second = linear[1], -quadratic[1]
     f = (left + first * behind + second * behind**2, first + 2 * second * behind, second)
     if min(f[0], f[0] + f[1] * h + f[2] * h**2) <= 0:
         raise Rejected("no braking force is left in part of a cell")
@@ -171,12 +211,19 @@ def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tup
         raise Rejected(f"the braking distance is too short: its slope is too small at {float(z[0]):.4g} m/s")
 
 
-def _check_retreat(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> None:
-    """Check G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for the least mass and all speeds r away from the obstacle."""
+def _retreats(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> bool:
+    """Return whether ρ G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for the least mass and all speeds r of retreat.
+
+    Raises:
+        Rejected: this fails, and the hull turns; then lagging thrust across n becomes thrust along n.
+    """
     most = at.swing / claim.mass[0]
     for k in range(_CELLS):
         slow, quick = most * k / _CELLS, most * (k + 1) / _CELLS
         through = at.through + quick
         over = drag(claim, through) + largest_disturbance(claim, through) - claim.brake
-        if over > 0 and distance.slope(most - slow) * over > slow:
-            raise Rejected("drag during a retreat costs more distance than the retreat gains")
+        if over > 0 and claim.ratio * distance.slope(most - slow) * over > slow:
+            if claim.turn:
+                raise Rejected("drag during a retreat costs more distance than the retreat gains")
+            return False
+    return True

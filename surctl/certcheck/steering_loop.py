@@ -10,9 +10,10 @@ speed. With surge speed u, e = −atan(y_e/Δ) − c − ψ and r_d = k_ψ e, la
 C_vv = Y_v + Y_vv |v| + Y_uv u + …, C_vr = m11 u + Y_r + …, C_rv = (m22 − m11) u + N_v + …, C_rr = m24 u + N_r + …
 contain all drag by v and r. b N is the side force of fins (b = `side`). μ and m_c are numbers of the law, and k ≤ 1
 is the share that the speed cap leaves of the modelled sway speed. Where the law limits the yaw rate, r_d is a share
-of k_ψ e. φ is the share of the yaw moment that thrusters or fins deliver at the least surge speed. Each secant slope
-(u sin ψ/ψ, cos ψ, atan(y_e/Δ)/y_e, atan(v/u)/v, |r_d|, |s|, …) lies in an interval for ξ in V ≤ 1, and A is affine in
-each of them: the matrices at the ends of all intervals enclose A. Intervals are exact fractions, rounded outward.
+of k_ψ e. φ is the share of the yaw moment that thrusters or fins deliver. The surge speed of a law for fins in ṡ is
+that of its own model. Each secant slope (sin ψ/ψ, cos ψ, atan(y_e/Δ)/y_e, atan(v/u)/(v/u), |r_d|, |s|, …) lies in an
+interval for ξ in V ≤ 1, and A is affine in each of them and in (u, 1/u), which lies in a triangle: the matrices at the
+ends of all intervals and at the corners (`nodes`) enclose A. Intervals are exact fractions, rounded outward.
 """
 
 from __future__ import annotations
@@ -29,13 +30,16 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_exact import root_down, root_up
 from surctl.certcheck.steering_claim import SteeringClaim
 
-__all__ = ["Extent", "command_rows", "lookahead", "moment_rows", "parameters", "planned_rate", "vertices"]
+__all__ = [
+    "Extent", "Node", "command_rows", "delivered", "lookahead", "moment_rows", "nodes", "parameters", "planned_rate",
+    "vertices",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 Pair = tuple[Fraction, Fraction]
 
 _UP = 1 + 1e-9  # covers the rounding of an interval's end
-_EXACT = 15  # number of the parameters before the two shares that limits leave, which end at exactly 1
+_EXACT = 15  # number of the parameters before the share that limits leave, which ends at exactly 1
 _SHARE, _MUNK, _SLOWEST = Fraction(85, 100), Fraction(1, 2), Fraction(1, 4)  # constants of the law `steered`
 
 
@@ -49,6 +53,15 @@ class Extent:
     yaw_rate: Fraction
     model: Fraction
     command: Fraction
+    moment: Fraction
+
+
+@dataclass(frozen=True)
+class Node:
+    """A surge speed [m/s], the value that stands for its inverse [s/m], and the largest yaw moment there [N m]."""
+
+    speed: Fraction
+    inverse: Fraction
     moment: Fraction
 
 
@@ -106,7 +119,7 @@ def moment_rows(claim: SteeringClaim, at: Extent) -> list[list[Fraction]]:
     k, stiff = claim.k_psi, claim.mass[2] * claim.k_r
     rows = []
     for feed, bearing, cancelled, share in product(
-        _feed(claim, at), _bearing(claim, at.beside), _cancelled(claim, at), _limited(claim, at)
+        _feed(claim, at), _bearing(claim, at.beside), _cancelled(claim, at, claim.speed), _limited(claim, at)
     ):
         turn = -k * share * (feed + stiff)
         rows.append([turn * bearing, turn, Fraction(0), -stiff, turn, cancelled])
@@ -127,9 +140,9 @@ def _feed(claim: SteeringClaim, at: Extent) -> Pair:
     return claim.linear[1], claim.linear[1] + claim.quadratic[1] * most
 
 
-def _cancelled(claim: SteeringClaim, at: Extent) -> Pair:
+def _cancelled(claim: SteeringClaim, at: Extent, speed: Pair) -> Pair:
     share = claim.cap / root_up(claim.cap**2 + at.model**2), Fraction(1)
-    return _times((claim.munk,) * 2, claim.speed, share)
+    return _times((claim.munk,) * 2, speed, share)
 
 
 def _bearing(claim: SteeringClaim, beside: Fraction) -> Pair:
@@ -148,16 +161,38 @@ def _drag(claim: SteeringClaim, force: str, last: str, sizes: Mapping[str, Pair]
     return total
 
 
-def parameters(claim: SteeringClaim, at: Extent) -> list[Pair]:
-    """Return the intervals of the parameters θ in the region.
+def nodes(claim: SteeringClaim) -> list[Node]:
+    """Return the corners of a polygon that contains (u, 1/u) and stays below the yaw moment, for all surge speeds u.
+
+    1/u is convex: its chord and the tangents at both ends enclose it. The moment is at least that at the least speed
+    plus a slope, which is the smaller of the tangent there and of the chord.
+    """
+    low, high = claim.speed
+    least = _moment(claim, low)
+    if low == high:
+        return [Node(low, 1 / low, least)]
+    slope = min((_moment(claim, high) - least) / (high - low), 2 * least / low)
+    inner = 2 * low * high / (low + high)
+    corners = (low, 1 / low), (inner, 2 / (low + high)), (high, 1 / high)
+    return [Node(u, w, least + slope * (u - low)) for u, w in corners]
+
+
+def delivered(claim: SteeringClaim, at: Extent) -> Fraction:
+    """Return the least share of the commanded yaw moment that thrusters or fins deliver in the region."""
+    return min(Fraction(1), _moment(claim, claim.speed[0]) / at.moment) if at.moment else Fraction(1)
+
+
+def parameters(claim: SteeringClaim, at: Extent, node: Node) -> list[Pair]:
+    """Return the intervals of the parameters θ in the region, for the surge speed of a node.
 
     Raises:
         Rejected: the region is too large for the bounds, or the inertia matrix is not positive definite.
     """
-    one, u = Fraction(1), claim.speed
-    if u[0] < _SLOWEST * claim.cruise:
+    one, u = Fraction(1), (node.speed, node.speed)
+    slowest = claim.speed[0]
+    if slowest < _SLOWEST * claim.cruise:
         raise Rejected("the surge speed falls below a quarter of the cruise speed")
-    if max(at.heading, at.beside / lookahead(claim)[0], at.sway / u[0]) >= 1:
+    if max(at.heading, at.beside / lookahead(claim)[0], at.sway / slowest) >= 1:
         raise Rejected("the region is too large for the bounds on sine, cosine and arc tangent")
     zero, exact = Fraction(0), claim.mass
     m11, m22, m44 = ((claim.mass_factor[0] * m, claim.mass_factor[1] * m) for m in exact)
@@ -178,42 +213,41 @@ def parameters(claim: SteeringClaim, at: Extent) -> list[Pair]:
     c_vr = _plus(_times(m11, u), _drag(claim, "Y", "r", sizes))
     c_rv = _plus(_times(munk, u), _drag(claim, "N", "v", sizes))
     c_rr = _plus(_times(m24, u), own[1], _drag(claim, "N", "r", sizes))
-    feed, cancelled, limited = _feed(claim, at), _cancelled(claim, at), _limited(claim, at)
-    delivered = min(one, _moment(claim, u[0]) / at.moment) if at.moment else one, one
-    drift = (1 - (at.sway / u[0]) ** 2 / 3) / u[1], 1 / u[0]
+    modelled = claim.speed if claim.finned else u  # a law for fins has its own model of the surge speed
+    drift = node.inverse * (1 - (at.sway / slowest) ** 2 / 3), node.inverse
     damped = claim.linear[0] / exact[1], (claim.linear[0] + claim.quadratic[0] * at.model) / exact[1]
     return [
-        _times(u, (1 - at.heading**2 / 6, one)), (1 - at.heading**2 / 2, one), _bearing(claim, at.beside), drift, feed,
-        cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, per22, _times((-m24[1], -m24[0]), per_det), per44, limited,
-        delivered,
+        _times(u, (1 - at.heading**2 / 6, one)), (1 - at.heading**2 / 2, one), _bearing(claim, at.beside), drift,
+        _feed(claim, at), _cancelled(claim, at, u), modelled, damped, c_vv, c_vr, c_rv, c_rr, per22,
+        _times((-m24[1], -m24[0]), per_det), per44, _limited(claim, at),
     ]  # fmt: skip
 
 
-def vertices(claim: SteeringClaim, theta: Sequence[Pair]) -> Array:
-    """Return A (n, 6, 6) at all ends of the intervals, rounded outward."""
+def vertices(claim: SteeringClaim, theta: Sequence[Pair], node: Node) -> tuple[Array, Array, Array]:
+    """Return the loop at all ends of the intervals, rounded outward: ξ̇ = (A + φ b mᵀ) ξ with the yaw moment φ mᵀ ξ.
+
+    Returns:
+        A (n, 6, 6), b (n, 6), m (n, 6); φ is the share of the moment that thrusters or fins deliver.
+    """
     ends = [
-        sorted({float(low) - abs(float(low)) * (_UP - 1), float(high) + abs(float(high)) * (_UP - 1)})
+        [float(low)] if low == high else [float(low) - abs(float(low)) * (_UP - 1),
+                                          float(high) + abs(float(high)) * (_UP - 1)]
         for low, high in theta[:_EXACT]
-    ]
+    ]  # fmt: skip
     ends += [sorted({float(low) / _UP if low < 1 else 1.0, 1.0}) for low, _ in theta[_EXACT:]]
     (
-        sine, cosine, bearing, drift, feed, cancelled, u, damped, c_vv, c_vr, c_rv, c_rr, i_vv, i_vr, i_rr, limited,
-        delivered,
-    ) = np.array(list(product(*ends))).T  # fmt: skip
+        sine, cosine, bearing, drift, feed, cancelled, modelled, damped, c_vv, c_vr, c_rv, c_rr, i_vv, i_vr, i_rr,
+        limited,
+    ) = (values.ravel() for values in np.meshgrid(*ends, indexing="ij"))  # fmt: skip
     k_psi, k_r, mass = float(claim.k_psi), float(claim.k_r), [float(m) for m in claim.mass]
-    A = np.zeros((len(u), 6, 6))
+    A, (b, m) = np.zeros((len(sine), 6, 6)), np.zeros((2, len(sine), 6))
     A[:, 0, 1], A[:, 0, 2], A[:, 1, 3] = sine, cosine, 1.0
     A[:, 4, 2], A[:, 4, 4] = drift / float(claim.crab_time), -1 / float(claim.crab_time)
-    A[:, 5, 3], A[:, 5, 5] = -float(claim.centripetal) / mass[1] * u, -damped
-    force, moment = np.zeros((2, len(u), 6))
-    force[:, 2], force[:, 3] = -c_vv, -c_vr
+    A[:, 5, 3], A[:, 5, 5] = -float(claim.centripetal) / mass[1] * modelled, -damped
     turn = -k_psi * limited * (feed + mass[2] * k_r)
-    moment[:, 0], moment[:, 1], moment[:, 4], moment[:, 5] = turn * bearing, turn, turn, cancelled
-    moment[:, 3] = -mass[2] * k_r
-    moment *= delivered[:, None]
-    force += float(claim.side) * moment
-    moment[:, 2] -= c_rv
-    moment[:, 3] -= c_rr
-    A[:, 2] = i_vv[:, None] * force + i_vr[:, None] * moment
-    A[:, 3] = i_vr[:, None] * force + i_rr[:, None] * moment
-    return A
+    m[:, 0], m[:, 1], m[:, 4], m[:, 5] = turn * bearing, turn, turn, cancelled
+    m[:, 3] = -mass[2] * k_r
+    b[:, 2], b[:, 3] = i_vv * float(claim.side) + i_vr, i_vr * float(claim.side) + i_rr
+    A[:, 2, 2], A[:, 2, 3] = -i_vv * c_vv - i_vr * c_rv, -i_vv * c_vr - i_vr * c_rr
+    A[:, 3, 2], A[:, 3, 3] = -i_vr * c_vv - i_rr * c_rv, -i_vr * c_vr - i_rr * c_rr
+    return A, b, m

@@ -35,15 +35,25 @@ be the largest speed of the obstacle towards the robot, s = v + v_o the closing 
    which the law's velocity loop commands the braking force F_b. Such a law ensures l ≥ S (or l ≥ B) if, for every d ≥ 0
    at which the law does not brake, d − ε is at least the range that step 4 requires at the speed v = b + x.
 
+7. If the masses in surge and sway differ, let m be the lighter one and ρ m the heavier one. With n = (c, s) in axes
+   of the hull, the light one first, and N = ρ c² + s², the acceleration along n is the force along n over μ = ρ m/N,
+   so m ≤ μ ≤ ρ m, if the light axis counts with ρ/N times its force and the heavy one with 1/N times. A force −F_b n
+   stays −F_b. Drag by axes acts as with coefficients between 1/ρ and ρ times their values. A force across n adds at
+   most κ = (ρ − 1)/(2√ρ) of itself, and a hull that turns at r adds the Coriolis force r m (ρ − 1)((ρ + 1) c s v + (ρ
+   c² − s²) w)/N. Both count as f. With z = s + τ max(F + F_b, 0)/m, ż ≤ −F'/μ ≤ −F'/(ρ m), so the distances of steps
+   2 and 3 are ρ times as long. If drag is too large for the retreat in step 2, the distance at s = 0 is used for all
+   s < 0: it suffices, as l increases and F decreases meanwhile.
+
 Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead the robot into another
-obstacle); the bound v_o on the obstacle's speed holds at all times; m11 = m22. Drag acts on each axis of the vehicle
-separately and not along the velocity. So a sideways speed w at the start of braking adds the force `sideways_force`
-towards the obstacle. At a speed a along n and any heading, drag contributes at least (X a + X2 a²/√2) minus
-`sideways_force` to braking, where X and X2 are the linear and quadratic drag coefficients. If drag acted along the
-velocity, the sideways speed would add a force of at most X2 w min(v_o + c, w/2). If the hull turns at r rad/s while the
-robot brakes without a sideways command, the lagging thrust turns with the hull. Then z = s + (τ max(F + F_b, 0) +
-rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F, where F_across is the thrust across n. The thrust
-limit acts on each axis separately, so the largest thrust on a diagonal is √2 times the largest thrust of one axis.
+obstacle); the bound v_o on the obstacle's speed holds at all times; m11 = m22, except in step 7. Drag acts on each
+axis of the vehicle separately and not along the velocity. So a sideways speed w at the start of braking adds the
+force `sideways_force` towards the obstacle. At a speed a along n and any heading, drag contributes at least (X a + X2
+a²/√2) minus `sideways_force` to braking, where X and X2 are the linear and quadratic drag coefficients. If drag acted
+along the velocity, the sideways speed would add a force of at most X2 w min(v_o + c, w/2). If the hull turns at r
+rad/s while the robot brakes without a sideways command, the lagging thrust turns with the hull. Then z = s + (τ max(F
++ F_b, 0) + rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F, where F_across is the thrust across n.
+The thrust limit acts on each axis separately, so the largest thrust on a diagonal is √2 times the largest thrust of
+one axis.
 
 `surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. For step 3, a
 table of the distance B is checked cell by cell. Certificates (`surctl.verification.braking`) prove steps 4 to 6 for one

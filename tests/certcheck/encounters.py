@@ -83,7 +83,7 @@ def allowed(law: Document, obstacle: float, period: float) -> Callable[[float], 
     """The law's bound [m/s] of a distance [m] beyond its margin."""
     force = law["brake"] * law["limit_n"]
     if law["barrier"] == "simple":
-        a, t = force / law["mass_kg"], law["reaction_s"]
+        a, t = force / max(law["mass_kg"]), law["reaction_s"]
 
         def simple(distance: float) -> float:
             h = distance - t * obstacle
@@ -108,8 +108,8 @@ def allowed(law: Document, obstacle: float, period: float) -> Callable[[float], 
 def excess(document: Document, bound: float) -> float:
     """Speed over the bound [m/s] at which the loop asks for the braking force."""
     law, w, v = document["claim"]["law"], document["claim"]["encounter"]["sideways_m_per_s"], max(bound, 0.0)
-    forward = law["linear_drag"] * v + law["quadratic_drag"] * (v**2 + 0.385 * v * w + 0.7071 * w**2)
-    loop = law["mass_kg"] * law["k_v_per_s"] * (1 + law["gain"])
+    forward = max(law["linear_drag"]) * v + max(law["quadratic_drag"]) * (v**2 + 0.385 * v * w + 0.7071 * w**2)
+    loop = min(law["mass_kg"]) * law["k_v_per_s"] * (1 + law["gain"])
     return float((document["claim"]["vehicle"]["brake_n"] + forward) / loop)
 
 

@@ -337,7 +337,14 @@ def test_a_retreat_against_much_drag_is_not_counted_on() -> None:
     ways = whole["proof"]["distances"][0]
     top, last = 2.0, ways["slopes"][-1]
     longer = [*ways["knots"], top], [*ways["slopes"], last + top / 4]
-    assert "retreat" in reason(whole, knots=longer[0], slopes=longer[1])
+    ways.update(knots=longer[0], slopes=longer[1])
+    claim = read_claim(whole["claim"])
+    at = forces(claim, Fraction(0))
+    distance = read_distance(claim, at, ways)  # then it is that at the closing speed 0
+    still, astern = (distance.worst(claim, at, Fraction(v), at.swing) for v in (0, -1))
+    assert still == astern > 0 and not distance.retreats
+    whole["claim"]["encounter"]["turn_rad_per_s"] = 1e-9
+    assert "retreat" in reason(whole)
 
 
 def test_a_period_in_which_drag_turns_everything_round_is_rejected() -> None:

@@ -17,7 +17,7 @@ from surctl.certcheck.region_exact import quadratic
 from surctl.certcheck.steering import _matrix, check, extent_of
 from surctl.certcheck.steering_claim import read_claim
 from surctl.certcheck.steering_law import draw_crafts, true_rate
-from surctl.certcheck.steering_loop import lookahead, parameters, vertices
+from surctl.certcheck.steering_loop import delivered, lookahead, nodes, parameters, vertices
 from surctl.control import build_law, law_parameters, law_source, turning_radius
 from surctl.guidance import Path as Route
 from surctl.report import plot_region
@@ -77,6 +77,12 @@ STRONGER: dict[str, Callable[[dict[str, Any]], Any]] = {
     "a side force without fins": lambda d: d["claim"]["vehicle"].update(side_per_m=-1.0),
     "munk": lambda d: d["claim"]["law"].update(munk=-900.0),
     "integral": lambda d: d["claim"]["law"].update(k_i=0.1),
+    "no multiplier": lambda d: d["proof"].update(shares=[[1.0, 0.0]]),
+    "too large a multiplier": lambda d: d["proof"].update(shares=[[1.0, 1000.0]]),
+    "a share left out": lambda d: d["proof"].update(shares=[[0.9, d["proof"]["shares"][0][1]]]),
+    "a negative multiplier": lambda d: put(d, ("proof", "shares", 0, 1), -1.0),
+    "shares of another form": lambda d: d["proof"].update(shares=[[1.0]]),
+    "no shares": lambda d: d["proof"].pop("shares"),
     "size of P": lambda d: d["proof"].update(P=[[e * 0.002 for e in row] for row in d["proof"]["P"]]),
     "sign of P": lambda d: put(d, ("proof", "P", 1, 1), -1.0),
     "excludes": lambda d: d["claim"].update(excludes=[]),
@@ -115,7 +121,7 @@ def _with(offset: float) -> dict[str, Any]:
 
 def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
     rng, rejected, accepted = np.random.default_rng(5), 0, 0
-    for _ in range(7):
+    for _ in range(17):
         path, changed = altered(document(), ("claim", "proof"), rng)
         if not check_document(sealed(changed)).accepted:
             rejected += 1
@@ -148,12 +154,17 @@ def test_the_matrices_enclose_the_loop(path: Path, terms: dict[str, float]) -> N
     whole["claim"]["vehicle"]["terms"] |= {name: value for name, value in terms.items() if value is not None}
     claim = read_claim(whole["claim"])
     p = _matrix(whole["proof"]["P"])
-    A = vertices(claim, parameters(claim, extent_of(claim, p)))
+    at = extent_of(claim, p)
+    loops = [vertices(claim, parameters(claim, at, node), node) for node in nodes(claim)]
+    least = float(delivered(claim, at))
     P = np.array([[float(e) for e in row] for row in p])
     xi = rng.normal(size=(100, 6)) @ np.linalg.inv(np.linalg.cholesky(P))
     xi *= (rng.uniform(0.1, 1, size=100) / np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi)))[:, None]
     rate, direction = true_rate(claim, draw_crafts(claim, 100, rng), xi), rng.normal(size=(100, 6))
-    most = np.array([(d @ A @ x).max() for d, x in zip(direction, xi, strict=True)])
+    most = np.array([
+        max((A @ x @ d + share * (b @ d) * (m @ x)).max() for A, b, m in loops for share in (least, 1.0))
+        for d, x in zip(direction, xi, strict=True)
+    ])  # fmt: skip
     assert np.all(np.einsum("ni,ni->n", direction, rate) <= most + 1e-12)
 
 

@@ -63,8 +63,11 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
         try:
             if name in BRAKING_CLAIMS:
                 braking = braking_claim_named(name, vehicle, GAINS, cap=cap)
-                assert one_mass and one_drag and braking.fastest >= cap and max(braking.speeds) >= min(cap, 0.22)
-                assert braking.brakes.masses[0] <= vehicle["m22"] <= braking.brakes.masses[1]
+                light, heavy = sorted(vehicle[axis] for axis in MASS)
+                assert braking.fastest >= cap and max(braking.speeds) >= min(cap, 0.22)
+                assert braking.brakes.masses[0] <= light <= braking.brakes.masses[1] and heavy <= braking.ratio * light
+                assert one_drag or braking.drag == "axes"
+                assert braking.ratio == 1 or braking.side == braking.brakes.most
             elif name in REGION_CLAIMS:
                 region = region_statement(name).claim(vehicle, GAINS, cruise=cruise, cap=cap)
                 kind = next(kind for kind in _PLACES if kind in name)
@@ -84,7 +87,7 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
             refused += 1
             assert not (one_mass and one_drag) or not same_ranges(vehicle, MASS, *DRAG), (name, str(reason))
             assert "; use" not in str(reason) and "because" in str(reason)
-    assert 100 < refused < 220
+    assert 50 < refused < 220  # claims are both offered and refused
 
 
 _PLACES = {

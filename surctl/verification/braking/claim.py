@@ -10,9 +10,11 @@ from surctl.control import Barrier, Gains
 from surctl.control.stopping import BRAKE
 from surctl.guidance.braking import Brakes, Watch, brakes_of
 from surctl.vehicle import Vehicle
-from surctl.verification.assumptions import check_alike, check_no_integral
+from surctl.verification.assumptions import check_no_integral
 
 __all__ = ["BrakingClaim", "LawNumbers", "law_numbers"]
+
+Pair = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,7 @@ class LawNumbers:
         own: braking capability of the law's model, at the share of the thrust limit that the law relies on.
         margin, reaction, brake, k_v, k_i: the law's gains of these names, in m, s, 1, 1/s and 1/s².
         limit: smaller one of the thrust limits of surge and sway [N].
-        mass, linear, quadratic: mass [kg], linear drag [N s/m] and quadratic drag [N s²/m²] of surge and sway in the
+        mass, linear, quadratic: mass [kg], linear drag [N s/m] and quadratic drag [N s²/m²] of (surge, sway) in the
             law's model.
     """
 
@@ -36,9 +38,9 @@ class LawNumbers:
     k_v: float
     k_i: float
     limit: float
-    mass: float
-    linear: float
-    quadratic: float
+    mass: Pair
+    linear: Pair
+    quadratic: Pair
 
     def document(self) -> dict[str, Any]:
         """Return the numbers as data of a certificate."""
@@ -52,9 +54,9 @@ class LawNumbers:
             "k_v_per_s": self.k_v,
             "k_i_per_s2": self.k_i,
             "gain": BRAKE,
-            "mass_kg": self.mass,
-            "linear_drag": self.linear,
-            "quadratic_drag": self.quadratic,
+            "mass_kg": list(self.mass),
+            "linear_drag": list(self.linear),
+            "quadratic_drag": list(self.quadratic),
             "stopping": {
                 "lightest_kg": own.masses[0],
                 "heaviest_kg": own.masses[1],
@@ -70,9 +72,8 @@ def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
     """Return the numbers that describe the guarded law with `vehicle` as the law's model.
 
     Raises:
-        NotApplicable: surge and sway differ, or integral action is on.
+        NotApplicable: integral action is on.
     """
-    check_alike(vehicle)
     check_no_integral(gains)
     return LawNumbers(
         barrier,
@@ -83,9 +84,9 @@ def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
         gains["k_v"],
         gains["k_i"],
         float(min(vehicle.thrust_limit[:2])),
-        vehicle["m11"],
-        vehicle["Xu"],
-        vehicle["Xuu"],
+        (vehicle["m11"], vehicle["m22"]),
+        (vehicle["Xu"], vehicle["Yv"]),
+        (vehicle["Xuu"], vehicle["Yvv"]),
     )
 
 
@@ -95,7 +96,7 @@ class BrakingClaim:
 
     Attributes:
         name: name of the claim.
-        brakes: braking capability of the true vehicle over its ranges.
+        brakes: braking capability of the true vehicle over its ranges; its masses are those of the lighter axis.
         watch: control period, largest age of a measured range, largest error of the range, and largest error of the
             measured own speed.
         drag: `along` for drag along the velocity, `axes` for drag of each axis separately, at any heading.
@@ -108,6 +109,7 @@ class BrakingClaim:
             least the range needed.
         speeds: own speeds for which the table of the certificate has entries [m/s], at most `fastest`.
         digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
+        ratio: largest ratio of the masses in surge and sway, the heavier one over the lighter one.
     """
 
     name: str
@@ -122,6 +124,7 @@ class BrakingClaim:
     law: LawNumbers | None = None
     speeds: tuple[float, ...] = (0.10, 0.15, 0.22)
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
+    ratio: float = 1.0
 
     def document(self, table: dict[str, Any], limit: float) -> dict[str, Any]:
         """Return the claim as data of a certificate, with its table and the largest obstacle speed `limit` [m/s]."""
@@ -132,6 +135,7 @@ class BrakingClaim:
             "lemmas": list(LEMMAS),
             "vehicle": {
                 "mass_kg": _pair(b.masses),
+                "mass_ratio": _plain(self.ratio),
                 "linear_drag": _pair(b.linear),
                 "quadratic_drag": _pair(b.quadratic),
                 "drag": self.drag,

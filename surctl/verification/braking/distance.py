@@ -13,7 +13,7 @@ from surctl.verification.braking.claim import BrakingClaim
 
 __all__ = ["DistanceTable", "Encounter", "distance_table", "encounter", "figures", "figures_needed", "largest_obstacle"]
 
-_CELLS = 40
+_CELLS, _RETREATS = 40, 64
 _DIGITS = 9  # decimals of a knot or slope
 _LIFT = 1e-4  # relative step by which a slope is raised until its cell is valid
 _FIGURES = 1e4  # a distance is rounded up to 0.1 mm
@@ -48,13 +48,30 @@ def encounter(claim: BrakingClaim, obstacle: float) -> Encounter:
 
 
 def _disturbance(claim: BrakingClaim, through: float) -> float:
-    b, w = claim.brakes, claim.sideways
-    (low, high), (low2, high2) = b.linear, b.quadratic
-    side = high2 * min(through * w, w**2 / 2)
+    b, w, ratio, turned = claim.brakes, claim.sideways, claim.ratio, claim.turn * claim.brakes.lag
+    (low, high), (low2, high2) = _drag_ranges(claim)
+    coupled, fast = (ratio - 1) / (2 * sqrt(ratio)), max(through, claim.fastest)
+    side = high2 * min(through * w, w**2 / 2) + coupled * w * (high + high2 * (fast + w))
     if claim.drag == "axes":
         side = (high - low) * w / 2 + sqrt(2) * high2 * through * w + (2 * high2 - low2) * w**2 / (3 * sqrt(3))
-    # the factor covers the checker's roots, which are rounded up
-    return b.disturbance + side * (1 + 2e-8) + (claim.turn * b.lag) ** 2 * max(b.most, b.least)
+    lost = ratio * turned**2 * max(b.most, b.least)
+    if ratio > 1:
+        coriolis = claim.turn * b.masses[1] * (ratio - 1) * (fast * (ratio + 1) / (2 * sqrt(ratio)) + w)
+        lost += ((coupled + ratio * turned) * claim.side + coriolis) * (1 + 1e-8)
+    # the factors cover the checker's roots, which are rounded up
+    return b.disturbance + side * (1 + 2e-8) + lost
+
+
+def _drag_ranges(claim: BrakingClaim) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the ranges of linear and quadratic drag; unequal masses weight the axes of the hull differently."""
+    ratio = claim.ratio if claim.drag == "axes" else 1.0
+    linear, quadratic = ((low / ratio, high * ratio) for low, high in (claim.brakes.linear, claim.brakes.quadratic))
+    return linear, quadratic
+
+
+def _largest_drag(claim: BrakingClaim, speed: float) -> float:
+    (_, linear), (_, quadratic) = _drag_ranges(claim)
+    return linear * speed + quadratic * speed**2
 
 
 def largest_obstacle(claim: BrakingClaim) -> float:
@@ -68,7 +85,7 @@ def largest_obstacle(claim: BrakingClaim) -> float:
 
 def _left(claim: BrakingClaim, obstacle: float) -> float:
     through = obstacle + claim.brakes.current
-    return claim.brakes.least - _disturbance(claim, through) - claim.brakes.largest_drag(through)
+    return claim.brakes.least - _disturbance(claim, through) - _largest_drag(claim, through)
 
 
 @dataclass(frozen=True)
@@ -76,16 +93,19 @@ class DistanceTable:
     """The convex function G(z) [m/kg]; for a vehicle of mass m [kg], the braking distance is m G(z) [m].
 
     z is the closing speed plus the speed that the lagging thrust still adds. The table holds knots z [m/s] and the
-    slopes G' at the knots; between two knots, G' is linear.
+    slopes G' at the knots; between two knots, G' is linear. `retreats` is whether the distance may be evaluated at
+    closing speeds below 0; if not, it is that at 0.
     """
 
     at: Encounter
     knots: Vector
     slopes: Vector
+    retreats: bool = True
 
     def worst(self, claim: BrakingClaim, closing: float) -> float:
         """Return the braking distance [m] at a closing speed [m/s], for the worse end of the mass range."""
-        return max(m * self.value(closing + self.at.swing / m) for m in claim.brakes.masses)
+        closing = closing if self.retreats else max(closing, 0.0)
+        return max(claim.ratio * m * self.value(closing + self.at.swing / m) for m in claim.brakes.masses)
 
     def value(self, z: float) -> float:
         """Return G(max(z, 0)) [m/kg]."""
@@ -107,7 +127,7 @@ def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
     """
     b, at = claim.brakes, encounter(claim, obstacle)
     fastest = claim.fastest + claim.watch.speed_error
-    gain = (b.most + at.disturbance + b.largest_drag(max(at.through, fastest))) / b.masses[0]
+    gain = (b.most + at.disturbance + _largest_drag(claim, max(at.through, fastest))) / b.masses[0]
     top = fastest + obstacle + gain * claim.watch.period + at.swing / b.masses[0] + 0.01
     knots = np.linspace(0.0, top, _CELLS + 1)
     if 0 < at.through < top:  # drag changes its sign at `through`
@@ -119,7 +139,19 @@ def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
         while _lack(claim, at, knots[k : k + 2], slopes[k : k + 2]) > 0:
             slopes[max(k, 1) : k + 2] *= 1 + _LIFT
     slopes = np.maximum.accumulate(np.ceil(slopes * (1 + 1e-7) * 10**_DIGITS) / 10**_DIGITS)
-    return DistanceTable(at, knots, np.array([round(float(g), _DIGITS) for g in slopes]))
+    slopes = np.array([round(float(g), _DIGITS) for g in slopes])
+    return DistanceTable(at, knots, slopes, _retreats(claim, at, knots, slopes))
+
+
+def _retreats(claim: BrakingClaim, at: Encounter, knots: Vector, slopes: Vector) -> bool:
+    """Return whether drag during a retreat costs less distance than the retreat gains, as in the checker."""
+    most = at.swing / claim.brakes.masses[0]
+    speeds = most * np.arange(_RETREATS + 1) / _RETREATS
+    through = at.through + speeds[1:]
+    over = np.array([_largest_drag(claim, float(v)) + _disturbance(claim, float(v)) for v in through])
+    over -= claim.brakes.least
+    cost = claim.ratio * np.interp(most - speeds[:-1], knots, slopes) * over
+    return not np.any((over > 0) & (cost > speeds[:-1]))
 
 
 def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
@@ -141,10 +173,10 @@ def _lack(claim: BrakingClaim, at: Encounter, z: Vector, g: Vector) -> float:
 
 def _force(claim: BrakingClaim, at: Encounter, z: Vector) -> Vector:
     """Return the braking force [N] at closing speed z [m/s], with the drag that helps least to brake."""
-    b, v = claim.brakes, z - at.through
+    b, v, (linear, quadratic) = claim.brakes, z - at.through, _drag_ranges(claim)
     share = 1.0 if claim.drag == "along" else 1 / sqrt(2)
-    ahead = b.linear[0] * v + share * b.quadratic[0] * v**2
-    return b.least - at.disturbance + np.where(v >= 0, ahead, b.linear[1] * v - b.quadratic[1] * v**2)
+    ahead = linear[0] * v + share * quadratic[0] * v**2
+    return b.least - at.disturbance + np.where(v >= 0, ahead, linear[1] * v - quadratic[1] * v**2)
 
 
 def figures(claim: BrakingClaim, tables: list[DistanceTable]) -> dict[str, Any]:
@@ -162,8 +194,8 @@ def figures(claim: BrakingClaim, tables: list[DistanceTable]) -> dict[str, Any]:
 
 def _figures(claim: BrakingClaim, table: DistanceTable, speed: float) -> tuple[float, float, float]:
     b, at = claim.brakes, table.at
-    closing, left = speed + at.obstacle, b.least - at.disturbance - b.largest_drag(at.through)
-    closed = max(m * (closing + at.swing / m) ** 2 / (2 * left) for m in b.masses)
+    closing, left = speed + at.obstacle, b.least - at.disturbance - _largest_drag(claim, at.through)
+    closed = max(claim.ratio * m * (closing + at.swing / m) ** 2 / (2 * left) for m in b.masses)
     return closed, table.worst(claim, closing), figures_needed(claim, table, speed, since=speed)
 
 
@@ -175,7 +207,7 @@ def figures_needed(claim: BrakingClaim, table: DistanceTable, speed: float, *, s
     """
     b, at, w = claim.brakes, table.at, claim.watch
     closing, astern = speed + w.speed_error + at.obstacle, max(at.through, b.current + w.speed_error - speed)
-    gain = (b.most + _disturbance(claim, astern) + b.largest_drag(astern)) / b.masses[0]
+    gain = (b.most + _disturbance(claim, astern) + _largest_drag(claim, astern)) / b.masses[0]
     travelled = max(closing * w.period + gain * w.period**2 / 2, 0.0)
     late = max(since + w.speed_error + at.obstacle, 0.0) * w.age
     return w.range_error + late + travelled + table.worst(claim, closing + gain * w.period)

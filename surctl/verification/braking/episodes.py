@@ -73,14 +73,15 @@ def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None
 def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
     ranges = np.linspace(-1.0, _RANGES, 20_001)
     bound = np.array([_bound(law, Watch(period=claim.watch.period), float(d) - law.margin, obstacle) for d in ranges])
-    loop = law.mass * law.k_v * (1 + law.document()["gain"])
+    loop = min(law.mass) * law.k_v * (1 + law.document()["gain"])
 
     def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
         del since
         allowed = np.interp(read, ranges, bound)
         forward, w = np.maximum(allowed, 0.0), claim.sideways
         # drag feedforward acts on each axis, so a command perpendicular to the direction adds force along it
-        drag = law.linear * forward + law.quadratic * (forward**2 + 0.385 * forward * w + 0.7072 * w**2)
+        linear, quadratic = max(law.linear), max(law.quadratic)
+        drag = linear * forward + quadratic * (forward**2 + 0.385 * forward * w + 0.7072 * w**2)
         return np.asarray(speed > allowed + (claim.brakes.least + drag) / loop)
 
     return brakes
@@ -89,7 +90,7 @@ def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
 def _bound(law: LawNumbers, watch: Watch, distance: float, obstacle: float) -> float:
     if law.barrier == "inertia":
         return allowed_speed(law.own, watch, distance, obstacle=obstacle)
-    a, t = law.brake * law.limit / law.mass, law.reaction
+    a, t = law.brake * law.limit / max(law.mass), law.reaction
     h = distance - t * obstacle
     return (h / t if h < 0 else float(np.sqrt((a * t) ** 2 + 2 * a * h)) - a * t) - obstacle
 
@@ -155,6 +156,10 @@ class _World:
         self.past: list[tuple[Vector, Vector]] = []
         self.command, self.came = np.zeros(shape), np.zeros(shape)
         self.sign = np.ones((2, runs))
+        if claim.ratio > 1:
+            heavier = self.mass * np.where(worst, claim.ratio, rng.uniform(1.0, claim.ratio, runs))
+            pair, swapped = np.column_stack([self.mass, heavier]), rng.uniform(size=runs) < 0.5
+            self.masses = np.where(swapped[:, None], pair[:, ::-1], pair)
 
     def look(self) -> Vector:
         """Return the clearance [m] and store it for the delayed measurement."""
@@ -176,7 +181,10 @@ class _World:
         self.braking = rule(self.past[0][0] + w.range_error * self.sign[0], speed, since)
         self.latched = np.where(self.braking[:, None], self.latched, self.normal)
         across = np.column_stack([-self.latched[:, 1], self.latched[:, 0]])
-        self.command = np.where(self.braking[:, None], -self.brake[:, None] * self.latched, self._free(across))
+        stop = -self.brake[:, None] * self.latched
+        if self.claim.ratio > 1:
+            stop = stop + self._aside(across)
+        self.command = np.where(self.braking[:, None], stop, self._free(across))
         self.came = self.fastest_obstacle * self._obstacle(across)
         return self.braking
 
@@ -196,6 +204,13 @@ class _World:
         forward = np.where(mood > 0.9, -forward, forward)
         return np.asarray(forward[:, None] * self.latched + sideways[:, None] * across)
 
+    def _aside(self, across: Vector) -> Vector:
+        """Return the thrust across the latched direction while a vehicle with unequal masses brakes."""
+        claim, aside = self.claim, np.sum(self.velocity * across, axis=1)
+        push = claim.side * self.rng.choice((-1.0, 0.0, 1.0), self.runs)
+        allowed = np.abs(aside) + claim.side * claim.watch.period / claim.brakes.masses[0] + 0.02 < claim.sideways
+        return np.asarray(np.where(allowed | (push * aside < 0), push, 0.0)[:, None] * across)
+
     def _obstacle(self, across: Vector) -> Vector:
         # mostly towards the vehicle
         mood = self.mood[:, None]
@@ -206,13 +221,19 @@ class _World:
     def step(self) -> None:
         b, h = self.claim.brakes, _STEP
         force = self.thrust + (b.disturbance * self.latched if b.disturbance else 0.0) - self._drag()
-        rate = force / self.mass[:, None]
+        rate = force / self.mass[:, None] if self.claim.ratio == 1 else self._accelerated(force)
         self.gap = self.gap + h * (self.came - self.velocity - h / 2 * rate)
         self.velocity = self.velocity + h * rate
         share = 1 - np.exp(-h / np.maximum(self.lag, 1e-6))
         turned = _turned(self.thrust, self.turn * h)  # the delivered thrust turns with the hull
         self.thrust = turned + share[:, None] * (self.command - turned)
         self.heading = self.heading + self.turn * h
+
+    def _accelerated(self, force: Vector) -> Vector:
+        own, moving = _turned(force, -self.heading), _turned(self.velocity, -self.heading)
+        # m1 u̇ = X + m2 v r and m2 v̇ = Y − m1 u r, seen in axes that do not turn
+        apart = (self.turn * (self.masses[:, 1] - self.masses[:, 0]))[:, None]
+        return _turned((own + apart * moving[:, ::-1]) / self.masses, self.heading)
 
     def _drag(self) -> Vector:
         b = self.claim.brakes

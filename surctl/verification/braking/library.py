@@ -12,14 +12,15 @@ from typing import Literal, NamedTuple
 from surctl.control import Barrier, Gains, build_law
 from surctl.errors import InputError, nearest
 from surctl.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
-from surctl.vehicle import Vehicle
-from surctl.verification.assumptions import check_alike
+from surctl.vehicle import Vehicle, check_equation_3
+from surctl.verification.assumptions import check_alike, check_sway_force
 from surctl.verification.braking.claim import BrakingClaim, law_numbers
 from surctl.verification.setting import OVERSHOOT
 
 __all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
 
 _SPREAD = 0.2
+_APART = 0.05  # by how much the ratio of unequal masses may be off
 _FASTEST, _CAP = 0.25, 0.22  # [m/s] largest own speed, and the speed cap that it belongs to
 _SPEEDS = (0.10, 0.15, 0.22)  # [m/s] own speeds of the table
 _SENSED = Watch(age=0.2, range_error=0.05, speed_error=0.01)
@@ -34,23 +35,56 @@ class BrakingEntry(NamedTuple):
 
 
 def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
-    """Return the braking data of a vehicle whose mass and drag are uncertain by ±20 %.
+    """Return the braking data of a vehicle whose mass and drag are uncertain by ±20 %; its masses of the lighter axis.
 
     If `wide`, the ranges of the vehicle file replace ±20 % for all parameters but linear drag.
     """
     near = brakes_of(vehicle, share=share, spread=_SPREAD)
-    return replace(brakes_of(vehicle, share=share), linear=near.linear) if wide else near
+    light = min(vehicle["m11"], vehicle["m22"])
+    if wide:
+        return replace(brakes_of(vehicle, share=share), linear=near.linear)
+    return replace(near, masses=(light * (1 - _SPREAD), light * (1 + _SPREAD)))
+
+
+def _ratio(vehicle: Vehicle) -> float:
+    """Return the largest ratio of the masses in surge and sway; 1 for equal masses, which are then off in common."""
+    light, heavy = sorted((vehicle["m11"], vehicle["m22"]))
+    return 1.0 if light == heavy else round(heavy / light * (1 + _APART), 9)
+
+
+def _drag(vehicle: Vehicle, stated: Literal["along", "axes"], *, wide: bool) -> Literal["along", "axes"]:
+    """Return how drag acts: axis by axis if surge and sway differ, because it is then not along the velocity."""
+    for surge, sway in (("Xu", "Yv"), ("Xuu", "Yvv")):
+        ranges = [vehicle.parameters[name].range for name in (surge, sway)]
+        if vehicle[surge] != vehicle[sway] or (wide and ranges[0] != ranges[1]):
+            return "axes"
+    return stated
+
+
+def _diagonal(brakes: Brakes, drag: Literal["along", "axes"]) -> Brakes:
+    """Return the brakes with the largest thrust on a diagonal, if each axis has its own drag and its own limit."""
+    return replace(brakes, most=brakes.most * sqrt(2)) if drag == "axes" else brakes
+
+
+def _check(vehicle: Vehicle, *, wide: bool) -> None:
+    """Raise NotApplicable if the vehicle violates an assumption of the claims."""
+    check_sway_force(vehicle)
+    check_equation_3(vehicle)
+    if wide:
+        check_alike(vehicle, mass_alone=True, ranges=True)
 
 
 def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
     def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
         del gains
-        check_alike(vehicle, ranges=wide)
-        brakes = _true(vehicle, LEAST_THRUST, wide=wide)
+        _check(vehicle, wide=wide)
+        acting = _drag(vehicle, "along", wide=wide)
+        brakes = _diagonal(_true(vehicle, LEAST_THRUST, wide=wide), acting)
         digests = (_digest(vehicle), "0" * 64)  # there is no law
         return BrakingClaim(
-            name, brakes, _SENSED, "along", _COLUMNS, _fastest(cap), sideways=sideways, speeds=_rows(cap),
-            digests=digests,
+            name, brakes, _SENSED, acting, _COLUMNS, _fastest(cap), sideways=sideways,
+            side=0.0 if (ratio := _ratio(vehicle)) == 1 else brakes.most, speeds=_rows(cap), digests=digests,
+            ratio=ratio,
         )  # fmt: skip
 
     return build
@@ -66,18 +100,18 @@ def _guarded(
     obstacle: float = 0.0,
 ) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
     def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
-        check_alike(vehicle, ranges=wide)
+        _check(vehicle, wide=wide)
         numbers = law_numbers(barrier, vehicle, gains)
         # the inertia bound relies on the share `brake` of the thrust; the simple bound needs all guaranteed thrust
         brakes = _true(vehicle, LEAST_THRUST if barrier == "simple" else gains["brake"], wide=wide)
-        if drag == "axes":  # each axis has its own limit, so a diagonal thrust is larger
-            brakes = replace(brakes, most=brakes.most * sqrt(2))
+        acting = _drag(vehicle, drag, wide=wide)
+        brakes = _diagonal(brakes, acting)
         law = build_law(barrier=barrier, movers="barrier" if obstacle else "predict")
         return BrakingClaim(
             name,
             brakes,
             Watch(period=law.dt),
-            drag,
+            acting,
             (obstacle,),
             _fastest(cap),
             sideways=sideways,
@@ -86,6 +120,7 @@ def _guarded(
             law=numbers,
             speeds=_rows(cap),
             digests=(_digest(vehicle), law.block.digest()),
+            ratio=_ratio(vehicle),
         )
 
     return build

@@ -1,7 +1,8 @@
 """Proof of a claim about the heading loop of a craft without sway force: search, rounding, decision of the checker.
 
 The search finds P by linear matrix inequalities over the matrices of `certcheck.steering_loop`. These depend on the
-extent of the region, so the region starts small and grows until no P is found.
+extent of the region, so the region starts small and grows until no P is found. The multiplier of limited yaw moments
+is fixed in each inequality; after each step, it is chosen anew for the P found.
 """
 
 from __future__ import annotations
@@ -9,14 +10,23 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck import Rejected, check_document, seal
+from surctl.certcheck import Checked, Rejected, check_document, seal
 from surctl.certcheck.steering_claim import SteeringClaim as Stated
-from surctl.certcheck.steering_loop import Extent, command_rows, lookahead, moment_rows, parameters, vertices
+from surctl.certcheck.steering_loop import (
+    Extent,
+    command_rows,
+    delivered,
+    lookahead,
+    moment_rows,
+    nodes,
+    parameters,
+    vertices,
+)
 from surctl.verification.region.conic import Inequality, minimise, symmetric_basis
 from surctl.verification.region.proof import RegionProof
 from surctl.verification.region.steering import SteeringClaim
@@ -26,32 +36,51 @@ __all__ = ["prove_steering"]
 Array = NDArray[np.float64]
 
 _BASIS = symmetric_basis(6)
-_ROUNDS, _CUTS, _FEW = 14, 25, 60
+_ROUNDS, _CUTS, _FEW, _TIGHT, _SEEN = 14, 12, 60, 60, 1000
 _GROWTH, _STEPS = 1.8, 24  # first factor and largest number of the enlargements of the region
-_LEAST = 1.02  # the search ends when the factor is smaller
+_LEAST = 1.05  # the search ends when the factor is smaller
 _FIRST = 0.002  # |y_e| of the first region, divided by the look-ahead distance
 _WIDER = 1.15  # how much more the next region may extend in the other states
+_FACTORS = (1.0, 1.4, 0.7, 2.0, 0.5)  # of the last multiplier
+_NARROW = 5e-3  # the search takes the mean of parameters whose range is narrower
 _MARGIN = 0.02  # relative reserve of the decay rate
 _NOT = "not provable for this vehicle and these gains, because"
+
+
+class _Loops(NamedTuple):
+    """Matrices A (n, 6, 6), the terms (n, 6, 6) and rates (n,) that limited moments add; V̇ = ξᵀ(AᵀP + PA)ξ."""
+
+    A: Array
+    push: Array
+    shift: Array
+
+
+class _Candidate(NamedTuple):
+    """P of a region V ≤ 1, and the multiplier of its limited moments."""
+
+    P: Array
+    multiplier: float
 
 
 def prove_steering(claim: SteeringClaim) -> RegionProof:
     """Search for the largest region in which the claim holds, and let the checker decide."""
     began = time.perf_counter()
-    reason, proved = f"{_NOT} the search found no quadratic V with this decay rate", None
-    stated = claim.stated()
-    ahead = float(lookahead(stated)[1])
-    target, factor, P = _FIRST * ahead, _GROWTH, None
+    reason = f"{_NOT} the search found no quadratic V with this decay rate"
+    stated, active = claim.stated(), set[int]()
+    target, factor, known = _FIRST * float(lookahead(stated)[1]), _GROWTH, None
+    best: tuple[float, dict[str, Any], Checked, _Candidate] | None = None
     for _ in range(_STEPS):
-        candidate = _region(claim, stated, target, P)
+        candidate = _region(claim, stated, target, known, active)
         document = {} if candidate is None else _certificate(claim, candidate)
         checked = check_document(document) if document else None
-        if checked is not None and checked.accepted:
-            proved, P = (document, checked), candidate
+        if candidate is not None and checked is not None and checked.accepted:
+            known, offset = candidate, document["claim"]["motion"]["offset_m"]
+            if best is None or offset > best[0]:
+                best = offset, document, checked, candidate
             target *= factor
         else:
             reason = reason if checked is None else f"{_NOT} {checked.reason}"
-            if proved is None:
+            if best is None:
                 break
             target /= factor
             factor = np.sqrt(factor)
@@ -59,18 +88,22 @@ def prove_steering(claim: SteeringClaim) -> RegionProof:
             if factor < _LEAST:
                 break
     took = time.perf_counter() - began
-    if proved is None or P is None:
+    if best is None:
         return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), took, 0.0)
-    document, checked = proved
-    beside = float(np.sqrt(np.linalg.inv(P)[0, 0]))
-    offset = document["claim"]["motion"]["offset_m"]
+    offset, document, checked, candidate = best
+    beside = float(np.sqrt(np.linalg.inv(candidate.P)[0, 0]))
     return RegionProof(claim, "proved", document, "", offset, (0.0, 0.0), took, checked.seconds, beside)
 
 
-def _certificate(claim: SteeringClaim, P: Array) -> dict[str, Any]:
+def _certificate(claim: SteeringClaim, candidate: _Candidate) -> dict[str, Any]:
+    P = candidate.P
     rounded = [[float(f"{P[i, j]:.9g}") for j in range(i + 1)] for i in range(6)]
     offset = float(np.floor(1e4 * 0.9999 / np.sqrt(rounded[0][0])) / 1e4)
-    return seal("steering", claim.document(offset=offset), {"proof": {"P": rounded}})
+    return seal(
+        "steering",
+        claim.document(offset=offset),
+        {"proof": {"P": rounded, "shares": [[1.0, float(f"{candidate.multiplier:.4g}")]]}},
+    )
 
 
 def _extent(claim: SteeringClaim, stated: Stated, P: Array) -> tuple[Extent, Array]:
@@ -92,24 +125,45 @@ def _extent_of(bounds: Iterable[float]) -> Extent:
     return Extent(y, psi, v, r, s, command, moment)
 
 
-def _region(claim: SteeringClaim, stated: Stated, target: float, before: Array | None) -> Array | None:
-    """Return P of a region that reaches about `target` [m] beside the path; None if none."""
+def _region(
+    claim: SteeringClaim, stated: Stated, target: float, before: _Candidate | None, active: set[int]
+) -> _Candidate | None:
+    """Return a region that reaches about `target` [m] beside the path; None if none."""
     units = _units(claim, stated) * target
     if before is None:
-        bounds: Array | None = None
+        P: Array | None = None
         at = _extent_of(np.zeros(8))
-    else:
-        _, sizes = _extent(claim, stated, before)
-        bounds = sizes * (target / sizes[0]) * _WIDER
-        at = _extent_of(bounds)
-    for _ in range(2 if before is None else 1):
-        P = _shape(claim, stated, at, units, bounds, target)
-        if P is None or bounds is not None:
-            return P
-        P = P * float(np.linalg.inv(P)[0, 0]) / target**2  # the loop is linear here: scale the region to the target
-        at, _ = _extent(claim, stated, P)
-        bounds = None
-    return P
+        for _ in range(2):
+            P = _shape(claim, stated, at, units, None, 0.0, active)
+            if P is None:
+                return None
+            P = P * float(np.linalg.inv(P)[0, 0]) / target**2  # the loop is linear here: scale the region to the target
+            at, _ = _extent(claim, stated, P)
+        assert P is not None
+        return _Candidate(P, 0.0)
+    _, sizes = _extent(claim, stated, before.P)
+    bounds = sizes * (target / sizes[0]) * _WIDER
+    for factor in _FACTORS if before.multiplier else (1.0,):
+        multiplier = before.multiplier * factor
+        P = _shape(claim, stated, _extent_of(bounds), units, bounds, multiplier, active)
+        if P is not None:
+            return _Candidate(P, _tuned(claim, stated, P, multiplier))
+    return None
+
+
+def _tuned(claim: SteeringClaim, stated: Stated, P: Array, multiplier: float) -> float:
+    """Return the multiplier with the fastest decay of V at the worst matrices of limited moment."""
+    at, _ = _extent(claim, stated, P)
+    if delivered(stated, at) >= 1:
+        return 0.0
+    tries = multiplier * np.geomspace(0.5, 2, 9) if multiplier else np.geomspace(0.005, 1, 16)
+    loops, change = _loops(stated, at, np.ones(6), 1.0), np.linalg.inv(np.linalg.cholesky(P))
+    limited = np.flatnonzero(loops.shift)
+    some = np.random.default_rng(0).choice(limited, size=min(len(limited), _SEEN), replace=False)
+    half = (change @ P) @ loops.A[some] @ change.T
+    push = change @ loops.push[some] @ change.T + loops.shift[some, None, None] * np.eye(6)
+    worst = [np.linalg.eigvalsh(half + half.swapaxes(-1, -2) + one * push)[:, -1].max() for one in tries]
+    return float(tries[int(np.argmin(worst))])
 
 
 def _units(claim: SteeringClaim, stated: Stated) -> Array:
@@ -120,16 +174,55 @@ def _units(claim: SteeringClaim, stated: Stated) -> Array:
     return np.array([1.0, 1 / ahead, slip, turn, 1 / ahead, slip])
 
 
+def _loops(stated: Stated, at: Extent, units: Array, multiplier: float) -> _Loops:
+    """Return the matrices of all nodes in units of the states; parameters with narrow ranges have their mean."""
+    A, push, shift = [], [], []
+    least = float(delivered(stated, at))
+    pairs = [(1.0, 0.0)] + [(share, multiplier) for share in (least, 1.0) if least < 1]
+    loops = []
+    for node in nodes(stated):
+        theta = [((low + high) / 2,) * 2 if high - low < _NARROW * abs(high) else (low, high)
+                 for low, high in parameters(stated, at, node)]  # fmt: skip
+        loop, b, m = vertices(stated, theta, node)
+        loops.append((node, loop * units / units[:, None], b / units, m * units))
+    for share, one in pairs:
+        for node, loop, b, m in loops:
+            near = float(node.moment / stated.moment)
+            A.append(loop + share * b[:, :, None] * m[:, None, :])
+            weight = one * share**2 / float(node.moment * stated.moment)
+            push.append(weight * m[:, :, None] * m[:, None, :])
+            shift.append(np.full(len(m), -one * near))
+    return _Loops(np.concatenate(A), np.concatenate(push), np.concatenate(shift))
+
+
+def _violated(M: Array, bound: float) -> NDArray[np.intp]:
+    """Return the numbers of the matrices M (n, 6, 6) with an eigenvalue above `bound`."""
+    a = np.moveaxis(bound * np.eye(6) - M, 0, -1)
+    good = np.ones(len(M), dtype=bool)
+    for k in range(6):
+        good &= a[k, k] > 0
+        share = a[k, k + 1 :] / np.where(good, a[k, k], 1.0)
+        a[k + 1 :, k + 1 :] -= share[:, None] * a[k, None, k + 1 :]
+    return np.flatnonzero(~good)
+
+
 def _shape(
-    claim: SteeringClaim, stated: Stated, at: Extent, units: Array, bounds: Array | None, target: float
+    claim: SteeringClaim,
+    stated: Stated,
+    at: Extent,
+    units: Array,
+    bounds: Array | None,
+    multiplier: float,
+    active: set[int],
 ) -> Array | None:
     """Return P that decays for all matrices of the extent `at`, within the bounds (8,), with the least V beside."""
     try:
-        A = vertices(stated, parameters(stated, at)) * units / units[:, None]
+        loops = _loops(stated, at, units, multiplier)
     except Rejected:
         return None
+    A, push, shift = loops
     rng = np.random.default_rng(0)
-    chosen = set(rng.integers(len(A), size=_FEW).tolist())
+    chosen = {k for k in active if k < len(A)} or set(rng.integers(len(A), size=_FEW).tolist())
     fixed: list[Inequality] = [(-1e-4 * np.eye(6)[None], np.append(_BASIS, np.zeros((1, 6, 6)), axis=0)[None])]
     if bounds is None:
         fixed.append((np.zeros((1, 6, 6)), np.append(-_BASIS, np.eye(6)[None], axis=0)[None]))
@@ -152,11 +245,12 @@ def _shape(
         cost[0] += 1.0
     rate = claim.rate * (1 + _MARGIN)
     for _ in range(_ROUNDS):
-        some = A[sorted(chosen)]
+        order = sorted(chosen)
+        some = A[order]
         half = np.einsum("kij,njl->nkil", _BASIS, some)
         whole = np.zeros((len(some), 22, 6, 6))
-        whole[:, :21] = -(half + half.swapaxes(-1, -2) + rate * _BASIS)
-        x = minimise(cost, [(np.tile(-1e-6 * np.eye(6), (len(some), 1, 1)), whole), *fixed])
+        whole[:, :21] = -(half + half.swapaxes(-1, -2) + (rate + shift[order])[:, None, None, None] * _BASIS)
+        x = minimise(cost, [(-1e-6 * np.eye(6) - push[order], whole), *fixed])
         if x is None:
             return None
         P = np.einsum("k,kij->ij", x[:21], _BASIS)
@@ -164,9 +258,14 @@ def _shape(
             return None
         change = np.linalg.inv(np.linalg.cholesky(P))
         half = (change @ P) @ A @ change.T
-        values = np.linalg.eigvalsh(half + half.swapaxes(-1, -2))[:, -1]
-        bad = np.flatnonzero(values > -claim.rate * (1 + _MARGIN / 4))
+        M = half + half.swapaxes(-1, -2) + change @ push @ change.T + shift[:, None, None] * np.eye(6)
+        bad = _violated(M, -claim.rate * (1 + _MARGIN / 4))
         if not len(bad):
+            values = np.linalg.eigvalsh(M[order])[:, -1]
+            active.clear()
+            active.update(np.array(order)[np.argsort(-values)[:_TIGHT]].tolist())
             return np.asarray(P / (units * units[:, None]))
-        chosen |= set(bad[np.argsort(-values[bad])[:_CUTS]].tolist())
+        bad = bad if len(bad) <= _SEEN else rng.choice(bad, size=_SEEN, replace=False)
+        values = np.linalg.eigvalsh(M[bad])[:, -1]
+        chosen |= set(bad[np.argsort(-values)[:_CUTS]].tolist())
     return None

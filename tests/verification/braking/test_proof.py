@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document, check_file
+from surctl.certcheck import check_document, check_file, seal
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
 from surctl.guidance.braking import fastest_obstacle, stopping_distance, stopping_distance_with_drag
@@ -21,6 +21,7 @@ from surctl.verification.braking import (
     prove_braking,
 )
 from surctl.verification.braking.distance import distance_table
+from surctl.verification.braking.episodes import run_episodes
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 GAINS = load_gains("default")
@@ -145,10 +146,25 @@ def test_current_and_other_forces_lengthen_the_way() -> None:
         assert distance_table(worse, 0.05).worst(worse, 0.2) > distance_table(plain, 0.05).worst(plain, 0.2)
 
 
+@pytest.mark.parametrize("vehicle", ["bluerov2-heavy", "bluerov2-wu"])
+def test_unequal_masses_are_proved_with_their_coupling(vehicle: str) -> None:
+    claim = claimed("braking-rule-20", vehicle)
+    proof, equal = prove_braking(claim), prove_braking(replace(claim, ratio=1.0))
+    assert claim.ratio > 1 and claim.drag == "axes" and claim.side == claim.brakes.most
+    assert proof.verdict == "proved" and proof.range_needed > equal.range_needed
+    for ratio in (1.0, 1.1 * claim.ratio):
+        changed = copy.deepcopy(proof.document)
+        changed["claim"]["vehicle"]["mass_ratio"] = ratio
+        assert not check_document(seal("braking", changed["claim"], {"proof": changed["proof"]})).accepted
+    assert run_episodes(claim, obstacle=0.1, runs=30, seconds=10.0).hits == 0
+    assert prove_braking(replace(claim, turn=3.0)).verdict == "unknown"
+    with pytest.raises(InputError, match="m22"):
+        claimed("braking-rule-ranges", vehicle)
+
+
 def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
     with pytest.raises(InputError, match="k_i"):
         law_numbers("inertia", FLOODED, GAINS.with_values({"k_i": 0.1}))
-    with pytest.raises(InputError, match="m22"):
-        law_numbers("inertia", FLOODED.with_values({"m22": 80.0}), GAINS)
+    assert law_numbers("inertia", FLOODED.with_values({"m22": 80.0}), GAINS).mass == (95.0, 80.0)
     with pytest.raises(InputError, match="braking-inertia-20"):
         braking_claim_named("braking-inertia-21", FLOODED, GAINS)
