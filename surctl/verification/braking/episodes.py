@@ -207,9 +207,9 @@ class _World:
     def _aside(self, across: Vector) -> Vector:
         """Return the thrust across the latched direction while a vehicle with unequal masses brakes."""
         claim, aside = self.claim, np.sum(self.velocity * across, axis=1)
-        push = claim.side * self.rng.choice((-1.0, 0.0, 1.0), self.runs)
+        thrust = claim.side * self.rng.choice((-1.0, 0.0, 1.0), self.runs)
         allowed = np.abs(aside) + claim.side * claim.watch.period / claim.brakes.masses[0] + 0.02 < claim.sideways
-        return np.asarray(np.where(allowed | (push * aside < 0), push, 0.0)[:, None] * across)
+        return np.asarray(np.where(allowed | (thrust * aside < 0), thrust, 0.0)[:, None] * across)
 
     def _obstacle(self, across: Vector) -> Vector:
         # mostly towards the vehicle

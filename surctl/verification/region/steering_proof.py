@@ -36,7 +36,7 @@ __all__ = ["prove_steering"]
 Array = NDArray[np.float64]
 
 _BASIS = symmetric_basis(6)
-_ROUNDS, _CUTS, _FEW, _TIGHT, _SEEN = 14, 12, 60, 60, 1000
+_ROUNDS, _CUTS, _FEW, _TIGHT, _SAMPLE = 14, 12, 60, 60, 1000
 _GROWTH, _STEPS = 1.8, 24  # first factor and largest number of the enlargements of the region
 _LEAST = 1.05  # the search ends when the factor is smaller
 _FIRST = 0.002  # |y_e| of the first region, divided by the look-ahead distance
@@ -51,7 +51,7 @@ class _Loops(NamedTuple):
     """Matrices A (n, 6, 6), the terms (n, 6, 6) and rates (n,) that limited moments add; V̇ = ξᵀ(AᵀP + PA)ξ."""
 
     A: Array
-    push: Array
+    limited_moment: Array
     shift: Array
 
 
@@ -159,10 +159,10 @@ def _tuned(claim: SteeringClaim, stated: Stated, P: Array, multiplier: float) ->
     tries = multiplier * np.geomspace(0.5, 2, 9) if multiplier else np.geomspace(0.005, 1, 16)
     loops, change = _loops(stated, at, np.ones(6), 1.0), np.linalg.inv(np.linalg.cholesky(P))
     limited = np.flatnonzero(loops.shift)
-    some = np.random.default_rng(0).choice(limited, size=min(len(limited), _SEEN), replace=False)
+    some = np.random.default_rng(0).choice(limited, size=min(len(limited), _SAMPLE), replace=False)
     half = (change @ P) @ loops.A[some] @ change.T
-    push = change @ loops.push[some] @ change.T + loops.shift[some, None, None] * np.eye(6)
-    worst = [np.linalg.eigvalsh(half + half.swapaxes(-1, -2) + one * push)[:, -1].max() for one in tries]
+    limited_moment = change @ loops.limited_moment[some] @ change.T + loops.shift[some, None, None] * np.eye(6)
+    worst = [np.linalg.eigvalsh(half + half.swapaxes(-1, -2) + one * limited_moment)[:, -1].max() for one in tries]
     return float(tries[int(np.argmin(worst))])
 
 
@@ -176,7 +176,7 @@ def _units(claim: SteeringClaim, stated: Stated) -> Array:
 
 def _loops(stated: Stated, at: Extent, units: Array, multiplier: float) -> _Loops:
     """Return the matrices of all nodes in units of the states; parameters with narrow ranges have their mean."""
-    A, push, shift = [], [], []
+    A, limited_moment, shift = [], [], []
     least = float(delivered(stated, at))
     pairs = [(1.0, 0.0)] + [(share, multiplier) for share in (least, 1.0) if least < 1]
     loops = []
@@ -190,9 +190,9 @@ def _loops(stated: Stated, at: Extent, units: Array, multiplier: float) -> _Loop
             near = float(node.moment / stated.moment)
             A.append(loop + share * b[:, :, None] * m[:, None, :])
             weight = one * share**2 / float(node.moment * stated.moment)
-            push.append(weight * m[:, :, None] * m[:, None, :])
+            limited_moment.append(weight * m[:, :, None] * m[:, None, :])
             shift.append(np.full(len(m), -one * near))
-    return _Loops(np.concatenate(A), np.concatenate(push), np.concatenate(shift))
+    return _Loops(np.concatenate(A), np.concatenate(limited_moment), np.concatenate(shift))
 
 
 def _violated(M: Array, bound: float) -> NDArray[np.intp]:
@@ -220,7 +220,7 @@ def _shape(
         loops = _loops(stated, at, units, multiplier)
     except Rejected:
         return None
-    A, push, shift = loops
+    A, limited_moment, shift = loops
     rng = np.random.default_rng(0)
     chosen = {k for k in active if k < len(A)} or set(rng.integers(len(A), size=_FEW).tolist())
     fixed: list[Inequality] = [(-1e-4 * np.eye(6)[None], np.append(_BASIS, np.zeros((1, 6, 6)), axis=0)[None])]
@@ -250,7 +250,7 @@ def _shape(
         half = np.einsum("kij,njl->nkil", _BASIS, some)
         whole = np.zeros((len(some), 22, 6, 6))
         whole[:, :21] = -(half + half.swapaxes(-1, -2) + (rate + shift[order])[:, None, None, None] * _BASIS)
-        x = minimise(cost, [(-1e-6 * np.eye(6) - push[order], whole), *fixed])
+        x = minimise(cost, [(-1e-6 * np.eye(6) - limited_moment[order], whole), *fixed])
         if x is None:
             return None
         P = np.einsum("k,kij->ij", x[:21], _BASIS)
@@ -258,14 +258,14 @@ def _shape(
             return None
         change = np.linalg.inv(np.linalg.cholesky(P))
         half = (change @ P) @ A @ change.T
-        M = half + half.swapaxes(-1, -2) + change @ push @ change.T + shift[:, None, None] * np.eye(6)
+        M = half + half.swapaxes(-1, -2) + change @ limited_moment @ change.T + shift[:, None, None] * np.eye(6)
         bad = _violated(M, -claim.rate * (1 + _MARGIN / 4))
         if not len(bad):
             values = np.linalg.eigvalsh(M[order])[:, -1]
             active.clear()
             active.update(np.array(order)[np.argsort(-values)[:_TIGHT]].tolist())
             return np.asarray(P / (units * units[:, None]))
-        bad = bad if len(bad) <= _SEEN else rng.choice(bad, size=_SEEN, replace=False)
+        bad = bad if len(bad) <= _SAMPLE else rng.choice(bad, size=_SAMPLE, replace=False)
         values = np.linalg.eigvalsh(M[bad])[:, -1]
         chosen |= set(bad[np.argsort(-values)[:_CUTS]].tolist())
     return None
