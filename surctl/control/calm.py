@@ -78,8 +78,8 @@ CALM_GAINS: Mapping[str, GainSpec] = {
     "still": GainSpec(
         "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.02, range=(0.0, 0.04)
     ),
-    "settle": GainSpec("s", "time constant of the thrust after such an error", default=0.1, range=(0.1, 5.0)),
-    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=0.5, range=(0.0, 1.0)),
+    "settle": GainSpec("s", "time constant of the thrust after such an error", default=0.15, range=(0.1, 5.0)),
+    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=1.0, range=(0.0, 1.0)),
 }  # fmt: skip
 """Gains of law `calm` in addition to those of law `guarded`."""
 
