@@ -252,16 +252,10 @@ def _built(c: _Configuration) -> Law:
         return _decide(source, c, decision_inputs, sonar=c.sonar, moving=c.moving)
     decision_inputs = scan_inputs(c.contacts + SECTORS, sensors=c.equipment.array.size, depths=c.depths)
     inputs = sonar_inputs(c.equipment, contacts=c.contacts, depths=c.depths)
+    noise = {"model_noise": source.model_noise, "acceleration_noise": source.acceleration_noise}
     return _with_perception(
         _decide(source, c, decision_inputs),
-        build_perception(
-            c.equipment,
-            inputs,
-            decision_inputs,
-            dt=c.dt,
-            model_noise=source.model_noise,
-            acceleration_noise=source.acceleration_noise,
-        ),
+        build_perception(c.equipment, inputs, decision_inputs, dt=c.dt, **noise),
     )
 
 

@@ -12,12 +12,12 @@ from surctl.control import Barrier, Gains, Movers
 from surctl.guidance.braking import (
     LEAST_THRUST,
     Watch,
-    beside,
     brakes_of,
     fastest_obstacle,
     range_needed,
     stopping_distance_with_drag,
 )
+from surctl.guidance.sideways import beside
 from surctl.sensing import INCIDENCE_LIMITS
 from surctl.simulation.column import BAND, FOOTPRINT
 from surctl.simulation.margin import Bound, mass_difference, munk, turned

@@ -21,15 +21,14 @@ from surctl.guidance.braking import (
     Watch,
     admissible,
     allowed_speed,
-    beside,
     brakes_of,
     fastest_obstacle,
     range_needed,
-    sideways_force,
     stopping_distance,
     stopping_distance_with_drag,
 )
 from surctl.guidance.braking_symbols import BrakeSymbols, closing_bound, range_symbol, stopping_symbol
+from surctl.guidance.sideways import beside, sideways_force
 from surctl.vehicle import load_vehicle
 
 FLOODED = load_vehicle("sur540-flooded")

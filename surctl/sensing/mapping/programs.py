@@ -248,15 +248,12 @@ class MapPrograms:
         free, remark, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
         blind = ca.fmax(value, BLIND)
         if self.directed:
-            away = direction(across, down, limit)
-            near = nearby(line, limit)
-            lasts, remark, blind, cleared, may = by_direction(
-                value, away, near=near, known=self.known, specular=self.specular
-            )
+            away, near, known = direction(across, down, limit), nearby(line, limit), self.known
+            now = by_direction(value, away, near=near, known=known, specular=self.specular)
+            lasts, remark, blind, cleared, may = now
             free = ca.logic_and(free, ca.logic_not(lasts))
         marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
-        mark = ca.if_else(limit["ranged"], remark, blind)
-        after = ca.if_else(free, cleared, ca.if_else(marked, mark, value))
+        after = ca.if_else(free, cleared, ca.if_else(marked, ca.if_else(limit["ranged"], remark, blind), value))
         inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
         return lower_named("observe", inputs, {"after": after})
 
