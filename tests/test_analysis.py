@@ -581,7 +581,7 @@ def test_calm_thrust_has_the_margins_that_guarded_lacks() -> None:
     margins = {(row[0], row[2]): [float(cell) for cell in row[4:]] for row in table(done.stdout)[1:]}
     guarded, full, lag = (margins[key] for key in (("`guarded`", "-"), ("`calm`", "full"), ("`calm`", "lag")))
     assert all(calm > before for calm, before in zip(full, guarded, strict=True))
-    assert min(full[:3]) >= 0.6 and min(lag[:3]) >= 0.55 and min(*full[3:], *lag[3:]) >= 1.0
+    assert min(full[:3]) >= 0.6 and min(lag[:3]) >= 0.4 and min(full[3:]) >= 0.9 and min(lag[3:]) >= 0.6
 
 
 def test_laws_are_compared_in_the_same_scenario(tmp_path: Path) -> None:

@@ -67,19 +67,19 @@ CALM_PORTS = (
 )
 
 CALM_GAINS: Mapping[str, GainSpec] = {
-    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.5, range=(0.0, 1.5)),
+    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.9, range=(0.0, 1.5)),
     "ramp": GainSpec(
-        "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=1.1,
+        "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=0.9,
         range=(0.5, 2.0),
     ),
-    "soft": GainSpec("1", "share of `k_v` that this law uses in surge and sway", default=0.43, range=(0.3, 1.0)),
-    "prompt": GainSpec("1", "share of `reaction` that this law uses", default=0.85, range=(0.5, 1.0)),
-    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.6, range=(0.0, 1.0)),
+    "soft": GainSpec("1", "share of `k_v` that this law uses in surge and sway", default=0.65, range=(0.3, 1.0)),
+    "prompt": GainSpec("1", "share of `reaction` that this law uses", default=1.0, range=(0.5, 1.0)),
+    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.5, range=(0.0, 1.0)),
     "still": GainSpec(
         "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.02, range=(0.0, 0.04)
     ),
-    "settle": GainSpec("s", "time constant of the thrust after such an error", default=0.15, range=(0.1, 5.0)),
-    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=1.0, range=(0.0, 1.0)),
+    "settle": GainSpec("s", "time constant of the thrust after such an error", default=0.5, range=(0.1, 5.0)),
+    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=0.3, range=(0.0, 1.0)),
 }  # fmt: skip
 """Gains of law `calm` in addition to those of law `guarded`."""
 

@@ -26,7 +26,7 @@ WU = load_vehicle("bluerov2-wu")
 
 
 def test_a_claim_that_does_not_apply_has_its_own_word_and_costs_no_other_result(tmp_path: Path) -> None:
-    words = ("verify", "braking-rule-20", "region-cruise-20", "braking-mass", "m-norm-corrected")
+    words = ("verify", "braking-rule-ranges", "region-cruise-20", "braking-mass", "m-norm-corrected")
     done = surctl(*words, "--vehicle", "bluerov2-wu", "--gains", "default", "--cruise", "0.47", "--json", cwd=tmp_path)
     told = {c["claim"]: c for c in done.json["claims"]}
     assert done.status == 1 and told["m-norm-corrected"]["verdict"] == "proved"

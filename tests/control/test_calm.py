@@ -83,7 +83,7 @@ def test_the_law_has_its_gains_and_others_have_no_band() -> None:
     law = build_law("calm", sonar=True)
     assert "held" in law.state and set(CALM_GAINS) <= {port.name for port in law.gains}
     assert "held" not in build_law(sonar=True).state
-    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 0.15
+    assert load_gains("default").with_own(CALM_GAINS)["settle"] == 0.5
 
 
 def test_marks_beside_the_course_need_less_margin_than_marks_ahead() -> None:

@@ -100,7 +100,7 @@ def test_mistakes_are_told(change: dict[str, Any], told: str) -> None:
 def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     want = least_distance([3.0, 0.4], **BOX)
 
-    def missing(_: object) -> None:
+    def missing(*_: object, **__: object) -> None:
         raise ToolMissing("no C compiler found")
 
     monkeypatch.setattr("surctl.ir.native.compile_block", missing)
