@@ -118,8 +118,8 @@ class _Builder:
     inputs: Layout
     outputs: Layout
     dt: float
-    model_noise: float = 0.3
-    acceleration_noise: float = 0.003
+    model_noise: float
+    acceleration_noise: float
 
     def build(self) -> PerceptionStage:
         array = self.equipment.array
