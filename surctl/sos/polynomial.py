@@ -133,6 +133,8 @@ class Polynomial:
 
     def substituted(self, by: Mapping[int, Polynomial]) -> Polynomial:
         """Return the polynomial with the variables in `by` replaced by polynomials."""
+        if all(len(p.terms) == 1 for p in by.values()) and all(k in by for m in self.terms for k, _ in m):
+            return self._scaled({k: next(iter(p.terms.items())) for k, p in by.items()})
         total = Polynomial({})
         powers: dict[tuple[int, int], Polynomial] = {}
         for m, c in self.terms.items():
@@ -143,6 +145,21 @@ class Polynomial:
                     term = term * powers[k, e]
             total = total + term
         return total
+
+    def _scaled(self, by: Mapping[int, tuple[Monomial, Number]]) -> Polynomial:
+        """Return the polynomial with every variable replaced by a number times a monomial."""
+        total: dict[Monomial, Number] = {}
+        for m, c in self.terms.items():
+            powers: dict[int, int] = {}
+            for k, e in m:
+                monomial, factor = by[k]
+                if factor != 1:
+                    c = c * factor**e
+                for variable, exponent in monomial:
+                    powers[variable] = powers.get(variable, 0) + e * exponent
+            product = tuple(sorted(powers.items()))
+            total[product] = total[product] + c if product in total else c
+        return Polynomial({m: c for m, c in total.items() if c})
 
     def value(self, point: Sequence[Number]) -> Number:
         """Return the value at a point, which has a number for each variable."""

@@ -121,12 +121,9 @@ class _Problem:
         self._atoms = self._closed({k for p in polynomials for m in p for k, _ in m})
         if len(self._atoms) > _MOST_ATOMS or not self._atoms:
             return
-        nodes = [written.atom(at) for at in self._atoms]
-        read = build_tape(names, nodes).run(ends)
-        if not all(fine[0] for fine in read.defined):
+        if not self._read_ranges([written.atom(at) for at in self._atoms]):
             return
         self._written = written
-        self._ranges = [(float(jet.value[0][0]), float(jet.value[1][0])) for jet in read.jets]
         self._choose_symbols({m: -c for m, c in over.items()})
         self.target = self.moved({m: -c for m, c in over.items()})
         self._factors: dict[str, Polynomial] = {}
@@ -138,6 +135,17 @@ class _Problem:
         self._add_facts()
         self.relations = self._relations()
         self.usable = True
+
+    def _read_ranges(self, atoms: Sequence[Node]) -> bool:
+        """Read the range of each atom on the box; return whether all atoms are defined there."""
+        lower, upper = self._box
+        if all(node.op == "var" for node in atoms):
+            places = [self._names.index(node.name) for node in atoms]
+            self._ranges = [(float(lower[k]), float(upper[k])) for k in places]
+            return True
+        read = build_tape(self._names, atoms).run((lower[:, None], upper[:, None]))
+        self._ranges = [(float(jet.value[0][0]), float(jet.value[1][0])) for jet in read.jets]
+        return all(fine[0] for fine in read.defined)
 
     @cached_property
     def zeros(self) -> list[tuple[Fraction | float, ...]]:
