@@ -12,6 +12,7 @@ Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float
 """A coefficient; integers count as fractions."""
+_ONE = Fraction(1)
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Polynomial:
     @staticmethod
     def variable(index: int) -> Polynomial:
         """Return the polynomial x_index."""
-        return Polynomial({((index, 1),): Fraction(1)})
+        return Polynomial({((index, 1),): _ONE})
 
     @staticmethod
     def variables(count: int) -> tuple[Polynomial, ...]:
@@ -53,7 +54,7 @@ class Polynomial:
     @staticmethod
     def monomial(monomial: Monomial) -> Polynomial:
         """Return the polynomial with this monomial alone, with the coefficient 1."""
-        return Polynomial({monomial: Fraction(1)})
+        return Polynomial({monomial: _ONE})
 
     @property
     def degree(self) -> int:
