@@ -34,6 +34,7 @@ BRANCHES = ("abs", "max", "min", "select")
 
 _LONGEST, _DEEPEST, _MOST = 60_000, 150, 50_000
 _LONGEST_EXPONENT = 40  # characters of a number in an exponent
+_TOTAL = ("add", "mul", "neg", "num", "pi", "sub", "var")
 _CACHED, _SHORT = 64, 4000  # longest text whose parts are stored
 _LEXEME = re.compile(r"[ \t\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)|([A-Za-z]\w*)|([-+*/^(),])|$)", re.ASCII)
 _BINDS = {"+": 1, "-": 1, "*": 2, "/": 2}
@@ -82,6 +83,7 @@ class ExpressionTable:
         self.entries: list[Entry] = []
         self._at: dict[tuple[str, tuple[int, ...], int, int], int] = {}
         self._live: dict[tuple[int, ...], list[int]] = {}
+        self._read: dict[str, int] = {}
 
     def put(self, op: str, *args: int, value: Fraction | int = 0) -> int:
         """Return the position of an operation in the table; add the operation to the table if it is new."""
@@ -91,7 +93,7 @@ class ExpressionTable:
             if len(self.entries) >= _MOST:
                 raise Rejected(f"the expressions have more than {_MOST} operations")
             at = self._at[key] = len(self.entries)
-            self.entries.append(Entry(op, args, Fraction(value)))
+            self.entries.append(Entry(op, args, value if type(value) is Fraction else Fraction(value)))
         return at
 
     def needed(self, roots: Iterable[int]) -> list[int]:
@@ -119,6 +121,8 @@ class ExpressionTable:
 
     def read(self, text: object) -> int:
         """Return the table position of the expression in `text`; raise Rejected if the text is not an expression."""
+        if isinstance(text, str) and text in self._read:
+            return self._read[text]
         if not isinstance(text, str) or len(text) > _LONGEST:
             raise Rejected(f"an expression is not a text of at most {_LONGEST} characters")
         go_on()
@@ -126,7 +130,19 @@ class ExpressionTable:
         tree = self._expression(lexemes, 0, 0)
         if lexemes[-1][0] != "end":
             raise Rejected(f"an expression cannot be read at {lexemes[-1][1]!r}")
+        if len(text) <= _SHORT:
+            self._read[text] = tree
         return tree
+
+    def total(self, roots: Iterable[int]) -> bool:
+        """Return whether all operations of expressions are defined for all numbers."""
+        return all(self._is_total(self.entries[at]) for at in self.needed(roots))
+
+    def _is_total(self, entry: Entry) -> bool:
+        if entry.op == "div":
+            under = self.entries[entry.args[1]]
+            return under.op == "num" and under.value != 0
+        return entry.op in _TOTAL or (entry.op == "pow" and entry.value >= 0)
 
     def _expression(self, rest: list[tuple[str, str]], least: int, depth: int) -> int:
         # precedence climbing; a sign before a factor binds weaker than ^ and stronger than * and /
@@ -179,7 +195,7 @@ class ExpressionTable:
         kind, text = rest.pop()
         if kind != "number" or len(text) > _LONGEST_EXPONENT:
             raise Rejected(f"{text!r} is not an exponent: give a number of at most 64")
-        return Fraction(text)
+        return _short_decimal(text)
 
     def _operand(self, rest: list[tuple[str, str]], depth: int) -> int:
         kind, text = rest.pop()

@@ -52,6 +52,11 @@ class Exact:
         self.assumed: list[Sum] = []
         self.entry_of: dict[str, int] = {}
 
+    @property
+    def reusable(self) -> bool:
+        """Whether the normal forms so far assume nothing, and are few enough for another proof to go on with them."""
+        return not self.assumed and self._held <= _HELD // 100
+
     def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
         """Return whether the expression at table position `a` equals the fraction that the function `b` returns."""
         p, q = self.of(a), b(self)

@@ -52,7 +52,6 @@ DIMENSIONS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 _CASE = {"choice", "numerator", "denominators", "multipliers"}
 _MOST_BRANCHES = 12
-_ALWAYS = ("add", "mul", "neg", "num", "pi", "sub", "var")  # operations that are defined for all numbers
 _DEEPEST = 10_000  # largest number of boxes that wait to be checked
 
 Box = list[tuple[float, float]]
@@ -67,10 +66,19 @@ class Inequality:
             its decimal number.
         box: lower and upper bound of each variable of the table.
         slack: amount by which left may exceed right.
+        normal: normal forms of expressions of the table that an earlier proof has.
     """
 
-    def __init__(self, expressions: ExpressionTable, parts: Sequence[int], box: Box, slack: float = 0.0) -> None:
+    def __init__(
+        self,
+        expressions: ExpressionTable,
+        parts: Sequence[int],
+        box: Box,
+        slack: float = 0.0,
+        normal: Exact | None = None,
+    ) -> None:
         self.expressions, self.box, self.slack = expressions, box, slack
+        self.normal = Exact(expressions) if normal is None else normal
         self.parts = self._substituted(parts)
         self.everywhere = self.defined(box)
 
@@ -90,21 +98,13 @@ class Inequality:
 
     def defined(self, box: Box) -> bool:
         """Return whether left, right and the constraints are defined everywhere on the box."""
-        if all(self._is_total(at) for at in self.expressions.needed(self.parts)):
+        if self.expressions.total(self.parts):
             return True
         try:
             enclose(self.expressions, self.parts, [span(*ends) for ends in box])
         except Undefined:
             return False
         return True
-
-    def _is_total(self, at: int) -> bool:
-        """Return whether an operation is defined for all numbers."""
-        entry = self.expressions.entries[at]
-        if entry.op == "div":
-            under = self.expressions.entries[entry.args[1]]
-            return under.op == "num" and under.value != 0
-        return entry.op in _ALWAYS or (entry.op == "pow" and entry.value >= 0)
 
     def check(self, cases: Sequence[Mapping[str, Any]]) -> None:
         """Raise Rejected unless the cases prove the inequality."""
@@ -214,9 +214,11 @@ class _Case:
     def _sums(self) -> None:
         if not self.claim.everywhere:
             raise Rejected("the claim is not defined everywhere on the box")
+        normal = self.claim.normal if self.claim.normal.reusable else Exact(self.expressions)
         claimed = Claimed(
-            self.expressions, self.numerator, self.denominators, self.constraints, self.claim.box, self.claim.slack
-        )
+            self.expressions, self.numerator, self.denominators, self.constraints, self.claim.box, self.claim.slack,
+            normal,
+        )  # fmt: skip
         check_squares(self.case["squares"], claimed)
 
     def _is_zero(self, at: int) -> bool:

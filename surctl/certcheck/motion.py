@@ -24,6 +24,7 @@ from surctl.certcheck.patience import go_on
 
 __all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion"]
 
+_SHARED = 500  # most operations of earlier inequalities in the table of the next one
 _MOST_HALVED = 2000  # most boxes that are halved to see that the dynamics are defined
 
 
@@ -37,14 +38,19 @@ class Obligation:
     right: str
     constraints: Sequence[str] = ()
 
-    def check(self, cases: object) -> None:
-        """Raise Rejected unless the cases prove the inequality."""
-        table = ExpressionTable(self.names)
+    def check(self, cases: object, normal: Exact | None = None) -> Exact:
+        """Raise Rejected unless the cases prove the inequality; return the normal forms of its expressions.
+
+        `normal` holds normal forms of earlier inequalities about the same variables.
+        """
+        table = ExpressionTable(self.names) if normal is None else normal.expressions
+        normal = normal or Exact(table)
         parts = [table.read(text) for text in (self.left, self.right, *self.constraints)]
         try:
-            Inequality(table, parts, self.box).check(listed(cases))
+            Inequality(table, parts, self.box, normal=normal).check(listed(cases))
         except Undefined as reason:
             raise Rejected(f"an expression is not defined where it must be: {reason}") from None
+        return normal
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ class Motion:
 
     def _defined(self, table: ExpressionTable, roots: Sequence[int]) -> None:
         """Raise Rejected unless the expressions are defined in the whole box, which is halved as often as needed."""
-        waiting, halved = [self.box], 0
+        waiting, halved = [] if table.total(roots) else [self.box], 0
         while waiting:
             box = waiting.pop()
             go_on()
@@ -194,9 +200,14 @@ def check_all(obligations: Sequence[Obligation], proofs: object) -> None:
     proved = listed(proofs)
     if len(proved) != len(obligations):
         raise Rejected(f"the certificate has {len(proved)} proofs, but {len(obligations)} inequalities must be proved")
+    earlier: dict[tuple[str, ...], Exact] = {}
     for k, (obligation, cases) in enumerate(zip(obligations, proved, strict=True)):
+        names = tuple(obligation.names)
+        normal = earlier.get(names)
+        if normal is not None and not (normal.reusable and len(normal.expressions.entries) <= _SHARED):
+            normal = None  # limits on sizes count for each inequality
         try:
-            obligation.check(cases)
+            earlier[names] = obligation.check(cases, normal)
         except Rejected as reason:
             raise Rejected(f"inequality {k + 1} of {len(obligations)}: {reason}") from None
 

@@ -59,6 +59,7 @@ class Claimed:
         constraints: positions of the constraints.
         box: lower and upper bound of each variable.
         slack: the slack.
+        normal: normal forms of expressions of the table, which assume nothing.
     """
 
     expressions: ExpressionTable
@@ -67,6 +68,7 @@ class Claimed:
     constraints: Sequence[int]
     box: Sequence[tuple[float, float]]
     slack: float
+    normal: Exact
 
 
 def check_squares(entry: Mapping[str, Any], claimed: Claimed) -> None:
@@ -103,7 +105,7 @@ class _Ring:
     """Polynomials in the symbols of a proof."""
 
     def __init__(self, claimed: Claimed, entry: Mapping[str, Any]) -> None:
-        self._claimed, self._exact = claimed, Exact(claimed.expressions)
+        self._claimed, self._exact = claimed, claimed.normal
         self._root = [span(*ends) for ends in claimed.box]
         self.symbols = listed(entry["symbols"])
         self._facts = listed(entry["facts"])
@@ -114,7 +116,8 @@ class _Ring:
             )
         self._atoms: dict[str, tuple[int, Fraction, Fraction]] = {}  # atom = factor · symbol + offset
         positions = [claimed.expressions.read(text) for text in self.symbols]
-        enclose(claimed.expressions, positions, self._root)  # a symbol that is not a real number proves nothing
+        if not claimed.expressions.total(positions):  # a symbol that is not a real number proves nothing
+            enclose(claimed.expressions, positions, self._root)
         for at, position in enumerate(positions):
             self._define(at, self._sum(position))
         self._known: dict[str, Packed] = {}

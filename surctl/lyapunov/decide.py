@@ -241,11 +241,13 @@ def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
     scales = [short(max(s.upper - s.equilibrium, s.equilibrium - s.lower), up=True) for s in d.states]
     inside, values, loss = _sampled(claim)
     square = (((inside - d.equilibrium[:, None]) / np.array(scales)[:, None]) ** 2).sum(axis=0)
+    first = _lower_bound(values, square)
+    other = None if claim.rate is not None else _lower_bound(loss, square)
+    if first is None or (claim.rate is None and other is None):
+        return  # a proof has nothing to state
     for share in _SHARES_TRIED:
-        positive = _lower_bound(values, square, share)
-        decrease = None if claim.rate is not None else _lower_bound(loss, square, share)
-        if positive is None or (claim.rate is None and decrease is None):
-            continue  # a proof has nothing to state
+        positive = Power(short(share * first[0]), first[1])
+        decrease = None if other is None else Power(short(share * other[0]), other[1])
         evidence = {
             "scales": scales, "positive": positive.to_dict(),
             "decrease": None if decrease is None else decrease.to_dict(),
@@ -281,7 +283,7 @@ def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
             loss = np.minimum(loss, values - moved if d.discrete else -moved)
         return values, loss
 
-    x = np.hstack([x, _axes(d, lambda at: read(at)[0]), _axes(d, lambda at: read(at)[1])])
+    x = np.hstack([x, *_axes(d, read)])
     values, loss = read(x)
     inside = (values < claim.level) & np.isfinite(values) & np.isfinite(loss) & np.any(x != d.equilibrium[:, None], 0)
     if not np.any(inside):
@@ -289,8 +291,8 @@ def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
     return x[:, inside], values[inside], loss[inside]
 
 
-def _axes(d: Dynamics, function: Callable[[Array], Array]) -> Array:
-    """Return states (n, N) on lines through the equilibrium along which a function may be flat.
+def _axes(d: Dynamics, functions: Callable[[Array], Sequence[Array]]) -> list[Array]:
+    """Return, for each function, states (n, N) on lines through the equilibrium along which it may be flat.
 
     The lines are parallel to the states' axes and to the main axes of the function's second derivative: samples miss
     the lines on which only a higher order counts.
@@ -300,29 +302,35 @@ def _axes(d: Dynamics, function: Callable[[Array], Array]) -> Array:
     i, j = np.triu_indices(n)
     steps = _STEP * (np.eye(n)[:, i] + np.eye(n)[:, j])
     centre = d.equilibrium[:, None]
-    q = sum(function(centre + scales[:, None] * side) for side in (steps, -steps))
-    bend = np.zeros((n, n))
-    bend[i, j] = q
-    own = np.diag(bend) / 4
-    bend = bend + bend.T - (own[:, None] + own) * (1 - np.eye(n)) - 2 * np.diag(np.diag(bend))
-    bend[np.diag_indices(n)] = 2 * own
-    lines = np.eye(n)
-    if np.all(np.isfinite(bend)):
-        lines = np.hstack([lines, np.linalg.eigh(bend)[1]])
-    return np.asarray(np.hstack([centre + scales[:, None] * lines * t for near in _NEAR for t in (near, -near)]))
+    ahead, behind = (functions(centre + scales[:, None] * side) for side in (steps, -steps))
+    states = []
+    for q in (a + b for a, b in zip(ahead, behind, strict=True)):
+        bend = np.zeros((n, n))
+        bend[i, j] = q
+        own = np.diag(bend) / 4
+        bend = bend + bend.T - (own[:, None] + own) * (1 - np.eye(n)) - 2 * np.diag(np.diag(bend))
+        bend[np.diag_indices(n)] = 2 * own
+        lines = np.eye(n)
+        if np.all(np.isfinite(bend)):
+            lines = np.hstack([lines, np.linalg.eigh(bend)[1]])
+        states.append(np.hstack([centre + scales[:, None] * lines * t for near in _NEAR for t in (near, -near)]))
+    return states
 
 
-def _lower_bound(values: Array, square: Array, share: float) -> Power | None:
-    """Return the bound of the least power that holds at all samples and does not vanish near the equilibrium."""
+def _lower_bound(values: Array, square: Array) -> tuple[float, int] | None:
+    """Return factor and power of the bound of the least power that does not vanish near the equilibrium.
+
+    The bound holds at all samples.
+    """
     far = square > _FAR * square.max()
     for power in _POWERS:
         ratio = values / square**power
         least = float(ratio.min())
         # close to the equilibrium, a function of a higher order has a ratio that tends to 0
         if least > 0 and least >= _FLAT * float(ratio[far].min()):
-            return Power(short(share * least), power)
+            return least, power
     least = float((values / square).min())
-    return Power(short(share * least), 1) if least > 0 else None
+    return (least, 1) if least > 0 else None
 
 
 def short(value: float, *, digits: int = 3, up: bool = False) -> float:

@@ -22,7 +22,7 @@ def quotient(of: Polynomial, by: Polynomial) -> Polynomial | None:
         return None
     lead = max(by.terms, key=_rank)
     scale, powers = Fraction(by.terms[lead]), dict(lead)
-    rest = {m: Fraction(c) for m, c in of.terms.items()}
+    rest = dict(of.terms)
     total: dict[Monomial, Fraction] = {}
     while rest:
         top = max(rest, key=_rank)
@@ -30,9 +30,9 @@ def quotient(of: Polynomial, by: Polynomial) -> Polynomial | None:
         if any(own.get(k, 0) < e for k, e in lead):
             return None
         factor = tuple((k, e - powers.get(k, 0)) for k, e in top if e > powers.get(k, 0))
-        total[factor] = rest[top] / scale
+        total[factor] = Fraction(rest[top]) / scale
         for m, c in (by * Polynomial({factor: total[factor]})).terms.items():
-            value = rest.get(m, Fraction(0)) - Fraction(c)
+            value = Fraction(rest.get(m, 0)) - Fraction(c)
             if value:
                 rest[m] = value
             else:

@@ -18,7 +18,7 @@ import numpy as np
 
 from surctl.sos.basis import monomials, parity_classes
 from surctl.sos.definite import is_semidefinite
-from surctl.sos.polynomial import Monomial, Polynomial, joined
+from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
 from surctl.sos.program import Affine, Program, Solution, Squares
 from surctl.sos.pruning import Gram, pruned, restricted
 from surctl.sos.rounding import Column, corrected
@@ -176,9 +176,8 @@ def completed(target: Polynomial, blocks: Sequence[GramBlock]) -> tuple[GramBloc
         >>> block.entries == (3, -1, 1)
         True
     """
-    rest = target
-    for block in blocks:
-        rest = rest - _square(Gram(-1, Polynomial.constant(1), block.basis), block.entries)
+    grams = [Gram(-1, Polynomial.constant(1), block.basis) for block in blocks]
+    rest = _remainder(target, grams, [block.entries for block in blocks], (), ())
     waiting = {m: Fraction(c) for m, c in rest.terms.items()}
     total = []
     for block in blocks:
@@ -256,18 +255,20 @@ def _rounded(
                 polynomials[at][place] = polynomials[at].get(place, Fraction(0)) + change
         rest = _remainder(target, grams, values, relations, polynomials)
     # spread the remainder evenly, round it, and leave to the reader what is less than the grid
-    for m, c in rest.terms.items():
+    left = {m: Fraction(c) for m, c in rest.terms.items()}
+    for m, c in left.items():
         places = pairs.get(m)
         if places is None:
             return None
-        share = round(float(c) / sum(w for _, _, w in places) * grid)
+        weights = sum(w for _, _, w in places)
+        share = Fraction(round(float(c) / weights * grid), grid)
         for block, place, _ in places:
-            values[block][place] += Fraction(share, grid)
-    rest = _remainder(target, grams, values, relations, polynomials)
+            values[block][place] += share
+        left[m] = c - share * weights
     full = [list(v) for v in values]
-    for m, c in rest.terms.items():
+    for m, c in left.items():
         block, place, weight = pairs[m][0]
-        full[block][place] += Fraction(c) / weight
+        full[block][place] += c / weight
     if not all(_semidefinite(len(g.roots), v) for g, v in zip(grams, full, strict=True)):
         return None
     blocks = [GramBlock(g.at, g.basis, _expanded(g, v)) for g, v in zip(grams, values, strict=True)]
@@ -295,24 +296,42 @@ def _remainder(
     polynomials: Sequence[Mapping[Monomial, Fraction]],
 ) -> Polynomial:
     """Return target − Σ σ_k · weight_k − Σ h_j · relation_j."""
-    rest = target
+    parts = [(_integers(target.terms), (dict[Monomial, int]({(): -1}), 1))]
     for gram, entries in zip(grams, values, strict=True):
-        rest = rest - _square(gram, _expanded(gram, entries)) * gram.weight
+        parts.append((_square(gram, _expanded(gram, entries)), _integers(gram.weight.terms)))
     for relation, terms in zip(relations, polynomials, strict=True):
-        rest = rest - Polynomial({m: c for m, c in terms.items() if c}) * relation
-    return rest
+        parts.append((_integers(terms), _integers(relation.terms)))
+    whole = lcm(*(over * under for (_, over), (_, under) in parts))
+    total: dict[Monomial, int] = {}
+    for (first, over), (second, under) in parts:
+        factor = -(whole // (over * under))
+        for n, d in second.items():
+            d *= factor
+            for m, c in first.items():
+                product = joined(m, n)
+                total[product] = total.get(product, 0) + c * d
+    return Polynomial({m: Fraction(c, whole) for m, c in total.items() if c})
 
 
-def _square(gram: Gram, entries: Sequence[Fraction]) -> Polynomial:
-    total: dict[Monomial, Fraction] = {}
-    basis = gram.basis
-    place = 0
-    for i, m in enumerate(basis):
-        for n in basis[: i + 1]:
+def _integers(terms: Mapping[Monomial, Number]) -> tuple[dict[Monomial, int], int]:
+    """Return the coefficients times their common denominator, and this denominator."""
+    exact = {m: Fraction(c) for m, c in terms.items()}
+    over = lcm(*(c.denominator for c in exact.values()))
+    return {m: c.numerator * (over // c.denominator) for m, c in exact.items()}, over
+
+
+def _square(gram: Gram, entries: Sequence[Fraction]) -> tuple[dict[Monomial, int], int]:
+    """Return z' G z as integers over a common denominator."""
+    over = lcm(*(x.denominator for x in entries))
+    total: dict[Monomial, int] = {}
+    numbers = iter(entries)
+    for i, m in enumerate(gram.basis):
+        for j, n in enumerate(gram.basis[: i + 1]):
+            x = next(numbers)
             product = joined(m, n)
-            total[product] = total.get(product, Fraction(0)) + entries[place] * (1 if m == n else 2)
-            place += 1
-    return Polynomial({m: c for m, c in total.items() if c})
+            value = x.numerator * (over // x.denominator)
+            total[product] = total.get(product, 0) + (value if i == j else 2 * value)
+    return total, over
 
 
 def _expanded(gram: Gram, entries: Sequence[Fraction]) -> tuple[Fraction, ...]:

@@ -12,6 +12,7 @@ Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float
 """A coefficient; integers count as fractions."""
+_ONE = Fraction(1)
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Polynomial:
     @staticmethod
     def variable(index: int) -> Polynomial:
         """Return the polynomial x_index."""
-        return Polynomial({((index, 1),): Fraction(1)})
+        return Polynomial({((index, 1),): _ONE})
 
     @staticmethod
     def variables(count: int) -> tuple[Polynomial, ...]:
@@ -53,7 +54,7 @@ class Polynomial:
     @staticmethod
     def monomial(monomial: Monomial) -> Polynomial:
         """Return the polynomial with this monomial alone, with the coefficient 1."""
-        return Polynomial({monomial: Fraction(1)})
+        return Polynomial({monomial: _ONE})
 
     @property
     def degree(self) -> int:
@@ -133,6 +134,8 @@ class Polynomial:
 
     def substituted(self, by: Mapping[int, Polynomial]) -> Polynomial:
         """Return the polynomial with the variables in `by` replaced by polynomials."""
+        if all(len(p.terms) == 1 for p in by.values()) and all(k in by for m in self.terms for k, _ in m):
+            return self._scaled({k: next(iter(p.terms.items())) for k, p in by.items()})
         total = Polynomial({})
         powers: dict[tuple[int, int], Polynomial] = {}
         for m, c in self.terms.items():
@@ -143,6 +146,21 @@ class Polynomial:
                     term = term * powers[k, e]
             total = total + term
         return total
+
+    def _scaled(self, by: Mapping[int, tuple[Monomial, Number]]) -> Polynomial:
+        """Return the polynomial with every variable replaced by a number times a monomial."""
+        total: dict[Monomial, Number] = {}
+        for m, c in self.terms.items():
+            powers: dict[int, int] = {}
+            for k, e in m:
+                monomial, factor = by[k]
+                if factor != 1:
+                    c = c * factor**e
+                for variable, exponent in monomial:
+                    powers[variable] = powers.get(variable, 0) + e * exponent
+            product = tuple(sorted(powers.items()))
+            total[product] = total[product] + c if product in total else c
+        return Polynomial({m: c for m, c in total.items() if c})
 
     def value(self, point: Sequence[Number]) -> Number:
         """Return the value at a point, which has a number for each variable."""

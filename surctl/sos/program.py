@@ -162,13 +162,14 @@ class Program:
         b = tuple(p if isinstance(p, Polynomial) else Polynomial.monomial(p) for p in basis)
         first, at = self._count, self._count
         terms: dict[Monomial, dict[int, float]] = {}
+        floats = [[(m, float(c)) for m, c in p.terms.items()] for p in b]
         for i, p in enumerate(b):
-            for q in b[: i + 1]:
+            for j, q in enumerate(b[: i + 1]):
                 weight = 1.0 if p is q else 2.0
-                for m, c in p.terms.items():
-                    for n, d in q.terms.items():
+                for m, c in floats[i]:
+                    for n, d in floats[j]:
                         into = terms.setdefault(joined(m, n), {})
-                        into[at] = into.get(at, 0.0) + weight * float(c * d)
+                        into[at] = into.get(at, 0.0) + weight * c * d
                 at += 1
         self._count = at
         block = Squares(terms, b, first)

@@ -50,13 +50,14 @@ class Node:
 
     def __post_init__(self) -> None:
         """Raise InputError if the expression is nested too deeply for the recursive functions that process it."""
-        depth = 1 + max((a.depth for a in self.args), default=0)
+        depth = 1 + max([a.depth for a in self.args], default=0)
         if depth > DEEPEST:
             raise InputError(
                 f"is nested more than {DEEPEST} levels deep", key="expression", remedy="write it with less nesting"
             )
         object.__setattr__(self, "depth", depth)
-        object.__setattr__(self, "_hash", hash((self.op, self.args, self.value, self.name)))
+        key = self.op, self.args, self.value.numerator, self.value.denominator, self.name  # a fraction's hash is slow
+        object.__setattr__(self, "_hash", hash(key))
 
     def __hash__(self) -> int:
         return self._hash
@@ -89,7 +90,7 @@ PI = Node("pi")
 
 def number(value: int | Fraction) -> Node:
     """Return the node of an exact number."""
-    return Node("num", value=Fraction(value))
+    return Node("num", value=value if type(value) is Fraction else Fraction(value))
 
 
 def variable(name: str) -> Node:

@@ -181,8 +181,10 @@ class Algebra:
     def _power(self, a: Ratio, exponent: int, words: Node) -> Ratio:
         if exponent < 0:
             return self._power(self.inverse(a, words=words), -exponent, words)
-        result = Ratio(constant(1))
-        for _ in range(exponent):
+        if not exponent:
+            return Ratio(constant(1))
+        result = a
+        for _ in range(exponent - 1):
             result = self.times(result, a)
         return result
 
@@ -208,6 +210,8 @@ class Algebra:
 
     def _reduced(self, a: Poly) -> Poly:
         """Replace sqrt(p)² by p and sin² by 1 − cos² in a polynomial until neither occurs; return the polynomial."""
+        if not any(e >= 2 and self.atoms[k][0] in ("sqrt", "sin") for m in a for k, e in m):
+            return dict(a)
         pending: Poly = dict(a)
         total: Poly = {}
         while pending:

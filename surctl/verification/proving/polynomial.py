@@ -13,6 +13,7 @@ Poly = dict[Monomial, Fraction]
 """A polynomial: the coefficient of each monomial; no coefficient is 0."""
 
 _MOST = 400
+_ONE = Fraction(1)
 _KEY = frozenset
 
 
@@ -22,12 +23,12 @@ class TooLarge(Exception):
 
 def constant(value: Fraction | int) -> Poly:
     """Return a constant polynomial."""
-    return {(): Fraction(value)} if value else {}
+    return {(): value if type(value) is Fraction else Fraction(value)} if value else {}
 
 
 def single(atom: int, exponent: int = 1) -> Poly:
     """Return the polynomial atom^exponent of one atom."""
-    return {((atom, exponent),): Fraction(1)}
+    return {((atom, exponent),): _ONE}
 
 
 def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor: Fraction | int = 1) -> Poly:

@@ -7,8 +7,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property
-from math import ceil, log2
+from functools import cached_property, reduce
+from math import ceil, log2, prod
+from operator import mul
 from typing import Any
 
 import numpy as np
@@ -121,12 +122,10 @@ class _Problem:
         self._atoms = self._closed({k for p in polynomials for m in p for k, _ in m})
         if len(self._atoms) > _MOST_ATOMS or not self._atoms:
             return
-        nodes = [written.atom(at) for at in self._atoms]
-        read = build_tape(names, nodes).run(ends)
-        if not all(fine[0] for fine in read.defined):
+        if not self._read_ranges([written.atom(at) for at in self._atoms]):
             return
         self._written = written
-        self._ranges = [(float(jet.value[0][0]), float(jet.value[1][0])) for jet in read.jets]
+        self._decimals = [tuple(Fraction(repr(float(x))) for x in pair) for pair in zip(*box, strict=True)]
         self._choose_symbols({m: -c for m, c in over.items()})
         self.target = self.moved({m: -c for m, c in over.items()})
         self._factors: dict[str, Polynomial] = {}
@@ -138,6 +137,17 @@ class _Problem:
         self._add_facts()
         self.relations = self._relations()
         self.usable = True
+
+    def _read_ranges(self, atoms: Sequence[Node]) -> bool:
+        """Read the range of each atom on the box; return whether all atoms are defined there."""
+        lower, upper = self._box
+        if all(node.op == "var" for node in atoms):
+            places = [self._names.index(node.name) for node in atoms]
+            self._ranges = [(float(lower[k]), float(upper[k])) for k in places]
+            return True
+        read = build_tape(self._names, atoms).run((lower[:, None], upper[:, None]))
+        self._ranges = [(float(jet.value[0][0]), float(jet.value[1][0])) for jet in read.jets]
+        return all(fine[0] for fine in read.defined)
 
     @cached_property
     def zeros(self) -> list[tuple[Fraction | float, ...]]:
@@ -173,18 +183,16 @@ class _Problem:
 
     def _choose_symbols(self, target: Poly) -> None:
         """Choose for each atom its origin and scale: symbol = (atom − origin) / scale."""
-        lower, upper = self._box
         nearest = {
-            name: min(max(Fraction(0), Fraction(repr(float(a)))), Fraction(repr(float(b))))
-            for name, a, b in zip(self._names, lower, upper, strict=True)
+            name: min(max(Fraction(0), low), high)
+            for name, (low, high) in zip(self._names, self._decimals, strict=True)
         } | dict(self._at)
         values = {at: self._value(at, nearest) for at in self._atoms}
         known = {at: v for at, v in values.items() if v is not None}
         self._touching = False
         if all(k in known for m in target for k, _ in m):
-            self._touching = (
-                not Polynomial(target).substituted({at: Polynomial.constant(v) for at, v in known.items()}).terms
-            )
+            nonzero = [(m, c) for m, c in target.items() if all(known[k] for k, _ in m)]
+            self._touching = not sum((c * prod(known[k] ** e for k, e in m) for m, c in nonzero), Fraction(0))
         self._origins, self._scales = [], []
         for at, (low, high) in zip(self._atoms, self._ranges, strict=True):
             origin = known.get(at) if self._touching else None
@@ -233,11 +241,10 @@ class _Problem:
             if kind != "var":
                 continue
             i = self._names.index(str(args[0]))
-            low, high = (float(end[i]) for end in self._box)
             variable = self.moved(single(at))
             # as in the checker, a bound contains the double and its decimal
-            self._factors[f"l{i}"] = variable - min(Fraction(low), Fraction(repr(low)))
-            self._factors[f"h{i}"] = max(Fraction(high), Fraction(repr(high))) - variable
+            self._factors[f"l{i}"] = variable - min(Fraction(float(self._box[0][i])), self._decimals[i][0])
+            self._factors[f"h{i}"] = max(Fraction(float(self._box[1][i])), self._decimals[i][1]) - variable
 
     def _add_facts(self) -> None:
         for at in self._atoms:
@@ -272,9 +279,7 @@ class _Problem:
 
     def weight(self, factors: Sequence[str]) -> Polynomial:
         """Return the product of factors, scaled by a power of 2 to a largest coefficient of about 1."""
-        total = Polynomial.constant(1)
-        for name in factors:
-            total = total * self._factors[name]
+        total = self._product(factors)
         return total * (1 / _size(total))
 
     def multiple(self) -> dict[str, Any] | None:
@@ -339,10 +344,7 @@ class _Problem:
         return {"symbols": self._symbols(), "facts": facts, "blocks": blocks, "relations": relations}
 
     def _product(self, names: Sequence[str]) -> Polynomial:
-        total = Polynomial.constant(1)
-        for name in names:
-            total = total * self._factors[name]
-        return total
+        return reduce(mul, [self._factors[name] for name in names])
 
     def _symbols(self) -> list[str]:
         texts = []

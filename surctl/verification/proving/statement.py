@@ -61,7 +61,10 @@ def substituted(statement: Statement) -> tuple[Node, ...]:
         return statement.parts
 
     def change(node: Node, args: tuple[Node, ...]) -> Node:
-        return fixed.get(node.name, node) if node.op == "var" else Node(node.op, args, node.value, node.name)
+        if node.op == "var":
+            return fixed.get(node.name, node)
+        unchanged = all(a is b for a, b in zip(args, node.args, strict=True))
+        return node if unchanged else Node(node.op, args, node.value, node.name)
 
     return tuple(rebuilt(part, change) for part in statement.parts)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
+from math import inf
 from types import MappingProxyType
 
 import numpy as np
@@ -16,6 +16,7 @@ from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.functions import LARGEST_EXPONENT, defined
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.jets import Jet, choose
+from surctl.verification.proving.scalars import applied, enclosed
 
 __all__ = ["Read", "Tape", "build_tape"]
 
@@ -77,6 +78,20 @@ class Tape:
                 defined.append(fine)
         return Read(tuple(jets[r] for r in self.roots), tuple(defined[r] for r in self.roots))
 
+    def upper(self, lower: Array, upper: Array) -> float:
+        """Return an upper bound of the first expression on one box (n,); inf if an operation is not arithmetic.
+
+        The bound is the one of `run`, without the cost of small arrays.
+        """
+        values: list[tuple[float, float]] = []
+        known = {name: (float(a), float(b)) for name, a, b in zip(self.names, lower, upper, strict=True)}
+        for node, args in self.steps:
+            ends = applied(node, [values[a] for a in args], known)
+            if ends is None:
+                return inf
+            values.append(ends)
+        return values[self.roots[0]][1]
+
     def trouble(self, box: Ends) -> str:
         """Describe the first operation that is undefined somewhere on a box (n, 1); empty if all are defined."""
         jets: list[Jet] = []
@@ -94,12 +109,10 @@ class Tape:
         match node.op:
             case "var":
                 at = self.names.index(node.name)
-                unit = np.zeros((n, count))
-                unit[at] = 1.0
-                return _jet((box[0][at], box[1][at]), iv.point(unit), n, order)
+                return _jet((box[0][at], box[1][at]), at, n, order)
             case "num" | "pi":
-                low, high = _enclosed(node)
-                return _jet((np.full(count, low), np.full(count, high)), iv.point(np.zeros((n, count))), n, order)
+                low, high = enclosed(node)
+                return _jet((np.full(count, low), np.full(count, high)), None, n, order)
             case "add":
                 return args[0] + args[1]
             case "sub":
@@ -127,8 +140,7 @@ class Tape:
             case _ if node.op in _UNARY:
                 return _UNARY[node.op](args[0])
             case "atan":
-                one = iv.point(np.ones(count))
-                return args[0].angle(_jet(one, iv.point(np.zeros((n, count))), n, order))
+                return args[0].angle(_jet(iv.point(np.ones(count)), None, n, order))
             case "atan2":
                 return args[0].angle(args[1])
             case "abs":
@@ -188,20 +200,14 @@ def _undefined(node: Node, args: list[Jet], count: int) -> NDArray[np.bool_]:
     return np.zeros(count, dtype=bool)
 
 
-def _jet(value: Ends, slope: Ends, n: int, order: int) -> Jet:
-    flat = np.zeros((n, n, value[0].size))
-    return Jet(value, slope if order else None, iv.point(flat) if order > 1 else None)
-
-
-def _enclosed(node: Node) -> tuple[float, float]:
-    """Return two doubles that enclose an exact number or π: the nearest double below and the nearest double above."""
-    if node.op == "pi":
-        return float(np.pi), float(np.nextafter(np.pi, 4.0))  # the double lies below π
-    near = float(node.value)
-    exact = Fraction(near)
-    low = near if exact <= node.value else float(np.nextafter(near, -np.inf))
-    high = near if exact >= node.value else float(np.nextafter(near, np.inf))
-    return low, high
+def _jet(value: Ends, at: int | None, n: int, order: int) -> Jet:
+    """Return the enclosures of the variable `at`, or of a constant."""
+    if not order:
+        return Jet(value)
+    slope = np.zeros((n, value[0].size))
+    if at is not None:
+        slope[at] = 1.0
+    return Jet(value, iv.point(slope), iv.point(np.zeros((n, n, value[0].size))) if order > 1 else None)
 
 
 def _short(text: str) -> str:
