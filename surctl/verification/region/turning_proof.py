@@ -59,8 +59,10 @@ def _further(claim: TurningClaim) -> str:
         drag = np.array(claim.linear) + np.array(claim.quadratic) * (2 * claim.cruise + claim.current)
         force = claim.drag_factor[1] * claim.current * drag
         aside = float((force / (mass * k_v + claim.linear)).max()) * claim.gains["lookahead"] / claim.cruise
-        parts.append(f"the current changes the drag by up to {force.max():.2g} N, which moves the vehicle aside by up to "
-                     f"{aside:.2g} m without integral action")  # fmt: skip
+        parts.append(
+            f"the current changes the drag by up to {force.max():.2g} N, which moves the vehicle aside by up to "
+            f"{aside:.2g} m without integral action"
+        )
     if claim.lag or claim.period:
         late = claim.lag + claim.period
         parts.append(
