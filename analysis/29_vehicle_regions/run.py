@@ -92,29 +92,47 @@ class Plant:
         linear, quadratic = factors("drag"), factors("drag")
         self.linear, self.quadratic = linear * self.law["linear_drag"], quadratic * self.law["quadratic_drag"]
         self.means = linear.mean(axis=1) - 1, quadratic.mean(axis=1) - 1
+        self.lag = vehicle.get("lag_s", [0.0, 0.0])[1]
+        angle = rng.uniform(0, 2 * np.pi, size=count) if vehicle.get("current_m_per_s") else np.zeros(count)
+        self.flow = vehicle.get("current_m_per_s", 0.0) * np.stack([np.cos(angle), np.sin(angle)])
 
     def term(self, name: str) -> Array:
         """Return a term beside equation (3) of every vehicle (n,); 0 if the vehicle does not have it."""
         return np.asarray((self.inert if name[0] == "m" else self.rough) * self.terms.get(name, 0.0))
 
-    def rate(self, state: Array, r: Array, other: Array) -> Array:
-        """Return d/dt of (x_e, y_e, psi, u, v) (5, n) for the yaw rate r (n,).
-
-        `other` holds heave velocity and acceleration, yaw acceleration and turn rate of the path frame (4, n).
-        """
-        x_e, y_e, psi, u, v = state
-        w, w_rate, r_rate, bend = other
+    def commanded(self, state: Array) -> Array:
+        """Return the thrust (2, n) that the law commands for the velocity over ground."""
+        x_e, y_e, psi, u, v = state[:5]
         law, c, s = self.law, np.cos(psi), np.sin(psi)
         slant = np.hypot(1, y_e / law["lookahead"])
         along = np.minimum(np.maximum(law["cruise"] - law["k1"] * x_e, 0), law["cap"] / slant)
         desired = along, -along * y_e / law["lookahead"]
         in_body = c * desired[0] + s * desired[1], c * desired[1] - s * desired[0]
-        forces = []
+        thrusts = []
         for k, (w, n) in enumerate(zip(in_body, (u, v), strict=True)):
             hat, hat2, mass = law["linear_drag"][k], law["quadratic_drag"][k], law["mass_kg"][k]
             free = hat * w + hat2 * np.abs(w) * w + mass * law["k_v"] * (w - n)
+            thrusts.append(np.clip(free, -self.limit[k], self.limit[k]))
+        return np.stack(thrusts)
+
+    def rate(self, state: Array, r: Array, other: Array, held: Array | None = None) -> Array:
+        """Return d/dt of (x_e, y_e, psi, u, v, thrust X, thrust Y) (7, n) for the yaw rate r (n,).
+
+        `other` holds heave velocity and acceleration, yaw acceleration and turn rate of the path frame (4, n), and
+        `held` the commands (2, n), by default the present ones. Without lag, the thrust is the command, and does not
+        change.
+        """
+        _, y_e, psi, u, v, *thrust = state
+        x_e, (w, w_rate, r_rate, bend) = state[0], other
+        law, c, s = self.law, np.cos(psi), np.sin(psi)
+        command = self.commanded(state) if held is None else held
+        thrust = np.stack(thrust) if self.lag else command
+        over_ground = c * u - s * v, s * u + c * v
+        u, v = u - c * self.flow[0] - s * self.flow[1], v + s * self.flow[0] - c * self.flow[1]  # through the water
+        forces = []
+        for k, n in enumerate((u, v)):
             drag = self.linear[:, k] * n + self.quadratic[:, k] * np.abs(n) * n
-            forces.append(np.clip(free, -self.limit[k], self.limit[k]) - drag)
+            forces.append(thrust[k] - drag)
         m1, m2 = self.mass.T
         m12, m13, m14, m23, m24 = (self.term(f"m{k}") for k in (12, 13, 14, 23, 24))
         for k, letter in enumerate("XY"):
@@ -126,8 +144,14 @@ class Plant:
         a = forces[0] + p_y * r - m13 * w_rate - m14 * r_rate
         b = forces[1] - p_x * r - m23 * w_rate - m24 * r_rate
         turned = (m2 * a - m12 * b) / (m1 * m2 - m12**2), (m1 * b - m12 * a) / (m1 * m2 - m12**2)
-        along, across = c * u - s * v, s * u + c * v
-        return np.stack([along - law["cruise"] + bend * y_e, across - bend * x_e, r - bend, *turned])
+        along, across = over_ground
+        # a constant current turns at -r in the body
+        turned = (
+            turned[0] + r * (s * self.flow[0] * -1 + c * self.flow[1]),
+            turned[1] - r * (c * self.flow[0] + s * self.flow[1]),
+        )
+        late = (command - thrust) / self.lag if self.lag else np.zeros_like(command)
+        return np.stack([along - law["cruise"] + bend * y_e, across - bend * x_e, r - bend, *turned, *late])
 
 
 def as_turning(document: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -162,25 +186,35 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     plant, law, most = Plant(claim, count, rng), claim["law"], claim["vehicle"]["yaw_rate_rad_per_s"]
     vehicle = claim["vehicle"]
     omega = sum(slope * mean for slope, mean in zip(proof["trim"], plant.means, strict=True))
-    xi = rng.normal(size=(count, 4)) @ np.linalg.inv(np.linalg.cholesky(P))
+    if plant.lag:
+        P = np.block([[P, np.zeros((4, 2))], [np.zeros((2, 4)), proof["thrust"]["weight"] * np.eye(2)]])
+    xi = rng.normal(size=(count, len(P))) @ np.linalg.inv(np.linalg.cholesky(P))
     xi /= np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]
     psi = rng.uniform(-np.pi, np.pi, size=count)
     along, across = xi[:, 2] + law["cruise"], xi[:, 3]
     c, s = np.cos(psi), np.sin(psi)
     state = np.stack([xi[:, 0] - omega / law["k1"], xi[:, 1], psi, c * along + s * across, c * across - s * along])
+    state = np.concatenate([state, plant.commanded(state)])
+    masses = np.array(law["mass_kg"])[:, None]
+    if plant.lag:  # the last two entries of ξ are the thrust minus its command, over the mass in the law's model
+        state[5:] += masses * xi[:, 4:].T
     shift = omega / law["k1"]
 
     def level(at: Array) -> Array:
         c, s = np.cos(at[2]), np.sin(at[2])
         z = np.stack([at[0] + shift, at[1], c * at[3] - s * at[4] - law["cruise"], s * at[3] + c * at[4]], axis=1)
+        if plant.lag:
+            z = np.hstack([z, ((at[5:] - plant.commanded(at)) / masses).T])
         return np.asarray(np.einsum("ni,ij,nj->n", z, P, z))
 
     most_other = [vehicle[key] for key in ("heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2")]
     bounds = np.array([*most_other, law["cruise"] * claim["motion"]["curvature_per_m"]])[:, None]
     other = bounds * rng.choice([-1.0, 1.0], size=(4, count))
     greedy, r = np.arange(count) % 2 == 0, rng.choice([-most, most], size=count)
-    ratio, left = 0.0, np.zeros(count, dtype=bool)
+    ratio, left, hold, held = 0.0, np.zeros(count, dtype=bool), law.get("period_s", 0.0), None
     for k in range(1, int(seconds / STEP) + 1):
+        if hold and (k - 1) * STEP % hold < STEP - 1e-9:  # the period need not be a multiple of the step
+            held = plant.commanded(state)
         if k % 5 == 1:
             # greedy: the yaw rate with the larger V a short time later
             ahead = [level(state + 0.1 * plant.rate(state, np.full(count, one), other)) for one in (-most, most)]
@@ -189,10 +223,10 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
             )
             switched = np.where(rng.uniform(size=count) < 0.1, rng.uniform(-most, most, size=count), r)
             r = np.where(greedy, np.where(ahead[1] > ahead[0], most, -most), switched)
-        a = plant.rate(state, r, other)
-        b = plant.rate(state + STEP / 2 * a, r, other)
-        d = plant.rate(state + STEP / 2 * b, r, other)
-        state = state + STEP / 6 * (a + 2 * b + 2 * d + plant.rate(state + STEP * d, r, other))
+        a = plant.rate(state, r, other, held)
+        b = plant.rate(state + STEP / 2 * a, r, other, held)
+        d = plant.rate(state + STEP / 2 * b, r, other, held)
+        state = state + STEP / 6 * (a + 2 * b + 2 * d + plant.rate(state + STEP * d, r, other, held))
         now = level(state)
         bound = max(np.exp(-claim["motion"]["rate_per_s"] * k * STEP), proof["floor"])
         ratio = max(ratio, float(now.max()) / bound)

@@ -150,11 +150,7 @@ class _Comparison:
         self._at_least("thrust_limit", vehicle["thrust_n"], "N", self._limits())
         self._at_most("yaw rate", vehicle["yaw_rate_rad_per_s"], "rad/s", self._gains("spin"))
         self._lower_ends("thrust", vehicle["thrust_n"], "N")
-        self._period(law["period_s"])
-        if vehicle["lag_s"] == [0, 0]:
-            self.excludes.append("thrust lag: the certificate assumes thrust without lag")
-        else:
-            self._within("thrust_lag", vehicle["lag_s"], ("thrust_lag",))
+        self._late(vehicle["lag_s"], law["period_s"])
         self._perception()
 
     def turning(self) -> None:
@@ -181,6 +177,7 @@ class _Comparison:
         self._at_most("yaw rate", vehicle["yaw_rate_rad_per_s"], "rad/s", self._gains("spin"))
         yaw = [*self._gains("thrust_limit")[3:4], *self._numbers("Fr_max", "Fr_reverse")]
         self._at_least("thrust_limit of yaw", vehicle["munk_moment_nm"], "N m", yaw)
+        self._late(vehicle["lag_s"], law["period_s"])
         self._perception()
 
     def steering(self) -> None:
@@ -366,6 +363,13 @@ class _Comparison:
         if ratios and (apart := max(ratios) - min(ratios)) > asymmetry * (max(ratios) + min(ratios)) / 2:
             text = f"factors that differ by {apart:.3g} exported"
             self.differs.append(f"{what}: factors that differ by a share of {asymmetry!r} certified, {text}")
+
+    def _late(self, lag: Sequence[float], period: float) -> None:
+        self._period(period)
+        if not any(lag):
+            self.excludes.append("thrust lag: the certificate assumes thrust without lag")
+        else:
+            self._within("thrust_lag", lag, ("thrust_lag",))
 
     def _period(self, certified: float) -> None:
         if certified == 0:

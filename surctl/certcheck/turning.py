@@ -16,8 +16,6 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.region_claim import number
 from surctl.certcheck.region_exact import (
@@ -28,10 +26,11 @@ from surctl.certcheck.region_exact import (
     quadratic,
     root_up,
 )
-from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, steady
+from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lateness, steady
 from surctl.certcheck.turning_claim import TurningClaim, factors, read_claim
+from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_law import check_samples
-from surctl.certcheck.turning_terms import other_forces, other_moment
+from surctl.certcheck.turning_terms import coupled_mass, other_forces, other_moment
 
 __all__ = ["check", "check_cells"]
 
@@ -48,7 +47,8 @@ def check(document: Mapping[str, Any]) -> None:
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
-    proof = record(document.get("proof"), ("P", "floor", "trim", "cells", "shells"), "proof")
+    keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.lag[1] else ())
+    proof = record(document.get("proof"), keys, "proof")
     check_cells(claim, proof, _slopes(proof["trim"]))
 
 
@@ -70,13 +70,18 @@ def check_cells(claim: TurningClaim, proof: Mapping[str, Any], slopes: tuple[Fra
     covariance = inverse(p)
     _check_starts(claim, p, trim)
     _check_ultimate_bound(claim, covariance, trim, levels[0])
-    fastest = claim.cruise + root_up(largest_eigenvalue([row[2:] for row in covariance[2:]]))
+    fastest = claim.cruise + claim.current + root_up(largest_eigenvalue([row[2:] for row in covariance[2:]]))
     _check_munk_moment(claim, fastest)
     forces = other_forces(claim, fastest)
     divided = heading_cells(claim, trim, cells)
+    weight, split = _thrust(proof["thrust"]) if claim.lag[1] else (None, Fraction(0))
+    form, late = Form(p, weight, claim.k_v), None
+    if claim.lag[1] or claim.period:
+        _check_late(claim)
+        late = lateness(claim, trim, divided, form, forces)
     for (low, high), growth in zip(pairwise(levels), growths, strict=True):
-        check_shell(claim, trim, divided, p, low, high, growth, forces)
-    check_samples(claim, trim, np.array([[float(entry) for entry in row] for row in p]), float(levels[0]))
+        check_shell(claim, trim, divided, form, low, high, growth, forces, late, float(split))
+    check_samples(claim, trim, form.p, float(levels[0]))
 
 
 def _matrix(rows: Any) -> Matrix:
@@ -86,6 +91,19 @@ def _matrix(rows: Any) -> Matrix:
         raise Rejected("proof.P must be a lower triangle with 4 rows")
     lower = [[number(entry, "proof.P", least=-(10**9)) for entry in row] for row in rows]
     return [[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)]
+
+
+def _thrust(value: Any) -> tuple[Fraction, Fraction]:
+    """Return the weight q of |E|² in V, and the multiplier λ of `turning_late`."""
+    thrust = record(value, ("weight", "split"), "proof.thrust")
+    weight, split = (number(thrust[key], f"proof.thrust.{key}", above=True) for key in ("weight", "split"))
+    return weight, split
+
+
+def _check_late(claim: TurningClaim) -> None:
+    """Check that a claim with thrust lag or held commands is about a straight path and an inertia without m12."""
+    if claim.curvature or coupled_mass(claim):
+        raise Rejected("thrust lag and held commands are not covered together with m12 or a curved path")
 
 
 def _slopes(value: Any) -> tuple[Fraction, Fraction]:

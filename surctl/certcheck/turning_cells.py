@@ -40,18 +40,18 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_exact import Matrix, inverse, root_up
+from surctl.certcheck.region_exact import root_up
 from surctl.certcheck.turning_claim import TurningClaim, drag_factors
+from surctl.certcheck.turning_decay import Disturbed, decays
+from surctl.certcheck.turning_form import Form, axes_of
+from surctl.certcheck.turning_late import Late, held, lipschitz, stir
 from surctl.certcheck.turning_masses import UP, coupling_of, inverse_masses, turn_points
 
-__all__ = ["Cells", "Trim", "check_shell", "heading_cells", "steady"]
+__all__ = ["Cells", "Trim", "check_shell", "heading_cells", "lateness", "steady"]
 
 Array = NDArray[np.float64]
 
-_ROUNDING = 1e-11  # relative rounding error of a matrix and of its factorisation
-_WORST = 1e4  # largest condition of the scaled matrix of V
 _FIRST = 2 * (np.sqrt(2) - 1)  # least secant slope of |u| u from v, divided by v
-_PAIRS = [(i, j) for i in range(4) for j in range(i + 1)]
 
 
 @dataclass(frozen=True)
@@ -87,12 +87,14 @@ class Cells:
     """Cells of headings ψ in [0, 90°].
 
     `share` (cells, 2, 2) holds the least and largest |cosine| between the path and each axis of the body, `corners`
-    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), and `lack` (cells, 2) the largest |l_i| [N].
+    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), `lack` (cells, 2) the largest |l_i| [N] in still water,
+    and `drift` (cells, 2) the largest change of the drag at the target's velocity by a current along each axis [N].
     """
 
     share: Array
     corners: Array
     lack: Array
+    drift: Array
 
 
 def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
@@ -109,7 +111,7 @@ def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
     centre = triangle.mean(axis=0)
     triangle = centre + (triangle - centre) * (1 + 1e-6)  # its edges are rounded
     corners = triangle[None, :, :1] * ahead[:, None] + triangle[None, :, 1:] * aside[:, None]
-    return Cells(share, corners, _lack(claim, trim, share))
+    return Cells(share, corners, _lack(claim, trim, share), _drift(claim, share))
 
 
 def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
@@ -134,26 +136,21 @@ def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
     return np.asarray(np.where(lack > 0, lack, 0.0))
 
 
-class _Form:
-    """V = ξᵀ P ξ in double precision, with the exact P⁻¹ rounded to doubles."""
+def _drift(claim: TurningClaim, share: Array) -> Array:
+    """Return d_i [N] per cell, so that the current (c_1, c_2) in the body changes the drag on axis i by ≤ d_i |c_i|/c.
 
-    def __init__(self, p: Matrix) -> None:
-        self.exact = inverse(p)
-        self.p, self.covariance = (np.array([[float(e) for e in row] for row in m]) for m in (p, self.exact))
-        self.change = np.tril(np.linalg.inv(np.linalg.cholesky(self.p)))  # T with T P Tᵀ ≈ I
-        size = np.abs(self.change) @ np.abs(self.p) @ np.abs(self.change).T
-        if not (size.max() <= _WORST and np.all(np.diag(self.change) > 0)):  # a NaN fails this test too
-            raise Rejected("P is too ill-conditioned for double precision")
-        self.side = self.change @ self.p[:, 2:]  # T P B
-
-    def largest(self, rows: Array, axes: Array, high: float) -> float:
-        """Return a bound on |n · rows ξ| over V ≤ high and unit vectors n with n nᵀ in the hull of `axes` (k, 2, 2)."""
-        gram, size = rows @ self.covariance @ rows.T, np.abs(rows) @ np.abs(self.covariance) @ np.abs(rows).T
-        at = np.einsum("kij,ij->k", axes, gram) + 1e-12 * np.einsum("kij,ij->k", np.abs(axes), size)
-        return float(np.sqrt(max(at.max(), 0.0) * high) * UP + 1e-12)
+    |u|u changes by at most |c_i| (2 |u| + |c_i|).
+    """
+    v, current = float(claim.cruise), float(claim.current)
+    drift = np.zeros(share.shape[:2])
+    for axis in (0, 1):
+        linear, square = float(claim.linear[axis]), float(claim.quadratic[axis])
+        slope = linear + square * (2 * v * share[:, axis, 1] + current)
+        drift[:, axis] = float(claim.drag_factor[1]) * current * slope * UP
+    return drift
 
 
-def _commanded(claim: TurningClaim, trim: Trim, form: _Form, high: Fraction) -> tuple[list[float], list[float]]:
+def _commanded(claim: TurningClaim, trim: Trim, form: Form, high: Fraction) -> tuple[list[float], list[float]]:
     """Return the ranges of s [m/s] and κ [1/s]: the commanded speed along the path, and its slope in −x_e."""
     x, y = (root_up(form.exact[k][k] * high) for k in (0, 1))
     k1, ahead = claim.k1, claim.lookahead
@@ -173,52 +170,103 @@ def check_shell(
     claim: TurningClaim,
     trim: Trim,
     cells: Cells,
-    p: Matrix,
+    form: Form,
     low: Fraction,
     high: Fraction,
     growth: Fraction,
     forces: tuple[Fraction, Fraction],
+    late: Late | None,
+    split: float,
 ) -> None:
     """Prove V̇ < −a V for low ≤ V ≤ high at every heading; `forces` bounds the body forces beside equation (3) [N].
+
+    `late` and `split` are the bound and the multiplier λ of `turning_late`; None and 0 for thrust that follows at once.
 
     Raises:
         Rejected: the proof fails in a cell, the law has another form in a part of the region, or the steady cruise
             alone reaches a thrust limit.
     """
-    form = _Form(p)
     steer, catch = _commanded(claim, trim, form, high)
     plans = [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
     turns = turn_points(claim)
     coupling = coupling_of(claim)
-    per_mass, loose = inverse_masses(claim, coupling), float(coupling.loose) * UP
+    per_mass, loose, current = inverse_masses(claim, coupling), float(coupling.loose) * UP, float(claim.current)
+    stray = loose * (float(claim.cruise) + current) + float(np.abs(np.array(turns)[:, :2]).max()) * current * UP
     lack = (cells.lack + np.array([float(force) for force in forces])) * UP
+    slow = np.zeros(2) if late is None else late.at(float(low))
+    limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
     floor = float(growth * low) / UP
     for k in range(len(cells.corners)):
         go_on()
         z = cells.corners[k]
-        axes = _axes(z)
+        axes = axes_of(z)
         loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, float(high)) for i in (0, 1)]
-        if not _decays(claim, form, axes, z, loops, plans, turns, per_mass, lack[k], float(growth), floor, loose):
+        rate, spread, own = np.zeros(2), 0.0, lack[k]
+        if claim.lag[1]:
+            led = np.array([_led(form, plans, axes[i], float(high)) for i in (0, 1)])
+            at = stir(claim, omega, fast, limit, cells.share[k, :, 1], led)
+            rate, spread = (at.turned + slow / float(claim.lag[0])) * UP, at.spread
+        else:
+            own = own + slow * [float(m) for m in claim.mass] * UP
+        disturbed = Disturbed(own, cells.drift[k] * UP, loose, stray, rate, spread, split)
+        if not decays(claim, form, axes, z, loops, plans, turns, per_mass, disturbed, float(growth), floor):
             degrees = 90 * (k + 0.5) / len(cells.corners)
             raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and {float(high):g} "
                            f"near a heading of {degrees:.3g} degrees to the path")  # fmt: skip
 
 
-def _axes(z: Array) -> tuple[Array, Array]:
-    """Return n_1 n_1ᵀ and n_2 n_2ᵀ (k, 2, 2) for points (cos 2ψ, sin 2ψ) (k, 2)."""
-    turned = np.stack([np.stack([z[:, 0], z[:, 1]], 1), np.stack([z[:, 1], -z[:, 0]], 1)], 1)
-    return (np.eye(2) + turned) / 2, (np.eye(2) - turned) / 2
+def lateness(claim: TurningClaim, trim: Trim, cells: Cells, form: Form, forces: tuple[Fraction, Fraction]) -> Late:
+    """Return the bound on the change of the held commands in the region V ≤ 1.
+
+    Raises:
+        Rejected: a thrust limit is active in the region, or the period is too long.
+    """
+    high = Fraction(1)
+    steer, catch = _commanded(claim, trim, form, high)
+    plans = [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
+    lack = (cells.lack + np.array([float(force) for force in forces])) * UP
+    limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
+    every = []
+    for k, z in enumerate(cells.corners):
+        go_on()
+        axes = axes_of(z)
+        loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, 1.0) for i in (0, 1)]
+        if max(map(len, loops)) > 4:
+            raise Rejected("a thrust limit is active in the region, and the claim has thrust lag or held commands")
+        led = np.array([_led(form, plans, axes[i], 1.0) for i in (0, 1)])
+        every.append(
+            (stir(claim, omega, fast, limit, cells.share[k, :, 1], led), loops, axes, lack[k] + cells.drift[k])
+        )
+    return held(
+        claim, form, every, plans, np.array(inverse_masses(claim, coupling_of(claim))), turn_points(claim), limit
+    )
+
+
+def _fastest(trim: Trim) -> tuple[float, float]:
+    """Return the largest |ω| and the largest W* [m/s]."""
+    return float(max(map(abs, trim.omega))) * UP, float(trim.command[1]) * UP
+
+
+def _limit(claim: TurningClaim, form: Form, fast: float, high: Fraction) -> float:
+    """Return the Lipschitz constant of the commanded velocity on V ≤ high [1/s]."""
+    return lipschitz(claim, fast, float(root_up(form.exact[1][1] * high)) * UP)
+
+
+def _led(form: Form, plans: list[Array], axes: Array, high: float) -> float:
+    """Return the largest |n_i δW| [m/s]."""
+    return max(form.largest(form.rows(plan, np.zeros((2, 2))), axes, high) for plan in plans)
 
 
 def _axis(
-    claim: TurningClaim, trim: Trim, form: _Form, i: int, axes: Array, share: Array, plans: list[Array], high: float
+    claim: TurningClaim, trim: Trim, form: Form, i: int, axes: Array, share: Array, plans: list[Array], high: float
 ) -> Array:
     """Return the extreme pairs (k, 2) of stiffness φ (g + h) and damping φ g + t of axis i in a cell [N s/m]."""
-    still, position = np.hstack([np.zeros((2, 2)), np.eye(2)]), np.eye(2, 4)
+    still = form.rows(np.zeros((2, 2)), np.eye(2))
     gain, linear, square = (float(n) for n in (claim.mass[i] * claim.k_v, claim.linear[i], claim.quadratic[i]))
     v, (slow, fast), cap = float(claim.cruise), (float(w) for w in trim.command), float(claim.cap)
     moved = form.largest(still, axes, high)
-    led = max(form.largest(plan @ position, axes, high) for plan in plans)
+    led, current = _led(form, plans, axes, high), float(claim.current)
+    water = max(v * share[0] - current, 0.0) / UP, (v * share[1] + current) * UP
     least, most = share[0] / UP, share[1] * UP
 
     def secant(a: float, b: float, speed: tuple[float, float], change: float, limit: float) -> tuple[float, float]:
@@ -228,9 +276,9 @@ def _axis(
 
     h = secant(linear, square, (slow * least, fast * most), led, cap)
     low = secant(float(claim.drag_factor[0]) * linear, float(claim.drag_factor[0]) * square,
-                 (v * least, v * most), moved, np.inf)[0]  # fmt: skip
+                 water, moved, np.inf)[0]  # fmt: skip
     top = secant(float(claim.drag_factor[1]) * linear, float(claim.drag_factor[1]) * square,
-                 (v * least, v * most), moved, np.inf)[1]  # fmt: skip
+                 water, moved, np.inf)[1]  # fmt: skip
     ends = [((gain + linear) * w - gain * v) * share[j] + square * (w * share[j]) ** 2
             for w in (slow, fast) for j in (0, 1)]  # fmt: skip
     # the trim force increases with w; in the direction cosine n it is a n + b n² with b ≥ 0, so its ends bound it
@@ -240,7 +288,7 @@ def _axis(
     if not left > 0:
         raise Rejected("the steady cruise needs all the thrust of an axis")
     most_force = max(
-        form.largest(np.hstack([(gain + slope) * plan, gain * np.eye(2)]), axes, high) for plan in plans for slope in h
+        form.largest(form.rows((gain + slope) * plan, gain * np.eye(2)), axes, high) for plan in plans for slope in h
     )
     part = min(1.0, left / most_force / UP)
     if part == 1:
@@ -248,126 +296,3 @@ def _axis(
     # φ moves the rectangle of (h, t): its inner corners for the two ends of φ lie in the hull of the other six
     pairs = [(part, h[0], low), (part, h[0], top), (part, h[1], low), (1, h[0], top), (1, h[1], low), (1, h[1], top)]
     return np.array([(q * (gain + slope), q * gain + t) for q, slope, t in pairs])
-
-
-def _decays(
-    claim: TurningClaim,
-    form: _Form,
-    axes: tuple[Array, Array],
-    z: Array,
-    loops: list[Array],
-    plans: list[Array],
-    turns: list[tuple[float, float, float]],
-    per_mass: list[tuple[float, float, float]],
-    lack: Array,
-    growth: float,
-    floor: float,
-    loose: float,
-) -> bool:
-    """Return whether V̇ < −a V holds in one cell; the arrays have the axes (1/m, turn, z, loop 1, loop 2, plan)."""
-    t, side, v = form.change, form.side, float(claim.cruise)
-    decay = (float(claim.rate) + growth) * UP
-    kinematic = t @ form.p[:, :2] @ t[:, 2:].T
-    fixed = -(kinematic + kinematic.T) - decay * (t @ form.p @ t.T)
-    heavy = np.array(per_mass)
-    # X = R [[0, 1], [1, 0]] Rᵀ = n_1 n_2ᵀ + n_2 n_1ᵀ, J = n_1 n_2ᵀ − n_2 n_1ᵀ = [[0, 1], [−1, 0]]
-    mirror = np.array([[[-b, a], [a, b]] for a, b in z])
-    twist = np.array([[0.0, 1.0], [-1.0, 0.0]])
-    crossed = (mirror - twist) / 2, (mirror + twist) / 2  # n_j n_iᵀ: a force on axis i that accelerates axis j
-    parts = []
-    for i in (0, 1):
-        hull = np.einsum("mk,kzij->mzij", heavy[:, [i, 2]], np.array([axes[i], crossed[i]]))
-        led = side @ (hull[:, :, None] @ np.array(plans)) @ t[:, :2].T  # (m, z, plan, 4, 4)
-        slowed = side @ hull @ t[:, 2:].T  # (m, z, 4, 4)
-        led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
-        whole = np.einsum("a,mzpij->mzapij", loops[i][:, 0], led)
-        parts.append(whole + np.einsum("a,mzij->mzaij", loops[i][:, 1], slowed)[:, :, :, None])
-    # Coriolis term r (e1 n_1 n_2ᵀ + e2 n_2 n_1ᵀ), and the turning path frame: −σ S = σ J
-    curved = t @ form.p @ np.kron(np.eye(2), -twist) @ t.T
-    rests, sizes = [], []
-    for a, b, bend in turns:
-        for k in range(len(z)):
-            c = (a + b) / 2 * mirror[k] + (a - b) / 2 * twist
-            own = side @ c @ t[:, 2:].T + bend * curved
-            effect = side @ (c[:, 0] + [0, bend]) * v
-            rests.append((own + own.T, effect))
-            sizes.append(float(np.linalg.norm(effect)))
-    turned = np.array([r[0] for r in rests]).reshape(len(turns), len(z), 4, 4)
-    effects = np.array([r[1] for r in rests]).reshape(len(turns), len(z), 4)
-    weights = [max(sizes)]
-    for i in (0, 1):
-        most = max(float(np.trace(side @ n @ side.T)) for n in axes[i])
-        weights.append(lack[i] * heavy[:, i].max() * np.sqrt(max(most, 0.0)))
-    spread = float(np.linalg.norm(side)) * UP
-    weights.append(loose * v * spread)
-    total = sum(weights)
-    forced, force = np.zeros((len(heavy), len(turns), len(z), 4, 4)), 0.0
-    if total > 0:
-        if not (floor > 0 and all(weight > 0 for weight, size in zip(weights[1:3], lack, strict=True) if size > 0)):
-            return False
-        size = float((np.abs(t) @ np.abs(form.p[:, 2:])).sum())
-        if weights[0] > 0:
-            scale = total / weights[0] / floor
-            forced += np.einsum("tzi,tzj->tzij", effects, effects) * scale
-            force += (size * 3.3 * v * float(np.abs(turns).max())) ** 2 * scale
-        for i in (0, 1):
-            if lack[i] > 0:
-                # w = l_i (n_i/m_i + β n_j) on axis i
-                share, other = heavy[:, i], heavy[:, 2]
-                mixed = np.stack([share**2, other**2, share * other], 1)
-                outer = np.array([axes[i], axes[1 - i], mirror])
-                along = side @ np.einsum("mk,kzij->mzij", mixed, outer) @ side.T
-                scale = lack[i] ** 2 * (total / weights[1 + i] / floor)
-                forced += (scale * along)[:, None]
-                force += 1.1 * size**2 * float(scale * np.square(share + np.abs(other)).max())
-        if loose > 0:
-            scale = (loose * v) ** 2 * (total / weights[3] / floor)
-            forced += scale * (side @ side.T)
-            force += size**2 * scale
-    base = fixed + turned[None] - forced * UP  # (m, turn, z, 4, 4)
-    error = _error(form, decay, heavy, loops, plans, turns) + _ROUNDING * force
-    error += 2 * loose * spread * float(np.linalg.norm(t[:, 2:])) * UP
-    entries = {}
-    for i, j in _PAIRS:
-        one, two = parts[0][..., i, j], parts[1][..., i, j]
-        whole = base[..., i, j][:, :, :, None, None, None] + (
-            one[:, :, :, None] + two[:, :, None, :])[:, None]  # fmt: skip
-        entries[i, j] = whole.reshape(-1) - (error if i == j else 0.0)
-    return _positive(entries)
-
-
-def _error(
-    form: _Form,
-    decay: float,
-    heavy: Array,
-    loops: list[Array],
-    plans: list[Array],
-    turns: list[tuple[float, float, float]],
-) -> float:
-    """Return a bound on the rounding errors of the terms of a matrix in `_decays` without disturbance."""
-    t, p = np.abs(form.change), np.abs(form.p)
-    block = np.full((2, 2), 1.1)  # |n_i n_iᵀ| and |R [[0, 1], [1, 0]] Rᵀ|, entry by entry
-    plan = np.max([np.abs(one) for one in plans], axis=0)
-    inner = np.zeros((4, 4))
-    inner[:2, 2:] = np.eye(2)
-    for i in (0, 1):
-        stiff, damped = np.abs(loops[i]).max(axis=0) * (heavy[:, i] + np.abs(heavy[:, 2])).max()
-        inner[2:, :2] += stiff * block @ plan
-        inner[2:, 2:] += damped * block
-    inner[2:, 2:] += 2 * np.max(np.abs(turns)) * block
-    inner += np.max(np.abs(turns)) * np.kron(np.eye(2), block)
-    size = 2 * t @ p @ inner @ t.T + decay * t @ p @ t.T
-    return float(_ROUNDING * size.sum())
-
-
-def _positive(a: dict[tuple[int, int], Array]) -> bool:
-    """Return whether all Cholesky pivots of all matrices (4, 4) are positive; there is one array for each entry."""
-    for k in range(4):
-        if not np.all(a[k, k] > 0):  # a NaN fails this test too
-            return False
-        share = 1 / a[k, k]
-        for i in range(k + 1, 4):
-            factor = a[i, k] * share
-            for j in range(k + 1, i + 1):
-                a[i, j] = a[i, j] - factor * a[j, k]
-    return True

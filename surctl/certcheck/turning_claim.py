@@ -27,8 +27,10 @@ EXCLUDES = (
     "the path is a smooth curve with a curvature of at most curvature_per_m (0: one straight leg), and its target "
     "moves along it at the cruise speed; a path of short straight legs is not such a curve",
     "no obstacle, wall or unknown area bounds the velocity; no inequality constraint of the priority problem is active",
-    "measured position, velocity and heading are exact; there is no current, no wave and no thrust error",
-    "the thrust has no lag, and commands are not held between control instants",
+    "measured position, velocity and heading are exact; there is no wave and no thrust error; the current is the same "
+    "everywhere and at all times, and at most current_m_per_s",
+    "the thrust lags behind its command with a time constant of lag_s (0: no lag), and equals its command at the "
+    "stated starts; a command is held for period_s (0: not at all), and time begins at a control instant",
     "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s, with a yaw "
     "acceleration of at most yaw_rad_per_s2 and a heave of at most heave_m_per_s and heave_m_per_s2; the heading loop "
     "must hold its limits against a Munk moment of up to munk_moment_nm",
@@ -62,6 +64,9 @@ class TurningClaim:
             the claim states no such points.
         ultimate_bound: largest |x_e| and |y_e| [m] in the set that every motion reaches and then does not leave.
         curvature: largest curvature of the path [1/m].
+        current: largest speed of a constant current in any direction [m/s].
+        lag: range of the time constant of the thrust [s]; (0, 0) for thrust without lag.
+        period: time for which a command is held [s]; 0 for continuous commands.
     """
 
     mass_factor: Pair
@@ -89,6 +94,9 @@ class TurningClaim:
     rest_offset: Fraction | None
     ultimate_bound: Pair
     curvature: Fraction
+    current: Fraction = Fraction(0)
+    lag: Pair = (Fraction(0), Fraction(0))
+    period: Fraction = Fraction(0)
 
 
 def factors(ends: Pair, asymmetry: Fraction, count: int) -> list[tuple[Fraction, ...]]:
@@ -133,12 +141,25 @@ def read_claim(claim: Any) -> TurningClaim:
     vehicle = record(
         top["vehicle"],
         ("mass_factor", "drag_factor", "mass_asymmetry", "drag_asymmetry", "thrust_n",
-         "yaw_rate_rad_per_s", "munk_moment_nm", "terms", "heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2"),
+         "yaw_rate_rad_per_s", "munk_moment_nm", "terms", "heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2",
+         "current_m_per_s", "lag_s"),
         "claim.vehicle",
     )  # fmt: skip
     law = record(
         top["law"],
-        ("mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "k_i", "wait", "cruise", "cap"),
+        (
+            "mass_kg",
+            "linear_drag",
+            "quadratic_drag",
+            "k1",
+            "lookahead",
+            "k_v",
+            "k_i",
+            "wait",
+            "cruise",
+            "cap",
+            "period_s",
+        ),
         "claim.law",
     )
     motion = record(
@@ -175,7 +196,17 @@ def read_claim(claim: Any) -> TurningClaim:
         rest_offset=None if rest is None else number(rest, "claim.motion.rest_offset_m"),
         ultimate_bound=_two(motion["ultimate_bound_m"], "claim.motion.ultimate_bound_m", above=True),
         curvature=number(motion["curvature_per_m"], "claim.motion.curvature_per_m"),
+        current=number(vehicle["current_m_per_s"], "claim.vehicle.current_m_per_s"),
+        lag=_lag(vehicle["lag_s"]),
+        period=number(law["period_s"], "claim.law.period_s"),
     )
+
+
+def _lag(value: Any) -> Pair:
+    low, high = _two(value, "claim.vehicle.lag_s")
+    if low > high or (high and not low):
+        raise Rejected("claim.vehicle.lag_s must be a range above 0, or [0, 0]")
+    return low, high
 
 
 def read_terms(value: Any) -> dict[str, Fraction]:

@@ -14,11 +14,12 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_cells import Trim
 from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
 
-__all__ = ["check_samples", "draw_motions", "draw_vehicles", "true_rate"]
+__all__ = ["check_samples", "commanded", "draw_motions", "draw_vehicles", "true_rate"]
 
 Array = NDArray[np.float64]
 
 _SAMPLES = 4_000
+_STEP = 1e-6  # [s] of the difference quotient of the commands
 
 
 def draw_vehicles(claim: TurningClaim, count: int, rng: np.random.Generator) -> Mapping[str, Array]:
@@ -45,8 +46,33 @@ def draw_motions(claim: TurningClaim, count: int, rng: np.random.Generator) -> A
     return np.asarray(rng.choice([-1.0, 1.0], size=(count, 4)) * np.array([float(bound) for bound in most]))
 
 
+def commanded(claim: TurningClaim, state: Array, psi: Array) -> Array:
+    """Return the thrust (n, 2) [N] that the law commands on each axis of the body; arguments as in `true_rate`."""
+    x_e, y_e, along, across = state.T
+    slant = np.sqrt(1 + (y_e / float(claim.lookahead)) ** 2)
+    speed = np.minimum(np.maximum(float(claim.cruise) - float(claim.k1) * x_e, 0), float(claim.cap) / slant)
+    desired = speed, -speed * y_e / float(claim.lookahead)
+    c, s = np.cos(psi), np.sin(psi)
+    nu = c * along + s * across, -s * along + c * across
+    in_body = c * desired[0] + s * desired[1], -s * desired[0] + c * desired[1]
+    thrusts = []
+    for i in (0, 1):
+        m, a, b, limit = (float(n[i]) for n in (claim.mass, claim.linear, claim.quadratic, claim.thrust))
+        free = a * in_body[i] + b * in_body[i] * np.abs(in_body[i]) + m * float(claim.k_v) * (in_body[i] - nu[i])
+        thrusts.append(np.clip(free, -limit, limit))
+    return np.stack(thrusts, axis=1)
+
+
 def true_rate(
-    claim: TurningClaim, boat: Mapping[str, Array], state: Array, psi: Array, r: Array, other: Array | None = None
+    claim: TurningClaim,
+    boat: Mapping[str, Array],
+    state: Array,
+    psi: Array,
+    r: Array,
+    other: Array | None = None,
+    *,
+    flow: Array | None = None,
+    error: Array | None = None,
 ) -> Array:
     """Return d/dt of (x_e, y_e, U_x, U_y) (n, 4) by equations (2), (3) of the paper and the law.
 
@@ -57,22 +83,20 @@ def true_rate(
         psi: angle (n,) from the path to the heading.
         r: yaw rate (n,).
         other: heave velocity, heave acceleration, yaw acceleration, and turn rate of the path frame (n, 4); None for 0.
+        flow: constant current in the path frame (n, 2); None for 0.
+        error: thrust minus its command in the body frame (n, 2) [N]; None for 0.
     """
     w, w_rate, r_rate, bend = np.zeros((4, len(r))) if other is None else other.T
-    v, k_v = float(claim.cruise), float(claim.k_v)
-    x_e, y_e, along, across = state.T
-    slant = np.sqrt(1 + (y_e / float(claim.lookahead)) ** 2)
-    speed = np.minimum(np.maximum(v - float(claim.k1) * x_e, 0), float(claim.cap) / slant)
-    desired = speed, -speed * y_e / float(claim.lookahead)
+    v, (x_e, y_e, along, across) = float(claim.cruise), state.T
+    thrust = commanded(claim, state, psi) + (0 if error is None else error)
     c, s = np.cos(psi), np.sin(psi)
-    nu = c * along + s * across, -s * along + c * across
-    in_body = c * desired[0] + s * desired[1], -s * desired[0] + c * desired[1]
+    first, second = (along, across) if flow is None else (along - flow[:, 0], across - flow[:, 1])
+    nu = c * first + s * second, -s * first + c * second  # through the water
     pull, mass = [], []
     for i in (0, 1):
-        m, a, b, limit = (float(n[i]) for n in (claim.mass, claim.linear, claim.quadratic, claim.thrust))
-        thrust = a * in_body[i] + b * in_body[i] * np.abs(in_body[i]) + m * k_v * (in_body[i] - nu[i])
+        m, a, b = (float(n[i]) for n in (claim.mass, claim.linear, claim.quadratic))
         drag = boat["linear"][:, i] * a * nu[i] + boat["quadratic"][:, i] * b * nu[i] * np.abs(nu[i])
-        pull.append(np.clip(thrust, -limit, limit) - drag)
+        pull.append(thrust[:, i] - drag)
         mass.append(boat["mass"][:, i] * m)
     terms, heavy, rough = {name: float(value) for name, value in claim.terms.items()}, boat["term_mass"], boat["term"]
     m12, carried, forces = heavy * terms.get("m12", 0.0), [], []
@@ -89,7 +113,7 @@ def true_rate(
     load = pull[0] + forces[0] + r * momentum[1], pull[1] + forces[1] - r * momentum[0]
     size = mass[0] * mass[1] - m12 * m12
     u_rate, v_rate = (mass[1] * load[0] - m12 * load[1]) / size, (mass[0] * load[1] - m12 * load[0]) / size
-    # U = R ν: U̇ = R (ν̇ + r S ν), S the quarter turn; the path frame itself turns at `bend`
+    # U = R ν + current: U̇ = R (ν̇ + r S ν), S the quarter turn; the path frame itself turns at `bend`
     first, second = u_rate - r * nu[1], v_rate + r * nu[0]
     turned = c * first - s * second + bend * across, s * first + c * second - bend * along
     return np.stack([along - v + bend * y_e, across - bend * x_e, *turned], axis=1)
@@ -105,14 +129,23 @@ def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> No
     boat = draw_vehicles(claim, _SAMPLES, rng)
     shares = (boat[name].mean(axis=1) - 1 for name in ("linear", "quadratic"))
     omega = sum(float(slope) * share for slope, share in zip(trim.slopes, shares, strict=True))
-    xi = rng.normal(size=(_SAMPLES, 4)) @ np.linalg.inv(np.linalg.cholesky(p))
+    xi = rng.normal(size=(_SAMPLES, len(p))) @ np.linalg.inv(np.linalg.cholesky(p))
     level = np.where(rng.uniform(size=_SAMPLES) < 0.5, rng.choice([floor, 1.0], size=_SAMPLES),
                      rng.uniform(floor, 1, size=_SAMPLES))  # fmt: skip
     xi *= np.sqrt(level / np.einsum("ni,ij,nj->n", xi, p, xi))[:, None]
-    state = xi + np.stack([-omega / float(claim.k1), 0 * xi[:, 0], 0 * xi[:, 0] + float(claim.cruise), 0 * xi[:, 0]], 1)
+    nought = np.zeros(_SAMPLES)
+    state = xi[:, :4] + np.stack([-omega / float(claim.k1), nought, nought + float(claim.cruise), nought], 1)
     r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=_SAMPLES)
     psi = rng.uniform(0, 2 * np.pi, size=_SAMPLES)
-    rate = true_rate(claim, boat, state, psi, r, draw_motions(claim, _SAMPLES, rng))
-    change = 2 * np.einsum("ni,ij,nj->n", xi, p, rate)
-    if not np.all(change <= -float(claim.rate) * level * (1 - 1e-9) + 1e-12):
+    motions, angle = draw_motions(claim, _SAMPLES, rng), rng.uniform(0, 2 * np.pi, size=_SAMPLES)
+    flow = float(claim.current) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    masses = np.array([float(m) for m in claim.mass])
+    error = xi[:, 4:] * masses if claim.lag[1] else None
+    rate = true_rate(claim, boat, state, psi, r, motions, flow=flow, error=error)
+    change = 2 * np.einsum("ni,ij,nj->n", xi[:, :4], p[:4, :4], rate)
+    if claim.lag[1]:
+        later = commanded(claim, state + _STEP * rate, psi + _STEP * r)
+        moving = (later - commanded(claim, state, psi)) / _STEP / masses
+        change += 2 * p[4, 4] * np.sum(xi[:, 4:] * (-xi[:, 4:] / float(claim.lag[1]) - moving), axis=1)
+    if not np.all(change <= -float(claim.rate) * level * (1 - 1e-4 * bool(claim.lag[1]) - 1e-9) + 1e-12):
         raise Rejected("V decays more slowly than claimed at a sampled point of the true loop")

@@ -8,10 +8,13 @@ from fractions import Fraction
 from surctl.certcheck.turning_claim import TurningClaim, factors
 from surctl.certcheck.turning_terms import coupled_mass
 
-__all__ = ["UP", "Coupling", "coupling_of", "inverse_masses", "turn_points"]
+__all__ = ["UP", "Coupling", "Turn", "coupling_of", "inverse_masses", "turn_points"]
 
 UP = 1 + 1e-9
 """Factor that covers the rounding of a bound."""
+
+Turn = tuple[float, float, float, float]
+"""The numbers r e1, r e2, turn rate of the path frame, and r; r is 0 in claims without thrust lag."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,8 @@ def _ratio(claim: TurningClaim) -> Fraction:
     return min(ratio, claim.mass_factor[1] / claim.mass_factor[0])
 
 
-def turn_points(claim: TurningClaim) -> list[tuple[float, float, float]]:
-    """Return points whose hull contains (r e1, r e2, σ) for all masses, |r| ≤ r_max and all curvatures.
+def turn_points(claim: TurningClaim) -> list[Turn]:
+    """Return points whose hull contains (r e1, r e2, σ, r) for all masses, |r| ≤ r_max and all curvatures.
 
     With q = m11/m22, (1 − e1)(1 + e2) = 1/q · q = 1 is a hyperbola, which lies in the triangle of its ends and of the
     intersection of the tangents there.
@@ -61,6 +64,7 @@ def turn_points(claim: TurningClaim) -> list[tuple[float, float, float]]:
     ratio = _ratio(claim)
     low, high = claim.mass[0] / claim.mass[1] / ratio, claim.mass[0] / claim.mass[1] * ratio
     points = {(1 - 1 / q, q - 1) for q in (low, high)} | {(1 - 2 / (low + high), 2 * low * high / (low + high) - 1)}
-    ends = {(sign * claim.yaw_rate * a, sign * claim.yaw_rate * b) for a, b in points for sign in (1, -1)}
+    turn = claim.yaw_rate if claim.lag[1] else Fraction(0)
+    ends = {(sign * claim.yaw_rate * a, sign * claim.yaw_rate * b, sign * turn) for a, b in points for sign in (1, -1)}
     bend = float(claim.curvature * claim.cruise) * UP
-    return [(float(a) * UP, float(b) * UP, c) for a, b in sorted(ends) for c in sorted({bend, -bend})]
+    return [(float(a) * UP, float(b) * UP, c, float(r) * UP) for a, b, r in sorted(ends) for c in sorted({bend, -bend})]

@@ -17,8 +17,9 @@ from surctl.certcheck import check_document
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_exact import quadratic
 from surctl.certcheck.turning import _check_munk_moment, _check_starts
-from surctl.certcheck.turning_cells import Trim, _axes, _axis, _Form, _lack, heading_cells, steady
+from surctl.certcheck.turning_cells import Trim, _axis, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
+from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_law import draw_motions, draw_vehicles, true_rate
 from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
 from surctl.certcheck.turning_terms import other_forces, other_moment
@@ -198,7 +199,7 @@ def test_the_triangles_contain_every_heading() -> None:
             for axis, n in enumerate((np.cos(psi), np.sin(psi))):
                 assert np.all((cells.share[k, axis, 0] <= n) & (n <= cells.share[k, axis, 1]))
                 # n nᵀ of this axis is affine in z
-                own = _axes(z[:2].T)[axis]
+                own = axes_of(z[:2].T)[axis]
                 body = np.stack([np.cos(psi), np.sin(psi)] if axis == 0 else [-np.sin(psi), np.cos(psi)])
                 assert np.allclose(own, np.einsum("ik,jk->kij", body, body))
 
@@ -240,11 +241,11 @@ def test_the_corners_that_are_left_out_lie_between_the_others() -> None:
     whole = document("region-turning-20")
     whole["claim"]["vehicle"]["thrust_n"] = [8.0, 8.0]  # so little that the limit binds in V ≤ 9
     claim, trim = read_claim(whole["claim"]), trim_of(whole)
-    form = _Form([[Fraction(repr(float(e))) for e in row] for row in matrix(whole)])
+    form = Form([[Fraction(repr(float(e))) for e in row] for row in matrix(whole)])
     cells, directions = heading_cells(claim, trim, 8), np.linspace(0, 2 * np.pi, 181)
     ahead = np.stack([np.cos(directions), np.sin(directions)])
     for k in range(8):
-        for i, axis in enumerate(_axes(cells.corners[k])):
+        for i, axis in enumerate(axes_of(cells.corners[k])):
             kept = _axis(claim, trim, form, i, axis, cells.share[k, i], [np.diag([0.3, 0.2])], 9.0)
             gain = float(claim.mass[i] * claim.k_v)
             h1, low, top = kept[5, 0] - gain, kept[4, 1] - gain, kept[5, 1] - gain

@@ -85,6 +85,19 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         {"loop": "turning", "rate_per_s": 0.02, "at_rest": True, "attempts": 150},
     ),
     (
+        "region-turning-lag",
+        "as region-turning, with thrust lag and a yaw rate of at most 0.03 rad/s, not from rest",
+        {
+            "loop": "turning", "share": 0.0, "mass_share": 0.0, "lagged": True, "yaw_rate_rad_per_s": 0.03,
+            "rate_per_s": 0.02, "attempts": 40,
+        },
+    ),
+    (
+        "region-turning-20-lag",
+        "as region-turning-20, with thrust lag and a yaw rate of at most 0.1 rad/s",
+        {"loop": "turning", "lagged": True, "yaw_rate_rad_per_s": 0.1, "rate_per_s": 0.02, "attempts": 8},
+    ),
+    (
         "region-turning-20-scale",
         "as region-turning-20, with both masses off by the same factor of up to ±20 %",
         {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},

@@ -27,7 +27,7 @@ _TURNING_KNOWS = frozenset(
     {
         "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "mass_asymmetry", "thrust_share",
         "yaw_rate_rad_per_s", "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "curvature_per_m",
-        "gains", "attempts",
+        "gains", "attempts", "current_m_per_s", "lagged", "sampled",
     }
 )  # fmt: skip
 _STEERED_KNOWS = frozenset(
@@ -140,6 +140,7 @@ class RegionStatement(Strict):
                 self.name, vehicle, law_gains, share=self.share, mass_share=self.mass_share, asymmetry=self.asymmetry,
                 mass_asymmetry=self.mass_asymmetry, thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise,
                 cap=cap, rate=self.rate_per_s, rest=self.at_rest, curvature=self.curvature_per_m,
+                current=self.current_m_per_s, lagged=self.lagged, sampled=self.sampled,
             )  # fmt: skip
         self._used(type(self).model_fields.keys() - _TURNING_ALONE, "the cruise with equal masses")
         return region_claim(

@@ -53,6 +53,9 @@ class TurningClaim:
             `drag_factor`.
         heave, turn_rate: largest heave velocity and acceleration [m/s, m/s²], and largest yaw acceleration [rad/s²].
         curvature: largest curvature of the path [1/m].
+        current: largest speed of a constant current [m/s].
+        lag: time constant of the thrust lag [s]; 0 for thrust without lag.
+        period: control period [s], during which the command is constant; 0 for a loop in continuous time.
     """
 
     name: str
@@ -76,6 +79,9 @@ class TurningClaim:
     heave: Pair = HEAVE
     turn_rate: float = TURN_RATE
     curvature: float = 0.0
+    current: float = 0.0
+    lag: float = 0.0
+    period: float = 0.0
 
     def __post_init__(self) -> None:
         """Raise InputError for a number out of bounds, NotApplicable for integral action or a cruise speed ≥ cap."""
@@ -87,6 +93,8 @@ class TurningClaim:
         if self.cruise >= self.cap:
             why = f"the cruise speed of {self.cruise:g} m/s is not below the cap of {self.cap:g} m/s"
             raise NotApplicable(why, to="these speeds")
+        if (self.lag or self.period) and (self.curvature or self.terms.get("m12")):
+            raise NotApplicable("thrust lag and held commands are not covered together with m12 or a curved path")
 
     def document(
         self, *, offset: float, rest_offset: float | None, ultimate_bound: Pair, munk_moment: float
@@ -107,6 +115,8 @@ class TurningClaim:
                 "heave_m_per_s": self.heave[0],
                 "heave_m_per_s2": self.heave[1],
                 "yaw_rad_per_s2": self.turn_rate,
+                "current_m_per_s": self.current,
+                "lag_s": [self.lag, self.lag],
             },
             "law": {
                 "mass_kg": list(self.mass),
@@ -115,6 +125,7 @@ class TurningClaim:
                 **{key: self.gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
                 "cruise": self.cruise,
                 "cap": self.cap,
+                "period_s": self.period,
             },
             "motion": {
                 "rate_per_s": self.rate,
@@ -159,6 +170,9 @@ def turning_claim(
     rate: float = 0.05,
     rest: bool = False,
     curvature: float = 0.0,
+    current: float = 0.0,
+    lagged: bool = False,
+    sampled: bool = False,
 ) -> TurningClaim:
     """Return the claim about the cruise of a vehicle under the exported law; surge and sway may differ.
 
@@ -177,6 +191,8 @@ def turning_claim(
         rate: decay rate of the Lyapunov function V [1/s].
         rest: whether the region must also contain a vehicle at rest.
         curvature: largest curvature of the path [1/m].
+        current: largest speed of a constant current [m/s].
+        lagged, sampled: whether the vehicle's thrust lag and the control period are part of the claim.
 
     Raises:
         NotApplicable: the vehicle has no sway force, or rolls and pitches, or has sway drag that grows with the surge
@@ -185,7 +201,7 @@ def turning_claim(
     """
     _check_form(vehicle)
     check_no_integral(gains)
-    limits = vehicle.thrust_limit * (1 - thrust_share)
+    limits, law = vehicle.thrust_limit * (1 - thrust_share), build_law()
 
     def factors(error: float) -> Pair:
         return round(1 - error, 9), round(1 + error, 9)
@@ -207,9 +223,12 @@ def turning_claim(
         cap=cap,
         rate=rate,
         rest=rest,
-        digests=(vehicle.digest(), build_law().block.digest()),
+        digests=(vehicle.digest(), law.block.digest()),
         terms={name: vehicle[name] for name in vehicle.form.terms},
         curvature=curvature,
+        current=current,
+        lag=vehicle["thrust_lag"] if lagged else 0.0,
+        period=law.dt if sampled else 0.0,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from surctl.certcheck import seal
 from surctl.certcheck.turning_terms import other_moment
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_loop import corner_factors
+from surctl.verification.region.turning_loop import corner_factors, split_of
 from surctl.verification.region.turning_shells import TurningCandidate
 
 __all__ = ["Region", "certificate_of", "raised", "region_of"]
@@ -43,7 +43,7 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
     covariance = np.linalg.inv(P)
     floor = np.sqrt(np.diag(covariance)[:2] * candidate.levels[0]) * 1.0001
     away = max(map(abs, candidate.cruise.omega)) / claim.gains["k1"]
-    fastest = claim.cruise + np.sqrt(np.linalg.eigvalsh(covariance[2:, 2:])[-1])
+    fastest = claim.cruise + claim.current + np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[-1])
     start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(4)],
@@ -54,6 +54,8 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
             for level, growth in zip(candidate.levels[1:], candidate.growths, strict=True)
         ],
     }
+    if claim.lag:
+        proof["thrust"] = {"weight": float(P[4, 4]), "split": split_of(claim)}
     return Region(
         start, still if still > 0 else None, (_up(float(floor[0]) + away), _up(float(floor[1]))), float(fastest), proof
     )

@@ -1,7 +1,8 @@
 """The turning cruise as a linear inclusion on a grid of headings, in floating point; the checker derives its own.
 
-The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame. At a vertex of the
-parameters ξ̇ = A ξ + B w with w wᵀ ⪯ Q; `certcheck.turning_cells` derives this inclusion.
+The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame; with thrust lag, the two
+entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯ W;
+`certcheck.turning_cells` derives this inclusion.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.turning_terms import other_forces
 from surctl.verification.region.turning import TurningClaim
+from surctl.verification.region.turning_behind import Behind, behind_of, split_of
 
-__all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
+__all__ = ["Cruise", "Vertices", "corner_factors", "split_of", "steady_turning", "vertices"]
 
 Array = NDArray[np.float64]
 
@@ -52,6 +54,9 @@ class Vertices:
         Q: bound on w wᵀ (headings, masses, terms, 2, 2).
         effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
         lack: trim error (headings, masses, 2) of the body axes [m/s²].
+        turn: rotation matrices (headings, 2, 2) from the body to the path frame.
+        behind: what thrust lag adds; None without lag.
+        drift: error (headings, masses, 2) by a current along each body axis [m/s²].
     """
 
     bodies: Array
@@ -65,6 +70,9 @@ class Vertices:
     Q: Array
     effect: Array
     lack: Array
+    turn: Array
+    behind: Behind | None = None
+    drift: Array | None = None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -72,8 +80,11 @@ class Vertices:
         count = self.loops.shape[2]
         return *self.Q.shape[:3], count, count, len(self.plans)
 
-    def select(self, chosen: NDArray[np.intp] | list[int]) -> tuple[Array, Array]:
-        """Return A (k, 4, 4) and Q (k, 2, 2) of the vertices with the numbers (k,)."""
+    def select(self, chosen: NDArray[np.intp] | list[int]) -> tuple[Array, Array, Array]:
+        """Return A (k, n, n), a factor (k, n, c) of W, and the weight of |δU|² (k,) of the vertices with numbers (k,).
+
+        The weight is that of the last entry q of V with thrust lag, and 0 without.
+        """
         h, m, t, one, two, p = np.unravel_index(np.asarray(chosen, dtype=int), self.shape)
         pairs = np.stack([self.loops[h, 0, one], self.loops[h, 1, two]], 1)
         stiff, damped = np.einsum("nic,nijk->cnjk", pairs, self._driven()[m, h])
@@ -81,7 +92,14 @@ class Vertices:
         A[:, 0, 2] = A[:, 1, 3] = 1
         A[:, 2:, :2] = -stiff * self.plans[p][:, None, :]
         A[:, 2:, 2:] = -damped - self.coriolis[h, t]
-        return A - self.bends[t][:, None, None] * _TURNING, self.Q[h, m, t]
+        A -= self.bends[t][:, None, None] * _TURNING
+        values, vectors = np.linalg.eigh(self.Q[h, m, t])
+        factor = np.zeros((len(h), 4, 2))
+        factor[:, 2:] = vectors * np.sqrt(np.maximum(values, 0))[:, None]
+        if self.behind is None:
+            return A, factor, np.zeros(len(h))
+        inner = np.einsum("ni,nijk->njk", self.behind.light[m], self.bodies[h])
+        return self.behind.extended(A, factor, inner, h, t, self.plans[p], self.turn[h])
 
     def _driven(self) -> Array:
         """Return n_i n_iᵀ/m_i + β n_j n_iᵀ (masses, headings, 2, 2, 2): what a force on each axis i accelerates."""
@@ -89,16 +107,22 @@ class Vertices:
         return np.asarray(own + np.einsum("m,hijk->mhijk", self.masses[:, 2], self.crossed))
 
     def matrices(self, P: Array, rate: float, growth: float, low: float) -> Array:
-        """Return T (Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low)) Tᵀ (4, 4, n) of all vertices, where T P Tᵀ = I."""
-        change = np.linalg.inv(np.linalg.cholesky(P))
-        side, place, speed = change @ P[:, 2:], change[:, :2].T, change[:, 2:].T
+        """Return T (Aᵀ P + P A + (a + η) P + P W P/(η low)) Tᵀ (n, n, k) of all vertices, where T P Tᵀ = I."""
+        change, n = np.linalg.inv(np.linalg.cholesky(P)), len(P)
+        side, place, speed = change @ P[:, 2:4], change[:, :2].T, change[:, 2:4].T
+        if self.behind is not None:
+            side = side + change @ P[:, 4:] * self.behind.k_v
         kinematic = change @ P[:, :2] @ speed
         loose = 2 * self.loose * np.linalg.norm(side) * np.linalg.norm(speed)
-        fixed = kinematic + kinematic.T + (rate + growth + loose) * np.eye(4)
-        turned = side @ self.coriolis @ speed + self.bends[:, None, None] * (change @ P @ _TURNING @ change.T)
-        base = (
-            fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ self._weighted(side) @ side.T / (growth * low)
-        )
+        fixed = kinematic + kinematic.T + (rate + growth + loose) * np.eye(n)
+        turned = side @ self.coriolis @ speed + self.bends[:, None, None] * _bent(change, P)
+        weighted, rear = self._weighted(side, P)
+        base = fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ weighted @ side.T / (growth * low)
+        away = np.zeros((n, n, 1, 1, 1, 1, 1, 1))
+        if self.behind is not None:
+            away, more = self.behind.added(change, P, self.bodies, self.plans, side)
+            pull = change @ P[:, 4:]
+            base = base + more + (pull @ rear @ pull.T / (growth * low))[:, None, None]
         driven = self._driven()
         led = side @ (driven[:, :, :, None] * self.plans[:, None, :]) @ place  # (m, h, 2, p, 4, 4)
         slowed = side @ driven @ speed  # (m, h, 2, 4, 4)
@@ -109,18 +133,34 @@ class Vertices:
         )
         base, one, two = (np.moveaxis(part, (-2, -1), (0, 1)) for part in (base, *whole))
         return np.asarray(
-            base[..., None, None, None] - (one[..., None, :, None, :] + two[..., None, None, :, :])
-        ).reshape(4, 4, -1)  # fmt: skip
+            base[..., None, None, None] - (one[..., None, :, None, :] + two[..., None, None, :, :]) + away
+        ).reshape(n, n, -1)  # fmt: skip
 
-    def _weighted(self, side: Array) -> Array:
-        """Return Q with the weights of the checker, which measures the parts of w by V; `side` (4, 2) is T P B."""
+    def _weighted(self, side: Array, P: Array) -> tuple[Array, Array]:
+        """Return Q, and that of E alone (h, 2, 2), with the weights of the checker, which measures the parts of w by V.
+
+        `side` (n, 2) is T P B.
+        """
         most = np.linalg.norm(self.effect @ side.T, axis=-1).max(axis=1)[:, None, None]
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))  # (h, i)
-        total = most + sizes.sum(axis=1)[:, None, None]
+        late = np.zeros_like(sizes) if self.behind is None else self.behind.late
+        weights = late * (np.sqrt(2 * P[4, 4]) if self.behind is not None else 0.0)
+        drift = np.zeros_like(self.lack) if self.drift is None else self.drift
+        drifting = (drift.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))).max(axis=1)
+        total = most + ((sizes + weights).sum(axis=1) + drifting)[:, None, None]
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
         own = np.einsum("hi,hmi,hijk->hmjk", parts, self.lack**2, self.bodies)
-        return np.asarray(share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None])
+        far = np.divide(total[:, 0, 0], drifting, out=np.zeros_like(drifting), where=drifting > 0)
+        own = own + np.einsum("h,hmi,hijk->hmjk", far, drift**2, self.bodies)
+        most_late = np.divide(total[:, :, 0], weights, out=np.zeros_like(sizes), where=weights > 0)
+        rear = np.einsum("hi,hijk->hjk", most_late * late**2, self.bodies)
+        return share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None], rear
+
+
+def _bent(change: Array, P: Array) -> Array:
+    """Return T P S Tᵀ for the turning of the path frame; 0 with thrust lag, whose claims have straight paths."""
+    return np.zeros_like(P) if len(P) > 4 else change @ P @ _TURNING @ change.T
 
 
 def corner_factors(ends: tuple[float, float], asymmetry: float) -> Array:
@@ -171,7 +211,7 @@ def _least_error(rows: Array, sides: Array) -> tuple[float, float]:
 
 
 def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Vertices | None:
-    """Return the vertices in V ≤ high for the covariance P⁻¹ (4, 4); None if the law has another form there."""
+    """Return the vertices in V ≤ high for the covariance P⁻¹ (n, n); None if the law has another form there."""
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
     x, y = 1.001 * np.sqrt(np.diag(covariance)[:2] * high)
     slow, fast = v + cruise.omega[0], v + cruise.omega[1]
@@ -182,30 +222,45 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     plans = np.array([[k, s / ahead] for k, s in product(sorted(set(catch)), steer)])
     c, s = np.cos(cruise.headings), np.sin(cruise.headings)
     turn = np.stack([np.stack([c, -s], 1), np.stack([s, c], 1)], 1)  # (headings, 2, 2)
-    loops = _loops(claim, cruise, covariance * high * 1.002, turn, plans)
+    loops = _loops(claim, cruise, covariance[:4, :4] * high * 1.002, turn, plans)
     if loops is None:
         return None
     loose, masses, turns = claim.vertex_numbers
-    cross = np.array([[[0.0, a], [b, 0.0]] for a, b, _ in turns])
+    cross = np.array([[[0.0, a], [b, 0.0]] for a, b, *_ in turns])
     coriolis = turn[:, None] @ cross @ turn.swapaxes(-1, -2)[:, None]
     bodies, crossed = np.einsum("hji,hki->hijk", turn, turn), np.einsum("hji,hki->hijk", turn[..., ::-1], turn)
     effect = (coriolis[..., 0] + np.outer(turns[:, 2], [0.0, 1.0])) * claim.cruise
-    fastest = v + np.sqrt(np.linalg.eigvalsh(covariance[2:, 2:])[-1] * max(high, 1.0))
+    fastest = v + claim.current + np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[-1] * max(high, 1.0))
     others = np.array([float(force) for force in other_forces(claim.stated, Fraction(float(fastest)))])
     heavy = masses[:, :2] + np.abs(masses[:, 2:])
-    lack = (cruise.lack + others)[:, None, :] * heavy + loose * v
+    forces, behind = cruise.lack + others, None
+    share = np.abs(turn[:, 0, :]) + np.pi / 2 / max(len(turn) - 1, 1) / 2
+    drift = np.array(claim.linear) + np.array(claim.quadratic) * (2 * v * np.minimum(share, 1.0) + claim.current)
+    drift = drift * claim.drag_factor[1] * claim.current
+    if claim.lag or claim.period:
+        if loops.shape[2] > 4:  # a thrust limit is active
+            return None
+        slow, behind = behind_of(
+            claim, cruise.omega, forces + drift, covariance, high, turn, plans, loops, masses, turns
+        )
+        forces = forces + slow
+    lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
+    drift = drift[:, None, :] * heavy
     return Vertices(
-        bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans, _forces(bodies, effect, lack), effect, lack
-    )
+        bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
+        _forces(bodies, effect, lack, drift), effect, lack, turn, behind, drift,
+    )  # fmt: skip
 
 
-def _forces(bodies: Array, effect: Array, lack: Array) -> Array:
+def _forces(bodies: Array, effect: Array, lack: Array, drift: Array) -> Array:
     """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for the trim errors and the Coriolis force."""
     size = np.linalg.norm(effect, axis=-1)[:, None]  # (h, 1, t)
-    total = size + lack.sum(axis=-1)[:, :, None]
+    far = drift.max(axis=-1)
+    total = size + (lack.sum(axis=-1) + far)[:, :, None]
     share = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     Q = share[..., None, None] * np.einsum("hti,htj->htij", effect, effect)[:, None]
-    return np.asarray(Q + np.einsum("hmt,hmi,hijk->hmtjk", total, lack, bodies))
+    scales = lack + np.divide(drift**2, far[..., None], out=np.zeros_like(drift), where=far[..., None] > 0)
+    return np.asarray(Q + np.einsum("hmt,hmi,hijk->hmtjk", total, scales, bodies))
 
 
 def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> Array | None:
@@ -222,11 +277,11 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
     axes = []
     for i in (0, 1):
         gain, linear, square = claim.mass[i] * claim.gains["k_v"], claim.linear[i], claim.quadratic[i]
-        n, (least, most) = turn[:, :, i], shares[i]
+        n, (least, most), c = turn[:, :, i], shares[i], claim.current
         still = np.hstack([np.zeros_like(n), n])
         led = np.stack([np.hstack([n * plan, np.zeros_like(n)]) for plan in plans])
         moved, away = largest(still), largest(led).max(axis=0)
-        w, u = (slow * least, fast * most), (v * least, v * most)
+        w, u = (slow * least, fast * most), (np.maximum(v * least - c, 0.0), v * most + c)
         h = (linear + square * np.maximum(0.828 * w[0], 2 * w[0] - away),
              linear + square * (w[1] + np.minimum(cap, w[1] + away)))  # fmt: skip
         t = (low * (linear + square * np.maximum(0.828 * u[0], 2 * u[0] - moved)),

@@ -26,7 +26,7 @@ def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> 
         seed: seed of the search.
     """
     began = time.perf_counter()
-    reason = f"{_NOT} the search found no quadratic V with this decay rate"
+    reason = f"{_NOT} the search found no quadratic V with this decay rate{_further(claim)}"
     for candidate in turning_search(claim, attempts=attempts, seed=seed):
         for one in raised(candidate):
             document = certificate_of(claim, one)
@@ -50,3 +50,22 @@ def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> 
             rest_offset=stated["motion"]["rest_offset_m"],
         )  # fmt: skip
     return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
+
+
+def _further(claim: TurningClaim) -> str:
+    """Return what makes a claim with a current, thrust lag or held commands hard to prove, as a part of a sentence."""
+    parts, k_v, mass = [], claim.gains["k_v"], np.array(claim.mass)
+    if claim.current:
+        drag = np.array(claim.linear) + np.array(claim.quadratic) * (2 * claim.cruise + claim.current)
+        force = claim.drag_factor[1] * claim.current * drag
+        aside = float((force / (mass * k_v + claim.linear)).max()) * claim.gains["lookahead"] / claim.cruise
+        parts.append(
+            f"the current changes the drag by up to {force.max():.2g} N, which moves the vehicle aside by up to "
+            f"{aside:.2g} m without integral action"
+        )
+    if claim.lag or claim.period:
+        late = claim.lag + claim.period
+        parts.append(
+            f"thrust comes up to {late:.2g} s after its command, and the velocity loop answers in {1 / k_v:.2g} s"
+        )
+    return "; " + "; ".join(parts) if parts else ""

@@ -16,16 +16,14 @@ from numpy.typing import NDArray
 from surctl.verification.region.conic import Inequality, minimise
 from surctl.verification.region.turning import TurningClaim
 from surctl.verification.region.turning_loop import Cruise, Vertices, steady_turning, vertices
-from surctl.verification.region.turning_shells import TurningCandidate, fitted, violated
+from surctl.verification.region.turning_shells import TurningCandidate, fitted, transformed, violated
 
 __all__ = ["turning_search"]
 
 Array = NDArray[np.float64]
 
 _USUAL = np.array([0.3, 0.8, 0.15])  # k1 [1/s], look-ahead [m] and cruise speed [m/s] of the first start values
-_BASIS = np.zeros((6, 4, 4))
-for _k, (_i, _j) in enumerate(((0, 0), (2, 0), (2, 2), (1, 1), (3, 1), (3, 3))):
-    _BASIS[_k, _i, _j] = _BASIS[_k, _j, _i] = 1
+_ENTRIES = ((0, 0), (2, 0), (2, 2), (1, 1), (3, 1), (3, 3))
 _SHELLS = 3  # shells of the search
 _CELLS, _FINE = 28, 4  # cells of headings, and the number of them that one cell of the search covers
 _ROUNDS, _CUTS, _TIGHT = 25, 6, 8
@@ -42,6 +40,7 @@ _ENOUGH = 4  # number of regions after which the search refines the best one
 _HIGHEST = 0.9  # largest floor in the search
 _PRICE, _FREE = 0.8, 0.2  # a floor above 0.2 counts as a smaller region
 _TRIED = 3  # number of candidates that the checker sees at most
+_ERROR = 0.5  # first E, divided by k_v times the first velocity deviation
 _LOOSE = 4.0  # reserve of the decay rate for each 1/s of the Coriolis terms that m12 adds
 _MARGIN = 0.006  # [1/s] reserve of the decay rate, for points between the grid points
 
@@ -56,18 +55,21 @@ class _Active:
 def _improve(
     claim: TurningClaim, cruise: Cruise, extent: Array, levels: Array, growths: Array, beside: float, active: _Active
 ) -> Array | None:
-    """Return P whose region V ≤ 1 has at most the given extent (4,) in each state; None if none.
+    """Return P whose region V ≤ 1 has at most the given extent (4,) in each state but E; None if none.
 
     P has the least V at the start `beside` [m] the path, with the target's velocity or, if the claim asks for it, at
     rest.
     """
-    shells = [vertices(claim, cruise, np.diag(extent**2), high) for high in levels[1:]]
+    basis, units = _basis(claim), np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim)
+    behind = claim.gains["k_v"] * extent[2:] if claim.lag else []
+    shells = [vertices(claim, cruise, np.diag(np.append(extent, _ERROR * np.array(behind)) ** 2), high)
+              for high in levels[1:]]  # fmt: skip
     known = [one for one in shells if one is not None]
     if len(known) < len(shells):
         return None
-    units = np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim)
-    fixed = _extents(extent / units) + _starts(claim, cruise, units)
-    cost = np.append(1e-3 * np.einsum("kii->k", _BASIS), 1.0)
+    fixed = _extents(extent / units, basis) + _starts(claim, cruise, units, basis)
+    cost = np.append(1e-3 * np.einsum("kii->k", basis), 1.0)
+    units = np.append(units, units[2:] * claim.gains["k_v"] if claim.lag else [])
     cost[3] += (beside / units[1]) ** 2
     rng = np.random.default_rng(0)
     chosen = []
@@ -77,17 +79,17 @@ def _improve(
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
-            _decay(shell, some, claim.rate, growth, low, units)
+            _decay(shell, some, claim.rate, growth, low, units, basis)
             for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
         x = minimise(cost, [decay, *fixed], tolerance=1e-7)
         if x is None:
             return None
-        P = np.einsum("k,kij->ij", x[:6], _BASIS) / (units[:, None] * units)
+        P = np.einsum("k,kij->ij", x[:-1], basis) / (units[:, None] * units)
         if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
-        fine = True
+        fine = stuck = True
         for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True):
             matrices = shell.matrices(P, claim.rate, growth, low)
             bad = violated(matrices, -_MARGIN / 2)
@@ -95,8 +97,10 @@ def _improve(
                 fine = False
                 bad = bad if len(bad) <= 600 else rng.choice(bad, size=600, replace=False)
                 values = np.linalg.eigvalsh(np.moveaxis(matrices[..., bad], -1, 0))[:, -1]
-                some |= set(bad[np.argsort(-values)[:_CUTS]].tolist())
-        if fine:
+                more = set(bad[np.argsort(-values)[:_CUTS]].tolist())
+                stuck = stuck and more <= some  # `matrices` weighs the disturbances by V
+                some |= more
+        if fine or stuck:
             _remember(P, known, chosen, levels, growths, active)
             return np.asarray(P)
     return None
@@ -108,37 +112,49 @@ def _sizes(claim: TurningClaim) -> Array:
     return np.array([v / k1, ahead, v, v])
 
 
-def _extents(extent: Array) -> list[Inequality]:
-    """Return [P e; eᵀ extent²] ⪰ 0 for each unit vector e."""
-    corner, wide = np.zeros((4, 5, 5)), np.zeros((4, 7, 5, 5))
+def _basis(claim: TurningClaim) -> Array:
+    """Return a basis (k, n, n) of the matrices of V: the last one is |E|², with thrust lag."""
+    size = 6 if claim.lag else 4
+    basis = np.zeros((len(_ENTRIES) + (size > 4), size, size))
+    for k, (i, j) in enumerate(_ENTRIES):
+        basis[k, i, j] = basis[k, j, i] = 1
+    basis[-1, range(4, size), range(4, size)] = 1
+    return basis
+
+
+def _extents(extent: Array, basis: Array) -> list[Inequality]:
+    """Return [P e; eᵀ extent²] ⪰ 0 for each unit vector e of the first four states."""
+    corner, wide = np.zeros((4, 5, 5)), np.zeros((4, len(basis) + 1, 5, 5))
     corner[:, :4, 4] = corner[:, 4, :4] = np.eye(4)
     corner[:, 4, 4] = extent**2
-    wide[:, :6, :4, :4] = _BASIS
+    wide[:, :-1, :4, :4] = basis[:, :4, :4]
     return [(corner, wide)]
 
 
-def _starts(claim: TurningClaim, cruise: Cruise, units: Array) -> list[Inequality]:
-    """Return x_7 ≥ zᵀ P z for the deviation z along the path at the start, for each ω."""
+def _starts(claim: TurningClaim, cruise: Cruise, units: Array, basis: Array) -> list[Inequality]:
+    """Return x_k ≥ zᵀ P z for the deviation z along the path at the start, for each ω."""
     rows = []
     for omega in sorted(set(cruise.omega)):
         z = np.array([omega / claim.gains["k1"], 0, -claim.cruise if claim.rest else 0, 0]) / units
-        rows.append(np.append(-np.einsum("i,kij,j->k", z, _BASIS, z), 1.0)[:, None, None])
+        rows.append(np.append(-np.einsum("i,kij,j->k", z, basis[:, :4, :4], z), 1.0)[:, None, None])
     return [(np.zeros((len(rows), 1, 1)), np.array(rows))]
 
 
-def _decay(shell: Vertices, some: set[int], rate: float, growth: float, low: float, units: Array) -> Inequality:
-    """Return −(Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low)) ⪰ 0 with a margin, by its Schur complement."""
-    A, Q = shell.select(sorted(some))
-    half = np.einsum("kij,njl->nkil", _BASIS, A * units / units[:, None])
-    whole = np.zeros((len(A), 7, 6, 6))
-    whole[:, :6, :4, :4] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * _BASIS)
-    values, vectors = np.linalg.eigh(Q)
-    entry = np.zeros((len(A), 4, 2))
-    entry[:, 2:] = vectors * np.sqrt(np.maximum(values, 0))[:, None] / units[2]
-    side = np.einsum("kij,njl->nkil", _BASIS, entry)
-    whole[:, :6, :4, 4:], whole[:, :6, 4:, :4] = side, side.swapaxes(-1, -2)
-    constant = np.zeros((len(A), 6, 6))
-    constant[:] = np.diag([-1e-5] * 4 + [growth * low] * 2)
+def _decay(
+    shell: Vertices, some: set[int], rate: float, growth: float, low: float, units: Array, basis: Array
+) -> Inequality:
+    """Return −(Aᵀ P + P A + (a + η) P + P W P/(η low)) ⪰ 0 with a margin, by its Schur complement."""
+    A, factor, spread = shell.select(sorted(some))
+    count, n, inner = len(basis), len(units), factor.shape[2]
+    half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
+    whole = np.zeros((len(A), count + 1, n + inner, n + inner))
+    whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * basis)
+    for k in (2, 3):  # the last entry of V is in units of |E|²
+        whole[:, count - 1, k, k] -= spread * (units[k] / units[-1]) ** 2
+    side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
+    whole[:, :-1, :n, n:], whole[:, :-1, n:, :n] = side, side.swapaxes(-1, -2)
+    constant = np.zeros((len(A), n + inner, n + inner))
+    constant[:] = np.diag([-1e-5] * n + [growth * low] * inner)
     return constant, whole
 
 
@@ -146,13 +162,10 @@ def _remember(
     P: Array, known: list[Vertices], chosen: list[set[int]], levels: Array, growths: Array, active: _Active
 ) -> None:
     """Store the vertices whose inequality is nearly tight as the first ones of the next program."""
-    change = np.linalg.inv(np.linalg.cholesky(P))
     for k, (shell, some, growth, low) in enumerate(zip(known, chosen, growths, levels[:-1], strict=True)):
         order = np.array(sorted(some))
-        A, Q = shell.select(order)
-        half, side = (change @ P) @ A @ change.T, change @ P[:, 2:]
-        effect = half + half.swapaxes(-1, -2) + side @ Q @ side.T / (growth * low)
-        values = np.linalg.eigvalsh(effect)[:, -1]
+        half, effect = transformed(P, shell, order)
+        values = np.linalg.eigvalsh(half + effect / (growth * low))[:, -1]
         active.known[k] = set(order[np.argsort(-values)[:_TIGHT]].tolist())
 
 

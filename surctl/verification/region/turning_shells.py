@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.verification.region.turning import TurningClaim
 from surctl.verification.region.turning_loop import Cruise, Vertices, vertices
 
-__all__ = ["TurningCandidate", "fitted", "violated", "worst_rate"]
+__all__ = ["TurningCandidate", "fitted", "transformed", "violated", "worst_rate"]
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -22,7 +22,8 @@ _RATIO = 0.82  # of the two levels of the outermost shell
 _THICKEST, _THINNEST = 0.4, 0.96  # ratios of the two levels of a shell
 _MOST = 20  # largest number of shells
 _MARGIN = 0.005  # [1/s] reserve of the decay rate, for points between the headings of the grid
-_WIDEST, _STEPS = 1.5, 6  # a region is enlarged up to this level, which is bisected
+_LEVELS = (1.0, 0.7, 0.5)  # levels of V that the search tries first
+_WIDEST, _STEPS = 1.5, 6  # a region is enlarged up to this multiple of its level, which is bisected
 _SOME = 150  # number of matrices whose eigenvalues are compared at a time
 _LEAST_GROWTH, _LARGEST_GROWTH = 3e-3, 4.0  # [1/s]
 
@@ -32,7 +33,7 @@ class TurningCandidate:
     """A candidate of a proof, which is not yet checked.
 
     Attributes:
-        P: matrix (4, 4) of the Lyapunov function V = zᵀ P z.
+        P: matrix (n, n) of the Lyapunov function V = zᵀ P z; n is 6 with thrust lag, and 4 without.
         levels: levels of V that divide the region into k shells, in ascending order; the last is 1.
         growths: for each of the k shells, the coefficient η [1/s] in the condition on the decay rate.
         cruise: the steady motion on the path.
@@ -53,14 +54,15 @@ class TurningCandidate:
 
 
 def violated(matrices: Array, bound: float) -> Numbers:
-    """Return the numbers of the matrices (4, 4, n) with an eigenvalue ≥ `bound`, by the pivots of bound I − M."""
-    a = {(i, j): -matrices[i, j] for i in range(4) for j in range(i + 1)}
+    """Return the numbers of the matrices (n, n, k) with an eigenvalue ≥ `bound`, by the pivots of bound I − M."""
+    size = len(matrices)
+    a = {(i, j): -matrices[i, j] for i in range(size) for j in range(i + 1)}
     good = np.ones(matrices.shape[-1], dtype=bool)
-    for k in range(4):
+    for k in range(size):
         pivot = a[k, k] + bound if k == 0 else a[k, k]
         good &= pivot > 0
         share = 1 / np.where(good, pivot, 1.0)
-        for i in range(k + 1, 4):
+        for i in range(k + 1, size):
             if k == 0:
                 a[i, i] = a[i, i] + bound
             factor = a[i, k] * share
@@ -74,7 +76,7 @@ def _eigenvalues(matrices: Array, chosen: Numbers) -> Array:
 
 
 def worst_rate(matrices: Array, first: Numbers) -> tuple[float, Numbers]:
-    """Return the largest eigenvalue of all matrices (4, 4, n), and numbers of large ones; `first` is where to look."""
+    """Return the largest eigenvalue of all matrices (n, n, k), and numbers of large ones; `first` is where to look."""
     rng = np.random.default_rng(0)
     known: Numbers = first if len(first) else rng.integers(matrices.shape[-1], size=_SOME)
     values = _eigenvalues(matrices, known)
@@ -87,6 +89,17 @@ def worst_rate(matrices: Array, first: Numbers) -> tuple[float, Numbers]:
         if len(more) > _SOME:
             more = rng.choice(more, size=_SOME, replace=False)
         known, values = np.concatenate([known, more]), np.concatenate([values, _eigenvalues(matrices, more)])
+
+
+def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Array, Array]:
+    """Return T (Aᵀ P + P A) Tᵀ and T P W P Tᵀ (k, n, n) of the vertices with the numbers (k,), where T P Tᵀ = I."""
+    A, factor, spread = at.select(chosen)
+    change = np.linalg.inv(np.linalg.cholesky(P))
+    half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
+    half = half + half.swapaxes(-1, -2)
+    if len(P) > 4:
+        half = half + (spread * P[4, 4])[:, None, None] * (change[:, 2:4] @ change[:, 2:4].T)
+    return half, side @ side.swapaxes(-1, -2)
 
 
 def best_growth(P: Array, at: Vertices, rate: float, low: float, guess: float) -> tuple[float, float]:
@@ -102,10 +115,8 @@ def best_growth(P: Array, at: Vertices, rate: float, low: float, guess: float) -
             best = (growth, value)
         elif np.isfinite(best[1]):
             break
-        A, Q = at.select(known[:60])
-        change = np.linalg.inv(np.linalg.cholesky(P))
-        half, side = (change @ P) @ A @ change.T, change @ P[:, 2:]
-        half, effect = half + half.swapaxes(-1, -2), side @ Q @ side.T / low
+        half, effect = transformed(P, at, known[:60])
+        effect = effect / low
         grid = np.unique(np.clip(growth * np.geomspace(0.4, 2.5, 25), _LEAST_GROWTH, _LARGEST_GROWTH))
         rates = np.linalg.eigvalsh(half + effect / grid[:, None, None, None])[..., -1].max(axis=1) + grid
         growth = float(grid[int(np.argmin(rates))])
@@ -118,7 +129,7 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
     Args:
         claim: the claim.
         cruise: its steady cruise.
-        P: shape of V; its region may be enlarged, but not reduced.
+        P: shape of V; its region may be enlarged or reduced.
         guess: growth of the outermost shell to start from [1/s].
     """
     covariance = np.asarray(np.linalg.inv(P), dtype=np.float64)
@@ -130,9 +141,10 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
     def holds(high: float) -> bool:
         return shell(high * _RATIO, high, guess)[1] <= -_MARGIN
 
-    if not holds(1.0):
+    low = next((level for level in _LEVELS if holds(level)), None)
+    if low is None:
         return None
-    low, high = 1.0, _WIDEST
+    high = low * _WIDEST
     for _ in range(_STEPS):
         middle = np.sqrt(low * high)
         low, high = (middle, high) if holds(middle) else (low, middle)

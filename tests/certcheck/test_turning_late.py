@@ -1,0 +1,168 @@
+"""Turning cruises with thrust lag, held commands and a current: what the checker counts, and what it rejects."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from surctl.certcheck import check_document
+from surctl.certcheck.turning_cells import heading_cells, lateness, steady
+from surctl.certcheck.turning_claim import TurningClaim, read_claim
+from surctl.certcheck.turning_form import Form
+from surctl.certcheck.turning_late import lipschitz, stir
+from surctl.certcheck.turning_law import commanded, draw_motions, draw_vehicles, true_rate
+from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
+from tests.certcheck.altering import sealed
+
+HERE, STEP = Path(__file__).parent, 1e-6
+
+
+def document() -> dict[str, Any]:
+    """The certificate with its two outermost shells and few cells, which is checked in a fraction of the time."""
+    whole = json.loads((HERE / "region-turning-20-lag.json").read_text())
+    shells, proof = whole["proof"]["shells"], whole["proof"]
+    whole["claim"]["motion"]["ultimate_bound_m"] = [0.2, 0.4]
+    proof |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 24}
+    return sealed(whole)
+
+
+def read(whole: dict[str, Any]) -> tuple[TurningClaim, Any, Form]:
+    claim, proof = read_claim(whole["claim"]), whole["proof"]
+    p = [[Fraction(repr(float(proof["P"][max(i, j)][min(i, j)]))) for j in range(4)] for i in range(4)]
+    slopes = [Fraction(repr(n)) for n in proof["trim"]]
+    form = Form(p, Fraction(repr(proof["thrust"]["weight"])), claim.k_v)
+    return claim, steady(claim, (slopes[0], slopes[1])), form
+
+
+STRONGER: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "lag": lambda d: d["claim"]["vehicle"].update(lag_s=[0.1, 0.3]),
+    "range of the lag": lambda d: d["claim"]["vehicle"].update(lag_s=[0.2, 0.1]),
+    "lag from 0": lambda d: d["claim"]["vehicle"].update(lag_s=[0.0, 0.1]),
+    "no lag": lambda d: d["claim"]["vehicle"].update(lag_s=[0.0, 0.0]),
+    "current": lambda d: d["claim"]["vehicle"].update(current_m_per_s=0.05),
+    "held commands": lambda d: d["claim"]["law"].update(period_s=0.1),
+    "long period": lambda d: d["claim"]["law"].update(period_s=200.0),
+    "yaw rate": lambda d: d["claim"]["vehicle"].update(yaw_rate_rad_per_s=1.0),
+    "saturated thrust": lambda d: d["claim"]["vehicle"].update(thrust_n=[9.0, 9.0]),
+    "curve": lambda d: d["claim"]["motion"].update(curvature_per_m=0.01),
+    "m12": lambda d: d["claim"]["vehicle"].update(terms={"m12": 0.1}),
+    "small weight": lambda d: d["proof"]["thrust"].update(weight=d["proof"]["thrust"]["weight"] / 20),
+    "large weight": lambda d: d["proof"]["thrust"].update(weight=d["proof"]["thrust"]["weight"] * 20),
+    "small split": lambda d: d["proof"]["thrust"].update(split=0.01),
+    "large split": lambda d: d["proof"]["thrust"].update(split=20.0),
+    "no weight": lambda d: d["proof"]["thrust"].update(weight=0.0),
+    "no thrust": lambda d: d["proof"].pop("thrust"),
+    "NaN": lambda d: d["proof"]["thrust"].update(weight=float("nan")),
+}  # fmt: skip
+
+
+def test_a_certificate_with_thrust_lag_is_accepted_and_what_asks_for_more_is_rejected() -> None:
+    found = check_document(document())
+    assert found.accepted, found.reason
+    for kind, change in STRONGER.items():
+        changed = document()
+        change(changed)
+        assert not check_document(sealed(changed) if kind != "NaN" else changed).accepted, kind
+
+
+def samples(claim: TurningClaim, trim: Any, form: Form, count: int = 6_000) -> dict[str, Any]:
+    """Random points of V ≤ 1, most of them at the boundary, and the rates of the true loop there."""
+    rng = np.random.default_rng(2)
+    xi = rng.normal(size=(count, 6)) @ np.linalg.inv(np.linalg.cholesky(form.p))
+    level = np.where(rng.uniform(size=count) < 0.6, 1.0, rng.uniform(0.1, 1, size=count))
+    xi *= np.sqrt(level / np.einsum("ni,ij,nj->n", xi, form.p, xi))[:, None]
+    boat, psi = draw_vehicles(claim, count, rng), rng.uniform(0, np.pi / 2, size=count)
+    means = [boat[name].mean(axis=1) - 1 for name in ("linear", "quadratic")]
+    omega = sum(float(s) * mean for s, mean in zip(trim.slopes, means, strict=True))
+    zero = np.zeros(count)
+    state = xi[:, :4] + np.stack([-omega / float(claim.k1), zero, zero + float(claim.cruise), zero], 1)
+    r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=count)
+    masses = np.array([float(m) for m in claim.mass])
+    error = xi[:, 4:] * masses
+    rate = true_rate(claim, boat, state, psi, r, draw_motions(claim, count, rng), error=error)
+    moving = commanded(claim, state + STEP * rate, psi + STEP * r) - commanded(claim, state, psi)
+    return {"xi": xi, "psi": psi, "r": r, "state": state, "rate": rate, "omega": omega, "level": level,
+            "moving": moving / STEP / masses}  # fmt: skip
+
+
+def test_the_equation_of_the_thrust_behind_its_command_holds_within_its_bounds() -> None:
+    claim, trim, form = read(document())
+    one, count = samples(claim, trim, form), 24
+    cells, k_v, v = heading_cells(claim, trim, count), float(claim.k_v), float(claim.cruise)
+    c, s = np.cos(one["psi"]), np.sin(one["psi"])
+    axes = np.stack([np.stack([c, s], 1), np.stack([-s, c], 1)], 1)  # n_i (n, 2, 2)
+    x_e, y_e = one["state"][:, :2].T
+    ahead = np.minimum(v - float(claim.k1) * x_e, float(claim.cap) / np.hypot(1, y_e / float(claim.lookahead)))
+    wanted = np.stack([ahead - v - one["omega"], -ahead * y_e / float(claim.lookahead)], 1)  # δW
+    swung = one["r"][:, None] * k_v * (one["xi"][:, 2:4] - wanted) @ np.array([[0.0, -1.0], [1.0, 0.0]])  # r J (…)
+    left = -one["moving"] - np.einsum("nij,nj->ni", axes, k_v * one["rate"][:, 2:] + swung)
+    fast, beside = float(trim.command[1]), np.abs(y_e).max()
+    limit = lipschitz(claim, (v - float(claim.k1) * x_e).max(), beside)
+    speed = np.linalg.norm(one["xi"][:, 2:4], axis=1)
+    led = np.abs(np.einsum("nij,nj->ni", axes, wanted))
+    worst = float(max(map(abs, trim.omega)))
+    ratio = []
+    for k in range(0, len(left), 10):
+        share = cells.share[int(one["psi"][k] / (np.pi / 2) * count), :, 1]
+        at = stir(claim, worst, fast, limit, share, led[k])
+        bound = (k_v + at.slope) * limit * speed[k] + at.turned
+        assert np.all(np.abs(left[k]) <= bound + 1e-6) and at.spread >= (k_v + at.slope.max()) * limit
+        ratio.append(np.abs(left[k]) / bound)
+    assert np.max(ratio) > 0.6
+
+
+def test_the_change_of_a_held_command_is_bounded_by_what_sampling_finds() -> None:
+    claim, trim, form = read(document())
+    claim = replace(claim, period=Fraction(1, 20))
+    one, nothing = samples(claim, trim, form), (Fraction(0), Fraction(0))
+    late = lateness(claim, trim, heading_cells(claim, trim, 24), form, nothing)
+    bound = late.growing * np.sqrt(one["level"])[:, None] + late.fixed
+    ratio = float(claim.period) * np.abs(one["moving"]) / bound
+    assert 0.3 < ratio.max() < 1
+    assert np.all(late.at(0.25) >= late.growing / 2 + late.fixed)
+
+
+def test_the_drag_that_a_current_adds_is_bounded_to_the_last_digits() -> None:
+    claim, trim, _ = read(document())
+    claim = replace(claim, current=Fraction(1, 20))
+    cells, v, c = heading_cells(claim, trim, 12), float(claim.cruise), 0.05
+    for i in (0, 1):
+        speed = v * cells.share[:, i, 1]
+        linear, square = 1.2 * float(claim.linear[i]), 1.2 * float(claim.quadratic[i])
+        change = linear * c + square * ((speed + c) ** 2 - speed**2)
+        assert np.all(change <= cells.drift[:, i]) and np.all(cells.drift[:, i] <= change * (1 + 1e-7) + 1e-12)
+    assert not heading_cells(replace(claim, current=Fraction(0)), trim, 12).drift.any()
+
+
+def test_in_a_current_the_checkers_vehicle_is_that_of_the_toolkit() -> None:
+    whole, vehicle, rng = document(), load_vehicle("bluerov2-heavy"), np.random.default_rng(3)
+    claim, n = read_claim(whole["claim"]), 5
+    boat = {key: np.ones((n, 2)) for key in ("mass", "linear", "quadratic")}
+    boat |= {"term_mass": np.ones(n), "term": np.ones(n)}
+    psi, r, flow = rng.uniform(-3, 3, n), rng.uniform(-0.5, 0.5, n), rng.uniform(-0.2, 0.2, (n, 2))
+    state, error = rng.uniform(-0.3, 0.3, (n, 4)), rng.uniform(-2, 2, (n, 2))
+    found = true_rate(claim, boat, state, psi, r, flow=flow, error=error)[:, 2:]
+    thrust, plant = commanded(claim, state, psi) + error, build_plant(vehicle.form)
+    for k in range(n):
+        c, s = np.cos(psi[k]), np.sin(psi[k])
+        turn = np.array([[c, -s], [s, c]])
+        nu = turn.T @ state[k, 2:]
+        tau = [*thrust[k], 0, 0]
+        x = PLANT_STATE.pack({"eta": [0, 0, 0, psi[k]], "nu": [*nu, 0, r[k]], "tau": tau})
+        water = PLANT_DISTURBANCE.pack({"current": [*flow[k], 0.0]})
+        rate = np.asarray(plant.ode(x, tau, water, plant_parameters(vehicle)))[4:6, 0]
+        assert np.allclose(found[k], turn @ (rate + r[k] * np.array([-nu[1], nu[0]])), atol=1e-9)
+
+
+@pytest.mark.parametrize("key", ["current_m_per_s", "lag_s"])
+def test_a_claim_without_its_lag_or_current_is_refused(key: str) -> None:
+    whole = document()
+    del whole["claim"]["vehicle"][key]
+    assert key in check_document(sealed(whole)).reason
