@@ -238,6 +238,7 @@ class _Comparison:
         if law is None:
             self.excludes.append(_RULE)
             return
+        self._at_most("speed wanted", law["cap_m_per_s"], "m/s", cap)
         for name, key in _GUARDED:
             self._gain(name, law[key])
         self._believed(law)

@@ -15,12 +15,13 @@ certificate, in exact rational arithmetic, with every number rounded to the safe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw, read_claim
 from surctl.certcheck.braking_distance import (
+    HALF_ROOT2,
     ROOT2,
     ROOT27,
     BrakingDistance,
@@ -28,6 +29,7 @@ from surctl.certcheck.braking_distance import (
     drag,
     forces,
     largest_disturbance,
+    push,
     read_distance,
     rounded,
 )
@@ -37,7 +39,8 @@ from surctl.certcheck.patience import go_on
 __all__ = ["check"]
 
 _FIGURE = 10**4  # distances of the table are rounded up to 0.1 mm
-_FIRST, _FINEST = Fraction(1, 100), Fraction(1, 10**6)  # [m/s] first and least width of a cell in the bound b
+_PARTS, _BISECTIONS = 4, 14
+_FIRST, _FINEST = Fraction(1, 100), Fraction(1, 2000)  # [m/s] first and least width of a cell in the bound b
 
 
 def check(document: Mapping[str, Any]) -> None:
@@ -63,11 +66,15 @@ def check(document: Mapping[str, Any]) -> None:
 
 def _check_steady(claim: BrakingClaim) -> None:
     """Check that the period is short enough for the needed range to rise with the speed at the start of the period."""
+    if claim.period * _steepest(claim) > claim.mass[0]:
+        raise Rejected("the control period is too long for the mass and drag of the vehicle")
+
+
+def _steepest(claim: BrakingClaim) -> Fraction:
+    """Return by how much drag and Coriolis force towards the obstacle can rise with a speed astern [N s/m]."""
     fastest = claim.fastest + claim.speed_error + claim.current
     steepest = claim.linear[1] + 2 * claim.quadratic[1] * (fastest + claim.sideways)
-    steepest = claim.ratio * steepest + claim.turn * claim.mass[1] * (claim.ratio**2 - 1)
-    if claim.period * steepest > claim.mass[0]:
-        raise Rejected("the control period is too long for the mass and drag of the vehicle")
+    return claim.ratio * steepest + claim.turn * claim.mass[1] * (claim.ratio**2 - 1)
 
 
 def _check_limit(claim: BrakingClaim) -> None:
@@ -91,11 +98,78 @@ def needed(
     While the vehicle moves backward faster than the obstacle approaches, drag accelerates the vehicle towards the
     obstacle. The returned range takes this increase of speed into account.
     """
-    closing, period = high + claim.speed_error + at.obstacle, claim.period
-    astern = max(at.through, claim.current + claim.speed_error - low)
-    gain = (claim.most + largest_disturbance(claim, astern) + drag(claim, astern)) / claim.mass[0]
-    travelled = max(closing * period + gain * period**2 / 2, Fraction(0))
-    return _stale(claim, at, since) + travelled + distance.worst(claim, at, closing + gain * period, at.swing)
+    closing, gain = high + claim.speed_error + at.obstacle, _gain(claim, at, low, push(claim))
+    later = min(closing + gain * claim.period, claim.fastest + at.obstacle)
+    after = distance.worst(claim, at, later, at.swing)
+    return _stale(claim, at, since) + _travelled(claim, closing, gain) + after
+
+
+def _gain(claim: BrakingClaim, at: Forces, low: Fraction, thrust: Fraction) -> Fraction:
+    """Return the largest acceleration towards the obstacle [m/s²] at a thrust and a measured speed ≥ `low`."""
+    astern = max(at.through, claim.current + min(claim.speed_error - low, claim.fastest))
+    return (thrust + largest_disturbance(claim, astern) + drag(claim, astern)) / claim.mass[0]
+
+
+def _travelled(claim: BrakingClaim, closing: Fraction, gain: Fraction) -> Fraction:
+    return max(closing * claim.period + gain * claim.period**2 / 2, Fraction(0))
+
+
+def _ways(
+    claim: BrakingClaim,
+    law: GuardedLaw,
+    at: Forces,
+    distance: BrakingDistance,
+    bounds: tuple[Fraction, Fraction],
+    *,
+    short: bool,
+) -> Iterator[Fraction]:
+    """Yield ranges [m] each of which suffices for a period without braking while the bound is in `bounds`, dearer last.
+
+    `short` is whether the period is short enough for the range that follows from the loop's own thrust.
+    """
+    low, high = bounds
+    first = tuple(_first_excess(claim, law, bound) for bound in bounds)
+    yield needed(claim, at, distance, low + first[0], min(high + first[1], claim.fastest), claim.fastest)
+    slow, fast = (_excess(claim, law, bound) for bound in bounds)
+    if high + fast < -claim.fastest:  # the vehicle is never slower, so the law brakes at such a bound
+        yield Fraction(0)
+    yield needed(claim, at, distance, low + slow, min(high + fast, claim.fastest), claim.fastest)
+    if short:
+        yield _needed_by_loop(claim, law, at, distance, bounds, fast)
+
+
+def _needed_by_loop(
+    claim: BrakingClaim,
+    law: GuardedLaw,
+    at: Forces,
+    distance: BrakingDistance,
+    bounds: tuple[Fraction, Fraction],
+    spread: Fraction,
+) -> Fraction:
+    """Return a range [m] that suffices for one period in which the law does not brake, its bound being within `bounds`.
+
+    `spread` is x at the higher bound.
+
+    Without braking, z rises by what the loop commands: m ż ≤ u + f + D, and by the thrust across if the hull turns; if
+    the masses differ, a thrust F between −F_b and 0 counts as F/ρ to v̇, but whole to Ḟ. At a speed v > b the loop
+    commands less and less, at v < b at most k_v m (b − v) more, so that z rises with v there, if the period is short
+    enough. So the speeds from b to b + x suffice; they are divided into parts.
+    """
+    (low, high), most = bounds, Fraction(0)
+    aside = claim.ratio * claim.turn * claim.lag * claim.side + claim.brake * (1 - 1 / claim.ratio)
+    for part in range(_PARTS):
+        slow, fast = (spread * k / _PARTS for k in (part, part + 1))
+        speed = min(high + fast, claim.fastest)
+        slowest = max(low + slow, -claim.fastest)
+        if high + fast < -claim.fastest:
+            continue
+        thrust = max(_forward(claim, law, high - law.gain * slow) - min(law.mass) * law.k_v * (1 + law.gain) * slow,
+                     -claim.brake) + aside  # fmt: skip
+        rise = max(_gain(claim, at, slowest, thrust) * claim.period, Fraction(0))
+        closing = speed + claim.speed_error + at.obstacle
+        after = distance.worst(claim, at, closing, at.swing + rise * claim.mass[0])
+        most = max(most, _travelled(claim, closing, _gain(claim, at, slowest, push(claim))) + after)
+    return _stale(claim, at, claim.fastest) + most
 
 
 def _stale(claim: BrakingClaim, at: Forces, since: Fraction) -> Fraction:
@@ -135,14 +209,17 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
     top = claim.fastest  # the vehicle is never faster, so it never exceeds a higher bound
     start = _no_clearance(law, at, claim)
     cells, least = [(start, start + _FIRST)], _stale(claim, at, claim.fastest)
+    short = claim.period * (_steepest(claim) + max(law.mass) * law.k_v) <= claim.mass[0]
     while cells:
         go_on()
         low, high = cells.pop()
         held = max(law.margin + _bound_distance(law, at, claim.period, low), least)  # the clearance is never negative
-        fast = min(high + _excess(claim, law, high), claim.fastest)
-        enough = needed(claim, at, distance, low + _excess(claim, law, low), fast, claim.fastest)
-        if held < enough:
+        enough = next(
+            (enough for enough in _ways(claim, law, at, distance, (low, high), short=short) if enough <= held), None
+        )
+        if enough is None:
             if high - low < _FINEST:
+                enough = min(_ways(claim, law, at, distance, (low, high), short=short))
                 raise Rejected(
                     f"the law's margin is too small: at a speed bound of {float(low):.4f} m/s towards an obstacle of "
                     f"{float(at.obstacle):g} m/s it keeps {float(held):.4f} m, but {float(enough):.4f} m are needed"
@@ -154,23 +231,42 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
             cells.append((high, high + _FIRST))
 
 
-def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
+def _first_excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
     """Return x [m/s]: if the speed exceeds the bound b by x, the velocity loop commands the braking force F_b.
 
-    At the speed v, the loop commands the force drag(v_d) + m k_v (v_d − v) for a desired speed v_d ≤ b − gain x. The
-    law's drag model computes the drag of each axis separately and includes the sideways speed. If the masses of the
-    law's model differ, an error of up to 2 w across adds a force along.
+    At the speed v, the loop commands the force drag(v_d) + m k_v (v_d − v) for a desired speed v_d ≤ b − gain x. This x
+    suffices even with the drag at v_d = b.
     """
-    v, w = max(bound, Fraction(0)), claim.sideways
+    loop = min(law.mass) * law.k_v * (1 + law.gain)
+    return rounded(max((claim.brake + _forward(claim, law, bound)) / loop, Fraction(0)))
+
+
+def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
+    """Return a smaller x with the drag at v_d = b − gain x, which falls with x; so bisection finds it."""
+    loop, low, high = min(law.mass) * law.k_v * (1 + law.gain), Fraction(0), _first_excess(claim, law, bound)
+    for _ in range(_BISECTIONS):
+        middle = rounded((low + high) / 2)
+        if claim.brake + _forward(claim, law, bound - law.gain * middle) <= loop * middle:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+def _forward(claim: BrakingClaim, law: GuardedLaw, wanted: Fraction) -> Fraction:
+    """Return the largest force along n [N] of the loop's drag model at a desired speed along n, and of errors across n.
+
+    The law's drag model computes the drag of each axis separately and includes the sideways speed; at a speed astern it
+    brakes. If the masses of the law's model differ, an error of up to 2 w across adds a force along.
+    """
+    v, a, w = max(wanted, Fraction(0)), max(-wanted, Fraction(0)), claim.sideways
     (low, high), (low2, high2), (light, heavy) = (sorted(pair) for pair in (law.linear, law.quadratic, law.mass))
-    if low == high and low2 == high2:
-        square = v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2
-        forward = high * v + high2 * square
+    aside = (high - low) * w / 2 + (2 * high2 - low2) * w**2 * ROOT27
+    if low == high and low2 == high2 and not a:
+        forward = high * v + high2 * (v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2)
     else:
-        forward = high * v + (high - low) * w / 2 + high2 * v**2 + ROOT2[1] * high2 * v * w
-        forward += (2 * high2 - low2) * w**2 * ROOT27
-    forward += (heavy - light) * law.k_v * w
-    return rounded((claim.brake + forward) / (light * law.k_v * (1 + law.gain)))
+        forward = high * v + high2 * v**2 + ROOT2[1] * high2 * v * w + aside - low * a - HALF_ROOT2 * low2 * a**2
+    return forward + (heavy - light) * law.k_v * w
 
 
 def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
@@ -201,5 +297,5 @@ def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
     for _ in range(10_000):
         if law.margin + _bound_distance(law, at, claim.period, bound) <= -claim.range_error:
             return bound
-        bound -= _FINEST * 1000
+        bound -= Fraction(1, 1000)
     raise Rejected("the law's speed bound stays too high where the clearance is 0")

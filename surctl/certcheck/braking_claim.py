@@ -22,8 +22,10 @@ ASSUMES = (
     "at the last decision without braking; no thrust across that direction is commanded, or at most side_n if "
     "mass_ratio is above 1; and the hull turns no faster than stated",
     "range and own speed are measured with no more than the stated age and errors; a decision holds for one period",
-    "own speed is at most fastest_m_per_s; across the latched direction, the true and the commanded speed are at most "
-    "sideways_m_per_s",
+    "own speed is at most fastest_m_per_s, ahead and astern, while the vehicle brakes too; across the latched "
+    "direction, the true and the commanded speed are at most sideways_m_per_s",
+    "law: the speed that it wants is at most cap_m_per_s; thrust that its velocity loop commanded against an obstacle "
+    "does not act towards the obstacle within the lag, because its direction and the hull turn too little for that",
     "law: its input gives the stated approach speed of the obstacles; its velocity bounds are consistent; no thruster "
     "saturates, so that no axis is scaled in favour of another; its retreat speed is not limited (it is limited before "
     "marks of the sonar map)",
@@ -33,13 +35,15 @@ ASSUMES = (
 
 LEMMAS = (
     "distance: G' >= z/(F_b - f + D(z - v_o)) and G' rises; so clearance - m G(z) does not fall while the vehicle "
-    "brakes",
+    "brakes; beyond the largest closing speed, G' may stay as it is",
     "retreat: the same holds while the vehicle retreats faster than the obstacle approaches; or G is then that at the "
     "closing speed 0, while the clearance grows and the lagging thrust falls",
     "mass: m G(s + q/m) is convex in m, so that one end of the mass range is the worst case; for unequal masses, m is "
     "the lighter one and the distance is mass_ratio times as large",
-    "period: with any thrust during one period, the range needed is enough for the period and the braking distance "
-    "after it",
+    "push: thrust towards the obstacle is at most most_n, and that of a velocity loop at most k_v m (cap + fastest) + "
+    "drag(cap) of the law's model, in any direction; the lag averages commands, so it never delivers more",
+    "period: with any such thrust during one period, or with the one that the loop commands at the speed that it has, "
+    "the range needed is enough for the period and the braking distance after it",
     "law: wherever the law does not brake with brake_n, the clearance is at least the range needed",
     "plane: the distance to a convex body is convex in the position, so that it is enough to consider the latched "
     "direction",
@@ -63,6 +67,7 @@ class GuardedLaw:
             braking.
         k_v, gain: k_v is the bandwidth of the velocity loop [1/s]; the law subtracts gain times the excess of the speed
             over the bound from the commanded velocity.
+        cap: largest speed that the law wants [m/s].
         mass, linear, quadratic: mass, and linear and quadratic drag, of (surge, sway) in the law's model.
         stopping: parameters of the speed bound `inertia`: least mass, largest mass, largest thrust, lag, linear drag,
             quadratic drag.
@@ -75,6 +80,7 @@ class GuardedLaw:
     limit: Fraction
     k_v: Fraction
     gain: Fraction
+    cap: Fraction
     mass: Pair
     linear: Pair
     quadratic: Pair
@@ -215,8 +221,8 @@ def read_claim(claim: Any) -> BrakingClaim:
 def _law(value: Any) -> GuardedLaw:
     law = record(
         value,
-        ("barrier", "margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "k_i_per_s2", "gain", "mass_kg",
-         "linear_drag", "quadratic_drag", "stopping"),
+        ("barrier", "margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "k_i_per_s2", "gain",
+         "cap_m_per_s", "mass_kg", "linear_drag", "quadratic_drag", "stopping"),
         "claim.law",
     )  # fmt: skip
     if number(law["k_i_per_s2"], "claim.law.k_i_per_s2"):
@@ -246,6 +252,7 @@ def _law(value: Any) -> GuardedLaw:
         positive("limit_n"),
         positive("k_v_per_s"),
         number(law["gain"], "claim.law.gain"),
+        positive("cap_m_per_s"),
         axes("mass_kg", above=True),
         axes("linear_drag"),
         axes("quadratic_drag"),

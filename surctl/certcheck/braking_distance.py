@@ -2,7 +2,8 @@
 
 Here m is the mass, z = s + q/m, s = v + v_o is the closing speed of a vehicle with speed v and an obstacle with speed
 v_o, and q is the impulse towards the obstacle that the thrust still delivers because of its lag and of the hull's
-rotation. G(0) = 0, and G' is piecewise linear with the value g_j at the knot z_j (0 = z_0 < z_1 < …). At own speed v =
+rotation. G(0) = 0, and G' is piecewise linear with the value g_j at the knot z_j (0 = z_0 < z_1 < …). Because s never
+exceeds the largest closing speed, G' may stay constant from there. At own speed v =
 z − v_o, the braking force is F_b − f + D(v − c), where F_b is the guaranteed thrust, f the largest disturbance, c the
 speed of the current, and D the least drag for motion ahead and the largest drag for motion astern. Between two knots,
 the inequality says that a cubic polynomial in z is not negative. This holds if no Bernstein coefficient of the
@@ -20,7 +21,7 @@ from typing import Any
 from surctl.certcheck.braking_claim import BrakingClaim
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.region_claim import number
-from surctl.certcheck.region_exact import root_down
+from surctl.certcheck.region_exact import root_down, root_up
 
 __all__ = ["BrakingDistance", "drag", "forces", "read_distance", "rounded"]
 
@@ -64,13 +65,32 @@ def coupling(claim: BrakingClaim) -> Fraction:
     return (claim.ratio - 1) / (2 * root_down(claim.ratio)) if claim.ratio > 1 else Fraction(0)
 
 
-def _turning(claim: BrakingClaim, through: Fraction) -> Fraction:
+def _turning(claim: BrakingClaim, through: Fraction, w: Fraction) -> Fraction:
     """Return the largest Coriolis force of unequal masses along n [N], for a hull that turns at r.
 
     Along n at v and across n at w, it is r m (ρ − 1)((ρ + 1) c s v + (ρ c² − s²) w)/N.
     """
     fast = max(through, claim.fastest) * (claim.ratio + 1) / (2 * root_down(claim.ratio))
-    return claim.turn * claim.mass[1] * (claim.ratio - 1) * (fast + claim.sideways)
+    return claim.turn * claim.mass[1] * (claim.ratio - 1) * (fast + w)
+
+
+def push(claim: BrakingClaim) -> Fraction:
+    """Return F⁺, the largest thrust towards the obstacle [N]: most_n, or less if the law's velocity loop commands less.
+
+    The loop commands M k_v (v_d − v) + D(v_d). While it does not brake, |v_d| ≤ cap and |v| ≤ fastest. While it begins
+    to brake, v_d tends to the vector s that has the true speed across and no larger speed along the direction of the
+    obstacle, where M k_v (s − v) does not push; and D is convex in |v_d|.
+    """
+    law = claim.law
+    if law is None:
+        return claim.most
+
+    def fed(square: Fraction) -> Fraction:
+        return max(law.linear) * root_up(square) + max(law.quadratic) * square
+
+    error = law.cap + claim.fastest + claim.speed_error
+    ahead = max(law.mass) * law.k_v * error + max(law.linear) * law.cap + max(law.quadratic) * law.cap**2
+    return min(claim.most, rounded(max(ahead, fed(law.cap**2 + claim.sideways**2))))
 
 
 @dataclass(frozen=True)
@@ -90,23 +110,26 @@ class Forces:
     swing: Fraction
 
 
-def largest_disturbance(claim: BrakingClaim, through: Fraction) -> Fraction:
+def largest_disturbance(claim: BrakingClaim, through: Fraction, slowest: Fraction = Fraction(0)) -> Fraction:
     """Return the largest disturbance f [N] for a vehicle that moves astern through the water at up to `through` [m/s].
+
+    `slowest` is a lower bound of its own speed astern [m/s]; what it leaves of the largest speed may be sideways.
 
     f includes the drag that a sideways speed causes in addition to D(through), and the braking force that is lost
     because the hull turns. If the masses differ, f also includes the thrust and the drag across n and the Coriolis
     force.
     """
-    w, ((low, high), (low2, high2)) = claim.sideways, drag_ranges(claim)
+    (low, high), (low2, high2) = drag_ranges(claim)
+    w = min(claim.sideways, root_up(max(claim.fastest**2 - slowest**2, Fraction(0))))
     if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w and X2 w²/2
         side = high2 * min(through * w, w**2 / 2)
         side += coupling(claim) * w * (high + high2 * (max(through, claim.fastest) + w))
     else:
         side = (high - low) * w / 2 + ROOT2[1] * high2 * through * w + (2 * high2 - low2) * w**2 * ROOT27
     turned = claim.turn * claim.lag
-    lost = claim.ratio * turned**2 * max(claim.most, claim.brake)
+    lost = claim.ratio * turned**2 * max(push(claim), claim.brake)
     if claim.ratio > 1:
-        lost += (coupling(claim) + claim.ratio * turned) * claim.side + _turning(claim, through)
+        lost += (coupling(claim) + claim.ratio * turned) * claim.side + _turning(claim, through, w)
     return claim.disturbance + side + lost
 
 
@@ -122,7 +145,7 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
     disturbance = largest_disturbance(claim, through)
     if claim.brake - disturbance - drag(claim, through) <= 0:
         raise Rejected(f"braking guarantees nothing for an obstacle that approaches at {float(obstacle):g} m/s")
-    swing = claim.lag * (claim.most + claim.brake) + claim.turn * claim.lag**2 * claim.side
+    swing = claim.lag * (push(claim) + claim.brake) + claim.turn * claim.lag**2 * claim.side
     return Forces(obstacle, through, disturbance, swing)
 
 
@@ -130,27 +153,33 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
 class BrakingDistance:
     """The function G of the braking distance m G(z): its knots z_j, and its slopes g_j and values at these knots.
 
-    `retreats` is whether the distance may be evaluated at closing speeds below 0; if not, it is that at 0.
+    `retreats` is whether the distance may be evaluated at closing speeds below 0; if not, it is that at 0. `straight`
+    is whether the table reaches the largest closing speed; then G continues with its last slope.
     """
 
     knots: tuple[Fraction, ...]
     slopes: tuple[Fraction, ...]
     values: tuple[Fraction, ...]
+    straight: bool
     retreats: bool = True
 
     def __call__(self, z: Fraction) -> Fraction:
-        """Return an upper bound on G(max(z, 0)); raise Rejected for z beyond the table."""
+        """Return an upper bound on G(max(z, 0)); raise Rejected for z beyond a table that may not be continued."""
         if z <= 0:
             return Fraction(0)
+        if self.straight and z > self.knots[-1]:
+            return self.values[-1] + self.slopes[-1] * (z - self.knots[-1])
         k = self._cell(z)
         t, width = z - self.knots[k], self.knots[k + 1] - self.knots[k]
         rise = (self.slopes[k + 1] - self.slopes[k]) / width
         return self.values[k] + self.slopes[k] * t + rise * t * t / 2
 
     def slope(self, z: Fraction) -> Fraction:
-        """Return the slope G'(max(z, 0)); raise Rejected for z beyond the table."""
+        """Return the slope G'(max(z, 0)); raise Rejected for z beyond a table that may not be continued."""
         if z <= 0:
             return self.slopes[0]
+        if self.straight and z > self.knots[-1]:
+            return self.slopes[-1]
         k = self._cell(z)
         share = (z - self.knots[k]) / (self.knots[k + 1] - self.knots[k])
         return self.slopes[k] + share * (self.slopes[k + 1] - self.slopes[k])
@@ -185,7 +214,7 @@ def read_distance(claim: BrakingClaim, at: Forces, table: Any) -> BrakingDistanc
     for k in range(len(knots) - 1):
         _check_cell(claim, at, knots[k : k + 2], slopes[k : k + 2])
         values.append(rounded(values[-1] + (knots[k + 1] - knots[k]) * (slopes[k] + slopes[k + 1]) / 2))
-    distance = BrakingDistance(knots, slopes, tuple(values))
+    distance = BrakingDistance(knots, slopes, tuple(values), knots[-1] >= claim.fastest + at.obstacle)
     return replace(distance, retreats=_retreats(claim, at, distance))
 
 
@@ -214,14 +243,18 @@ def _check_cell(claim: BrakingClaim, at: Forces, z: tuple[Fraction, ...], g: tup
 def _retreats(claim: BrakingClaim, at: Forces, distance: BrakingDistance) -> bool:
     """Return whether ρ G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for the least mass and all speeds r of retreat.
 
+    The vehicle is never faster than stated, so r ≤ q/m and v_o + r ≤ fastest, and its speed
+    across is what they leave of it.
+
     Raises:
         Rejected: this fails, and the hull turns; then lagging thrust across n becomes thrust along n.
     """
     most = at.swing / claim.mass[0]
+    widest = max(min(most, claim.fastest - at.obstacle), Fraction(0))
     for k in range(_CELLS):
-        slow, quick = most * k / _CELLS, most * (k + 1) / _CELLS
+        slow, quick = widest * k / _CELLS, widest * (k + 1) / _CELLS
         through = at.through + quick
-        over = drag(claim, through) + largest_disturbance(claim, through) - claim.brake
+        over = drag(claim, through) + largest_disturbance(claim, through, at.obstacle + slow) - claim.brake
         if over > 0 and claim.ratio * distance.slope(most - slow) * over > slow:
             if claim.turn:
                 raise Rejected("drag during a retreat costs more distance than the retreat gains")

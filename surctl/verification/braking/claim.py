@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil, hypot, sqrt
 from typing import Any, Literal
 
 from surctl.certcheck.braking_claim import ASSUMES, LEMMAS
@@ -16,6 +17,8 @@ __all__ = ["BrakingClaim", "LawNumbers", "law_numbers"]
 
 Pair = tuple[float, float]
 
+_ROOT = 3e-9  # by which the checker's roots may exceed the true ones
+
 
 @dataclass(frozen=True)
 class LawNumbers:
@@ -25,6 +28,7 @@ class LawNumbers:
         barrier: name of the barrier.
         own: braking capability of the law's model, at the share of the thrust limit that the law relies on.
         margin, reaction, brake, k_v, k_i: the law's gains of these names, in m, s, 1, 1/s and 1/s².
+        cap: largest speed that the law wants [m/s].
         limit: smaller one of the thrust limits of surge and sway [N].
         mass, linear, quadratic: mass [kg], linear drag [N s/m] and quadratic drag [N s²/m²] of (surge, sway) in the
             law's model.
@@ -37,6 +41,7 @@ class LawNumbers:
     brake: float
     k_v: float
     k_i: float
+    cap: float
     limit: float
     mass: Pair
     linear: Pair
@@ -54,6 +59,7 @@ class LawNumbers:
             "k_v_per_s": self.k_v,
             "k_i_per_s2": self.k_i,
             "gain": BRAKE,
+            "cap_m_per_s": self.cap,
             "mass_kg": list(self.mass),
             "linear_drag": list(self.linear),
             "quadratic_drag": list(self.quadratic),
@@ -68,8 +74,8 @@ class LawNumbers:
         }
 
 
-def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
-    """Return the numbers that describe the guarded law with `vehicle` as the law's model.
+def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains, *, cap: float = 0.22) -> LawNumbers:
+    """Return the numbers that describe the guarded law with `vehicle` as the law's model and a speed cap [m/s].
 
     Raises:
         NotApplicable: integral action is on.
@@ -83,6 +89,7 @@ def law_numbers(barrier: Barrier, vehicle: Vehicle, gains: Gains) -> LawNumbers:
         gains["brake"],
         gains["k_v"],
         gains["k_i"],
+        cap,
         float(min(vehicle.thrust_limit[:2])),
         (vehicle["m11"], vehicle["m22"]),
         (vehicle["Xu"], vehicle["Yv"]),
@@ -125,6 +132,27 @@ class BrakingClaim:
     speeds: tuple[float, ...] = (0.10, 0.15, 0.22)
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
     ratio: float = 1.0
+
+    @property
+    def push(self) -> float:
+        """The largest thrust towards the obstacle [N]: that of the vehicle, or less if the law's loop commands less."""
+        if self.law is None:
+            return self.brakes.most
+        law, cap = self.law, self.law.cap
+        most = max(law.linear), max(law.quadratic)
+        error = cap + self.fastest + self.watch.speed_error
+        ahead = max(law.mass) * law.k_v * error + most[0] * cap + most[1] * cap**2
+        aside = most[0] * (hypot(cap, self.sideways) + _ROOT) + most[1] * (cap**2 + self.sideways**2)
+        return min(self.brakes.most, ceil(max(ahead, aside) * 1e9) / 1e9)
+
+    def braking_with(self, least: float) -> BrakingClaim:
+        """Return the claim with another guaranteed braking force [N]; less of it ends sooner after a decision to brake.
+
+        If the masses differ, the thrust across is what is left of the largest thrust.
+        """
+        most = self.brakes.most
+        side = self.side if self.ratio == 1 else ceil(sqrt(max(most**2 - least**2, 0.0)) * 1e9) / 1e9
+        return replace(self, brakes=replace(self.brakes, least=least), side=side)
 
     def document(self, table: dict[str, Any], limit: float) -> dict[str, Any]:
         """Return the claim as data of a certificate, with its table and the largest obstacle speed `limit` [m/s]."""

@@ -43,18 +43,19 @@ class Encounter:
 def encounter(claim: BrakingClaim, obstacle: float) -> Encounter:
     """Return the speeds and forces of the encounter with an obstacle that approaches at `obstacle` [m/s]."""
     b, through = claim.brakes, obstacle + claim.brakes.current
-    swing = b.lag * (b.most + b.least) + claim.turn * b.lag**2 * claim.side
+    swing = b.lag * (claim.push + b.least) + claim.turn * b.lag**2 * claim.side
     return Encounter(obstacle, through, _disturbance(claim, through), swing)
 
 
-def _disturbance(claim: BrakingClaim, through: float) -> float:
-    b, w, ratio, turned = claim.brakes, claim.sideways, claim.ratio, claim.turn * claim.brakes.lag
+def _disturbance(claim: BrakingClaim, through: float, slowest: float = 0.0) -> float:
+    b, ratio, turned = claim.brakes, claim.ratio, claim.turn * claim.brakes.lag
+    w = min(claim.sideways, sqrt(max(claim.fastest**2 - slowest**2, 0.0)) + 3e-9)  # the checker rounds its root up
     (low, high), (low2, high2) = _drag_ranges(claim)
     coupled, fast = (ratio - 1) / (2 * sqrt(ratio)), max(through, claim.fastest)
     side = high2 * min(through * w, w**2 / 2) + coupled * w * (high + high2 * (fast + w))
     if claim.drag == "axes":
         side = (high - low) * w / 2 + sqrt(2) * high2 * through * w + (2 * high2 - low2) * w**2 / (3 * sqrt(3))
-    lost = ratio * turned**2 * max(b.most, b.least)
+    lost = ratio * turned**2 * max(claim.push, b.least)
     if ratio > 1:
         coriolis = claim.turn * b.masses[1] * (ratio - 1) * (fast * (ratio + 1) / (2 * sqrt(ratio)) + w)
         lost += ((coupled + ratio * turned) * claim.side + coriolis) * (1 + 1e-8)
@@ -111,6 +112,8 @@ class DistanceTable:
         """Return G(max(z, 0)) [m/kg]."""
         if z <= 0:
             return 0.0
+        if z > self.knots[-1]:  # no closing speed is larger, so G continues with its last slope
+            return self.value(float(self.knots[-1])) + float(self.slopes[-1]) * (z - float(self.knots[-1]))
         k = int(np.searchsorted(self.knots, z, side="right")) - 1
         k = min(k, len(self.knots) - 2)
         widths = np.diff(self.knots)
@@ -127,8 +130,10 @@ def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
     """
     b, at = claim.brakes, encounter(claim, obstacle)
     fastest = claim.fastest + claim.watch.speed_error
-    gain = (b.most + at.disturbance + _largest_drag(claim, max(at.through, fastest))) / b.masses[0]
+    gain = (claim.push + at.disturbance + _largest_drag(claim, max(at.through, fastest))) / b.masses[0]
     top = fastest + obstacle + gain * claim.watch.period + at.swing / b.masses[0] + 0.01
+    if claim.ratio > 1:  # the lag then adds more than the largest closing speed, beyond which G is straight
+        top = min(top, claim.fastest + obstacle)
     knots = np.linspace(0.0, top, _CELLS + 1)
     if 0 < at.through < top:  # drag changes its sign at `through`
         knots = np.unique(np.append(knots[abs(knots - at.through) > top / (4 * _CELLS)], at.through))
@@ -146,9 +151,10 @@ def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
 def _retreats(claim: BrakingClaim, at: Encounter, knots: Vector, slopes: Vector) -> bool:
     """Return whether drag during a retreat costs less distance than the retreat gains, as in the checker."""
     most = at.swing / claim.brakes.masses[0]
-    speeds = most * np.arange(_RETREATS + 1) / _RETREATS
-    through = at.through + speeds[1:]
-    over = np.array([_largest_drag(claim, float(v)) + _disturbance(claim, float(v)) for v in through])
+    widest = max(min(most, claim.fastest - at.obstacle), 0.0)
+    speeds = widest * np.arange(_RETREATS + 1) / _RETREATS
+    pairs = zip(at.through + speeds[1:], at.obstacle + speeds[:-1], strict=True)
+    over = np.array([_largest_drag(claim, float(v)) + _disturbance(claim, float(v), float(own)) for v, own in pairs])
     over -= claim.brakes.least
     cost = claim.ratio * np.interp(most - speeds[:-1], knots, slopes) * over
     return not np.any((over > 0) & (cost > speeds[:-1]))
@@ -206,8 +212,10 @@ def figures_needed(claim: BrakingClaim, table: DistanceTable, speed: float, *, s
     range needed without the speed that the vehicle gains during a retreat. The speeds are in m/s.
     """
     b, at, w = claim.brakes, table.at, claim.watch
-    closing, astern = speed + w.speed_error + at.obstacle, max(at.through, b.current + w.speed_error - speed)
-    gain = (b.most + _disturbance(claim, astern) + _largest_drag(claim, astern)) / b.masses[0]
+    closing = speed + w.speed_error + at.obstacle
+    astern = max(at.through, b.current + min(w.speed_error - speed, claim.fastest))
+    gain = (claim.push + _disturbance(claim, astern) + _largest_drag(claim, astern)) / b.masses[0]
     travelled = max(closing * w.period + gain * w.period**2 / 2, 0.0)
     late = max(since + w.speed_error + at.obstacle, 0.0) * w.age
-    return w.range_error + late + travelled + table.worst(claim, closing + gain * w.period)
+    later = min(closing + gain * w.period, claim.fastest + at.obstacle)
+    return w.range_error + late + travelled + table.worst(claim, later)

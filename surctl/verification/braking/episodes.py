@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from surctl.guidance.braking import Watch, allowed_speed
 from surctl.verification.braking.claim import BrakingClaim, LawNumbers
-from surctl.verification.braking.distance import DistanceTable, distance_table, figures_needed
+from surctl.verification.braking.distance import DistanceTable, distance_table, encounter, figures_needed
 
 __all__ = ["Episodes", "Rule", "rule_of", "run_episodes"]
 
@@ -41,6 +41,7 @@ class Episodes:
         least: least clearance of all runs [m].
         near: share of the runs with a clearance below 0.1 m.
         braked: share of the runs in which the vehicle had to brake.
+        fastest: largest own speed of all runs along the direction of the obstacle [m/s].
     """
 
     runs: int
@@ -48,6 +49,7 @@ class Episodes:
     least: float
     near: float
     braked: float
+    fastest: float
 
 
 def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None = None) -> Rule:
@@ -71,20 +73,37 @@ def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None
 
 
 def _law_rule(claim: BrakingClaim, law: LawNumbers, obstacle: float) -> Rule:
-    ranges = np.linspace(-1.0, _RANGES, 20_001)
+    ranges = np.linspace(-1.0, _RANGES, 4001)
     bound = np.array([_bound(law, Watch(period=claim.watch.period), float(d) - law.margin, obstacle) for d in ranges])
-    loop = min(law.mass) * law.k_v * (1 + law.document()["gain"])
+    over = np.array([_over(claim, law, float(b)) for b in bound])
 
     def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
         del since
-        allowed = np.interp(read, ranges, bound)
-        forward, w = np.maximum(allowed, 0.0), claim.sideways
-        # drag feedforward acts on each axis, so a command perpendicular to the direction adds force along it
-        linear, quadratic = max(law.linear), max(law.quadratic)
-        drag = linear * forward + quadratic * (forward**2 + 0.385 * forward * w + 0.7072 * w**2)
-        return np.asarray(speed > allowed + (claim.brakes.least + drag) / loop)
+        return np.asarray(speed > np.interp(read, ranges, bound + over))
 
     return brakes
+
+
+def _over(claim: BrakingClaim, law: LawNumbers, bound: float) -> float:
+    """Return the excess over a bound [m/s] at which the velocity loop commands the guaranteed braking force."""
+    gain, w = law.document()["gain"], claim.sideways
+    (low, high), (low2, high2) = sorted(law.linear), sorted(law.quadratic)
+    loop, aside = min(law.mass) * law.k_v, (max(law.mass) - min(law.mass)) * law.k_v * w
+
+    def commanded(over: float) -> float:
+        wanted = bound - gain * over
+        if wanted < 0:  # the drag of the model then brakes; drag feedforward acts on each axis
+            feed = low * wanted - low2 * wanted**2 / np.sqrt(2) + (high - low) * w / 2
+            feed += (2 * high2 - low2) * w**2 / np.sqrt(27)
+        else:
+            feed = high * wanted + high2 * (wanted**2 + np.sqrt(2) * wanted * w + 0.7072 * w**2) + (high - low) * w / 2
+        return float(feed + aside - loop * (1 + gain) * over)
+
+    least, most = 0.0, (claim.brakes.least + max(commanded(0.0), 0.0)) / (loop * (1 + gain))
+    for _ in range(20):
+        middle = (least + most) / 2
+        least, most = (least, middle) if commanded(middle) <= -claim.brakes.least else (middle, most)
+    return most
 
 
 def _bound(law: LawNumbers, watch: Watch, distance: float, obstacle: float) -> float:
@@ -117,15 +136,15 @@ def run_episodes(
     world = _World(claim, obstacle, runs, np.random.default_rng(seed))
     decide = rule_of(claim, obstacle=obstacle) if rule is None else rule
     each = max(round(claim.watch.period / _STEP), 1)
-    least, braked = np.full(runs, np.inf), np.zeros(runs, dtype=bool)
+    least, braked, fastest = np.full(runs, np.inf), np.zeros(runs, dtype=bool), 0.0
     for k in range(round(seconds / _STEP)):
         least = np.minimum(least, world.look())
+        fastest = max(fastest, float(world.past[-1][1].max()))
         if k % each == 0:
             braked |= world.decide(decide)
         world.step()
-    return Episodes(
-        runs, int(np.sum(least < 0)), float(least.min()), float(np.mean(least < _NEAR)), float(braked.mean())
-    )
+    hits, near = int(np.sum(least < 0)), float(np.mean(least < _NEAR))
+    return Episodes(runs, hits, float(least.min()), near, float(braked.mean()), fastest)
 
 
 class _World:
@@ -156,6 +175,7 @@ class _World:
         self.past: list[tuple[Vector, Vector]] = []
         self.command, self.came = np.zeros(shape), np.zeros(shape)
         self.sign = np.ones((2, runs))
+        self.pushed = encounter(claim, obstacle).disturbance
         if claim.ratio > 1:
             heavier = self.mass * np.where(worst, claim.ratio, rng.uniform(1.0, claim.ratio, runs))
             pair, swapped = np.column_stack([self.mass, heavier]), rng.uniform(size=runs) < 0.5
@@ -193,16 +213,23 @@ class _World:
         b, claim, mood = self.claim.brakes, self.claim, self.mood
         towards = np.sum(self.velocity * self.normal, axis=1)
         aside = np.sum(self.velocity * across, axis=1)
-        ahead = np.where(towards < claim.fastest - 0.01, b.most, 0.0)
+        ahead = self._ahead(towards)
         slanted = np.where(mood < 0.3, 0.0, (2 * mood - 1.0) * b.most * 0.7)
         below_limit = np.abs(aside) + b.most * self.claim.watch.period / b.masses[0] + 0.02 < claim.sideways
         sideways = np.where(
             below_limit | (slanted * aside < 0), slanted, -np.sign(aside) * np.minimum(abs(aside) * 40, b.most)
         )
         sideways = np.where(self.worst, 0.0, sideways)
-        forward = np.sqrt(np.maximum(b.most**2 - sideways**2, 0.0)) * np.where(ahead > 0, 1.0, 0.0)
+        forward = np.minimum(np.sqrt(np.maximum(b.most**2 - sideways**2, 0.0)), ahead)
         forward = np.where(mood > 0.9, -forward, forward)
         return np.asarray(forward[:, None] * self.latched + sideways[:, None] * across)
+
+    def _ahead(self, towards: Vector) -> Vector:
+        """Return the largest thrust ahead after which the lag and the forces do not exceed the claim's largest speed."""
+        claim, period = self.claim, self.claim.watch.period
+        # what the thrust still adds counts too: without it, light vehicles with a lag exceed the claim's speed
+        stored = towards + self.lag * np.sum(self.thrust * self.latched, axis=1) / self.mass
+        return np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.push)
 
     def _aside(self, across: Vector) -> Vector:
         """Return the thrust across the latched direction while a vehicle with unequal masses brakes."""

@@ -101,7 +101,7 @@ def _guarded(
 ) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
     def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
         _check(vehicle, wide=wide)
-        numbers = law_numbers(barrier, vehicle, gains)
+        numbers = law_numbers(barrier, vehicle, gains, cap=cap)
         # the inertia bound relies on the share `brake` of the thrust; the simple bound needs all guaranteed thrust
         brakes = _true(vehicle, LEAST_THRUST if barrier == "simple" else gains["brake"], wide=wide)
         acting = _drag(vehicle, drag, wide=wide)
@@ -121,7 +121,7 @@ def _guarded(
             speeds=_rows(cap),
             digests=(_digest(vehicle), law.block.digest()),
             ratio=_ratio(vehicle),
-        )
+        ).braking_with(brakes.least)
 
     return build
 
