@@ -60,7 +60,8 @@ def stop_reason(run: Run) -> str:
 def time_limit_reason(run: Run) -> str:
     """Return why a run may have ended at the time limit, without a full stop; empty if nothing is known.
 
-    The text says where the hull stayed at the end, and what `findings` reports as an error of the scenario.
+    The text says where the hull stayed at the end, or since when it moved without progress along the path, and what
+    `findings` reports as an error of the scenario.
 
     Example:
         >>> from dataclasses import replace
@@ -86,8 +87,25 @@ def time_limit_reason(run: Run) -> str:
         )
         if vehicle.fin_share(run.scenario.cruise) > 0.5:
             said.append("its rudders or fins do not turn it at rest")
+    elif search := _search_reason(run):
+        said.append(search)
     errors = [f for f in findings(run.scenario, vehicle, gains=run.gains) if f.level == "error"]
     return "; ".join([*said, *(f.text for f in errors if run.sensing == "sonar" or not f.key.startswith("sonar"))])
+
+
+def _search_reason(run: Run) -> str:
+    # a law that detects dead ends and still looked for a way round; the loop of another program keeps its own state
+    law, record = run.law, run.record
+    if "furthest" not in law.state or run.scenario.path.fed:
+        return ""
+    furthest = record.law_state[: record.time.size, law.state.slice("furthest")].ravel()
+    since = float(record.time[int(np.argmax(furthest >= furthest[-1]))])
+    if not furthest[-1] > -1 or record.time[-1] - since < _LEAST:
+        return ""
+    return (
+        f"no progress along the path since {since:.0f} s, at {furthest[-1]:.1f} m of {run.scenario.path.length:.1f} m; "
+        f"until the end it searched for a way round (gain patience: {run.gains['patience']:g} s)"
+    )
 
 
 def _dead_end_reason(run: Run) -> str:

@@ -67,6 +67,19 @@ def test_a_run_to_the_time_limit_says_where_the_craft_stays_and_what_lint_says()
     assert time_limit_reason(replace(run, record=short)) == ""
 
 
+@pytest.mark.parametrize(
+    ("furthest", "said"),
+    [(0.5, "no progress along the path since 10 s, at 0.5 m of 9.0 m; until the end"), (-100.0, ""), (np.nan, "")],
+)
+def test_a_run_that_searches_until_the_time_limit_says_since_when_it_makes_no_progress(furthest, said):
+    run = _flown(DEAF_TWICE)
+    record = replace(run.record, law_state=run.record.law_state.copy(), eta=run.record.eta.copy())
+    record.law_state[200:, run.law.state.slice("furthest")] = furthest
+    record.eta[:, 0] = np.linspace(0, 9, record.time.size)
+    found = time_limit_reason(replace(run, record=record))
+    assert found.startswith(said) and bool(said) == bool(found)
+
+
 def test_a_halt_without_a_break_ends_the_run_and_a_shorter_one_does_not() -> None:
     run = _flown(DEAF_TWICE)
     assert run.metrics.stopped_because == "standstill" and not run.metrics.reached

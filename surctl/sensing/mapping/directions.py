@@ -21,6 +21,7 @@ __all__ = [
     "BENT",
     "BESIDE",
     "DIRECTIONS",
+    "MOVED",
     "NEAR",
     "PROTECTED",
     "WIDEST",
@@ -47,6 +48,11 @@ NEAR = 10
 """Distance [cells] from the sensor within which, in a `smooth` map, no direction beside a sector counts.
 
 The corner of a face that was heard stays marked there until the robot has passed it, although it has fallen silent."""
+
+MOVED = 2
+"""Distance [cells] behind a mark of a `smooth` map within which an echo clears the mark, whatever the directions.
+
+The surface that was marked answers, and so has moved: no face's end is in front of an echo from the same body."""
 
 PROTECTED = 0.85
 """Strength below which any silence clears a mark of a `smooth` map: it was last heard 9 s before."""

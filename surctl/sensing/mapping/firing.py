@@ -6,6 +6,7 @@ import casadi as ca
 
 from surctl.sensing.mapping.directions import (
     BESIDE,
+    MOVED,
     NEAR,
     PROTECTED,
     WIDEST,
@@ -64,8 +65,9 @@ MIDDLE = 1.0 - _OF_THE_UNKNOWN
 LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
 """Names of the limits of a firing: squared ranges [m²], `whole` and `outside` [m], the last three numbers 0 or 1."""
 
-AXIS = ("axis_x", "axis_y")
-"""Names of two more limits if the map stores directions: the beam's axis in {E}."""
+AXIS = ("axis_x", "axis_y", "moved")
+"""Names of three more limits if the map stores directions: the beam's axis in {E}, and the squared range [m²] from
+which marks in front of the echo have moved."""
 
 
 def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
@@ -98,6 +100,7 @@ def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
         "regular": ca.logic_and(ca.logic_and(cosine >= 0, sine >= 0), edge > 0),
         "axis_x": slot["axis"][0],
         "axis_y": slot["axis"][1],
+        "moved": ca.if_else(slot["far"] > 0, ca.fmax(slot["near"] - MOVED * edge, 0), 1e3) ** 2,
     }
 
 
@@ -114,7 +117,7 @@ def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
 
 
 def by_direction(
-    value: ca.SX, away: ca.SX, *, near: ca.SX, known: float, specular: bool
+    value: ca.SX, away: ca.SX, *, near: ca.SX, moved: ca.SX, known: float, specular: bool
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
     """Return what a firing from a direction means for a cell that stores directions.
 
@@ -125,11 +128,12 @@ def by_direction(
         value: the cell's value.
         away: the direction, see `directions.bearing`.
         near: whether the cell is near the sensor, see `nearby`.
+        moved: whether an echo came from close behind the cell.
         known, specular: see `LocalMap`.
     """
     now, beside = level(value), includes(value, away, BESIDE if specular else ca.if_else(near, 0, BESIDE))
     mark = ca.logic_and(now > (0 if specular else PROTECTED), confirms(value))
-    lasts = ca.logic_and(mark, ca.logic_not(beside))
+    lasts = ca.logic_and(mark, ca.logic_not(beside if specular else ca.logic_or(beside, moved)))
     remark = sector_with(value, away, goes_on=now > BLIND, widest=WIDEST)
     if not specular:
         return lasts, remark, ca.if_else(now > BLIND, value, BLIND), ca.SX(-1), now >= -known

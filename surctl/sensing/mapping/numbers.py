@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, NEAR, PROTECTED, WIDEST, WIDEST_FREE
+from surctl.sensing.mapping.directions import BENT, BESIDE, DIRECTIONS, MOVED, NEAR, PROTECTED, WIDEST, WIDEST_FREE
 from surctl.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
@@ -86,7 +86,8 @@ def map_step(
             now = _level(value)
             lasting = (now > (0 if specular else PROTECTED)) & (_stored(value) > DIRECTIONS)
             beside = BESIDE if specular else np.where(beam.square < NEAR * NEAR * (edge * edge), 0.0, BESIDE)
-            free &= np.logical_not(lasting) | _includes(value, beam.direction, beside)
+            moved = (not specular) & (beam.far > 0) & (beam.square > max(beam.near - MOVED * edge, 0.0) ** 2)
+            free &= np.logical_not(lasting) | _includes(value, beam.direction, beside) | moved
             remark = _sector_with(value, beam.direction, goes_on=now > BLIND, widest=WIDEST)
             blind = np.where(now > BLIND, value, BLIND)
         if specular:

@@ -248,8 +248,8 @@ class MapPrograms:
         free, remark, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
         blind = ca.fmax(value, BLIND)
         if self.directed:
-            away, near, known = direction(across, down, limit), nearby(line, limit), self.known
-            now = by_direction(value, away, near=near, known=known, specular=self.specular)
+            away, near, moved = direction(across, down, limit), nearby(line, limit), line[2] > limit["moved"]
+            now = by_direction(value, away, near=near, moved=moved, known=self.known, specular=self.specular)
             lasts, remark, blind, cleared, may = now
             free = ca.logic_and(free, ca.logic_not(lasts))
         marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
