@@ -12,7 +12,7 @@ import pytest
 from surctl.control import build_law
 from surctl.export import Records, software_in_the_loop
 from surctl.simulation import simulate
-from surctl.vehicle import identify
+from surctl.vehicle import held_out, identify
 from tests.cli.process import surctl
 from tests.tools import need_compiler
 from tests.vehicle import test_identify, test_identify_tilt, test_plant
@@ -95,3 +95,8 @@ def test_several_logs_and_windows_by_the_command_line(tmp_path: Path) -> None:
     assert result["held_out"] == result["held_out_windows"][0]
     done = surctl("vehicle", "from-log", *names, "--topics", cwd=tmp_path)
     assert done.status == 2 and "--topics takes one log" in done.err
+
+
+def test_roll_is_predicted_in_a_part_that_was_held_out() -> None:
+    later = held_out(test_identify_tilt.made_log(test_identify_tilt.TRUE, seed=2), test_identify_tilt.START)
+    assert later is not None and later.model["roll_rad"] < 0.3 * later.hold["roll_rad"]
