@@ -53,7 +53,6 @@ def cases(runs: int, seed: int) -> tuple[Array, Array]:
     ("lanes", "flags"),
     [
         (None, ()),
-        (8, ("-mno-avx512f",)),
         (4, ("-O1", "-mno-avx")),
     ],
 )

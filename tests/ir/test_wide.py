@@ -27,7 +27,6 @@ from tests.tools import need_compiler
 Array = NDArray[np.float64]
 # lanes and flags; without AVX-512 (and AVX) narrower vectors are taken, and several of them for many lanes
 TEXTS: list[tuple[int, tuple[str, ...]]] = [
-    (1, ("-O1",)),
     (4, ("-O0", "-mno-avx")),
     (8, ("-O1",)),
 ]
