@@ -46,3 +46,12 @@ def test_energy_is_made_strict_and_the_largest_rate_is_proved() -> None:
     assert outcome.claim is not None
     assert outcome.claim.rate is not None
     assert outcome.claim.rate > 0
+
+
+def test_a_region_is_proved_just_below_its_least_level() -> None:
+    d = dynamics({"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ["-x + y", "-y - x^3"])
+    outcome = find_stability(d, degree=2, time_limit=30.0)
+    assert outcome.verdict == "proved"
+    assert outcome.ratio >= 0.9
+    assert outcome.claim is not None
+    assert outcome.to_dict()["level"] < outcome.to_dict()["falsified_level"]

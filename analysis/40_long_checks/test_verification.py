@@ -9,11 +9,15 @@ import pytest
 
 from surctl.control import load_gains
 from surctl.vehicle import load_vehicle
-from surctl.verification import claims
+from surctl.verification import build_cascade, claims
 from surctl.verification.braking import BRAKING_CLAIMS
+from surctl.verification.linear import corners, disk_margin, margin_speed, open_loop
 from surctl.verification.region import prove_turning, turning_claim
 from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims
 from tests.verification.braking import test_proof as braking
+from tests.verification.linear import test_interop, test_sampled
+from tests.verification.linear.test_interop import LOOP_NAMES
+from tests.verification.linear.test_margin_speed import GAINS, WU, ranged
 from tests.verification.proving import test_squares
 from tests.verification.region.test_proof import test_flights_from_the_edge_stay_below_the_envelope as below
 
@@ -54,3 +58,31 @@ def test_functions(left: str, right: str, box: dict[str, tuple[float, float]], s
 @pytest.mark.parametrize("name", test_counterexample.REFUTED)
 def test_every_counterexample_is_confirmed_from_its_json(name: str) -> None:
     test_counterexample.test_every_counterexample_is_confirmed_from_its_json(name)
+
+
+def test_the_margin_is_kept_at_every_corner_below_that_speed_and_lost_above() -> None:
+    tried = corners(ranged())
+    speed = margin_speed(tried, GAINS, dt=0.05, highest=0.2)
+
+    def least(cruise: float) -> float:
+        loops = [build_cascade(v, GAINS, cruise=cruise, dt=0.05, model=tried.vehicles[0]) for v in tried.vehicles]
+        return min(disk_margin(open_loop(c, place)).guaranteed for c in loops for place in ("thrust", "measurement"))
+
+    assert least(0.97 * speed) > 0.3 > least(1.03 * speed)
+    stable = margin_speed(tried, GAINS, dt=0.05, highest=0.2, least=0.0)
+    worst = replace(WU).with_values({"m11": 15.0, "m22": 27.0})
+    for factor, good in ((0.98, True), (1.02, False)):
+        assert build_cascade(worst, GAINS, cruise=factor * stable, dt=0.05, model=WU).stable is good
+
+
+@pytest.mark.parametrize("name", LOOP_NAMES)
+def test_margins_of_every_loop(name: str) -> None:
+    test_interop.test_margins_are_those_that_are_printed(name, 0.05)
+
+
+def test_a_loop_without_delay_decays_below_the_largest_period_and_grows_above() -> None:
+    test_sampled.test_the_loop_flown_step_by_step_decays_below_the_largest_period_and_grows_above(0, 0.0)
+
+
+def test_braking_of_another_hull_with_unequal_masses() -> None:
+    braking.test_unequal_masses_are_proved_with_their_coupling("bluerov2-wu")

@@ -93,7 +93,7 @@ def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed()
     x = {"x": variable("x"), "y": variable("y")}
     function = parse("1.5*x^2 - x*y + y^2", x)
     bound = least_level(d, function)
-    grid = np.linspace(-1.5, 1.5, 401)
+    grid = np.linspace(-1.5, 1.5, 301)
     points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
     points = points[:, np.abs(points).max(axis=0) > 1e-3]  # without the equilibrium
     v, change = np.asarray(d.compiled(function, d.change(function))(points, np.zeros((0, points.shape[1]))))
@@ -149,15 +149,6 @@ def test_one_quadratic_function_for_all_corners_of_the_parameters() -> None:
     assert all(np.linalg.eigvalsh(a.T @ p @ a - p).max() < 0 for a in maps)
 
 
-def test_a_region_is_proved_just_below_its_least_level() -> None:
-    d = dynamics({"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ["-x + y", "-y - x^3"])
-    outcome = find_stability(d, degree=2, time_limit=30.0)
-    assert outcome.verdict == "proved"
-    assert outcome.ratio >= 0.9
-    assert outcome.claim is not None
-    assert outcome.to_dict()["level"] < outcome.to_dict()["falsified_level"]
-
-
 def test_a_searched_region_is_claimed_in_the_box_that_hugs_it() -> None:
     d = dynamics({"x": (-9.0, 9.0), "y": (-9.0, 1.0)}, ["-x + y", "-y - x^3"])
     outcome = find_stability(d, degree=2, first=True, time_limit=30.0)
@@ -206,7 +197,7 @@ def test_a_barrier_is_found_in_continuous_and_in_discrete_time() -> None:
     assert outcome.verdict == "proved"
     turned = dynamics(bounds, ["0.8*x + 0.3*y", "-0.3*x + 0.8*y"], discrete=True)
     assert find_barrier(turned, start, bad, degree=2, time_limit=30.0).verdict == "proved"
-    reached = find_barrier(dynamics(bounds, ["1", "0"]), start, [parse("1 - x", x)], degree=2, time_limit=0.4)
+    reached = find_barrier(dynamics(bounds, ["1", "0"]), start, [parse("1 - x", x)], degree=2, time_limit=0.2)
     assert reached.verdict == "unknown"
     with pytest.raises(InputError, match="holds no sample"):
         find_barrier(turned, [parse("x^2 + 1", x)], bad)

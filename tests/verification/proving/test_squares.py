@@ -105,7 +105,7 @@ def test_facts_are_shown_by_the_checker_and_true(op: str, touching: bool) -> Non
         for fact in facts_about(op, low, high, touching=touching):
             table = ExpressionTable(["t"])
             assert same_sign(table, [table.read(text) for text in fact], span(low, high)), fact
-            for t in np.linspace(low, high, 12).tolist():
+            for t in np.linspace(low, high, 5).tolist():
                 total = Polynomial.constant(1)
                 for text in fact:
                     total = total * fact_polynomial(
