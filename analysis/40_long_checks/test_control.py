@@ -11,8 +11,9 @@ from surctl.control import build_law, courses, in_real
 from surctl.ir import replay
 from surctl.own_code import own_file
 from surctl.priority.solver.fallback import RELAXED
+from surctl.sensing import Equipment
 from surctl.simulation import Case, simulate_batch
-from tests.control import test_baselines, test_layers, test_own_laws, test_steered
+from tests.control import test_baselines, test_layers, test_own_laws, test_steered, test_stored
 from tests.control.test_own_laws import law as law
 from tests.control.test_own_laws import mission as mission
 from tests.control.test_own_laws import surctl
@@ -20,7 +21,7 @@ from tests.control.test_routines import tried
 from tests.control.test_steered import files as files
 from tests.control.test_steered import gains, radius_of, run
 from tests.control.test_steered_courses import EXACT, numbers, rebuilt
-from tests.craft import CRUISE, craft
+from tests.craft import CRUISE, craft, factor, scaled
 from tests.craft import mission as written
 from tests.tools import need_compiler
 
@@ -151,3 +152,17 @@ def test_export_agrees_with_python_at_more_thrust_than_it_has_astern(files: Path
     assert "| `ahead_limit` | 133.0 | N | largest surge thrust ahead | 0 to 133 |" in (
         (files / "firmware" / "README.md").read_text()
     )
+
+
+def test_the_tank_scaled_to_the_craft_without_collision() -> None:
+    k = factor(craft("otter"), radius_of("otter"))
+    case = Case(scaled("tank-moving", k, "otter"), craft("otter"), gains())
+    assert case.law == "steered"
+    batch = simulate_batch(case)
+    assert batch.column("reached")[0] == 1 and batch.column("min_clearance_m")[0] > 0.5
+    assert 0 < batch.column("peak_thrust_share")[0] <= 1  # not NaN on the axes without thrust
+
+
+def test_a_law_with_sonars_and_depths_is_read_as_it_was_written() -> None:
+    options = {"sonar": True, "depths": True, "equipment": Equipment(own=None)}
+    test_stored.test_what_is_read_is_what_was_written(options)

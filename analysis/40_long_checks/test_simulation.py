@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import pi
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from surctl.control import load_gains
+from surctl.guidance import Guidance
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import METRICS, STOPS, Case, Sensors, depth_changes, load_scenario, simulate, simulate_batch
 from surctl.vehicle import load_vehicle
@@ -21,7 +23,9 @@ from tests.simulation import (
     test_depth_escape,
     test_missions,
 )
+from tests.simulation.campaign import test_replay, test_worlds
 from tests.simulation.test_depth_escape import SCENES, _across, _box, _case, _flown
+from tests.simulation.test_missions import GAINS, VEHICLE, written
 from tests.tools import need_compiler
 
 SLOW = SonarArray(azimuths=(0.0, pi), order=(1, 0), firing_period=0.05, beam_angle=1.0)
@@ -91,7 +95,6 @@ def test_guidance_with_memory_against_other_pushes() -> None:
     for learns in ("ilos", "alos"):
         test_crosstrack.test_a_steady_push_is_learnt("pool-static", 0.0, 1.0, learns)
     test_crosstrack.test_a_steady_push_is_learnt("tank-static", 0.05, 0.0, "alos")
-    test_crosstrack.test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los("alos", 0.1)
 
 
 def test_a_detour_beyond_a_corner_ends_on_the_next_leg_without_overshoot() -> None:
@@ -136,3 +139,36 @@ def test_a_fold_by_sonar() -> None:
 
 def test_a_leg_twice() -> None:
     test_corners.test_it_arrives_once_it_went_all_the_way_in_both_loops("a leg twice")
+
+
+def test_an_arc_of_three_metres() -> None:
+    """The robot stays within 2.5 cm of the arc itself; its points are no corners."""
+    arc = {"to_m": [9, 13], "radius_m": 3.0, "turn": "left"}
+    scenario = written([[7, 7], [9, 7]], arc, cruise_m_per_s=0.15)
+    run = simulate(scenario, VEHICLE, gains=GAINS)
+    beyond = run.record.eta[:, 0] > 9
+    off = np.linalg.norm(run.record.eta[beyond, :2] - [9, 10], axis=1) - 3.0
+    assert run.metrics.reached and 0.01 < np.abs(off).max() < 0.025 and run.metrics.missed_corner_m < 0.01
+
+
+@pytest.mark.parametrize(("guidance", "current"), [("ilos", 0.1), ("alos", 0.1)])
+def test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los(guidance: Guidance, current: float) -> None:
+    """The largest error on the other side of the path after the box is passed, over what LOS has there."""
+    beyond = {}
+    for kind in ("los", guidance):
+        run = test_crosstrack._flown("tank-static", kind, current, 0.0, True)
+        avoiding = np.flatnonzero(run.telemetry("avoiding").ravel() > 0.5)
+        box = avoiding[run.record.eta[avoiding, 0] < 12]
+        assert len(box) > 20
+        y = test_crosstrack._y(run)[box[-1] :]
+        beyond[kind] = float(np.max(-np.sign(y[0]) * y, initial=0.0))
+    assert beyond[guidance] <= beyond["los"] + 0.01
+
+
+def test_a_worst_run_by_sonar_equals_its_row(tmp_path: Path) -> None:
+    drawn = test_worlds.worlds("sonar", law="paper", seconds=3.0, plant=True)
+    test_replay.test_a_worst_run_flown_again_equals_its_row(drawn, tmp_path)
+
+
+def test_after_a_detour_a_corner_is_visited_in_both_loops() -> None:
+    test_corners.test_after_a_detour_a_corner_is_left_out_or_visited_as_the_mission_says("visit", 0.0)

@@ -42,7 +42,7 @@ def test_the_choice_is_that_of_a_search_through_all_candidates(monkeypatch: pyte
     whole, p = rebuilt(), numbers()
     assert law.block.digest() != whole.block.digest()
     rng, turned = np.random.default_rng(3), 0
-    for _ in range(30):
+    for _ in range(16):
         x = law.initial_state()
         x[law.state.slice("progress")] = 15.0
         x[law.state.slice("side")] = rng.choice([-1.0, 0.0, 1.0])
@@ -58,7 +58,7 @@ def test_the_choice_is_that_of_a_search_through_all_candidates(monkeypatch: pyte
         assert one.tau == pytest.approx(other.tau, abs=1e-9) and one.status == other.status
         assert one.x_next == pytest.approx(other.x_next, abs=1e-9)
         turned += bool(one.telemetry[law.telemetry_slice("avoiding")][0])
-    assert turned > 5
+    assert turned > 3
 
 
 @pytest.mark.parametrize(("budget", "stops"), [(1, True), (courses.STEPS, False)])

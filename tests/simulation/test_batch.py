@@ -61,7 +61,7 @@ def _same(found: np.ndarray[Any, Any], wanted: np.ndarray[Any, Any]) -> None:
 @pytest.mark.parametrize(
     ("case", "seed"),
     [  # by sonar: test_listening; with legs: test_missions; law paper: campaign/test_replay
-        (_case("pool-static"), 3),  # drift and waves, to the end
+        (_case("pool-static", seconds=15.0), 3),  # drift and waves
         (_case("pool-static", seconds=4.0, law="closed_form"), 0),  # of several obstacles the nearest one
         (_alone(_case("pool-ahead", seconds=2.0, law="closed_form")), 0),  # and of none an empty row
         (_case("tank-speed-025", seconds=4.0), 0),
@@ -213,7 +213,7 @@ def test_of_more_obstacles_than_slots_the_law_is_told_the_nearest() -> None:
         Obstacle(name=f"post {k}", shape="cylinder", centre_m=(1.0 + 0.45 * k, 2.0 + 0.9 * (k % 3)), radius_m=0.1)
         for k in range(11)
     )
-    base = _case("tank-static", seconds=5.0, law="paper")
+    base = _case("tank-static", seconds=2.0, law="paper")
     path = Path(np.array([[0.5, 0.6], [9.0, 1.2]]))
     case = replace(base, scenario=replace(base.scenario, obstacles=posts, path=path))
     _same(simulate_batch(case).table[0], _reference(case))

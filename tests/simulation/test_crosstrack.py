@@ -62,20 +62,6 @@ def test_a_steady_push_is_learnt(name: str, current: float, force: float, learns
     assert off[learns] < 0.005
 
 
-@pytest.mark.parametrize(("guidance", "current"), [("ilos", 0.1)])
-def test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los(guidance: Guidance, current: float) -> None:
-    """The largest error on the other side of the path after the box is passed, over what LOS has there."""
-    beyond = {}
-    for kind in ("los", guidance):
-        run = _flown("tank-static", kind, current, 0.0, True)
-        avoiding = np.flatnonzero(run.telemetry("avoiding").ravel() > 0.5)
-        box = avoiding[run.record.eta[avoiding, 0] < 12]
-        assert len(box) > 20
-        y = _y(run)[box[-1] :]
-        beyond[kind] = float(np.max(-np.sign(y[0]) * y, initial=0.0))
-    assert beyond[guidance] <= beyond["los"] + 0.01
-
-
 def test_los_has_no_memory_and_the_others_keep_theirs_finite() -> None:
     assert "drift" not in _law("los").state and "drift" in _law("alos").state
     run = _flown("tank-static", "ilos", 0.05, 0.0)

@@ -57,7 +57,7 @@ def _scenario(obstacles: tuple[Obstacle, ...]) -> Scenario:
     return replace(SILL, obstacles=obstacles, time_limit=1000.0)
 
 
-def _case(obstacles: tuple[Obstacle, ...], sensing: Sensing = "truth", patience: float = 5.0) -> Case:
+def _case(obstacles: tuple[Obstacle, ...], sensing: Sensing = "truth", patience: float = 2.5) -> Case:
     scenario, gains = _scenario(obstacles), load_gains("default").with_values({"patience": patience})
     return Case(scenario, load_vehicle(scenario.vehicle), gains, sensing=sensing)
 

@@ -78,16 +78,6 @@ def test_the_work_of_a_step_does_not_depend_on_the_number_of_waypoints() -> None
     assert steps[0].operations < 1.7 * without
 
 
-def test_an_arc_of_three_metres() -> None:
-    """The robot stays within 2.5 cm of the arc itself; its points are no corners."""
-    arc = {"to_m": [9, 13], "radius_m": 3.0, "turn": "left"}
-    scenario = written([[7, 7], [9, 7]], arc, cruise_m_per_s=0.15)
-    run = simulate(scenario, VEHICLE, gains=GAINS)
-    beyond = run.record.eta[:, 0] > 9
-    off = np.linalg.norm(run.record.eta[beyond, :2] - [9, 10], axis=1) - 3.0
-    assert run.metrics.reached and 0.01 < np.abs(off).max() < 0.025 and run.metrics.missed_corner_m < 0.01
-
-
 def test_legs_with_speeds_depths_and_visits() -> None:
     legs = (
         {"to_m": [8, 5], "speed_m_per_s": 0.1, "depth_m": -1.3},

@@ -109,7 +109,7 @@ def test_lint_says_what_is_unhearable() -> None:
 def test_both_loops_hear_the_same_for_any_threads_and_order() -> None:
     need_compiler()
     cloth = {"cloth": {"cylinder_range_m": 0.15}}  # some firings detect it
-    scenario = replace(pool(obstacle="cloth", reflectors=cloth), time_limit=5.0)
+    scenario = replace(pool(obstacle="cloth", reflectors=cloth), time_limit=3.0)
     case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar", law="paper")
     run = simulate(scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=5)
     seeds = np.array([5, 6, 7])
