@@ -31,7 +31,8 @@ def originals() -> list[dict[str, Any]]:
         claim_from("waves", box, "sin(2*x + 0.1) + cos(y)", "2.00001"),
         claim_from("strip", box, "x + y", "0.7", ("x + y - 0.7",)),
         claim_from("disk", box, "x + y", "1.01*sqrt(2)", ("x^2 + y^2 - 1",)),
-        claim_from("bent", box, "abs(x) + atan2(y, x + 3)", "1 + atan2(2, 2)"),
+        claim_from("bent", box, "abs(x) + y - 0.1*y*sin(y)", "3.00001 - 0.2*sin(2)"),
+        claim_from("angle", box, "abs(x) + atan2(y, x + 3)", "1.01 + atan2(2, 2)"),
     ]
     names = ["course-corrected", "v2-static"]
     return [proved(c) for c in (*made, *claims(names=names))]
