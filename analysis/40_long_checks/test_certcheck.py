@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from tests.certcheck import test_heading, test_region, test_steering, test_turning
+from tests.certcheck import test_braking, test_heading, test_region, test_steering, test_turning
 
 
 @pytest.mark.parametrize("path", test_region.FILES, ids=lambda path: path.stem)
@@ -29,7 +29,9 @@ def test_misled_it_settles_as_close_as_is_said() -> None:
     test_region.test_pushed_and_misled_it_settles_as_close_as_is_said("region-cruise-20-noise")
 
 
-@pytest.mark.parametrize("module", [test_region, test_heading, test_steering], ids=lambda module: module.__name__)
+@pytest.mark.parametrize(
+    "module", [test_region, test_heading, test_steering, test_turning], ids=lambda module: module.__name__
+)
 def test_what_asks_for_more_is_rejected(module: ModuleType) -> None:
     for kind in module.STRONGER:
         module.test_what_asks_for_more_is_rejected_however_it_is_sealed(kind)
@@ -38,3 +40,13 @@ def test_what_asks_for_more_is_rejected(module: ModuleType) -> None:
 @pytest.mark.parametrize("kind", test_region.CELLS)
 def test_a_proof_by_cells_of_headings_proves_no_more_either(kind: str) -> None:
     test_region.test_a_proof_by_cells_of_headings_proves_no_more_either(kind)
+
+
+@pytest.mark.parametrize("name", ["braking-rule-20", "braking-inertia-ranges", "braking-simple-20"])
+def test_no_braking_certificate_states_more(name: str) -> None:
+    for kind in test_braking.OF_THE_LAW if name == "braking-simple-20" else test_braking.STRONGER:
+        test_braking.test_what_asks_for_more_is_rejected_however_it_is_sealed(kind, name)
+
+
+def test_the_matrices_enclose_the_loop_with_fins() -> None:
+    test_steering.test_the_matrices_enclose_the_loop(test_steering.FINS, {})
