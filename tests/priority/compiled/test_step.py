@@ -59,8 +59,7 @@ def size(v: Array) -> float:
 
 @pytest.mark.parametrize(
     ("shapes", "chosen"),
-    # of the shapes with sets, those settings whose steps differ from those without
-    [*((VALUES, chosen) for chosen in (*SETTINGS[:4], SETTINGS[-1])), *((SETS, chosen) for chosen in SETTINGS[3:5])],
+    [(VALUES, chosen) for chosen in SETTINGS[:4]],  # with sets, several sweeps and damping: study 40
     ids=lambda one: f"{one.mode}-{one.sweeps}-{one.damping}" if isinstance(one, Settings) else f"{len(one)} levels",
 )
 def test_it_is_the_law_in_numpy(shapes: tuple[LevelShape, ...], chosen: Settings) -> None:
@@ -156,8 +155,8 @@ def test_no_level_is_served_worse_than_by_daqp_s_hierarchy(shapes: tuple[LevelSh
 
 def test_the_opening_is_the_least() -> None:
     rng, compared = np.random.default_rng(2), 0
-    for chosen in (Settings("filter"), Settings("projected", damping=0.1), Settings("lexicographic")):
-        shapes = VALUES if chosen.damping else SETS
+    for chosen in (Settings("filter"), Settings("projected"), Settings("lexicographic")):
+        shapes = VALUES if chosen.mode == "projected" else SETS
         tick = tick_for(shapes, chosen)
         for _ in range(25):
             problem = draw_of_shape(rng, shapes)
@@ -247,10 +246,13 @@ def test_a_row_along_a_set_that_is_kept_still_has_its_name() -> None:
 def test_multipliers_are_those_of_what_is_minimised() -> None:
     first = Level("surge", E[[0, 3]], np.array([1.0, 0.0]))
     problem = build_problem([first, Level("depth", E[2:3], np.array([0.1]))], box(0.22))
-    tick = tick_for(VALUES, Settings("projected", damping=0.1))
-    tick.load(problem)
+    u, row = np.array([[1.0, 0.0]]), Row("box.u", "actuator", np.array([1.0, 0.0]), -0.22, 0.22)
+    small = build_problem([Level("surge", u, np.array([1.0]))], [row])
+    tick = PriorityStep("projected", n=2, levels=(LevelShape(1),), rows=1, damping=0.1)
+    tick.load(small)
     tick.solve()
     assert tick.binding() == (("box.u", pytest.approx(0.78 - 0.1**2 * 0.22)),)
+    np.testing.assert_allclose(tick.v, solve(small, damping=0.1).v, atol=1e-12)
     # an opened row holds the task back as much as one that is kept
     back = Row("back", "barrier", 2 * E[0], -np.inf, -0.6)
     tick = tick_for(VALUES, Settings("projected"))
@@ -344,7 +346,7 @@ def test_hard_rows_that_contradict_each_other_leave_the_box(mode: Mode) -> None:
     assert tick.stage == "clamped" and np.abs(tick.v).max() <= 0.2 and tick.binding() == ()
 
 
-@pytest.mark.parametrize("mode", ["nsb", "lexicographic"])  # the others are made of the same kinds of steps
+@pytest.mark.parametrize("mode", ["nsb", "filter"])  # the others: solver/test_fallback, control/test_law, study 40
 def test_compiled_and_replayed_are_the_same_bytes(mode: Mode) -> None:
     need_compiler()
     routine, rng, made = priority_step(mode, n=N, levels=SETS, rows=7), np.random.default_rng(9), []
