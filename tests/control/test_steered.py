@@ -24,7 +24,7 @@ from surctl.control import (
 from surctl.control.steered import steered_thrust
 from surctl.control.steering import Moving, moved
 from surctl.errors import InputError
-from surctl.simulation import Run, findings, law_numbers, simulate
+from surctl.simulation import Run, findings, law_numbers
 from surctl.simulation.toml_text import toml_text
 from surctl.vehicle import load_vehicle
 from surctl.vehicle.vehicle_file import write_vehicle
@@ -51,33 +51,6 @@ def crab(run: Run) -> float:
     u, v = run.record.nu[:, 0], run.record.nu[:, 1]
     moving = u > 0.3 * u.max()
     return float(np.degrees(np.abs(np.arctan2(v[moving], u[moving]))).max())
-
-
-@pytest.mark.parametrize(("name", "corners"), [("remus", "pass")])
-def test_two_legs_are_followed_without_crabbing(name: str, corners: str) -> None:
-    r = radius_of(name)
-    path = [[5 * r, 5 * r], [8 * r, 5 * r], [8 * r, 8 * r]]
-    run = simulate(
-        mission(path, name, size=(20 * r, 20 * r), time=100 * r, corners=corners), craft(name), gains=gains(), law=law()
-    )
-    assert run.metrics.reached and crab(run) < 15
-    assert run.metrics.max_deviation_m < 0.5 * r
-    # a craft that began its turn at the corner would miss it by nothing and overshoot the second leg
-    beyond = float((run.record.eta[:, 0] - 8 * r).max())
-    assert corners == "visit" or beyond < 0.15 * r
-    missed = r * (np.sqrt(2) - 1)
-    assert run.metrics.missed_corner_m < (1.2 * missed if corners == "pass" else 1.0)
-
-
-@pytest.mark.parametrize(("name", "guidance"), [("remus", "los")])
-def test_a_current_from_aside_leaves_no_error(name: str, guidance: str) -> None:
-    # a law that took the current for drift through the water would lose the yaw moment of the torpedo to it
-    r = radius_of(name)
-    path, disturbance = [[20 * r, 20 * r], [27 * r, 20 * r]], {"current_m_per_s": [0.0, 0.2]}
-    scenario = mission(path, name, size=(60 * r, 40 * r), time=40 * r, disturbance=disturbance)
-    run = simulate(scenario, craft(name), gains=gains(), law=law(guidance))
-    away = np.abs(run.record.eta[:, 1] - 20 * r)
-    assert run.metrics.reached and away.max() < 1.0 and away[-20:].max() < 0.1
 
 
 def test_the_prediction_moves_like_the_plant_in_a_turn() -> None:
