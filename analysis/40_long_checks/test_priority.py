@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surctl.ir import compile_block
-from surctl.priority import Settings, safe_step
+from surctl.priority import Mode, Settings, safe_step
 from surctl.priority.solver.fallback import MET
 from tests.priority.compiled import test_step
 from tests.priority.solver import test_bounded
@@ -62,3 +62,12 @@ def test_the_derivative_is_the_projector_of_the_active_rows() -> None:
         want = np.eye(n) - np.linalg.pinv(held) @ held
         np.testing.assert_allclose(np.asarray(slope(*(a[k] for a in trials.arrays))), want, atol=1e-9)
     assert len(seen) > 1
+
+
+@pytest.mark.parametrize("mode", ["filter", "nsb"])
+def test_a_set_based_level_makes_no_jump(mode: Mode) -> None:
+    test_step.test_a_set_based_level_makes_no_jump(mode)
+
+
+def test_no_level_of_a_stack_with_sets_is_served_worse_than_by_daqp_s_hierarchy() -> None:
+    test_step.test_no_level_is_served_worse_than_by_daqp_s_hierarchy(test_step.SETS)
