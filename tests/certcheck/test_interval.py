@@ -12,7 +12,7 @@ from surctl.verification import claims, falsify, prove
 from surctl.verification.formula import parse, to_casadi, variable
 from tests.verification.made_claims import claim_from
 
-MUTATIONS = 40
+MUTATIONS = 24
 
 
 def proved(claim: Any) -> dict[str, Any]:
