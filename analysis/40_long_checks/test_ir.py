@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from surctl.errors import ToolMissing
-from surctl.ir import Call, Loop, Real, Routine, lower, memory, stack_bytes
-from tests.ir import test_folded
+from surctl.ir import Call, Loop, Real, Routine, compile_block, lower, memory, replay, stack_bytes
+from surctl.ir.native import _source
+from tests.ir import test_folded, test_stored
 from tests.ir.test_places import mixed, moved
 from tests.tools import need_compiler
 
@@ -50,3 +53,21 @@ def test_six_thousand_operations_lower() -> None:
         pool.append(pool[-1] * 0.5 + pool[-4] if k % 2 else ca.fmin(pool[-2], pool[-3]) - k)
     function = ca.Function("large", [x], [ca.vertcat(*pool[-8:])])
     assert lower(function).operations > 6000
+
+
+def test_a_law_with_sonars_is_read_as_it_was_written() -> None:
+    test_stored.test_a_law(True)
+
+
+def test_what_runs_on_this_machine_holds_no_function_that_a_compiler_needs_long_for() -> None:
+    need_compiler()
+    x = ca.SX.sym("x", 8)
+    y = x
+    for k in range(150):
+        y = y * x[::-1] + ca.sqrt(ca.fabs(y + k))
+    long = lower(ca.Function("long", [x], [y]))
+    assert long.operations > 3_000
+    bodies = re.findall(r"\n{\n.*?\n}\n", _source(long, "float64"), flags=re.DOTALL)
+    assert max(body.count("\n") for body in bodies) < 2000
+    given = np.random.default_rng(0).normal(size=(5, 8))
+    assert compile_block(long)(given)[0].tobytes() == np.asarray(replay(long, given)[0]).tobytes()

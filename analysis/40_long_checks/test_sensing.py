@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+import math
+
 import numpy as np
 import pytest
 
-from surctl.sensing import FaultChances, SonarArray, calibrate
+from surctl.ir import Program, replay
+from surctl.ir.routine import nested
+from surctl.sensing import FaultChances, LocalMap, SonarArray, calibrate
 from tests.sensing import (
     test_array,
     test_echo,
@@ -15,7 +20,9 @@ from tests.sensing import (
     test_own_state,
     test_ranging,
 )
+from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, firing
 from tests.sensing.test_calibration import BIAS, SCALE
+from tests.sensing.test_local_map import DT
 from tests.sensing.test_simulated_table2 import printed, simulated
 
 BEAMS = pytest.mark.parametrize("beam", [15.0, 75.0, 120.0])
@@ -104,3 +111,28 @@ def test_noise_that_grows_is_found_in_many_rows() -> None:
     assert found.noise_slope.value == pytest.approx(0.004, abs=1.4e-4)
     assert found.noise_slope.high - found.noise_slope.low < 2.8e-4
     assert found.scale.value == pytest.approx(SCALE, abs=1.4e-4)
+
+
+replaying = importlib.import_module("surctl.ir.replay")  # the package has a function of that name
+
+
+def test_a_readingcosts_what_it_touches(monkeypatch):
+    """Two firings ahead, and none: the blocks beside them are left alone."""
+    counted = []
+    run = replaying._run_program
+
+    def counting(program, arrays, real):
+        batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+        counted.append(program.operations * math.prod(batch))
+        return run(program, arrays, real)
+
+    monkeypatch.setattr(replaying, "_run_program", counting)
+    chart, costs = LocalMap(dt=DT), []
+    ahead = firing((HULL, 0.0), 0.0, 1.0, half=math.radians(37.5))
+    for readings in ([*EMPTY, *EMPTY], [*ahead, *EMPTY], [*ahead, *ahead]):
+        counted.clear()
+        replay(chart.routine(), np.zeros(chart.side**2), np.full(2, -24.0), [0.0, 0.0, HULL, EDGE], OPEN, readings)
+        costs.append(sum(counted))
+    assert costs[0] < costs[1] < costs[2] < 110_000 < chart.routine().operations / 3
+    programs = {b.digest(): b.operations for b in nested(chart.routine()).values() if isinstance(b, Program)}
+    assert sum(programs.values()) < 800

@@ -79,14 +79,14 @@ def made_log(
 
 def test_the_truth_lies_in_the_intervals_as_often_as_they_say() -> None:
     inside = []
-    for seed in range(3):
+    for seed in range(2):
         found = identify(made_log(TRUE, seed=seed), START, name="fitted")
         inside += [abs(found.estimates[k][0] - TRUE[k]) <= found.estimates[k][1] for k in FITTED]
         assert set(found.identified) >= {"m11", "m22", "m33", "m44", "thrust_lag"}
         assert found.noise["x_m"] == pytest.approx(0.003, rel=0.2)
         assert not any("white noise" in note for note in found.notes)
-    # 39 numbers at 95 %: more than 5 outside in 1 of 100 such tests
-    assert sum(inside) >= len(inside) - 5
+    # 26 numbers at 95 %: more than 4 outside in 1 of 100 such tests
+    assert sum(inside) >= len(inside) - 4
 
 
 @pytest.mark.parametrize("seed", [7])  # with it the interval of m22 is narrow: noise explained by it
