@@ -55,3 +55,20 @@ def test_a_region_is_proved_just_below_its_least_level() -> None:
     assert outcome.ratio >= 0.9
     assert outcome.claim is not None
     assert outcome.to_dict()["level"] < outcome.to_dict()["falsified_level"]
+
+
+def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed() -> None:
+    d = van_der_pol()
+    x = {"x": variable("x"), "y": variable("y")}
+    function = parse("1.5*x^2 - x*y + y^2", x)
+    bound = least_level(d, function)
+    grid = np.linspace(-1.5, 1.5, 301)
+    points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
+    points = points[:, np.abs(points).max(axis=0) > 1e-3]  # without the equilibrium
+    v, change = np.asarray(d.compiled(function, d.change(function))(points, np.zeros((0, points.shape[1]))))
+    assert bound.level == pytest.approx(v[change >= 0].min(), rel=1e-2)
+    assert bound.confirmed
+    assert bound.cause == "decrease"
+    faces = least_level(d.on({"x": (-0.5, 0.5)}), function)
+    assert faces.cause == "face"
+    assert faces.level == pytest.approx(1.25 * 0.5**2)  # the least value of V on x = 0.5

@@ -88,23 +88,6 @@ def test_the_region_of_van_der_pol_is_nearly_the_true_one() -> None:
     assert leavers(d, d.compiled(outcome[2].function), 0.97 * bound.level, count=60, seconds=10.0) == 0
 
 
-def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed() -> None:
-    d = van_der_pol()
-    x = {"x": variable("x"), "y": variable("y")}
-    function = parse("1.5*x^2 - x*y + y^2", x)
-    bound = least_level(d, function)
-    grid = np.linspace(-1.5, 1.5, 301)
-    points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
-    points = points[:, np.abs(points).max(axis=0) > 1e-3]  # without the equilibrium
-    v, change = np.asarray(d.compiled(function, d.change(function))(points, np.zeros((0, points.shape[1]))))
-    assert bound.level == pytest.approx(v[change >= 0].min(), rel=1e-2)
-    assert bound.confirmed
-    assert bound.cause == "decrease"
-    faces = least_level(d.on({"x": (-0.5, 0.5)}), function)
-    assert faces.cause == "face"
-    assert faces.level == pytest.approx(1.25 * 0.5**2)  # the least value of V on x = 0.5
-
-
 def test_unstable_and_marginal_equilibria_are_told_apart() -> None:
     unstable = find_stability(dynamics({"x": (-1.0, 1.0)}, ["k*x - x^3"], {"k": (-1.0, 0.2)}))
     assert unstable.verdict == "refuted"
