@@ -12,7 +12,7 @@ from surctl.certcheck.heading_claim import read_claim
 from surctl.certcheck.heading_law import true_rate
 from surctl.certcheck.heading_loop import Plane, constant, rows
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant
-from tests.certcheck.altering import put, sealed
+from tests.certcheck.altering import altered, put, sealed
 
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("region-heading-*.json"))
@@ -121,6 +121,33 @@ def test_what_asks_for_more_is_rejected_however_it_is_sealed(kind: str) -> None:
     share, changed = float(np.random.default_rng(len(kind)).uniform()), document()
     STRONGER[kind](changed, share)
     assert not check_document(sealed(changed)).accepted, (kind, share)
+
+
+def false(changed: dict[str, Any]) -> bool:
+    """Whether an altered claim is false, as far as sampling tells."""
+    P, motion = matrix(changed), changed["claim"]["motion"]
+    if np.linalg.eigvalsh(P)[0] <= 0:
+        return True
+    reach = np.sqrt(np.diag(np.linalg.inv(P)))
+    if P[1, 1] * motion["beside_m"] ** 2 > 1 + 1e-9 or np.any(np.array(motion["extent"]) > reach[:3] * (1 + 1e-9)):
+        return True
+    return worst(changed, low=1e-4, high=1.0, count=4000) > 1e-9
+
+
+def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
+    whole, rng = document(), np.random.default_rng(5)
+    accepted, wrong = 0, 0
+    for _ in range(6):
+        if wrong and accepted:
+            break
+        path, changed = altered(whole, ("claim", "proof"), rng)
+        if check_document(sealed(changed)).accepted:
+            accepted += 1
+            assert not false(changed), path
+        else:
+            wrong += 1
+    assert accepted and wrong
+    assert "altered" in check_document({**whole, "claim": {**whole["claim"], "sha256_vehicle": "0" * 64}}).reason
 
 
 def test_sampling_finds_no_slower_decay_inside_and_finds_it_far_outside() -> None:

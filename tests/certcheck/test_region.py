@@ -20,7 +20,7 @@ from surctl.certcheck.region_trim import axis_pairs
 from surctl.control import build_law, law_parameters, load_gains
 from surctl.guidance import Path as Route
 from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
-from tests.certcheck.altering import put, sealed
+from tests.certcheck.altering import altered, put, sealed
 from tests.certcheck.cruise import boats, matrix, omega, rate, rest, thrust, worst
 
 HERE = Path(__file__).parent
@@ -121,6 +121,35 @@ def test_a_proof_by_cells_of_headings_proves_no_more_either(kind: str) -> None:
 )
 def test_what_is_malformed_is_rejected(where: tuple[str, ...], value: Any) -> None:
     assert not check_document(sealed(put(document(), where, value))).accepted
+
+
+def refuted(changed: dict[str, Any]) -> bool:
+    """Whether plain sampling shows an altered certificate to be false."""
+    P, proof, motion = matrix(changed), changed["proof"], changed["claim"]["motion"]
+    if np.linalg.eigvalsh(P)[0] <= 0 or proof["shells"][-1]["level"] != 1:
+        return True
+    covariance = np.linalg.inv(P)
+    if P[1, 1] * motion["offset_m"] ** 2 > 1 + 1e-9:
+        return True
+    if np.sqrt(covariance[1, 1] * proof["floor"]) > motion["ultimate_bound_m"][1] * (1 + 1e-9):
+        return True
+    return worst(changed, low=proof["floor"], high=1.0, count=4000) > 1e-9
+
+
+def test_no_altered_certificate_that_sampling_refutes_is_accepted() -> None:
+    whole, rng = document(), np.random.default_rng(5)
+    false, accepted = 0, 0
+    for _ in range(6):
+        if false and accepted:
+            break
+        path, changed = altered(whole, ("claim", "proof"), rng)
+        found = check_document(sealed(changed))
+        accepted += found.accepted
+        if found.accepted:
+            assert not refuted(changed), path
+        else:
+            false += 1
+    assert false and accepted  # neither everything nor nothing passes
 
 
 def test_sampling_finds_no_slower_decay_inside_and_finds_it_far_outside() -> None:
