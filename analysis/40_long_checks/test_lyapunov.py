@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from surctl.lyapunov import find_stability, least_level
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.equilibrium import linearisation
 from surctl.verification.formula import parse, variable
+from tests.lyapunov import test_decide
 from tests.lyapunov.test_search import TRUE_AREA, dynamics, leavers, van_der_pol
 
 
@@ -72,3 +75,10 @@ def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed()
     faces = least_level(d.on({"x": (-0.5, 0.5)}), function)
     assert faces.cause == "face"
     assert faces.level == pytest.approx(1.25 * 0.5**2)  # the least value of V on x = 0.5
+
+
+@pytest.mark.parametrize(("text", "change", "verdict"), test_decide.TRUE_AND_FALSE)
+def test_true_claims_are_proved_and_false_ones_refuted(
+    tmp_path: Path, text: str, change: tuple[str, str], verdict: str
+) -> None:
+    test_decide.test_true_claims_are_proved_and_false_ones_refuted(tmp_path, text, change, verdict)
