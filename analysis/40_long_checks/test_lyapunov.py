@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from surctl.lyapunov import find_stability, least_level
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.equilibrium import linearisation
 from surctl.verification.formula import parse, variable
+from tests.lyapunov import test_decide
 from tests.lyapunov.test_search import TRUE_AREA, dynamics, leavers, van_der_pol
 
 
@@ -46,3 +49,36 @@ def test_energy_is_made_strict_and_the_largest_rate_is_proved() -> None:
     assert outcome.claim is not None
     assert outcome.claim.rate is not None
     assert outcome.claim.rate > 0
+
+
+def test_a_region_is_proved_just_below_its_least_level() -> None:
+    d = dynamics({"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ["-x + y", "-y - x^3"])
+    outcome = find_stability(d, degree=2, time_limit=30.0)
+    assert outcome.verdict == "proved"
+    assert outcome.ratio >= 0.9
+    assert outcome.claim is not None
+    assert outcome.to_dict()["level"] < outcome.to_dict()["falsified_level"]
+
+
+def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed() -> None:
+    d = van_der_pol()
+    x = {"x": variable("x"), "y": variable("y")}
+    function = parse("1.5*x^2 - x*y + y^2", x)
+    bound = least_level(d, function)
+    grid = np.linspace(-1.5, 1.5, 301)
+    points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
+    points = points[:, np.abs(points).max(axis=0) > 1e-3]  # without the equilibrium
+    v, change = np.asarray(d.compiled(function, d.change(function))(points, np.zeros((0, points.shape[1]))))
+    assert bound.level == pytest.approx(v[change >= 0].min(), rel=1e-2)
+    assert bound.confirmed
+    assert bound.cause == "decrease"
+    faces = least_level(d.on({"x": (-0.5, 0.5)}), function)
+    assert faces.cause == "face"
+    assert faces.level == pytest.approx(1.25 * 0.5**2)  # the least value of V on x = 0.5
+
+
+@pytest.mark.parametrize(("text", "change", "verdict"), test_decide.TRUE_AND_FALSE)
+def test_true_claims_are_proved_and_false_ones_refuted(
+    tmp_path: Path, text: str, change: tuple[str, str], verdict: str
+) -> None:
+    test_decide.test_true_claims_are_proved_and_false_ones_refuted(tmp_path, text, change, verdict)

@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+import importlib
+import math
+
 import numpy as np
 import pytest
 
-from surctl.sensing import FaultChances, SonarArray
-from tests.sensing import test_echo, test_estimate, test_faults, test_local_map
+from surctl.ir import Program, replay
+from surctl.ir.routine import nested
+from surctl.sensing import FaultChances, LocalMap, SonarArray, calibrate
+from tests.sensing import (
+    test_array,
+    test_echo,
+    test_estimate,
+    test_faults,
+    test_local_map,
+    test_own_state,
+    test_ranging,
+)
+from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, firing
+from tests.sensing.test_calibration import BIAS, SCALE
+from tests.sensing.test_local_map import DT
+from tests.sensing.test_simulated_table2 import printed, simulated
 
 BEAMS = pytest.mark.parametrize("beam", [15.0, 75.0, 120.0])
 
@@ -27,7 +44,7 @@ def test_marks_of_a_wide_beam() -> None:
         check(120.0)
 
 
-@pytest.mark.parametrize("name", ["the law's", "blocks of one cell"])
+@pytest.mark.parametrize("name", ["the law's", "blocks of one cell", "smooth"])
 def test_the_routine_and_the_numbers_agree(name: str) -> None:
     walls = test_local_map.SITE if name == "the law's" else test_local_map.OPEN
     test_local_map.test_the_routine_and_the_numbers_agree(name, walls)
@@ -35,6 +52,7 @@ def test_the_routine_and_the_numbers_agree(name: str) -> None:
 
 def test_bits_of_other_charts_and_numbers() -> None:
     test_local_map.test_the_routine_has_the_bits_of_whole_arrays("one block", np.float64, (-0.4, 30.0, -30.0, -1.5))
+    test_local_map.test_the_routine_has_the_bits_of_whole_arrays("the law's", np.float64, test_local_map.SITE)
     test_local_map.test_a_block_that_is_only_grazed_is_not_left_alone(np.float32)
 
 
@@ -61,3 +79,60 @@ def test_faults_in_symbols_and_numbers(told: str, chances: FaultChances) -> None
 @pytest.mark.parametrize("degrees", [7.5, 37.5, 60.0])
 def test_expected_range_is_the_worlds(sensor: int, degrees: float) -> None:
     test_estimate.test_expected_range_is_the_worlds(sensor, degrees)
+
+
+@pytest.mark.parametrize(("limit", "beam", "mount"), [(30, 75, None), (5, 120, None), (22.5, 60, (0.2, -0.3))])
+def test_corners_of_other_faces_and_beams(limit: float, beam: float, mount: tuple[float, float] | None) -> None:
+    test_array.test_a_corner_is_first_heard_where_rays_first_find_a_face_that_answers(limit, beam, mount)
+
+
+def test_errors_of_the_settled_filter() -> None:
+    test_own_state.test_errors_are_as_large_as_the_filter_says(161, (0, 0))
+
+
+def test_an_average_of_a_firing_would_spread_half_as_much() -> None:
+    averaged = simulated("average", 300)
+    inside = np.mean([t.error_sd.low <= printed().error_sd.value <= t.error_sd.high for t in averaged])
+    assert inside < 0.06
+    table = printed()
+    assert np.mean([t.error_sd.value >= table.error_sd.low for t in averaged]) < 0.02
+
+
+def test_ranges_in_symbols_and_numbers_until_a_stream_comes_late() -> None:
+    test_ranging.test_symbols_and_numbers_agree(SonarArray(), 2400)
+
+
+def test_noise_that_grows_is_found_in_many_rows() -> None:
+    rng = np.random.default_rng(2)
+    x = rng.uniform(0.25, 4.45, 50_000)
+    found = calibrate(x, SCALE * x + BIAS + (0.005 + 0.004 * x) * rng.standard_normal(len(x)))
+    assert found.varies
+    assert found.noise_slope is not None and found.noise_at_zero is not None
+    assert found.noise_slope.value == pytest.approx(0.004, abs=1.4e-4)
+    assert found.noise_slope.high - found.noise_slope.low < 2.8e-4
+    assert found.scale.value == pytest.approx(SCALE, abs=1.4e-4)
+
+
+replaying = importlib.import_module("surctl.ir.replay")  # the package has a function of that name
+
+
+def test_a_readingcosts_what_it_touches(monkeypatch):
+    """Two firings ahead, and none: the blocks beside them are left alone."""
+    counted = []
+    run = replaying._run_program
+
+    def counting(program, arrays, real):
+        batch = np.broadcast_shapes(*(a.shape[:-1] for a in arrays))
+        counted.append(program.operations * math.prod(batch))
+        return run(program, arrays, real)
+
+    monkeypatch.setattr(replaying, "_run_program", counting)
+    chart, costs = LocalMap(dt=DT), []
+    ahead = firing((HULL, 0.0), 0.0, 1.0, half=math.radians(37.5))
+    for readings in ([*EMPTY, *EMPTY], [*ahead, *EMPTY], [*ahead, *ahead]):
+        counted.clear()
+        replay(chart.routine(), np.zeros(chart.side**2), np.full(2, -24.0), [0.0, 0.0, HULL, EDGE], OPEN, readings)
+        costs.append(sum(counted))
+    assert costs[0] < costs[1] < costs[2] < 110_000 < chart.routine().operations / 3
+    programs = {b.digest(): b.operations for b in nested(chart.routine()).values() if isinstance(b, Program)}
+    assert sum(programs.values()) < 800

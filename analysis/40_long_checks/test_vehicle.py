@@ -9,18 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build_law
+from surctl.control import build_law, load_gains
 from surctl.export import Records, software_in_the_loop
-from surctl.simulation import simulate
-from surctl.vehicle import identify
+from surctl.simulation import Case, load_scenario, simulate, simulate_batch
+from surctl.vehicle import held_out, identify
 from tests.cli.process import surctl
 from tests.tools import need_compiler
-from tests.vehicle import test_identify, test_identify_tilt, test_plant
+from tests.vehicle import test_identify, test_identify_tilt, test_plant, test_terms
 from tests.vehicle.test_fins import GAINS, REMUS, turning
 from tests.vehicle.test_identify import START, TRUE, made_log
 from tests.vehicle.test_identify_robust import MASSES, made
 from tests.vehicle.test_identify_tilt import TILT, boat
 from tests.vehicle.test_real_logs import depths, diver
+from tests.vehicle.test_terms import COUPLED
 
 
 @pytest.mark.parametrize("factor", [5.0, 0.2])
@@ -95,3 +96,19 @@ def test_several_logs_and_windows_by_the_command_line(tmp_path: Path) -> None:
     assert result["held_out"] == result["held_out_windows"][0]
     done = surctl("vehicle", "from-log", *names, "--topics", cwd=tmp_path)
     assert done.status == 2 and "--topics takes one log" in done.err
+
+
+def test_roll_is_predicted_in_a_part_that_was_held_out() -> None:
+    later = held_out(test_identify_tilt.made_log(test_identify_tilt.TRUE, seed=2), test_identify_tilt.START)
+    assert later is not None and later.model["roll_rad"] < 0.3 * later.hold["roll_rad"]
+
+
+def test_the_compiled_loop_flies_a_coupled_vehicle_like_the_reference_loop() -> None:
+    vehicle = test_terms.boat({**COUPLED, "Y0": 0.05, "Z0": -0.05, "Fu_reverse": 20.0})
+    scenario = replace(load_scenario("tank-speed-015"), time_limit=6.0)
+    case = Case(scenario, vehicle, load_gains("default"), law="closed_form")
+    run = simulate(scenario, vehicle, gains=case.gains, law=case.build(), seed=0)
+    table = simulate_batch(case, {"plant.m24": np.array([1.0, 0.0])}, seeds=[0, 0])
+    assert table.column("min_clearance_m")[0] == pytest.approx(run.metrics.min_clearance_m, abs=1e-9)
+    assert table.column("deviation_m")[0] == pytest.approx(run.metrics.deviation_m, abs=1e-9)
+    assert abs(table.column("deviation_m")[1] - table.column("deviation_m")[0]) > 1e-6

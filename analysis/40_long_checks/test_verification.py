@@ -7,15 +7,22 @@ from pathlib import Path
 
 import pytest
 
+from surctl.certcheck import check_document
 from surctl.control import load_gains
 from surctl.vehicle import load_vehicle
-from surctl.verification import claims
+from surctl.verification import build_cascade, claims, closed_loop_poles, prove
 from surctl.verification.braking import BRAKING_CLAIMS
+from surctl.verification.linear import corners, disk_margin, linear_side, margin_speed, open_loop, worst_linear_side
 from surctl.verification.region import prove_turning, turning_claim
 from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims
 from tests.verification.braking import test_proof as braking
+from tests.verification.linear import test_interop, test_sampled
+from tests.verification.linear.test_interop import LOOP_NAMES
+from tests.verification.linear.test_margin_speed import GAINS, WU, ranged
+from tests.verification.linear.test_sampled import ABOUT, VEHICLE
 from tests.verification.proving import test_squares
 from tests.verification.region.test_proof import test_flights_from_the_edge_stay_below_the_envelope as below
+from tests.verification.test_library import one
 
 
 def test_from_the_edge_with_lag_and_spin() -> None:
@@ -54,3 +61,55 @@ def test_functions(left: str, right: str, box: dict[str, tuple[float, float]], s
 @pytest.mark.parametrize("name", test_counterexample.REFUTED)
 def test_every_counterexample_is_confirmed_from_its_json(name: str) -> None:
     test_counterexample.test_every_counterexample_is_confirmed_from_its_json(name)
+
+
+def test_the_margin_is_kept_at_every_corner_below_that_speed_and_lost_above() -> None:
+    tried = corners(ranged())
+    speed = margin_speed(tried, GAINS, dt=0.05, highest=0.2)
+
+    def least(cruise: float) -> float:
+        loops = [build_cascade(v, GAINS, cruise=cruise, dt=0.05, model=tried.vehicles[0]) for v in tried.vehicles]
+        return min(disk_margin(open_loop(c, place)).guaranteed for c in loops for place in ("thrust", "measurement"))
+
+    assert least(0.97 * speed) > 0.3 > least(1.03 * speed)
+    stable = margin_speed(tried, GAINS, dt=0.05, highest=0.2, least=0.0)
+    worst = replace(WU).with_values({"m11": 15.0, "m22": 27.0})
+    for factor, good in ((0.98, True), (1.02, False)):
+        assert build_cascade(worst, GAINS, cruise=factor * stable, dt=0.05, model=WU).stable is good
+
+
+@pytest.mark.parametrize("name", LOOP_NAMES)
+def test_margins_of_every_loop(name: str) -> None:
+    test_interop.test_margins_are_those_that_are_printed(name, 0.05)
+
+
+def test_a_loop_without_delay_decays_below_the_largest_period_and_grows_above() -> None:
+    test_sampled.test_the_loop_flown_step_by_step_decays_below_the_largest_period_and_grows_above(0, 0.0)
+
+
+def test_braking_of_another_hull_with_unequal_masses() -> None:
+    braking.test_unequal_masses_are_proved_with_their_coupling("bluerov2-wu")
+
+
+def test_the_sides_of_corners_with_and_without_lag_are_the_least_of_each() -> None:
+    whole = corners(VEHICLE, 0.2)
+    assert len(whole.vehicles) == 5
+    tried = replace(whole, vehicles=(VEHICLE, whole.vehicles[-1].with_values({"thrust_lag": 0.0})))
+    sides = [linear_side(v, test_sampled.GAINS, dt=0.05, model=VEHICLE, **ABOUT) for v in tried.vehicles]
+    worst = worst_linear_side(tried, test_sampled.GAINS, dt=0.05, **ABOUT)
+    for k, disk in enumerate(worst.disks):
+        assert disk.guaranteed == pytest.approx(min(s.disks[k].guaranteed for s in sides), rel=2e-3)
+    assert worst.least_damping == min(s.least_damping for s in sides)
+    assert worst.sampled.largest_period_s[1] == min(s.sampled.largest_period_s[1] for s in sides)
+    assert worst.slowest_per_s == pytest.approx(max(s.slowest_per_s for s in sides), rel=1e-9)
+    assert worst.sampled.radius == pytest.approx(max(s.sampled.radius for s in sides), rel=1e-9)
+    assert worst.stable and "±20%" in worst.lines()[0]
+    assert sides[0].slowest_per_s == pytest.approx(
+        closed_loop_poles(VEHICLE, test_sampled.GAINS, dt=0.05, **ABOUT)[0].real
+    )
+
+
+def test_the_speed_cap_region_ends_where_equality_is_met_so_that_rounding_decides() -> None:
+    # its end, -5 m, is a rounded number: either it or its neighbour is beyond the closed form
+    proof = prove(one("v1-speed-cap-region"), slack=1e-9)
+    assert proof.certificate is not None and check_document(proof.certificate).accepted and 0 < proof.slack <= 1e-12

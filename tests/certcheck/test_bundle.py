@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -49,11 +50,16 @@ def braking(name: str, change: Callable[[dict[str, Any]], None] = lambda _: None
     return seal("braking", claim, {"proof": document["proof"]})
 
 
+@cache
+def entries(gains: tuple[tuple[str, float], ...]) -> str:
+    p = LAW.gains.pack({**LAW.gains.unpack(P), **{name: np.array([value]) for name, value in gains}})
+    frame = {"name": "n", "id": law_id(LAW, p), "dt_s": LAW.dt, "real": "float64", "sha256": {}}
+    return json.dumps(frame | manifest_entries(LAW, p, Origin(VEHICLE, LAW)))
+
+
 def manifest_for(change: Callable[[dict[str, Any]], None] = lambda _: None, **gains: float) -> Manifest:
     """The manifest of the bundle without its files, sealed again after a change."""
-    p = LAW.gains.pack({**LAW.gains.unpack(P), **{name: np.array([value]) for name, value in gains.items()}})
-    frame = {"name": "n", "id": law_id(LAW, p), "dt_s": LAW.dt, "real": "float64", "sha256": {}}
-    table = json.loads(json.dumps(frame | manifest_entries(LAW, p, Origin(VEHICLE, LAW))))
+    table = json.loads(entries(tuple(gains.items())))
     change(table)
     table["vehicle"]["sha256"] = hashlib.sha256(
         json.dumps(table["vehicle"]["values"], sort_keys=True).encode()
@@ -400,10 +406,14 @@ def turning(change: Callable[[dict[str, Any]], None] = lambda _: None) -> dict[s
     return seal("turning", claim, {"proof": document["proof"]})
 
 
-def own_manifest(**values: float) -> Manifest:
-    vehicle = OWN.with_values(values) if values else OWN
+@cache
+def own_entries(values: tuple[tuple[str, float], ...]) -> str:
     frame = {"name": "n", "id": law_id(LAW, OWN_P), "dt_s": LAW.dt, "real": "float64", "sha256": {}}
-    return read_manifest(json.loads(json.dumps(frame | manifest_entries(LAW, OWN_P, Origin(vehicle, LAW)))))
+    return json.dumps(frame | manifest_entries(LAW, OWN_P, Origin(OWN.with_values(dict(values)), LAW)))
+
+
+def own_manifest(**values: float) -> Manifest:
+    return read_manifest(json.loads(own_entries(tuple(values.items()))))
 
 
 def test_a_turning_certificate_belongs_to_the_vehicle_with_its_masses() -> None:

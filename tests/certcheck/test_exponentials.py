@@ -67,7 +67,7 @@ def suited(op: str, x: float) -> float:
 
 
 @pytest.mark.parametrize("op", TRUE)
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(numbers, st.sampled_from(EXPONENTS), st.floats(0, 7), st.floats(0, 1))
 def test_on_an_interval_they_hold_the_value_everywhere(
     op: str, x: float, exponent: Fraction, width: float, share: float

@@ -12,7 +12,7 @@ from surctl.verification import claims, falsify, prove
 from surctl.verification.formula import parse, to_casadi, variable
 from tests.verification.made_claims import claim_from
 
-MUTATIONS = 40
+MUTATIONS = 24
 
 
 def proved(claim: Any) -> dict[str, Any]:
@@ -31,7 +31,8 @@ def originals() -> list[dict[str, Any]]:
         claim_from("waves", box, "sin(2*x + 0.1) + cos(y)", "2.00001"),
         claim_from("strip", box, "x + y", "0.7", ("x + y - 0.7",)),
         claim_from("disk", box, "x + y", "1.01*sqrt(2)", ("x^2 + y^2 - 1",)),
-        claim_from("bent", box, "abs(x) + atan2(y, x + 3)", "1 + atan2(2, 2)"),
+        claim_from("bent", box, "abs(x) + y - 0.1*y*sin(y)", "3.00001 - 0.2*sin(2)"),
+        claim_from("angle", box, "abs(x) + atan2(y, x + 3)", "1.01 + atan2(2, 2)"),
     ]
     names = ["course-corrected", "v2-static"]
     return [proved(c) for c in (*made, *claims(names=names))]

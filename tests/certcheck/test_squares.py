@@ -22,7 +22,7 @@ from tests.certcheck.altering import sealed
 from tests.verification.by_squares import certificate
 from tests.verification.made_claims import claim_from
 
-MUTATIONS = 40
+MUTATIONS = 24
 BOX = {"x": (-1.0, 1.5), "y": (-0.5, 1.0)}
 
 

@@ -74,17 +74,6 @@ def test_a_missed_command_holds_the_integral_and_is_reported() -> None:
     assert (step.telemetry[law.telemetry_slice("thruster_force")][[1, 2]] == 0.0).all()
 
 
-def test_the_filter_of_the_own_state_uses_the_achieved_thrust() -> None:
-    law = build_law(sonar=True, actuators=VEHICLE.actuators)
-    working = np.zeros(8)
-    fix = {"fix": [1.0, 2.5, -0.5], "fix_fresh": 1.0}
-    given = law.initial_state(), law.inputs.pack({**fix, "working": working}), _numbers()
-    tau, x_next, _, telemetry = replay(law.block, *given)
-    assert (tau == 0.0).all()
-    assert (x_next[law.state.slice("last_thrust")] == 0.0).all()
-    assert np.abs(telemetry[law.telemetry_slice("tau_desired")]).max() > 0.0
-
-
 def test_the_priority_problem_is_that_of_the_law_without_allocation() -> None:
     law, base, p = _law("guarded"), build_law("guarded"), _numbers()
     found = law.explained(law.initial_state(), _inputs(law), p)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -29,9 +28,7 @@ from surctl.control.baselines import apf, cbf, dwa, vo
 from surctl.control.baselines.situation import NEVER, time_to_contact
 from surctl.errors import InputError
 from surctl.guidance import Path, disc_contact, wall_contacts
-from surctl.simulation import METRICS, Case, load_scenario, simulate, simulate_batch
 from surctl.vehicle import load_vehicle
-from tests.tools import need_compiler
 
 Array = NDArray[np.float64]
 BASELINES = ("apf", "dwa", "vo", "cbf")
@@ -143,7 +140,7 @@ def test_the_field_knows_no_velocity_of_a_contact() -> None:
     assert np.array_equal(_velocity("apf", near), _velocity("apf", _disc(0.7, 0.1, vx=-0.2)))
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(
     st.sampled_from(BASELINES),
     st.lists(
@@ -187,7 +184,7 @@ def test_the_window_holds_what_the_thrust_can_change() -> None:
 # --- time to contact ----------------------------------------------------------------------------------------------
 
 
-@settings(max_examples=32, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_the_time_to_contact_is_when_the_simulated_discs_touch(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -226,7 +223,7 @@ def _forbidden(velocity: Array, contacts: list[tuple[float, ...]], *, horizon: f
     return False
 
 
-@settings(max_examples=30, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_the_velocity_lies_outside_every_cone_where_a_candidate_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -342,19 +339,3 @@ def test_the_barrier_s_rows_are_kept_by_the_law_s_velocity() -> None:
 
 
 # --- the two loops ------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("name", "scenario", "sensing", "seconds"),
-    [
-        ("dwa", "pool-behind", "truth", 4.0),  # study 13 flies the others, and by sonar
-    ],
-)
-def test_a_run_of_the_batch_is_the_reference_run(name: str, scenario: str, sensing: Any, seconds: float) -> None:
-    need_compiler()
-    plan = replace(load_scenario(scenario), time_limit=seconds)
-    case = Case(plan, load_vehicle(plan.vehicle), load_gains("default"), law=name, sensing=sensing)  # type: ignore[arg-type]
-    run = simulate(plan, case.vehicle, gains=case.gains, law=case.build(), sensing=sensing, seed=2)
-    found = simulate_batch(case, seeds=2).table[0]
-    for metric, a, b in zip(METRICS, found, run.metrics.row(), strict=True):
-        assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), (metric, a, b)

@@ -96,7 +96,7 @@ def _packed(trap: DeadEnd, layout: Layout, progress: float) -> NDArray[np.float6
 def test_the_symbols_and_the_plain_twin_agree(depths: bool) -> None:
     rng, mission, p = np.random.default_rng(1), _mission(), _parameters()
     seen: set[tuple[float, ...]] = set()
-    for _ in range(1000):
+    for _ in range(600):
         trap, place, mover, progress = _drawn(rng, depths)
         x = _packed(trap, STATES[depths], progress)
         column = place.column or (0.0, 0.0)

@@ -42,8 +42,11 @@ def test_which_gains_may_be_zero_or_are_bounded() -> None:
     assert {name: pytest.approx(spec.below) for name, spec in GAINS.items() if spec.below < 1e9} == BOUNDED
 
 
-@pytest.mark.parametrize("value", ["0.0", "-1.0", "nan", "inf", "-inf", "true", '"1"'])
-@pytest.mark.parametrize("name", GAINS)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [(name, value) for name in GAINS for value in ("0.0", "nan")]
+    + [("k_v", value) for value in ("-1.0", "inf", "-inf", "true", '"1"')],
+)
 def test_a_gain_that_is_not_positive_is_refused(tmp_path: Path, name: str, value: str) -> None:
     if value == "0.0" and name in MAY_BE_ZERO:
         assert _load(tmp_path, _with(name, value))[name] == 0.0

@@ -54,7 +54,7 @@ def test_its_commands_are_those_of_a_law_that_holds_the_whole_mission(
 ) -> None:
     speeds = np.where(np.arange(40) % 3, 0.0, 0.15)
     path = Path(POINTS, np.linspace(0, -0.4, 40), speeds, KINDS)
-    scenario = _mission(path, seconds=60.0)
+    scenario = _mission(path, seconds=36.0)
     law, whole = build_law(name), _longer(monkeypatch, name, len(POINTS))
     held: dict[str, Any] = {"x": whole.initial_state(), "steps": 0, "moves": 0, "window": None}
 
@@ -74,9 +74,9 @@ def test_its_commands_are_those_of_a_law_that_holds_the_whole_mission(
         return step
 
     run = simulate(scenario, VEHICLE, gains=GAINS, law=law, stepper=both)
-    assert held["steps"] == len(run.record.time) > 1000 and held["moves"] > 8
+    assert held["steps"] == len(run.record.time) > 600 and held["moves"] > 4
     furthest = float(held["x"][whole.state.slice("progress")][0])
-    assert furthest > 8.0 and run.telemetry("avoiding").any()
+    assert furthest > 4.5 and run.telemetry("avoiding").any()
 
 
 def test_a_mission_of_eight_points_is_not_fed() -> None:

@@ -254,19 +254,6 @@ def test_the_laws_of_the_study_pass_the_public_check(name: str) -> None:
     assert report.name in name.replace("wall.py:wall", "wall_follower")
 
 
-def test_super_twisting_reaches_its_station_and_an_orbit_its_circle() -> None:
-    scenario, vehicle = load_scenario(str(STUDY / "orbit.toml")), load_vehicle("sur540-flooded")
-    law, gains = build_law(law_ref("station.py:station", folder=STUDY)), load_gains("default")
-    gains = gains.with_own(law_source(law.ref).gains)
-    assert simulate(scenario, vehicle, gains=gains, law=law).metrics.reached
-    run = simulate(scenario, vehicle, gains=gains.with_values({"radius": 1.0}), law=law)
-    offset = run.record.eta[-401:, :2] - scenario.path.waypoints[-1]
-    assert np.abs(np.hypot(*offset.T) - 1.0).max() < 0.06
-    turned = run.record.law_state[:, law.state.slice("turned")].ravel()
-    angle = np.unwrap(np.arctan2(*offset.T[::-1]))
-    assert turned[-1] - turned[-401] == pytest.approx(angle[-1] - angle[0], rel=0.1)
-
-
 def test_a_report_and_its_files_name_an_own_law(law: str, mission: Path) -> None:
     run = simulate(
         load_scenario(str(mission)), load_vehicle("sur540-flooded"), gains=load_gains("default"), law=build_law(law)

@@ -28,17 +28,6 @@ def tried() -> tuple[Law, list[np.ndarray]]:
     return law, [np.repeat(law.initial_state()[None], count, axis=0), U, np.repeat(p[None], count, axis=0)]
 
 
-def test_in_floats_it_decides_as_in_doubles() -> None:
-    law, given = tried()
-    want, have = replay(law.block, *given), replay(in_real(law, "float32").block, *given, real=np.float32)
-    np.testing.assert_array_equal(have[2], want[2])
-    at = law.telemetry_slice("nu_reference")
-    off = np.abs(have[3][:, at] - want[3][:, at]).max(axis=1)
-    opened = want[2][:, 0] % (2 * DEGRADED) >= DEGRADED
-    # an opening has a margin, in which the task may give way: by it divided by the sine between the rows
-    assert 0 < opened.sum() < len(opened) and off[~opened].max() < 2e-6 and off.max() < 1e-3
-
-
 def test_a_law_that_has_no_other_tolerances_comes_back_as_it_is() -> None:
     law = build_law(mode="projected", contacts=1)
     assert in_real(law, "float64") is law

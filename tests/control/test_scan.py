@@ -16,9 +16,7 @@ from surctl.guidance import Path
 from surctl.ir import Layout
 from surctl.sensing import Equipment
 from surctl.vehicle import LIBRARY, Parameter, load_vehicle
-from surctl.world import Disc
-from tests.control.robot import CONTACTS, DT, HULL, Robot, known, parameters
-from tests.tools import need_compiler
+from tests.control.robot import CONTACTS, HULL, known, parameters
 
 WIDE_OPEN = (-50.0, 50.0, -48.0, 52.0)  # the path in its middle
 BEARINGS = 2 * np.pi * np.arange(SECTORS) / SECTORS
@@ -118,26 +116,6 @@ def test_at_its_target_it_is_not_halted():
 
 
 # --- the whole law at its start -------------------------------------------------------------------------------------
-
-
-def test_in_its_first_second_it_goes_no_faster_than_stops_before_the_unknown():
-    need_compiler()
-    made = law(mode="nsb")
-    robot = Robot(Equipment(own=None), at=(0.6, 2.0, -0.15, 0.0), spin=0.27, shapes=[Disc((2.0, 2.1), 0.2)])
-    x, speeds = made.initial_state(), []
-    for tick in range(12):
-        u = made.inputs.pack(robot.inputs())
-        told = made.perception.outputs.unpack(robot.run(x[-made.perception.state.size :], u, robot.p)[1])
-        step = made.step(x, u, robot.p)
-        x = step.x_next
-        wanted = made.outputs.unpack(np.concatenate([step.tau, step.telemetry]))["nu_reference"]
-        c, s = math.cos(robot.eta[3]), math.sin(robot.eta[3])
-        velocity = np.array([c * wanted[0] - s * wanted[1], s * wanted[0] + c * wanted[1]])
-        for *normal, clearance in told["unknown"]:
-            assert velocity @ normal <= stops_within(clearance) + 1e-6
-        speeds.append(np.hypot(*velocity))
-        robot.tick, robot.eta[3] = tick + 1, robot.eta[3] + robot.spin * DT
-    assert speeds[0] < 0.01 and max(speeds) < 0.1
 
 
 # --- what bounds its speed ------------------------------------------------------------------------------------------

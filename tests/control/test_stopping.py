@@ -14,7 +14,6 @@ from surctl.control.stopping import BARRIERS, BRAKE, HARD, Barrier, braked
 from surctl.errors import InputError
 from surctl.guidance import Path
 from surctl.guidance.braking import Watch, allowed_speed, brakes_of
-from surctl.simulation import Case, load_scenario, simulate_batch
 from surctl.vehicle import load_vehicle
 
 VEHICLE, GAINS, DT = load_vehicle("sur540-flooded"), load_gains("default"), 0.05
@@ -88,24 +87,3 @@ def test_only_the_guarded_law_has_a_choice(key: str) -> None:
     assert caught.value.key == key
     with pytest.raises(InputError, match="law paper has no such option"):
         build_law("paper", **{key: {"barrier": "inertia", "movers": "barrier"}[key]})
-
-
-def test_the_worst_plant_hits_nothing_that_stands_and_keeps_more_room() -> None:
-    scenario = load_scenario("tank-static")
-    plant = {"plant.m11": 125.0, "plant.m22": 125.0, "plant.Fu_max": 4.25, "plant.Fv_max": 4.25}
-    values = {name: np.array([value]) for name, value in plant.items()}
-    least = {}
-    for barrier in ("simple", "inertia"):
-        flown = simulate_batch(Case(scenario, VEHICLE, GAINS, barrier=barrier), values, seeds=np.array([0]))
-        assert flown.column("reached")[0] == 1
-        least[barrier] = flown.column("min_clearance_m")[0]
-    assert 0 < least["simple"] < least["inertia"]
-
-
-def test_movers_are_braked_for_instead_of_evaded() -> None:
-    scenario, least = load_scenario("tank-speed-010"), {}
-    for movers in ("predict", "barrier"):
-        flown = simulate_batch(Case(scenario, VEHICLE, GAINS, movers=movers), seeds=np.array([0]))
-        assert flown.column("reached")[0] == 1
-        least[movers] = flown.column("min_clearance_m")[0]
-    assert least["barrier"] > 1.2 * least["predict"]

@@ -22,7 +22,7 @@ CASES = [
     {"guidance": "ilos", "barrier": "inertia", "movers": "barrier", "contacts": 3},
     {"law": "paper", "avoidance": "printed"},
     {"mode": "projected", "fallback": "bounded", "contacts": 1},
-    {"sonar": True, "depths": True, "equipment": Equipment(own=None)},  # as in `test_layers`
+    {"law": "paper", "sonar": True, "equipment": Equipment(own=None)},
 ]
 
 

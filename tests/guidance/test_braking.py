@@ -42,7 +42,7 @@ Vector = NDArray[np.float64]
 
 # ---- an independent flight: two dimensions, 5 ms, thrust with lag, obstacles and sensors against it
 
-STEP, EPISODES, SECONDS, CAP = 0.005, 300, 12.0, 0.5  # s, 1, s, m/s
+STEP, EPISODES, SECONDS, CAP = 0.005, 150, 10.0, 0.5  # s, 1, s, m/s
 
 
 def fly(
@@ -127,7 +127,7 @@ SETTINGS = [
 ]
 
 
-@pytest.mark.parametrize("k", [3, 5])  # without drag and errors, and with both; others: study 40
+@pytest.mark.parametrize("k", [5])  # with drag and errors; others: study 40
 def test_nothing_is_ever_hit(k: int) -> None:
     brakes, watch, obstacle = SETTINGS[k]
     least, near = fly(brakes, watch, obstacle, seed=k)

@@ -64,7 +64,7 @@ def _nearest_pass(offset: Array, relative: Array) -> tuple[float, float]:
 _speed = st.floats(-0.3, 0.3)
 
 
-@settings(derandomize=True, deadline=None, max_examples=120)
+@settings(derandomize=True, deadline=None, max_examples=60)
 @given(st.floats(0.72, 5.0), st.floats(-3.1, 3.1), _speed, _speed, _speed, _speed)
 def test_inside_is_what_passes_too_near_and_soon(
     distance: float, bearing: float, vx: float, vy: float, ox: float, oy: float

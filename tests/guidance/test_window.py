@@ -53,9 +53,9 @@ def test_through_the_window_a_law_sees_the_whole_path() -> None:
     point_at = ca.Function("at", [points, s], [path_target(points, s)[0]])
     window = Window(LONG.table(), **OF_MISSION)
     corners = np.concatenate([[0.0], np.cumsum(LONG.lengths)])
-    progress = -0.03
-    for arc in np.arange(0.0, LONG.length, 0.03):
-        progress += 0.03
+    progress = -0.08
+    for arc in np.arange(0.0, LONG.length, 0.08):
+        progress += 0.08
         progress += window.move(progress)
         place = point_at(POINTS, arc).full().ravel() + RNG.normal(0, 0.3, 2)
         found, wanted = part(window.waypoints(), progress, place), whole(POINTS, arc, place)

@@ -131,15 +131,6 @@ def test_replay_is_the_casadi_machine_bit_for_bit(steps: list[tuple[str, int, in
     np.testing.assert_array_equal(have, np.asarray(function(values)).reshape(-1))
 
 
-def test_six_thousand_operations_lower() -> None:
-    x = ca.SX.sym("x", 4)
-    pool = [x[k] for k in range(4)]
-    for k in range(6000):
-        pool.append(pool[-1] * 0.5 + pool[-4] if k % 2 else ca.fmin(pool[-2], pool[-3]) - k)
-    function = ca.Function("large", [x], [ca.vertcat(*pool[-8:])])
-    assert lower(function).operations > 6000
-
-
 def test_a_rearrangement_is_the_program_that_lowering_gives() -> None:
     a, b = ca.SX.sym("a", 4), ca.SX.sym("b", 2)
     outputs = [ca.vertcat(b, a[1:]), a[2:3], a[:0]]

@@ -93,7 +93,7 @@ def test_a_loop_that_ends_early_and_a_batch_of_them() -> None:
         assert all(same(a, b[k]) for a, b in zip(alone, batch, strict=True))
 
 
-@settings(max_examples=12, deadline=None, derandomize=True)
+@settings(max_examples=8, deadline=None, derandomize=True)
 @given(steps=picks, turns=st.integers(1, 6), seed=st.integers(0, 2**32 - 1))
 def test_random_bodies_in_a_loop_agree(steps: list[tuple[str, int, int, int]], turns: int, seed: int) -> None:
     need_compiler()

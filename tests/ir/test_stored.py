@@ -136,7 +136,7 @@ def test_random_routines(seed: int) -> None:
     same(random_routine(seed))
 
 
-@pytest.mark.parametrize("sonar", [False, True])
+@pytest.mark.parametrize("sonar", [False])  # with sonars: study 40
 def test_a_law(sonar: bool) -> None:
     block = build_law("guarded" if sonar else "closed_form", sonar=sonar).block
     found = same(block)
@@ -207,14 +207,14 @@ def test_what_is_cut_off_is_refused() -> None:
     assert "altered" in refused(text.replace("v0", "v1", 1))
 
 
-@settings(max_examples=160, deadline=None, derandomize=True)
+@settings(max_examples=70, deadline=None, derandomize=True)
 @given(at=st.integers(0, 10**6), length=st.integers(0, 6), by=st.sampled_from(WORDS) | st.text(max_size=4))
 def test_a_changed_text_is_refused_or_another_block(at: int, length: int, by: str) -> None:
     at %= len(BODY)
     refused_or_exact(BODY[:at] + by + BODY[at + length :])
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=35, deadline=None, derandomize=True)
 @given(one=st.integers(0, 10**6), other=st.integers(0, 10**6))
 def test_exchanged_lines_are_refused_or_another_block(one: int, other: int) -> None:
     lines = BODY.split("\n")

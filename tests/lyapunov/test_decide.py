@@ -29,7 +29,7 @@ TRUE_AND_FALSE = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "change", "verdict"), TRUE_AND_FALSE[::2])  # all of them: study 40
+@pytest.mark.parametrize(("text", "change", "verdict"), TRUE_AND_FALSE[::3])  # all of them: study 40
 def test_true_claims_are_proved_and_false_ones_refuted(
     tmp_path: Path, text: str, change: tuple[str, str], verdict: str
 ) -> None:
@@ -70,7 +70,7 @@ def test_a_claim_is_not_refuted_where_only_a_bound_of_its_proof_fails(tmp_path: 
         f'{name} = {{ rate = "{rate}", lower = -1.5, upper = 1.5 }}\n' for name, rate in (("x", x), ("y", "-y"))
     )
     text = f'kind = "lyapunov"\nname = "strict"\nfunction = "x^2 + y^2"\nlevel = {level}\n[states]\n{states}'
-    assert solve(load_problem(written(tmp_path, text)), time_limit=2.0).verdict != "refuted"
+    assert solve(load_problem(written(tmp_path, text)), time_limit=0.5).verdict != "refuted"
 
 
 def test_a_barrier_that_is_barely_positive_in_the_unsafe_set_is_not_refuted(tmp_path: Path) -> None:

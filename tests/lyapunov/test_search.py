@@ -88,23 +88,6 @@ def test_the_region_of_van_der_pol_is_nearly_the_true_one() -> None:
     assert leavers(d, d.compiled(outcome[2].function), 0.97 * bound.level, count=60, seconds=10.0) == 0
 
 
-def test_the_least_level_is_that_of_a_scan_and_its_counterexample_is_confirmed() -> None:
-    d = van_der_pol()
-    x = {"x": variable("x"), "y": variable("y")}
-    function = parse("1.5*x^2 - x*y + y^2", x)
-    bound = least_level(d, function)
-    grid = np.linspace(-1.5, 1.5, 401)
-    points = np.array(np.meshgrid(grid, grid)).reshape(2, -1)
-    points = points[:, np.abs(points).max(axis=0) > 1e-3]  # without the equilibrium
-    v, change = np.asarray(d.compiled(function, d.change(function))(points, np.zeros((0, points.shape[1]))))
-    assert bound.level == pytest.approx(v[change >= 0].min(), rel=1e-2)
-    assert bound.confirmed
-    assert bound.cause == "decrease"
-    faces = least_level(d.on({"x": (-0.5, 0.5)}), function)
-    assert faces.cause == "face"
-    assert faces.level == pytest.approx(1.25 * 0.5**2)  # the least value of V on x = 0.5
-
-
 def test_unstable_and_marginal_equilibria_are_told_apart() -> None:
     unstable = find_stability(dynamics({"x": (-1.0, 1.0)}, ["k*x - x^3"], {"k": (-1.0, 0.2)}))
     assert unstable.verdict == "refuted"
@@ -147,15 +130,6 @@ def test_one_quadratic_function_for_all_corners_of_the_parameters() -> None:
     p = common_quadratic(maps, [1.0, 1.0], discrete=True)
     assert p is not None
     assert all(np.linalg.eigvalsh(a.T @ p @ a - p).max() < 0 for a in maps)
-
-
-def test_a_region_is_proved_just_below_its_least_level() -> None:
-    d = dynamics({"x": (-2.0, 2.0), "y": (-2.0, 2.0)}, ["-x + y", "-y - x^3"])
-    outcome = find_stability(d, degree=2, time_limit=30.0)
-    assert outcome.verdict == "proved"
-    assert outcome.ratio >= 0.9
-    assert outcome.claim is not None
-    assert outcome.to_dict()["level"] < outcome.to_dict()["falsified_level"]
 
 
 def test_a_searched_region_is_claimed_in_the_box_that_hugs_it() -> None:
@@ -206,7 +180,7 @@ def test_a_barrier_is_found_in_continuous_and_in_discrete_time() -> None:
     assert outcome.verdict == "proved"
     turned = dynamics(bounds, ["0.8*x + 0.3*y", "-0.3*x + 0.8*y"], discrete=True)
     assert find_barrier(turned, start, bad, degree=2, time_limit=30.0).verdict == "proved"
-    reached = find_barrier(dynamics(bounds, ["1", "0"]), start, [parse("1 - x", x)], degree=2, time_limit=0.4)
+    reached = find_barrier(dynamics(bounds, ["1", "0"]), start, [parse("1 - x", x)], degree=2, time_limit=0.2)
     assert reached.verdict == "unknown"
     with pytest.raises(InputError, match="holds no sample"):
         find_barrier(turned, [parse("x^2 + 1", x)], bad)

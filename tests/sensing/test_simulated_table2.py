@@ -107,11 +107,3 @@ def test_largest_error_is_ordinary() -> None:
     largest = [abs(t.errors[t.largest]) for t in simulated("sample")]
     assert np.median(largest) == pytest.approx(0.03, abs=0.0051)
     assert abs(printed().errors[printed().largest]) == pytest.approx(0.03)
-
-
-def test_an_average_of_a_firing_would_spread_half_as_much() -> None:
-    averaged = simulated("average", 300)
-    inside = np.mean([t.error_sd.low <= printed().error_sd.value <= t.error_sd.high for t in averaged])
-    assert inside < 0.06
-    table = printed()
-    assert np.mean([t.error_sd.value >= table.error_sd.low for t in averaged]) < 0.02

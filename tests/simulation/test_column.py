@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from surctl.simulation import Body
-from surctl.simulation.batch.bodies import NO_END
 from surctl.simulation.batch.bodies import Body as Symbols
 from surctl.simulation.column import BAND, FOOTPRINT, LONGEST, beside, column
 from surctl.simulation.scenario import load_scenario
@@ -64,31 +63,6 @@ def test_as_far_as_the_column_is_free_a_hull_that_keeps_its_place_touches_nothin
                 Prism(body.shape, body.heights).distance(*place, z) >= HULL + BAND
                 for place in rng.uniform(-2, 2, (20, 2))
             )
-
-
-def test_the_compiled_loop_has_the_same_numbers() -> None:
-    rng = np.random.default_rng(3)
-    for _ in range(200):
-        body, (x, y, z) = _drawn(rng), rng.uniform([-1.5, -1.5, -4], [1.5, 1.5, 0])
-        assert isinstance(body.shape, Box | Disc)
-        size = body.shape.size if isinstance(body.shape, Box) else [body.shape.radius]
-        ends = np.clip([body.heights.bottom, body.heights.top], -NO_END, NO_END)
-        twin = Symbols(
-            ca.SX(ca.DM(list(body.shape.center))),
-            ca.SX(ca.DM(list(size))),
-            ca.SX.zeros(2),
-            ca.SX(1),
-            moving=False,
-            heights=ca.SX(ca.DM(ends)),
-        )
-        place = ca.SX(ca.DM([x, y, z]))
-        distance = float(ca.DM(ca.evalf(twin.clearance(place))))
-        assert distance == pytest.approx(Prism(body.shape, body.heights).distance(x, y, z), abs=1e-12)
-        meets = bool(ca.DM(ca.evalf(twin.beside(place[2], ca.SX(HULL)).present)))
-        assert meets is bool(beside([body], z, HULL))
-        ways = [float(ca.DM(ca.evalf(way))) for way in twin.over_and_under(place, ca.SX(HULL))]
-        free = replace(TANK, depths=(-100.0, 100.0))
-        assert [max(0.0, min(LONGEST, way)) for way in ways] == pytest.approx(column(free, [body], (x, y, z), HULL))
 
 
 def test_a_body_that_is_not_there_is_neither_above_nor_below() -> None:

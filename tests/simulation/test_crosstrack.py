@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-import pytest
 
 from surctl.control import Law, build_law, load_gains
 from surctl.guidance import Guidance, Path
@@ -50,30 +49,6 @@ def _flown(scenario: str, guidance: Guidance, current: float, force: float, obst
 
 def _y(run: Run) -> np.ndarray:
     return run.record.eta[:, 1] - 2.5
-
-
-@pytest.mark.parametrize(("name", "current", "force"), [("tank-static", 0.05, 0.0)])  # across the path [m/s], [N]
-def test_a_steady_push_is_learnt(name: str, current: float, force: float, learns: Guidance = "ilos") -> None:
-    """Without integral action LOS is pushed off by more than 5 mm; `ilos` and, in study 40, `alos` are not."""
-    late = slice(1200, 1790)
-    kinds: tuple[Guidance, ...] = ("los", learns)
-    off = {guidance: float(np.abs(_y(_flown(name, guidance, current, force))[late]).max()) for guidance in kinds}
-    assert off["los"] > 0.0065
-    assert off[learns] < 0.005
-
-
-@pytest.mark.parametrize(("guidance", "current"), [("ilos", 0.1)])
-def test_after_an_avoidance_the_path_is_not_crossed_further_than_by_los(guidance: Guidance, current: float) -> None:
-    """The largest error on the other side of the path after the box is passed, over what LOS has there."""
-    beyond = {}
-    for kind in ("los", guidance):
-        run = _flown("tank-static", kind, current, 0.0, True)
-        avoiding = np.flatnonzero(run.telemetry("avoiding").ravel() > 0.5)
-        box = avoiding[run.record.eta[avoiding, 0] < 12]
-        assert len(box) > 20
-        y = _y(run)[box[-1] :]
-        beyond[kind] = float(np.max(-np.sign(y[0]) * y, initial=0.0))
-    assert beyond[guidance] <= beyond["los"] + 0.01
 
 
 def test_los_has_no_memory_and_the_others_keep_theirs_finite() -> None:

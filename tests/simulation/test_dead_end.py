@@ -11,19 +11,15 @@ import pytest
 from surctl.control import TRAPPED, build_law, law_parameters, load_gains
 from surctl.guidance import Path
 from surctl.simulation import (
-    METRICS,
     STANDSTILL,
-    STOPS,
     Case,
     Obstacle,
     Run,
     load_scenario,
     simulate,
-    simulate_batch,
     stop_reason,
 )
 from surctl.vehicle import load_vehicle
-from tests.tools import need_compiler
 
 
 def _box(name: str, centre: tuple[float, float], size: tuple[float, float]) -> Obstacle:
@@ -80,15 +76,6 @@ def test_patience_0_never_gives_up() -> None:
     run = simulate(longer, case.vehicle, gains=case.gains, law=case.build(), seed=1)
     assert run.metrics.stopped_because == "time limit"
     assert not np.any(run.telemetry("trapped"))
-
-
-def test_the_compiled_loop_ends_alike() -> None:
-    need_compiler()
-    case = _case("a box as wide as the pool")
-    single = _run("a box as wide as the pool")
-    (row,) = simulate_batch(case, seeds=[1]).table
-    assert row[list(METRICS).index("stopped")] == STOPS.index("dead end")
-    assert row[list(METRICS).index("time_s")] == pytest.approx(single.metrics.time_s)
 
 
 @pytest.mark.parametrize(("speed", "across"), [(0.04, 0.0), (0.15, 0.2)])

@@ -11,7 +11,6 @@ import pytest
 
 from surctl.cli.single_run import further_output
 from surctl.control import load_gains
-from surctl.guidance import Path
 from surctl.simulation import (
     Case,
     Obstacle,
@@ -57,7 +56,7 @@ def _scenario(obstacles: tuple[Obstacle, ...]) -> Scenario:
     return replace(SILL, obstacles=obstacles, time_limit=1000.0)
 
 
-def _case(obstacles: tuple[Obstacle, ...], sensing: Sensing = "truth", patience: float = 5.0) -> Case:
+def _case(obstacles: tuple[Obstacle, ...], sensing: Sensing = "truth", patience: float = 2.5) -> Case:
     scenario, gains = _scenario(obstacles), load_gains("default").with_values({"patience": patience})
     return Case(scenario, load_vehicle(scenario.vehicle), gains, sensing=sensing)
 
@@ -123,19 +122,6 @@ def test_without_other_depths_the_sill_is_a_dead_end_as_ever() -> None:
     assert run.metrics.stopped_because == "dead end" and depth_changes(run) == []
     assert "depth_changes" not in run.to_dict() and "column" not in run.law.inputs
     assert np.ptp(run.record.eta[:, 2]) < 1e-6
-
-
-def test_over_the_target_at_another_depth_it_has_not_arrived() -> None:
-    """The target lies just behind the sill: both loops end the run at the path's depth only."""
-    need_compiler()
-    case = _case(SCENES["a sill"])
-    short = replace(case, scenario=replace(case.scenario, path=Path(np.array([[3.5, 2.5], [5.5, 2.5]]))))
-    run = _flown(short)
-    over = np.hypot(*(run.record.eta[:, :2] - [5.5, 2.5]).T) < short.scenario.arrival_radius
-    assert run.metrics.reached and np.any(over & (run.record.eta[:, 2] > -1.5))
-    assert run.record.eta[-1, 2] == pytest.approx(-2.0, abs=0.1)
-    (row,) = simulate_batch(short, seeds=[0]).table
-    np.testing.assert_allclose(row, run.metrics.row(), rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("scene", ["a curtain"])

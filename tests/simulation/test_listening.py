@@ -42,7 +42,7 @@ SENSORS = Sensors(
     chances=FaultChances(dropout=0.1, spike=0.05, zero=0.05, maximum=0.05, second_echo=0.05, crosstalk=0.05),
 )
 SCENARIO = replace(load_scenario("pool-behind"), sensors=SENSORS, time_limit=3.0)  # the obstacle approaches at once
-CASE = Case(SCENARIO, load_vehicle(SCENARIO.vehicle), load_gains("default"), sensing="sonar")
+CASE = Case(SCENARIO, load_vehicle(SCENARIO.vehicle), load_gains("default"), sensing="sonar", law="apf")
 
 
 def test_the_compiled_loop_hears_what_the_reference_hears() -> None:
@@ -51,7 +51,7 @@ def test_the_compiled_loop_hears_what_the_reference_hears() -> None:
     The state of the law depends on all that it has ever measured; the metrics hardly do within such a time.
     """
     need_compiler()
-    run = simulate(SCENARIO, CASE.vehicle, gains=CASE.gains, sensing="sonar", seed=5)
+    run = simulate(SCENARIO, CASE.vehicle, gains=CASE.gains, law=CASE.build(), sensing="sonar", seed=5)
     loop = build_loop(structure_of(CASE, {}))
     packed = pack(CASE, loop, {}, np.array([5, 6]))
     final = compiled_loop(loop.structure).run(packed.state, packed.parameters, steps=packed.steps - 1)

@@ -8,19 +8,15 @@ import numpy as np
 import pytest
 
 from surctl.cli.sensor_options import sensor_data
-from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import read_toml
 from surctl.sensing import REFLECTORS, Reflector
 from surctl.simulation import (
     ECHOES,
     LIBRARY,
-    Case,
     Scenario,
     findings,
     load_scenario,
-    simulate,
-    simulate_batch,
 )
 from surctl.simulation.scenario import scenario_from_table
 from surctl.simulation.scenario_table import scenario_table
@@ -28,7 +24,6 @@ from surctl.simulation.weak_echoes import WeakEchoes
 from surctl.simulation.world import build_world
 from surctl.vehicle import load_vehicle
 from surctl.world import Disc
-from tests.tools import need_compiler
 
 POOL = read_toml(LIBRARY / "pool-static.toml")
 
@@ -104,20 +99,6 @@ def test_lint_says_what_is_unhearable() -> None:
     assert "within 5° of their normal" in smooth[0].text and "Obstacle1 2.5 m" in smooth[1].text
     one = [f.text for f in findings(pool(obstacle="specular"), boat) if f.key == "reflector"]
     assert "Obstacle1 2.5 m" in one[-1] and "Obstacle2" not in one[-1]
-
-
-def test_both_loops_hear_the_same_for_any_threads_and_order() -> None:
-    need_compiler()
-    cloth = {"cloth": {"cylinder_range_m": 0.15}}  # some firings detect it
-    scenario = replace(pool(obstacle="cloth", reflectors=cloth), time_limit=5.0)
-    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar", law="paper")
-    run = simulate(scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=5)
-    seeds = np.array([5, 6, 7])
-    table = simulate_batch(case, seeds=seeds).table
-    np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)
-    assert not np.allclose(table[0], table[1], atol=1e-6, equal_nan=True)
-    turned = simulate_batch(case, seeds=seeds[::-1], threads=3).table[::-1]
-    assert turned.tobytes() == table.tobytes()
 
 
 def test_an_obstacle_keeps_its_random_numbers_without_the_others() -> None:

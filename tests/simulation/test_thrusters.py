@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import METRICS, Case, Run, ThrusterFault, load_scenario, simulate, simulate_batch, thruster_use
+from surctl.simulation import Run, ThrusterFault, load_scenario, simulate, thruster_use
 from surctl.vehicle import load_vehicle
 
 HEAVY = load_vehicle("bluerov2-heavy")
@@ -40,18 +39,6 @@ def test_a_repaired_thruster_pushes_again() -> None:
     run = _run(ThrusterFault("T1", start=0.0, duration=1.0), seconds=2.0)
     forces = run.telemetry("thruster_force")[:, 0]
     assert (forces[:20] == 0.0).all() and (forces[20:] != 0.0).any()
-
-
-def test_the_compiled_loop_equals_the_loop_in_python() -> None:
-    scenario = replace(load_scenario("pool-behind"), time_limit=3.0)
-    case = Case(scenario, HEAVY, load_gains("default"), law="closed_form", failed=("T2", "T3"))
-    faults = [ThrusterFault("T2"), ThrusterFault("T3")]
-    run = simulate(scenario, HEAVY, gains=case.gains, law=case.build(), thruster_faults=faults)
-    found = simulate_batch(case, engine="c").table[0]
-    for name, a, b in zip(METRICS, found, run.metrics.row(), strict=True):
-        assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), name
-    whole = simulate_batch(replace(case, failed=()), engine="c").table[0]
-    assert whole.tolist() != found.tolist()
 
 
 def test_the_plant_allocates_the_command_of_a_law_that_does_not() -> None:

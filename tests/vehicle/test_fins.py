@@ -105,7 +105,7 @@ def test_the_planned_yaw_rate_of_a_craft_that_drifts_inwards_is_one_that_its_fin
 
 def test_both_loops_agree_and_the_water_sets_the_force() -> None:
     need_compiler()
-    scenario = turning(30.0)
+    scenario = turning(12.0)
     run = simulate(scenario, REMUS, gains=GAINS)
     found = simulate_batch(Case(scenario, REMUS, GAINS), engine="c").table[0]
     for name, a, b in zip(METRICS, found, run.metrics.row(), strict=True):

@@ -79,14 +79,14 @@ def made_log(
 
 def test_the_truth_lies_in_the_intervals_as_often_as_they_say() -> None:
     inside = []
-    for seed in range(3):
+    for seed in range(2):
         found = identify(made_log(TRUE, seed=seed), START, name="fitted")
         inside += [abs(found.estimates[k][0] - TRUE[k]) <= found.estimates[k][1] for k in FITTED]
         assert set(found.identified) >= {"m11", "m22", "m33", "m44", "thrust_lag"}
         assert found.noise["x_m"] == pytest.approx(0.003, rel=0.2)
         assert not any("white noise" in note for note in found.notes)
-    # 39 numbers at 95 %: more than 5 outside in 1 of 100 such tests
-    assert sum(inside) >= len(inside) - 5
+    # 26 numbers at 95 %: more than 4 outside in 1 of 100 such tests
+    assert sum(inside) >= len(inside) - 4
 
 
 @pytest.mark.parametrize("seed", [7])  # with it the interval of m22 is narrow: noise explained by it
@@ -106,7 +106,7 @@ def test_what_was_not_moved_is_not_told(seed: int) -> None:
 def test_a_short_log_that_speaks_for_drag_below_zero_does_not_end_the_fit() -> None:
     """With pushes that the model does not know and a light hull, the first rows may say so, and then it runs away."""
     light = sphere("light", diameter=0.3, dry_mass=4.0, thrust=8.0, yaw_thrust=0.6)
-    log = made_log(light, seed=0, rows=300)
+    log = made_log(light, seed=0, rows=150)
     drift = 0.5 * np.sin(log.time)[:, None] * np.array([1.0, 1.0, 0.0, 0.0])
     found = identify(MotionLog(log.time, log.motion, log.thrust - drift * 4, "log.csv"), light, name="fitted")
     assert np.isfinite(list(found.estimates.values())).all()

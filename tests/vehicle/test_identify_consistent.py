@@ -82,12 +82,12 @@ def test_a_negative_drag_is_fixed_at_0_and_said() -> None:
 
 
 def test_a_lag_is_not_told_by_thrust_in_a_few_rows_or_at_its_bound() -> None:
-    log = made_log(TRUE, seed=3, rows=100)
+    log = made_log(TRUE, seed=3, rows=60)
     few = log.thrust.copy()
     few[5:] = 0.0
     found = identify(MotionLog(log.time, log.motion, few, "log.csv"), START, name="fitted")
-    assert "thrust_lag" in found.held and any("only 5 of 100 rows" in note for note in found.notes)
-    fast = made_log(TRUE.with_values({"thrust_lag": 0.0}), seed=3, rows=100)
+    assert "thrust_lag" in found.held and any("only 5 of 60 rows" in note for note in found.notes)
+    fast = made_log(TRUE.with_values({"thrust_lag": 0.0}), seed=3, rows=60)
     found = identify(fast, START, name="fitted")
     assert "thrust_lag" in found.held and any("smallest value that the fit allows" in note for note in found.notes)
 

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from surctl.control import PARAMETERS, load_gains
 from surctl.errors import InputError, NotApplicable
-from surctl.simulation import Case, advance, law_numbers, load_scenario, safety_claim, simulate, simulate_batch
+from surctl.simulation import advance, law_numbers, load_scenario, safety_claim
 from surctl.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_STATE,
@@ -184,17 +184,6 @@ def test_jacobians_of_a_coupled_plant_are_its_slopes() -> None:
         step[k] = 1e-6
         slope = (np.asarray(ode(x + step, tau, STILL, p)) - np.asarray(ode(x - step, tau, STILL, p))).reshape(-1) / 2e-6
         np.testing.assert_allclose(np.asarray(plant.A)[:, k], slope, rtol=1e-5, atol=2e-5)
-
-
-def test_the_compiled_loop_flies_a_coupled_vehicle_like_the_reference_loop() -> None:
-    vehicle = boat({**COUPLED, "Y0": 0.05, "Z0": -0.05, "Fu_reverse": 20.0})
-    scenario = replace(load_scenario("tank-speed-015"), time_limit=6.0)
-    case = Case(scenario, vehicle, load_gains("default"), law="closed_form")
-    run = simulate(scenario, vehicle, gains=case.gains, law=case.build(), seed=0)
-    table = simulate_batch(case, {"plant.m24": np.array([1.0, 0.0])}, seeds=[0, 0])
-    assert table.column("min_clearance_m")[0] == pytest.approx(run.metrics.min_clearance_m, abs=1e-9)
-    assert table.column("deviation_m")[0] == pytest.approx(run.metrics.deviation_m, abs=1e-9)
-    assert abs(table.column("deviation_m")[1] - table.column("deviation_m")[0]) > 1e-6
 
 
 def test_laws_know_the_drag_at_their_cruise_speed() -> None:

@@ -199,7 +199,7 @@ def test_a_current_moves_the_vehicle_as_it_moves_the_water() -> None:
 
 def test_both_loops_fly_a_vehicle_that_rolls_and_pitches() -> None:
     vehicle = boat({**TILT, "buoyancy": 11.5 * G})
-    scenario = replace(load_scenario("tank-speed-015"), time_limit=4.0)
+    scenario = replace(load_scenario("tank-speed-015"), time_limit=2.0)
     case = Case(scenario, vehicle, load_gains("default"), law="closed_form")
     run = simulate(scenario, vehicle, gains=case.gains, law=case.build(), seed=0)
     table = simulate_batch(case, {}, seeds=[0])

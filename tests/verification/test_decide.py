@@ -13,7 +13,7 @@ from surctl.verification import Claim, Variable, decide, evaluate, prove
 from surctl.verification.proving import certain_excess
 from tests.verification.made_claims import claim_from, made
 
-EACH = 9
+EACH = 6
 
 
 def verdicts(*, true: bool) -> Counter[str]:

@@ -57,7 +57,7 @@ def test_poles_are_those_of_damp(k: int) -> None:
     assert whole()["least_damping"][k] == pytest.approx(damping[poles.imag != 0].min(), abs=1e-7)
 
 
-@pytest.mark.parametrize("k", [2, 7])
+@pytest.mark.parametrize("k", [7])
 def test_margins_are_those_of_stability_margins_and_disk_margins(k: int) -> None:
     cascade = build_cascade(VEHICLE, row(VALUES, k), **ABOUT)
     if not cascade.stable:

@@ -63,11 +63,11 @@ def drift_trial(log: MotionLog, start: Vehicle, parameters: Array, noise: Array)
         noise: (c,) standard deviation of the residuals of that fit.
     """
     cut = len(log.time) // 2
-    halves = [
-        MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
-        for rows in (slice(0, cut), slice(cut, len(log.time)))
-    ]
     try:
+        halves = [
+            MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
+            for rows in (slice(0, cut), slice(cut, len(log.time)))
+        ]
         values = [[_values(half, start, parameters, noise, drift=drift) for drift in (False, True)] for half in halves]
     except InputError:  # a half is too short
         return None

@@ -113,7 +113,7 @@ def test_no_limit_is_no_row() -> None:
 
 
 def test_a_number_that_is_none_is_clamped_and_told_by_name(assembly: Assembly) -> None:
-    tick, values = assembly.step("projected"), drawn(np.random.default_rng(3))
+    tick, values = assembly.step("filter"), drawn(np.random.default_rng(3))
     values["goal"][1] = np.nan
     for name, value in values.items():
         tick.inputs[name][:] = value

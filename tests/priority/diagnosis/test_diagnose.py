@@ -231,7 +231,7 @@ def test_one_task_is_trivially_equal_and_a_fixed_pose_is_one_sample():
 
 
 def test_the_same_seed_gives_the_same_diagnosis_and_json_keeps_it():
-    first, second, other = (look(SIGHT, POSITION, samples=16, seed=seed).to_dict() for seed in (0, 0, 1))
+    first, second, other = (look(SIGHT, POSITION, samples=6, seed=seed).to_dict() for seed in (0, 0, 1))
     assert first == second
     assert first["levels"] != other["levels"]
     assert json.loads(json.dumps(first, allow_nan=False)) == first

@@ -22,7 +22,7 @@ from tests.tools import need_compiler
 Array = NDArray[np.float64]
 
 PRECISION: dict[Real, Precision] = {"float64": FLOAT64, "float32": FLOAT32}
-SIZES = ((4, 2, 24), (2, 2, 8))  # several task rows, and as many as velocities; one: study 40
+SIZES = ((4, 2, 24),)  # as many task rows as velocities, and one: study 40
 ROUNDING = 3e-9  # of 1 + max |v|: what `FLOAT64.kept` allows a hard row, and `priced` a soft one
 
 

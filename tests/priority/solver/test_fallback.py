@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 from functools import cache
 
 import casadi as ca
@@ -240,10 +239,6 @@ def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
     assert both.sum() > 500 and np.quantile(gap[both], 0.9) <= 1e-6
 
 
-X86 = platform.machine().lower() in ("x86_64", "amd64")
-FLAGS = ("-O2", *(["-march=x86-64"] if X86 else []))  # the others are compiled with -O0, and for this processor
-
-
 ODD = [np.nan, np.inf, -np.inf, 1e-320, 1e38, 1e-40]
 CASES = [("float64", 1e308), ("float64", -1e308), *((real, bad) for real in ("float64", "float32") for bad in ODD)]
 
@@ -264,20 +259,6 @@ def test_no_number_anywhere_makes_it_anything_but_finite(bad: float, real: Real)
         if np.isnan(bad) and which < 4:
             soft = which == 3 and np.arange(count) % (N + 3) == N + 2  # what is no number is not soft
             assert (status[:, 0] == CLAMPED)[~np.broadcast_to(soft, count)].all()
-
-
-def test_the_derivative_is_the_projector_of_the_active_rows() -> None:
-    (n, p, _), (trials, (_, active, _, _, status, _)) = SMALL, small()
-    given = [ca.MX.sym(f"a{i}", array.shape[1]) for i, array in enumerate(trials.arrays)]
-    slope, seen = ca.Function("slope", given, [ca.jacobian(machine()(*given)[0], given[0])]), set()
-    for k in np.flatnonzero((status[:, 0] == MET) & has(trials, "plain"))[:6]:
-        A = trials[np.array([k])].unit()[0][0]
-        used = np.abs(active[k][active[k] != 0]).astype(int) - 1
-        seen.add(len(used))
-        held = np.vstack([A[used], trials.J[k].reshape(p, n)])
-        want = np.eye(n) - np.linalg.pinv(held) @ held
-        np.testing.assert_allclose(np.asarray(slope(*(a[k] for a in trials.arrays))), want, atol=1e-9)
-    assert len(seen) > 1
 
 
 def test_rows_and_tasks_too_long_to_be_squared_are_refused_by_name() -> None:

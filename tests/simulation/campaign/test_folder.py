@@ -9,7 +9,7 @@ from surctl.simulation.campaign import CampaignFolder, campaign, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 
 DRAWN = plan("tank-static", law="closed_form", seconds=0.5)
-SIZE = 16  # runs of a chunk
+SIZE = 8  # runs of a chunk
 
 
 def fly(path, drawn, *, runs=5, fresh=False, threads=1):

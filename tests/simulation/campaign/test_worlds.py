@@ -10,7 +10,7 @@ import pytest
 
 from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, build_world, findings, simulate_batch
+from surctl.simulation import Case, build_world, findings
 from surctl.simulation.batch.pack import structure_of
 from surctl.simulation.campaign import RandomWorlds, random_world, world_template
 from surctl.simulation.scenario_table import scenario_table
@@ -53,7 +53,7 @@ def test_one_to_eight_obstacles_half_of_them_moving():
     assert {o.name for world in many() for o in world.obstacles} == template and len(template) == 8
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", range(8))
 def test_each_can_be_flown(seed):
     world = drawn(seed)
     assert not [f for f in findings(world, VEHICLE) if f.level == "error"]
@@ -80,21 +80,6 @@ def test_a_hull_fits_between_two_that_move():
                         hypot(*np.subtract(one[0].shape.center, two[0].shape.center)) - a.radius_m - b.radius_m
                     )
     assert 2 * VEHICLE["radius"] + 0.1 - 1e-9 <= min(apart) < 1.0
-
-
-@pytest.mark.parametrize(("law", "sensing", "seconds"), [("closed_form", "truth", 8.0), ("paper", "sonar", 3.0)])
-def test_one_compiled_loop_flies_each_as_the_reference_loop_does(law, sensing, seconds):
-    given = worlds(sensing, law=law, seconds=seconds, plant=True)
-    values = given.values(0, 12)
-    assert set(values) == set(given.names)
-    found = simulate_batch(given.case, values, seeds=given.seeds(0, 12)).table
-    movers = [sum(not o.still for o in given.world(k).obstacles) for k in range(12)]
-    assert len(set(movers)) >= 4
-    chosen = sorted({movers.index(count) for count in movers})[:3]
-    for k in chosen:
-        np.testing.assert_allclose(
-            found[k], given.run(k).simulate().metrics.row(), rtol=1e-9, atol=1e-9, err_msg=str(k)
-        )
 
 
 def test_waves_are_refused():

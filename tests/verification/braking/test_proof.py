@@ -146,7 +146,7 @@ def test_current_and_other_forces_lengthen_the_way() -> None:
         assert distance_table(worse, 0.05).worst(worse, 0.2) > distance_table(plain, 0.05).worst(plain, 0.2)
 
 
-@pytest.mark.parametrize("vehicle", ["bluerov2-heavy", "bluerov2-wu"])
+@pytest.mark.parametrize("vehicle", ["bluerov2-heavy"])  # bluerov2-wu: study 40
 def test_unequal_masses_are_proved_with_their_coupling(vehicle: str) -> None:
     claim = claimed("braking-rule-20", vehicle)
     proof, equal = prove_braking(claim), prove_braking(replace(claim, ratio=1.0))

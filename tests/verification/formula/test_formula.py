@@ -16,7 +16,7 @@ KNOWN = {n: variable(n) for n in NAMES}
 POINT = {"x": mpf("0.37"), "y": mpf("-1.3"), "z": mpf("0.81")}
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(expressions())
 def test_text_reads_back_as_what_was_written(root) -> None:
     again = parse(text_of(root), KNOWN)
@@ -28,7 +28,7 @@ def test_text_reads_back_as_what_was_written(root) -> None:
     assert abs(value - worth(again, POINT)) <= abs(value) * mpf(10) ** -40
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(expressions())
 def test_casadi_computes_what_the_text_says(root) -> None:
     try:
@@ -43,7 +43,7 @@ def test_casadi_computes_what_the_text_says(root) -> None:
     assert found == pytest.approx(value, rel=1e-6)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=24, deadline=None, derandomize=True)
 @given(expressions(branching=False))
 def test_the_normal_form_has_the_value_of_the_expression(root) -> None:
     algebra = Algebra()

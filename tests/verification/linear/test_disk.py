@@ -35,7 +35,7 @@ def random_matrix(q: int, seed: int) -> NDArray[np.complex128]:
 def test_one_channel_has_the_margin_of_python_control() -> None:
     loop = control.tf([4.0], [1.0, 3.0, 3.0, 1.0])
     found = disk_margin(of(control.ss(loop)))
-    expected, gain, phase = control.disk_margins(loop, np.geomspace(1e-2, 1e2, 20_001))
+    expected, gain, phase = control.disk_margins(loop, np.geomspace(1e-1, 1e1, 5_001))
     assert found.reached == pytest.approx(expected, rel=1e-4)
     assert found.guaranteed == pytest.approx(expected, rel=3e-3) and found.guaranteed < expected
     assert found.phase_deg == pytest.approx(phase, rel=3e-3)

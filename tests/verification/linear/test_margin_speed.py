@@ -7,8 +7,6 @@ import pytest
 from surctl.cli.linear_part import linear_part, speed_lines
 from surctl.control import load_gains
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import build_cascade
-from surctl.verification.linear import corners, disk_margin, margin_speed, open_loop
 
 GAINS = load_gains("default").values
 WU = load_vehicle("bluerov2-wu")
@@ -19,21 +17,6 @@ def ranged() -> Vehicle:
     known = {"m11": (15.0, 19.0), "m22": (21.5, 27.0)}
     parameters = {n: replace(p, range=known[n]) if n in known else p for n, p in WU.parameters.items()}
     return replace(WU, parameters=parameters)
-
-
-def test_the_margin_is_kept_at_every_corner_below_that_speed_and_lost_above() -> None:
-    tried = corners(ranged())
-    speed = margin_speed(tried, GAINS, dt=0.05, highest=0.2)
-
-    def least(cruise: float) -> float:
-        loops = [build_cascade(v, GAINS, cruise=cruise, dt=0.05, model=tried.vehicles[0]) for v in tried.vehicles]
-        return min(disk_margin(open_loop(c, place)).guaranteed for c in loops for place in ("thrust", "measurement"))
-
-    assert least(0.97 * speed) > 0.3 > least(1.03 * speed)
-    stable = margin_speed(tried, GAINS, dt=0.05, highest=0.2, least=0.0)
-    worst = replace(WU).with_values({"m11": 15.0, "m22": 27.0})
-    for factor, good in ((0.98, True), (1.02, False)):
-        assert build_cascade(worst, GAINS, cruise=factor * stable, dt=0.05, model=WU).stable is good
 
 
 def test_an_unstable_corner_is_named_with_loop_and_remedy_and_a_cap_above_the_speeds_is_flagged() -> None:

@@ -7,11 +7,10 @@ import pytest
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.vehicle import load_vehicle
-from surctl.verification import Cascade, build_cascade, closed_loop_poles
+from surctl.verification import Cascade, build_cascade
 from surctl.verification.linear import (
     corners,
     largest_period,
-    linear_side,
     sampled,
     sampled_limits,
     sampled_poles,
@@ -51,7 +50,7 @@ def test_short_periods_have_the_poles_of_the_loop_without_delay(k_i: float) -> N
     assert np.sort(np.log(z).real / period) == pytest.approx(np.sort(s.real), rel=2e-2, abs=1e-3)
 
 
-@pytest.mark.parametrize(("delay", "k_i"), [(0, 0.0), (2, 0.2)])
+@pytest.mark.parametrize(("delay", "k_i"), [(2, 0.2)])  # without: study 40
 def test_the_loop_flown_step_by_step_decays_below_the_largest_period_and_grows_above(delay: int, k_i: float) -> None:
     gains = {**GAINS, "k_i": k_i}
     limit = largest_period(VEHICLE, gains, delay=delay, **ABOUT)
@@ -77,22 +76,6 @@ def flown(gains: dict[str, float], period: float, delay: int) -> float:
             x = x + h / 6 * (rates[0] + 2 * rates[1] + 2 * rates[2] + rates[3])
         sizes.append(np.linalg.norm(x))
     return float(max(sizes[275:]) / max(sizes[125:150]))
-
-
-def test_the_sides_of_corners_with_and_without_lag_are_the_least_of_each() -> None:
-    whole = corners(VEHICLE, 0.2)
-    assert len(whole.vehicles) == 5
-    tried = replace(whole, vehicles=(VEHICLE, whole.vehicles[-1].with_values({"thrust_lag": 0.0})))
-    sides = [linear_side(v, GAINS, dt=0.05, model=VEHICLE, **ABOUT) for v in tried.vehicles]
-    worst = worst_linear_side(tried, GAINS, dt=0.05, **ABOUT)
-    for k, disk in enumerate(worst.disks):
-        assert disk.guaranteed == pytest.approx(min(s.disks[k].guaranteed for s in sides), rel=2e-3)
-    assert worst.least_damping == min(s.least_damping for s in sides)
-    assert worst.sampled.largest_period_s[1] == min(s.sampled.largest_period_s[1] for s in sides)
-    assert worst.slowest_per_s == pytest.approx(max(s.slowest_per_s for s in sides), rel=1e-9)
-    assert worst.sampled.radius == pytest.approx(max(s.sampled.radius for s in sides), rel=1e-9)
-    assert worst.stable and "±20%" in worst.lines()[0]
-    assert sides[0].slowest_per_s == pytest.approx(closed_loop_poles(VEHICLE, GAINS, dt=0.05, **ABOUT)[0].real)
 
 
 def test_limits_of_corners_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

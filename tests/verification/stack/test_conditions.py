@@ -141,10 +141,10 @@ def test_the_comparison_matrix_decides_at_the_equality() -> None:
 
 def test_the_shipped_stacks() -> None:
     ours = shipped_stack("guarded")
-    found = stack_conditions(ours.stack, ours.region, parameters=ours.parameters, samples=24)
+    found = stack_conditions(ours.stack, ours.region, parameters=ours.parameters, samples=8)
     assert all(v.outcome == "converges" and v.shown == "identity" and v.tracks for v in found.levels)
     paper = shipped_stack("paper")
-    found = stack_conditions(paper.stack, paper.region, parameters=paper.parameters, samples=24)
+    found = stack_conditions(paper.stack, paper.region, parameters=paper.parameters, samples=8)
     outcome = {v.task: v.outcome for v in found.levels}
     assert outcome["velocity"] == "need not converge"  # three or more echoes take the plane
     assert outcome["depth"] == outcome["heading"] == "converges"
