@@ -1,13 +1,19 @@
-"""Command line: a region claim of one's own, and the export of a law with limits and of the law with sonars."""
+"""Command line: from a tape measure to C, a region claim of one's own, exports of laws with limits and sonars."""
 
 from __future__ import annotations
 
 import json
 import re
+import shlex
+import zipfile
 from pathlib import Path
 
+import pytest
+
 from tests.cli.process import surctl
-from tests.tools import need_compiler
+from tests.cli.test_systems import FILE, data
+from tests.cli.test_trial import Shell
+from tests.tools import need, need_compiler
 
 
 def test_a_region_claim_of_ones_own_is_proved(tmp_path: Path) -> None:
@@ -58,3 +64,57 @@ def test_a_law_with_limits_is_exported_and_replayed(tmp_path: Path) -> None:
     assert done.status == 0
     sil = done.json["sil"]
     assert sil["passed"] and sil["tau"] == sil["state"] == 0.0 and sil["steps"] > 300
+
+
+FIRST = (
+    *("surctl", "vehicle", "from-geometry", "--name", "scout", "--diameter", "30 cm"),
+    *("--mass", "4 kg", "--thrust", "0.8 kgf", "--yaw-thrust", "0.6 N m"),
+)
+
+
+def test_from_a_tape_measure_to_code(tmp_path: Path) -> None:
+    need_compiler()
+    shell = Shell(tmp_path, shlex.join(FIRST))
+    shell.follow("surctl vehicle from-geometry")
+    shell.follow("surctl lint")
+    assert shell.next == ["surctl tune --vehicle scout.toml --out tuned", "surctl study scout.toml"]
+    # tuning and the region claim take long, and README's page and the guide to tuning run them
+    shell.next = ["surctl verify v1-corrected --vehicle scout.toml --out proofs"]
+    (claim,) = shell.follow("surctl verify").json["claims"]
+    assert (claim["claim"], claim["verdict"]) == ("v1-corrected", "proved")
+    then = shell.next
+    assert shell.follow("surctl check").json["accepted"]
+    shell.next = then
+    shell.follow("surctl gains derive")
+    shell.next = then
+    words = ("--sensing", "truth", "--target", "fmu", "--out", "code")
+    made = shell.follow("surctl export", *words).json
+    assert made["sil"]["passed"] and (made["run"]["vehicle"], made["run"]["sensing"]) == ("scout", "truth")
+    header = (tmp_path / "code" / "surctl_guarded.h").read_text()
+    assert "double eta[4];" in header and "double samples" not in header
+    assert shell.next[1:3] == [
+        "make -C code controller && code/controller 5555",
+        "surctl simulate pool-static --vehicle scout.toml --gains gains.toml --law guarded"
+        " --controller tcp://127.0.0.1:5555",
+    ]
+    belongs = shell.follow("surctl check").json
+    assert belongs["accepted"] and belongs["bundle"]["belongs"]
+    with zipfile.ZipFile(tmp_path / "code" / "surctl_guarded.fmu") as unit:
+        assert "modelDescription.xml" in unit.namelist()
+
+
+def test_a_system_is_exported_with_its_proof_and_its_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need("frama-c")
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(FILE)
+    words = ("--seconds", "1", "--real", "float32", "--prove", "--check", "--steps", "50", "--targets", "gcc-O2")
+    done = data("export", "mine.py:build", *words, "--out", "c")
+    assert done["largest_difference"] == 0.0 and done["check"]["passed"]
+    assert done["proof"]["status"] == "proved" and "thrust" not in done["proof"]["claim"]
+
+
+def test_a_run_in_a_random_world_is_flown_again(tmp_path: Path) -> None:
+    words = ("--random-worlds", "2", "--seed", "4", "--law", "closed_form", "--worst", "1", "--out", "w", "--json")
+    (row,) = surctl("simulate", *words, cwd=tmp_path).json["campaigns"][0]["worst"]
+    (run,) = surctl("simulate", "--from", f"w/{row['file']}", "--json", cwd=tmp_path).json["runs"]
+    assert run["same"] and run["scenario"] == f"world-{row['seed']}"

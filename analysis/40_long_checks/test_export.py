@@ -27,11 +27,14 @@ from surctl.export.process import compile_controller
 from surctl.ir import Call, Real, Routine, emit_parts, memory
 from surctl.priority import Mode
 from tests.export.altered import altered
+from tests.export.clocks import clocks
 from tests.export.closed_form import exported, searching, vehicle
 from tests.export.test_check import compiled
 from tests.export.test_firmware import assert_the_wrapper_computes_the_same
 from tests.export.test_gains_in_c import guarded
 from tests.export.test_guard import LOOK_FOR, STRICT
+from tests.export.test_prove import WRONG
+from tests.export.test_ros2 import packages, sensing
 from tests.tools import _without, need
 
 
@@ -170,3 +173,28 @@ def test_pip_installs_the_python_wrapper_which_computes_the_same(tmp_path: Path)
     write_bundle(guarded()[1], tmp_path / "b")
     pip = ("-m", "pip", "install", "--no-index", "--no-deps", "--no-build-isolation", "-q", "--target", "site", ".")
     assert_the_wrapper_computes_the_same(tmp_path / "b", tmp_path, *pip)
+
+
+def test_other_ros2_nodes_compile(tmp_path: Path) -> None:
+    packages(tmp_path / "stubs")
+    others = (sensing(), clocks()[1])
+    for bundle in others:
+        write_bundle(bundle, tmp_path / bundle.name)
+    texts = [bundle.files["ros2/src/controller_node.cpp"] for bundle in others]
+    lines = sorted({line for text in texts for line in text.splitlines() if re.match('#include [<"](?!loop.h)', line)})
+    lines += [f'#include "{bundle.name}/loop.h"' for bundle in others]
+    for bundle in others:  # in one compilation unit, which reads the headers once
+        lines += [f"namespace node_{bundle.name} {{", f'#include "{bundle.name}/ros2/src/controller_node.cpp"', "}"]
+    (tmp_path / "all.cpp").write_text("\n".join([*lines, ""]))
+    command = [need("g++"), "-std=c++17", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only", "all.cpp"]
+    command += [f"-I{tmp_path}/stubs/include", "-I.", f"-I{tmp_path / 'sensing'}"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("pattern", "new", "kind"), WRONG, ids=[kind for *_, kind in WRONG])
+def test_the_proof_of_a_law_that_searches_tells_each_error(pattern: str, new: str, kind: str) -> None:
+    need("frama-c")
+    law, bundle = searching()
+    report = prove_bundle(law, altered(bundle, pattern, new), vehicle().thrust_limit)
+    assert not report.proved and any(kind in alarm.kind for alarm in report.alarms), report.summary()

@@ -1,13 +1,19 @@
-"""Report: the certified region on the robot's tuning page."""
+"""Report: the certified region on the robot's tuning page, and the titles of all pictures of a page."""
 
 from __future__ import annotations
 
 import re
 
 import pytest
+from matplotlib.figure import Figure
 
 import surctl.report.bench as bench_module
+from surctl.report import render_page
 from surctl.report.bench import Bench
+from surctl.report.theme import png
+from tests.pictures import blank_pictures
+from tests.report.data import report
+from tests.report.test_titles import outside
 from tests.report.test_tuning_page import ROBOT
 
 
@@ -24,3 +30,16 @@ def test_the_page_of_the_robot_draws_the_certified_region_and_the_falsified_leve
     told = re.search(r"certified level: (\d+)%", view.lines[-1][0])
     assert told is not None and abs(level * float(told[1]) / 100 - 1) < 0.1
     assert view.lines[-1][1] == "good" and labels[0].startswith("certified")
+
+
+def test_no_title_of_any_picture_of_a_page_is_clipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+
+    def keep(figure: Figure, **metadata: str | None) -> bytes:
+        figures.append(figure)
+        return png(figure, **metadata)
+
+    monkeypatch.setattr("surctl.report.document.png", keep)
+    blank_pictures(monkeypatch)
+    render_page(report())
+    assert len(figures) > 15 and not any(outside(figure) for figure in figures)

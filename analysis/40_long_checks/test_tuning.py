@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from surctl.simulation import Case, simulate, simulate_batch
-from surctl.tuning import derive_gains
+from surctl.control import load_gains
+from surctl.simulation import Case, load_scenario, simulate, simulate_batch
+from surctl.tuning import Goal, Request, conditions, derive_gains, gain_ranges
+from surctl.tuning.start import starting_sets
 from surctl.vehicle import load_vehicle
 from tests.craft import mission
 from tests.tuning import test_gradient
@@ -40,3 +42,18 @@ def test_the_run_and_its_gradient_past_a_moving_obstacle() -> None:
     name = "tank-speed-015"
     test_gradient.test_the_run_is_that_of_the_reference_loop(name)
     test_gradient.test_the_gradient_is_that_of_central_differences(name)
+
+
+def test_a_descent_from_poor_gains_lowers_the_goal_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("surctl.tuning.start._ITERATIONS", 2)
+    monkeypatch.setattr("surctl.tuning.start._horizon", lambda _: 80)
+    scenario, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
+    poor = load_gains("default").with_values({"lookahead": 2.0})
+    space = gain_ranges(poor, {"k_v": (0.9, 1.6), "lookahead": (0.3, 2.5)})
+    case = Case(scenario, vehicle, poor)
+    runs = conditions([case], seeds=[0], with_corners=False)
+    request = Request((Goal("near", "deviation_m", "m", 0.1),), runs, poor, space)
+    (_, refined), (_, again) = (starting_sets(request, descend=True) for _ in range(2))
+    sets = {name: [poor[name], refined[name]] for name in refined}
+    start, descended = simulate_batch(case, sets).column("deviation_m")
+    assert descended < start and again == refined

@@ -288,12 +288,19 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], c
         check_speeds(case, {name: design.points[:, k] for k, name in enumerate(design.names)})
 
 
-def request_digest(evaluation: Evaluation, design: Design, *, linear: bool, chunk: int) -> str:
-    """Return the SHA-256 of all inputs that determine the results of a sweep and their division into chunks."""
+def request_digest(evaluation: Evaluation, design: Design, *, linear: int, chunk: int) -> str:
+    """Return the SHA-256 of all inputs that determine the results of a sweep and their division into chunks.
+
+    Args:
+        evaluation: what is computed for each point.
+        design: the points.
+        linear: points in a chunk of linear metrics; 0 without them.
+        chunk: points in a chunk of simulated runs.
+    """
     lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
     lines += [] if evaluation.has_margins or not linear else ["margins are not judged"]
     lines += [f"cruise {evaluation.cruise}"] if evaluation.cruise and linear else []
-    lines += [f"design {design.description}", f"seeds {evaluation.seeds}", f"chunk {chunk}"]
+    lines += [f"design {design.description}", f"seeds {evaluation.seeds}", f"chunks {linear} {chunk}"]
     for case in evaluation.cases:
         lines.append(f"case {case.scenario!r} {_numbers(case.vehicle)} {_numbers(case.model or case.vehicle)}")
         lines.append(f"law {law_digest(case)} {case.mode} {case.sensing} {dict(case.gains.values)!r}")

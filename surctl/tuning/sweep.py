@@ -39,6 +39,7 @@ TABLE = "sweep.nc"
 _MOST_CHUNKS = 64  # chunks of a small sweep, so that an interruption loses little and every worker has work
 _MOST_RUNS = 4096  # runs in one chunk
 _MOST_LINEAR = 64  # points in one chunk of linear metrics
+_LEAST_LINEAR = 16  # as long as there are so many: together they take little longer than one
 
 
 def sweep(
@@ -137,18 +138,19 @@ class _Job:
 
     def __post_init__(self) -> None:
         points, names = self.design.points, self.design.names
-        self.chunks = []
+        self.chunks, together = [], 0
         if self.linear:
             matter = [k for k, name in enumerate(names) if name in linear_names(names)]
             different, inverse = np.unique(points[:, matter], axis=0, return_inverse=True)
             self.inverse = inverse.reshape(-1)
             whole = np.tile(points[:1], (len(different), 1))  # the values of the other axes do not matter
             whole[:, matter] = different
-            self.chunks += _cut(whole, _size(len(different), _MOST_LINEAR), first=0)
+            together = max(_LEAST_LINEAR, _size(len(different), _MOST_LINEAR))
+            self.chunks += _cut(whole, together, first=0)
             self.linear_count = len(self.chunks)
         size = _size(len(points), max(1, _MOST_RUNS // self.evaluation.runs_per_point))
         self.chunks += _cut(points, size, first=self.linear_count)
-        self.request = request_digest(self.evaluation, self.design, linear=self.linear, chunk=size)
+        self.request = request_digest(self.evaluation, self.design, linear=together, chunk=size)
         self.evaluation = replace(self.evaluation, linear_chunks=self.linear_count)
 
     def width(self, index: int) -> int:

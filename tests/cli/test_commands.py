@@ -91,18 +91,16 @@ def test_a_textbook_law_is_flown_by_name(tmp_path):
 
 
 def test_verify_tells_expected_verdicts(tmp_path):
-    done = surctl("verify", "v1-printed", "v1-corrected", "--stack", "guarded", "--json", cwd=tmp_path)
+    done = surctl("verify", "v1-printed", "--stack", "guarded", "--json", cwd=tmp_path)
     assert done.status == 0
     nominal, worst = (done.json["linear"][k] for k in ("nominal", "worst"))
     for mild, bad in zip(nominal["disk_margins"], worst["disk_margins"], strict=True):
         assert 0 < bad["guaranteed"] < mild["guaranteed"] <= mild["reached"]
     assert worst["sampled"]["largest_period_s"]["1"] < nominal["sampled"]["largest_period_s"]["1"]
     assert [level["outcome"] for level in done.json["stacks"]["guarded"]["levels"]] == ["converges"] * 3
-    printed, corrected = done.json["claims"]
+    (printed,) = done.json["claims"]
     assert printed["verdict"] == printed["expected"] == "refuted"
     assert printed["counterexample"]["values"]
-    assert corrected["verdict"] == corrected["expected"] == "proved"
-    assert corrected["certificate"]["kind"] == "interval" and corrected["remaining"] is None
 
 
 CLAIM = """
@@ -124,7 +122,8 @@ def test_verify_proves_a_file_and_check_accepts_what_it_writes(tmp_path):
     assert done.status == 0
     (claim,) = done.json["claims"]
     assert set(done.json) == {"claims", "pictures", "next"}  # nothing about a vehicle
-    assert claim["verdict"] == "proved" and claim["certificate"]["file"] == "proofs/sway.json"
+    assert claim["verdict"] == "proved" and claim["remaining"] is None
+    assert (claim["certificate"]["kind"], claim["certificate"]["file"]) == ("interval", "proofs/sway.json")
     assert {f"proofs/{p.name}" for p in (tmp_path / "proofs").glob("*.png")} == set(done.json["pictures"])
     assert "proofs/sway-cells.png" in done.json["pictures"]
     checked = surctl("check", "proofs/sway.json", "--json", cwd=tmp_path)
@@ -170,7 +169,8 @@ def test_verify_tells_what_it_cannot_settle(tmp_path):
 
 
 def test_sweep_finishes_and_picks(tmp_path):
-    words = ("sweep", "lookahead=0.6..1.2:2", "vehicle.m11=50", "--scenario", "pool-behind", "--json")
+    loop = ("--scenario", "pool-behind", "--law", "closed_form", "--json")
+    words = ("sweep", "lookahead=0.6..1.2:2", "vehicle.m11=50", *loop)
     first = surctl(*words, "--out", "a", "--workers", 1, cwd=tmp_path)
     assert first.status == 0 and "ETA" in first.err
     assert first.json["axes"] == {"lookahead": [0.6, 1.2], "vehicle.m11": [50.0]}
@@ -182,14 +182,14 @@ def test_sweep_finishes_and_picks(tmp_path):
     }  # fmt: skip
     again = surctl(*words, "--out", "a", cwd=tmp_path)
     assert "has them all" in again.err and again.json == first.json
-    none = surctl("sweep", "k_v=0.02", "--scenario", "pool-behind", "--json", "--out", "c", cwd=tmp_path)
+    none = surctl("sweep", "k_v=0.02", *loop, "--out", "c", cwd=tmp_path)
     assert (none.status, none.json["picked"], none.json["gains"]) == (1, None, None)
     assert not (tmp_path / "c" / "gains.toml").exists()
 
 
 def test_sweep_tells_what_a_column_depends_on(tmp_path):
     words = ("sweep", "k_v=1..3", "lookahead=0.5..1.5", "--scenario", "pool-behind", "--sensitivity", "disk_margin")
-    done = surctl(*words, "--points", 4, "--workers", 1, "--json", cwd=tmp_path)
+    done = surctl(*words, "--law", "closed_form", "--points", 4, "--workers", 1, "--json", cwd=tmp_path)
     found = done.json["sensitivity"]
     assert found["axes"] == ["k_v", "lookahead"] and len(done.json["results"]) == 16
     assert (tmp_path / "surctl-out" / "sensitivity-disk_margin.png").exists()

@@ -24,7 +24,7 @@ from tests.processes import Running
 from tests.tools import need_compiler
 
 SCENARIO, LAW = "pool-behind", "closed_form"
-LOSSY = ("--link-loss", "0.2", "--runs", "2")
+LOSSY = ("--link-loss", "0.2")
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +87,8 @@ def test_a_scenario_flies_through_a_process_and_the_line_may_be_bad(bundle: Path
         assert (link["real"], link["differing"], link["failsafe_steps"], link["gone_s"]) == ("float32", 0, 0, None)
         assert link["answered"] == link["steps"] > 200
         bad = surctl("simulate", SCENARIO, "--law", LAW, *address, *LOSSY, "--json", cwd=tmp_path)
-        losses = [run["link"]["lost_requests"] for run in bad.json["runs"]]
-        assert min(losses) > 20 and losses[0] != losses[1]
-        assert all(run["link"]["differing"] == 0 for run in bad.json["runs"])
+        (run,) = bad.json["runs"]
+        assert run["link"]["lost_requests"] > 20 and run["link"]["differing"] == 0
         other = surctl("simulate", "pool-ahead", "--law", LAW, *address, cwd=tmp_path)
         assert other.status == 2 and "runs controller" in other.complaint and "same scenario" in other.complaint
 

@@ -38,7 +38,7 @@ def test_chances_are_read() -> None:
     assert parse_chances(["dropout=0.9", "spike=0.1"]).numbers[:1] == (0.9,)
 
 
-@settings(max_examples=30)
+@settings(max_examples=20)
 @given(st.text(max_size=20), st.sampled_from(["", "dead:", "stuck:0:", "delay=", "delay=0.4:0:", "dropout="]))
 def test_no_text_ends_otherwise_than_read_or_refused(text: str, head: str) -> None:
     for parse in (parse_fault, lambda t: parse_chances([t])):

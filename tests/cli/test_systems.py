@@ -21,7 +21,7 @@ from surctl.own_code import object_of, pinned
 from surctl.system import System, find_equilibrium, linearise, run_system, simulate_system
 from surctl.verification import system_disk_margin, system_margins
 from tests.pictures import blank_pictures
-from tests.tools import need, need_compiler
+from tests.tools import need_compiler
 
 # without control, x is about 1/(1 + t); with `blow` = 1 the root is not a number below x = 0.5, from about t = 1 s on
 FILE = """
@@ -222,13 +222,11 @@ def test_the_exported_controller_gives_the_numbers_of_the_run(file: str) -> None
     } == {"k": [3.0]}
 
 
-def test_a_system_is_exported_in_float_as_a_unit_with_its_proof_and_its_evidence(file: str) -> None:
+def test_a_system_is_exported_in_float_as_a_unit_with_its_evidence(file: str) -> None:
     need_compiler()
-    need("frama-c")
-    words = ("--seconds", "1", "--real", "float32", "--target", "fmu3", "--prove", "--check", "--steps", "50")
-    done = data("export", file, *words, "--targets", "gcc-O2", "--out", "c")
-    assert done["largest_difference"] == 0.0 and done["check"]["passed"] and done["real"] == "float32"
-    assert done["proof"]["status"] == "proved" and "thrust" not in done["proof"]["claim"]
+    words = ("--seconds", "1", "--real", "float32", "--target", "fmu3")
+    done = data("export", file, *words, "--out", "c")
+    assert done["largest_difference"] == 0.0 and done["real"] == "float32"
     assert b'fmiVersion="3.0"' in ZipFile("c/pump.fmu").read("modelDescription.xml")
     evidence = json.loads(Path("c/manifest.json").read_text())["evidence"]
     assert evidence["run"]["text"].startswith("pool under pump: ended after 1 s") and evidence["sil"]["steps"] == 100

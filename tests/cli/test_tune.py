@@ -25,7 +25,7 @@ metric = "time_s"
 at_most = { value = 12.0, unit = "s" }
 """
 
-SMALL = ("--gain", "k_v=0.8..3", "--trials", 8, "--seeds", 1, "--rounds", 1, "--monte-carlo", 4, "--json")
+SMALL = ("--gain", "k_v=0.8..3", "--trials", 4, "--seeds", 1, "--rounds", 1, "--monte-carlo", 2, "--json")
 
 
 def test_a_hard_goal_that_cannot_be_judged_is_refused_and_a_soft_one_warned_of(tmp_path):

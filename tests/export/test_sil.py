@@ -138,13 +138,12 @@ def test_laws_without_state_or_telemetry(state: bool, telemetry: bool) -> None:
     assert software_in_the_loop(law, recorded(law, steps=10)).passed
 
 
-def test_a_law_of_thrust_alone_is_clean_at_every_level(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_law_of_thrust_alone_is_clean_at_the_highest_level(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compilers look further with -O3: into arrays that would be empty."""
     need_compiler()
     law = stand_in(state=(), telemetry=False)
-    for level in ("-O1", "-O3"):
-        monkeypatch.setenv("SURCTL_CFLAGS", level)
-        assert software_in_the_loop(law, recorded(law, steps=3)).passed
+    monkeypatch.setenv("SURCTL_CFLAGS", "-O3")
+    assert software_in_the_loop(law, recorded(law, steps=3)).passed
 
 
 def test_a_law_without_inputs() -> None:
@@ -180,10 +179,10 @@ def test_differences_are_honest_about_what_is_not_finite() -> None:
 def test_the_law_with_limits_ships_with_its_solver() -> None:
     """A flight towards the cylinders by the law with its priority solver inside: C as exported, against Python."""
     need_compiler()
-    law, scenario = build_law(mode="projected"), replace(load_scenario("pool-static"), time_limit=5.0)
+    law, scenario = build_law(mode="projected"), replace(load_scenario("pool-static"), time_limit=2.0)
     record = simulate(scenario, load_vehicle(scenario.vehicle), gains=load_gains("default"), law=law, seed=0).record
     report = software_in_the_loop(law, Records(record.law_state, record.law_input, record.law_parameters))
     assert report.conclusive, report.summary()
     assert report.tau.absolute == report.state.absolute == 0.0
-    assert report.steps == 100
+    assert report.steps == 40
     assert report.fault_cases > 300 and not report.fault_failures

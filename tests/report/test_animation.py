@@ -37,9 +37,9 @@ def flight(sensing: str = "truth") -> Run:
 
 @cache
 def slow() -> Run:
-    """Every eighth tick of them: a picture each."""
+    """Every sixteenth tick of them: a picture each."""
     flown = flight()
-    few = {k: v[::8] for k, v in vars(flown.record).items() if k != "law_parameters" and v is not None}
+    few = {k: v[::16] for k, v in vars(flown.record).items() if k != "law_parameters" and v is not None}
     return replace(flown, record=replace(flown.record, **few))
 
 

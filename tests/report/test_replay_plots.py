@@ -24,11 +24,11 @@ PLAIN = "time_s,sensor,range_m"
 
 
 def test_recordings_are_drawn_without_a_warning(tmp_path: Path) -> None:
-    twice = replayed(tmp_path, recorded(2.0) + later(recorded(2.0), 1e4))
+    twice = replayed(tmp_path, recorded(0.5) + later(recorded(0.5), 1e4))
     rendered(plot_sonar_replay(twice, title="$\\frac{$ 潜水"))
     rendered(plot_sonar_replay(replayed(tmp_path, ["0,0,2", "0.1,0,2"], header=PLAIN, sensors=1)))
     rendered(
-        plot_sonar_replay(replayed(tmp_path, [f"{0.1 * k},{k % 8},0" for k in range(32)], header=PLAIN, sensors=8))
+        plot_sonar_replay(replayed(tmp_path, [f"{0.1 * k},{k % 5},0" for k in range(10)], header=PLAIN, sensors=5))
     )
 
 

@@ -2,6 +2,7 @@ import hashlib
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray
 
@@ -13,10 +14,10 @@ from surctl.study import conduct, load_plan
 from surctl.study.loops import loops_of
 from surctl.study.notes import summary, unstable_text
 from surctl.study.shipping import with_perception
-from surctl.tuning import grid, sweep
 from surctl.vehicle import LIBRARY, load_vehicle
 from surctl.verification.linear import slowest_mode
 from tests.cli.process import surctl
+from tests.report.data import swept
 from tests.tools import need_compiler
 
 OWN_LAW = Path(__file__).parents[2] / "analysis" / "27_own_law"
@@ -127,8 +128,8 @@ def test_the_cruise_speeds_of_the_study_are_those_of_its_sweep_its_summary_and_i
     (speeds,) = [n for n in data["summary"] if n["text"].startswith("margins at 0.05 and 0.15 m/s: least delay")]
     told = data["linear"]["speeds"]
     assert speeds["passed"] is True and [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.15]
-    with xarray.open_dataset(folder / "surctl-out" / "sweep.nc") as swept:
-        picked = swept.sel({axis: data["gains"]["values"][axis] for axis in ("lookahead", "k_v")}, method="nearest")
+    with xarray.open_dataset(folder / "surctl-out" / "sweep.nc") as table:
+        picked = table.sel({axis: data["gains"]["values"][axis] for axis in ("lookahead", "k_v")}, method="nearest")
         assert float(picked["sensitivity_peak"]) == pytest.approx(told["worst"]["sensitivity_peak"]["value"])
         assert picked["disk_margin_at_m_per_s"].shape == ()
 
@@ -264,14 +265,14 @@ def test_an_unstable_loop_is_named_with_its_remedy():
     assert mode.loop == "yaw" and "dominant states psi" in text and "0.202 m/s or less" in text
 
 
-def test_a_study_of_an_own_law_judges_nothing_of_another(tmp_path: Path) -> None:
+def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:
     need_compiler()
     plan = load_plan(str(OWN_LAW / "wall_study.toml"), trust=True)
     loops = loops_of(plan, plan.gains, dt=0.05)
     assert loops.mode is None and loops.law is not None and loops.law.nominal.place.startswith("the steady motion at")
     run = simulate(plan.legs[0].scenario, plan.vehicle, gains=plan.gains, law=build_law(plan.law))
-    swept = sweep(plan.sweep_cases, grid(plan.axes[:1]), out=tmp_path)
-    notes = {note.about: note for note in summary(plan, swept, loops, (), [(run, True)], ())}
+    table = swept({"k_wall": (0.2, 0.4)}, {"score": np.array([1.0, 2.0]), "feasible": np.ones(2)})
+    notes = {note.about: note for note in summary(plan, table, loops, (), [(run, True)], ())}
     assert notes["margins"].passed and notes["margins"].text.startswith("margins about the steady motion at ")
     assert notes["claims"].passed is None
     assert notes["runs-1"].passed

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
+from surctl.control import Gains, load_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, load_scenario, simulate_batch
+from surctl.simulation import Case, load_scenario
 from surctl.tuning import Goal, Request, conditions, gain_ranges
 from surctl.tuning.start import lqr_start, starting_sets
 from surctl.vehicle import load_vehicle
@@ -67,10 +69,16 @@ def test_a_search_without_a_regulator_advises_nothing_that_no_option_can_set(mon
 
 
 def test_a_search_starts_from_the_regulator_and_from_the_descent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surctl.tuning.start._ITERATIONS", 2)
-    monkeypatch.setattr("surctl.tuning.start._horizon", lambda _: 80)
+    """The descent itself has tests of its own, and study 40 descends from here."""
     scenario, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
     poor = load_gains("default").with_values({"lookahead": 2.0})
+    better, asked = poor.with_values({"lookahead": 1.1}), []
+
+    def refine(cases: list[Case], gains: Gains, ranges: dict[str, object], **options: int) -> SimpleNamespace:
+        asked.append((cases, gains, tuple(ranges), options["seed"]))
+        return SimpleNamespace(gains=better)
+
+    monkeypatch.setattr("surctl.tuning.start.refine", refine)
     near = Goal("near", "deviation_m", "m", 0.1)
     space = gain_ranges(poor, {"k_v": (0.9, 1.6), "lookahead": (0.3, 2.5)})
     case = Case(scenario, vehicle, poor)
@@ -80,10 +88,10 @@ def test_a_search_starts_from_the_regulator_and_from_the_descent(monkeypatch: py
     assert regulator == {
         name: np.clip(wanted[name], *ends) for name, ends in (("k_v", (0.9, 1.6)), ("lookahead", (0.3, 2.5)))
     }
-    sets = {name: [poor[name], refined[name]] for name in refined}
-    start, descended = simulate_batch(case, sets).column("deviation_m")
-    assert descended < start
+    (((flown,), start, names, seed),) = asked
+    assert (flown.name, start, names, seed) == (case.name, poor, ("k_v", "lookahead"), request.seed)
+    assert refined == {"k_v": better["k_v"], "lookahead": 1.1}
 
     deaf = Case(scenario, vehicle, poor, sensing="sonar")  # no gradient there
     request = Request((near,), conditions([deaf], seeds=[0], with_corners=False), poor, space)
-    assert starting_sets(request, descend=True) == [regulator]
+    assert starting_sets(request, descend=True) == [regulator] and len(asked) == 1
