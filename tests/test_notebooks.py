@@ -101,7 +101,6 @@ def test_it_runs_as_a_script_without_a_warning(notebook: Path, tmp_path: Path, m
         for tool in ("gcc", "qemu-system-arm", "arm-none-eabi-gcc"):
             need(tool)
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    monkeypatch.setenv("SURCTL_CFLAGS", "-O1")
     done = run_python([str(notebook)], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert [line for line in PRINTED[notebook.stem] if line not in done.stdout] == []
