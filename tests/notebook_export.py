@@ -1,4 +1,4 @@
-"""`marimo export ipynb` of several notebooks in one process: a folder, and the notebooks; a second time as NAME-twice."""
+"""`marimo export ipynb` of several notebooks in one process: a folder, the notebooks; a second time as NAME-twice."""
 
 import sys
 from pathlib import Path
