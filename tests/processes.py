@@ -42,6 +42,7 @@ def run_python(
     cwd: Path | None = None,
     environment: Mapping[str, str] | None = None,
     drawn: bool = True,
+    loaded: str = "",
 ) -> subprocess.CompletedProcess[str]:
     """What `python -W error WORDS` does: words are `-m`, a module and its arguments, or a script and its arguments.
 
@@ -50,10 +51,11 @@ def run_python(
         cwd: where it runs; it is killed after `PATIENCE`, with status -SIGALRM.
         environment: all of it; this process's own if None.
         drawn: whether pictures are drawn, or saved blank (`tests.pictures`).
+        loaded: a further module that is loaded before the fork, for this process and all that follow.
     """
     words = [str(word) for word in words]
     with tempfile.TemporaryDirectory(prefix="surctl-process-") as name:
-        request = _request(words, cwd, environment, Path(name)) | {"drawn": drawn}
+        request = _request(words, cwd, environment, Path(name)) | {"drawn": drawn, "loaded": loaded}
         status, seconds = _asked(request)
         spent.append(seconds)
         out, err = (Path(request[which]).read_text(encoding="utf-8") for which in ("out", "err"))
@@ -170,6 +172,8 @@ def _serve() -> None:
         os.dup2(2, 1)
         while line := sys.stdin.readline():
             request = json.loads(line)
+            if request.get("loaded"):
+                importlib.import_module(request["loaded"])
             child = request.get("pid") or os.fork()
             if child == 0:
                 _be(request)

@@ -1,15 +1,14 @@
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.processes import run_python
-from tests.tools import PATIENCE, need, need_compiler
+from tests.tools import need, need_compiler
 
 ROOT = Path(__file__).parents[1]
+PARTS = "tests.notebook_parts"  # what every notebook loads
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 
 PRINTED = {
@@ -63,24 +62,12 @@ PRINTED = {
 }
 
 
-EXPORT = """
-import sys
-from pathlib import Path
-from marimo._cli.cli import main
-folder, *notebooks = map(Path, sys.argv[1:])
-for notebook in notebooks:
-    target = folder / notebook.with_suffix(".ipynb").name
-    target = target.with_stem(f"{target.stem}-twice") if target.exists() else target
-    main(["export", "ipynb", str(notebook), "-o", str(target), "--sort", "top-down"], standalone_mode=False)
-"""
-
-
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with every notebook as .ipynb, the first twice: `marimo export ipynb`, in one process."""
     folder = tmp_path_factory.mktemp("exported")
-    command = [sys.executable, "-c", EXPORT, *map(str, (folder, *NOTEBOOKS, NOTEBOOKS[0]))]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    words = map(str, (ROOT / "tests" / "notebook_export.py", folder, *NOTEBOOKS, NOTEBOOKS[0]))
+    done = run_python(list(words), cwd=folder, loaded=PARTS)
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -101,8 +88,7 @@ def test_it_runs_as_a_script_without_a_warning(notebook: Path, tmp_path: Path, m
         for tool in ("gcc", "qemu-system-arm", "arm-none-eabi-gcc"):
             need(tool)
     monkeypatch.setenv("MPLBACKEND", "Agg")
-    monkeypatch.setenv("SURCTL_CFLAGS", "-O1")
-    done = run_python([str(notebook)], cwd=tmp_path)
+    done = run_python([str(notebook)], cwd=tmp_path, loaded=PARTS)
     assert done.returncode == 0, done.stderr
     assert [line for line in PRINTED[notebook.stem] if line not in done.stdout] == []
     assert list(tmp_path.iterdir()) == []

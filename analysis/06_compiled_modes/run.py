@@ -56,7 +56,7 @@ SETTINGS = (
     Settings("projected", damping=0.1),
     Settings("lexicographic"),
 )
-QUICK = (Settings("nsb"), Settings("filter"), Settings("projected", sweeps=3), Settings("lexicographic"))
+QUICK = (Settings("nsb"), Settings("projected"))
 RUNGS = ("met", "limited", "relaxed", "clamped")
 OUTCOMES = ("optimal", "limited", "relaxed", "clamped")
 BARS = {"nsb": 1e-12, "met": 1e-9, "limited": 1e-8}

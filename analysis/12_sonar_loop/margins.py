@@ -135,9 +135,11 @@ class Loop:
     def radius(self, factor: complex, delay: int, axes: tuple[int, ...]) -> float:
         """Return the largest eigenvalue of a period, with the commands of these axes times a factor, and later."""
         (Ap, Bp), (by_x, by_u), n, m = self.plant, self.decide, self.filter[0][0].shape[1], self.decide[0].shape[1]
-        size = 12 + 3 * self.late + n + 4 + m + 4 * (1 + delay)  # plant, old positions, filter, last thrust, law, queue
         _, b, c, d = np.cumsum([12, 3 * self.late, n, 4])
-        q, total = d + m, np.eye(size, dtype=complex)
+        q = d + m  # plant, old positions, filter, last thrust, law; then each axis's queue of commands
+        places = [1 + delay * (axis in axes) for axis in range(4)]
+        size = q + sum(places)
+        total = np.eye(size, dtype=complex)
         scale = np.ones(4, dtype=complex)
         scale[list(axes)] = factor
         for by_z, by_fix, by_turn, by_tau in self.filter:
@@ -153,13 +155,12 @@ class Loop:
             M[:12, :12] = Ap
             M[12:15, :3] = np.eye(3)
             M[15:b, 12 : b - 3] = np.eye(3 * (self.late - 1))
-            for axis in range(4):  # the queue of an axis without extra delay has one place
-                row, first = Bp[:, axis], q + axis
-                last = q + 4 * (delay if axis in axes else 0) + axis
-                M[:12, last] += row * scale[axis]
+            for axis, end in enumerate(np.cumsum(places)):
+                first, last = q + end - places[axis], q + end - 1
+                M[:12, last] += Bp[:, axis] * scale[axis]
                 M[first] = law[m + axis]
-                for k in range(delay):
-                    M[q + 4 * (k + 1) + axis, q + 4 * k + axis] = 1
+                for k in range(first, last):
+                    M[k + 1, k] = 1
             total = M @ total
         values = np.linalg.eigvals(total)
         return float(np.abs(values[np.abs(values - 1) > SHIFT]).max())

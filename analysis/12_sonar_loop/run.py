@@ -143,9 +143,9 @@ def main(words: list[str]) -> int:
         f"- perception: {operations} operations per step, at {INSTRUCTIONS} instructions each and {RATE:g} Hz "
         f"{100 * share:.1f} % of a 168 MHz core, bar {100 * bars['cortex_share']:.0f} %: {_word(held[-1])}"
     )
-    counted, told = ram(law.perception.block)
+    counted, told = (4 * memory(law.perception.block), None) if options.quick else ram(law.perception.block)
     held.append(max(counted, told or 0) <= 1024 * bars["cortex_kb"])
-    stack = f"{told / 1024:.1f} kB with the stack by -Os here" if told else "no compiler here reports the stack"
+    stack = f"{told / 1024:.1f} kB with the stack by -Os here" if told else "the stack is not reported"
     print(
         f"- their memory in float32: state, next state and all arrays {counted / 1024:.1f} kB, {stack}, "
         f"bar {bars['cortex_kb']} kB: {_word(held[-1])}"

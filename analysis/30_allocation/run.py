@@ -46,6 +46,11 @@ Runner = Callable[..., list[Array]]
 
 EXACT, MOST_INSTRUCTIONS = 1e-9, 3_000
 SIX, EIGHT = "bluerov2-thrusters", "bluerov2-heavy"
+CASES: tuple[tuple[str, tuple[int, ...], float], ...] = (
+    (SIX, (), 1.0), ("skewed", (), 1.0), (EIGHT, (), 1.0),
+    (SIX, (1,), 0.1), ("skewed", (1,), 0.1), (EIGHT, (1,), 0.1), (EIGHT, (1, 6), 0.1),
+)  # fmt: skip
+"""Thrusters, those that failed, and the share of the commands that is tried."""
 
 
 def skewed() -> Actuators:
@@ -85,17 +90,16 @@ def commands(actuators: Actuators, count: int, *, seed: int = 0) -> Array:
     return found
 
 
-def exactness(count: int) -> tuple[list[str], float, float]:
+def exactness(
+    count: int, cases: tuple[tuple[str, tuple[int, ...], float], ...] = CASES
+) -> tuple[list[str], float, float]:
     """Lines, largest error of a thruster force [N], largest violation of a limit or of a curve's inverse."""
     lines = [
         "| thrusters | failed | commands | reached | error of force, N | of total, N | beyond a limit, N | curve, N |",
         "|---|---|---|---|---|---|---|---|",
     ]
     worst, breach = 0.0, 0.0
-    for name, failed, share in (
-        (SIX, (), 1.0), ("skewed", (), 1.0), (EIGHT, (), 1.0),
-        (SIX, (1,), 0.1), ("skewed", (1,), 0.1), (EIGHT, (1,), 0.1), (EIGHT, (1, 6), 0.1),
-    ):  # fmt: skip
+    for name, failed, share in cases:
         actuators, runner = thrusters_of(name), allocator(name)
         working = np.ones(len(actuators.thrusters))
         working[list(failed)] = 0.0

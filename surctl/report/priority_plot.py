@@ -28,12 +28,14 @@ def plot_priority(timeline: PriorityTimeline, *, title: str = "") -> Figure:
         title: line above the plot.
 
     Example:
+        >>> from dataclasses import replace
         >>> from surctl.control import build_law, load_gains
         >>> from surctl.report import plot_priority
         >>> from surctl.simulation import load_scenario, priority_timeline, simulate
         >>> from surctl.vehicle import load_vehicle
         >>> law, gains = build_law(mode="filter", contacts=1), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> scenario = replace(load_scenario("pool-behind"), time_limit=2.0)
+        >>> run = simulate(scenario, load_vehicle("sur400"), gains=gains, law=law)
         >>> figure = plot_priority(priority_timeline(run))
         >>> [ax.get_ylabel() for ax in figure.axes]
         ['1 velocity [m/s]', '2 depth [m/s]', '3 heading [rad/s]', '']

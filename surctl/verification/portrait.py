@@ -129,10 +129,12 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     x, y = (np.linspace(-h, h, points) for h in half)
     xi = np.zeros((points * points, len(loop.P)))
     xi[:, first], xi[:, second] = (grid.ravel() for grid in np.meshgrid(x, y))
-    value = np.einsum("ni,ij,nj->n", xi, loop.P, xi)
+    gradient = 2 * xi @ loop.P
+    value = 0.5 * np.einsum("ni,ni->n", gradient, xi)
+    gradient /= np.maximum(value, 1e-12)[:, None]
     growth = np.full(len(xi), -np.inf)
     for rates in loop.tried:
-        growth = np.maximum(growth, 2 * np.einsum("ni,ij,nj->n", xi, loop.P, rates(xi)) / np.maximum(value, 1e-12))
+        growth = np.maximum(growth, np.einsum("ni,ni->n", gradient, rates(xi)))
     excess = growth + document["claim"]["motion"]["rate_per_s"]
     flow = loop.shown(xi)[:, [first, second]]
     shape = (points, points)
