@@ -288,7 +288,9 @@ def test_a_rule_settles_only_what_it_shows(margin: str, constraint: str, rule: s
     assert found == rule
 
 
-@pytest.mark.parametrize("text", ["x*y - 0.1", "x^3 + y^2/3 - x*x", "-(x - y)^3*1e-200*1e-200", "2 - x^4*pi", "x - 1/y"])
+@pytest.mark.parametrize(
+    "text", ["x*y - 0.1", "x^3 + y^2/3 - x*x", "-(x - y)^3*1e-200*1e-200", "2 - x^4*pi", "x - 1/y"]
+)
 def test_the_bound_of_one_box_is_that_of_arrays(text: str) -> None:
     tape = build_tape(("x", "y"), [parse(text, {name: variable(name) for name in "xy"})])
     for box in np.random.default_rng(3).normal(size=(50, 2, 2)).round(1):
