@@ -45,13 +45,16 @@ PAIRS = (
     ("region-turning-20", "bluerov2-heavy"),
     ("region-turning-20-rest", "bluerov2-heavy"),
     ("region-turning-20", "rexrov"),
+    ("region-turning-lag", "bluerov2-vonbenzon@0.15"),
+    ("region-turning-20-lag", "bluerov2-heavy@0.15"),
     (STEERED, "otter"),
     (STEERED, "remus100"),
     (STEERED, "remus100@1.0"),
     (STEERED, "remus100@1.25"),
     (STEERED, "remus100@1.5"),
 )
-OWN = {"bluerov2-heavy": 0.17, "rexrov": 0.95, "otter": 1.1, "remus100": 0.87,
+OWN = {"bluerov2-vonbenzon@0.15": 0.15, "bluerov2-heavy@0.15": 0.15,
+       "bluerov2-heavy": 0.17, "rexrov": 0.95, "otter": 1.1, "remus100": 0.87,
        "remus100@1.0": 1.0, "remus100@1.25": 1.25, "remus100@1.5": 1.5}  # fmt: skip
 """Vehicles with gains derived at their cruise speed [m/s]; the others have the gains `default` at 0.15 m/s."""
 

@@ -16,6 +16,9 @@ V follows from
 
     Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low) < 0,    Q ⪰ w wᵀ.
 
+In a current c, the drag and the Coriolis force act on U − c. So t_i is a secant slope from n_i (U* − c) on, and w also
+has the changes of the drag at U* along each axis, and −r R [[0, e1], [e2, 0]] Rᵀ c with the opposite sign.
+
 On a curve, the path frame turns at σ, |σ| ≤ curvature · v. That adds −σ S to both diagonal blocks of A and −σ S U* to
 w, with the quarter turn S. With a coupling c = m12 and ρ² = c²/(m11 m22), M⁻¹ has the diagonal 1/(m_i (1 − ρ²)), as
 that of masses smaller by the factor 1 − ρ², and the other entries β = −c/(m11 m22 (1 − ρ²)): a force on axis i also

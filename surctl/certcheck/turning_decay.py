@@ -56,7 +56,7 @@ def decays(
     floor: float,
 ) -> bool:
     """Return whether V̇ < −a V holds in one cell; the arrays have the axes (1/m, turn, z, loop 1, loop 2, plan)."""
-    t, side, v = form.change, form.push, float(claim.cruise)
+    t, side, v = form.change, form.lever, float(claim.cruise)
     lack, loose, n = disturbed.lack, disturbed.loose, len(form.p)
     decay = (float(claim.rate) + growth) * UP
     kinematic = t @ form.p[:, :2] @ form.speed.T
@@ -133,7 +133,7 @@ def decays(
     if n > 4:
         error += 20 * _ROUNDING * float(np.abs(rear).sum(axis=(-1, -2)).max() + np.abs(away).sum(axis=(-1, -2)).max())
     entries = {}
-    for i, j in zip(*np.tril_indices(n), strict=True):
+    for i, j in [(row, column) for row in range(n) for column in range(row + 1)]:
         one, two = parts[0][..., i, j], parts[1][..., i, j]
         whole = base[..., i, j][:, :, :, None, None, None] + (
             one[:, :, :, None] + two[:, :, None, :])[:, None] - away[None, :, None, None, None, :, i, j]  # fmt: skip
@@ -157,7 +157,7 @@ def _behind(
         return np.zeros((len(heavy), count, 4, 4)), np.zeros((len(turns), len(plans), 4, 4))
     # n_i · E m_i of the model is the force error, which accelerates the true mass
     light = heavy[:, :2] * [float(m) for m in claim.mass]
-    rear = form.push @ np.einsum("mi,izjk->mzjk", light, np.array(axes)) @ form.error.T
+    rear = form.lever @ np.einsum("mi,izjk->mzjk", light, np.array(axes)) @ form.error.T
     rear = rear + rear.swapaxes(-1, -2)
     share, split = form.error @ form.error.T * form.p[4, 4], disturbed.split * UP
     rear = rear - (2 / (float(claim.lag[1]) * UP) - split) * share

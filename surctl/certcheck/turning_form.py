@@ -48,7 +48,7 @@ class Form:
         entry[2:4] = np.eye(2)
         entry[4:] = float(k_v) * np.eye(2)[: size - 4]
         self.entry = entry
-        self.push = self.change @ self.p @ entry
+        self.lever = self.change @ self.p @ entry
         self.place, self.speed, self.error = self.change[:, :2], self.change[:, 2:4], self.change[:, 4:]
 
     def rows(self, place: Array, speed: Array) -> Array:

@@ -54,15 +54,11 @@ def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> 
 
 def _further(claim: TurningClaim) -> str:
     """Return what makes a claim with a current, thrust lag or held commands hard to prove, as a part of a sentence."""
-    parts, k_v, mass = [], claim.gains["k_v"], np.array(claim.mass)
+    parts, k_v = [], claim.gains["k_v"]
     if claim.current:
         drag = np.array(claim.linear) + np.array(claim.quadratic) * (2 * claim.cruise + claim.current)
-        force = claim.drag_factor[1] * claim.current * drag
-        aside = float((force / (mass * k_v + claim.linear)).max()) * claim.gains["lookahead"] / claim.cruise
-        parts.append(
-            f"the current changes the drag by up to {force.max():.2g} N, which moves the vehicle aside by up to "
-            f"{aside:.2g} m without integral action"
-        )
+        force = float((claim.drag_factor[1] * claim.current * drag).max())
+        parts.append(f"the current changes the drag by up to {force:.2g} N, at any time if the heading turns")
     if claim.lag or claim.period:
         late = claim.lag + claim.period
         parts.append(

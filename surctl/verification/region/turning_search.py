@@ -61,8 +61,8 @@ def _improve(
     rest.
     """
     basis, units = _basis(claim), np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim)
-    behind = claim.gains["k_v"] * extent[2:] if claim.lag else []
-    shells = [vertices(claim, cruise, np.diag(np.append(extent, _ERROR * np.array(behind)) ** 2), high)
+    behind = claim.gains["k_v"] * extent[2:] if claim.lag else np.zeros(0)
+    shells = [vertices(claim, cruise, np.diag(np.append(extent, _ERROR * behind) ** 2), high)
               for high in levels[1:]]  # fmt: skip
     known = [one for one in shells if one is not None]
     if len(known) < len(shells):
