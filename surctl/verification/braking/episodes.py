@@ -225,7 +225,7 @@ class _World:
         return np.asarray(forward[:, None] * self.latched + sideways[:, None] * across)
 
     def _ahead(self, towards: Vector) -> Vector:
-        """Return the largest thrust ahead after which the lag and the forces do not exceed the claim's largest speed."""
+        # what the thrust still adds counts too: without it, a light vehicle exceeds the claim's speed
         claim, period = self.claim, self.claim.watch.period
         # what the thrust still adds counts too: without it, light vehicles with a lag exceed the claim's speed
         stored = towards + self.lag * np.sum(self.thrust * self.latched, axis=1) / self.mass
