@@ -44,6 +44,10 @@ be the largest speed of the obstacle towards the robot, s = v + v_o the closing 
    2 and 3 are ρ times as long. If drag is too large for the retreat in step 2, the distance at s = 0 is used for all
    s < 0: it suffices, as l increases and F decreases meanwhile.
 
+8. Speeds never exceed V, so B' may stay constant beyond z = V + v_o. A law's loop commands M k_v (v_d − v) + D(v_d)
+   with |v_d| ≤ cap, so F⁺ is at most k_v m (cap + V) + D(cap) of its model. In a period without braking, z rises by at
+   most (u + f + D) T/m with u at its speed, and at x the drag of v_d = b − gain x brakes too.
+
 Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead the robot into another
 obstacle); the bound v_o on the obstacle's speed holds at all times; m11 = m22, except in step 7. Drag acts on each
 axis of the vehicle separately and not along the velocity. So a sideways speed w at the start of braking adds the

@@ -349,6 +349,21 @@ def test_a_retreat_against_much_drag_is_not_counted_on() -> None:
         read_distance(read_claim(whole["claim"]), at, ways)
 
 
+def test_an_unequal_certificate_whose_table_ends_or_margin_lacks_a_micrometre_is_rejected() -> None:
+    whole = document("braking-inertia-20-unequal")
+    ways = whole["proof"]["distances"][0]
+    assert "ends at too low a speed" in reason(whole, knots=ways["knots"][:-1], slopes=ways["slopes"][:-1])
+    whole = document("braking-inertia-20-unequal")
+    slopes, z = list(ways["slopes"]), np.array(ways["knots"][20])
+    left = whole["claim"]["vehicle"]["brake_n"] - encounters.pushed(whole, 0.0) + encounters.drag(whole, z)
+    slopes[20] = round(float(z / left) * (1 - 1e-6), 12)
+    assert "slope is too small" in reason(whole, slopes=slopes)
+    whole = document("braking-inertia-20-unequal")
+    law = whole["claim"]["law"]
+    law["margin_m"] = round(law["margin_m"] + encounters.lacking(whole, 0.0, bounds=120) - 1e-6, 9)
+    assert "margin is too small" in reason(whole)
+
+
 def test_a_period_in_which_drag_turns_everything_round_is_rejected() -> None:
     whole = document("braking-rule-20")
     whole["claim"]["watch"]["period_s"] = 3.0

@@ -103,7 +103,7 @@ def _over(claim: BrakingClaim, law: LawNumbers, bound: float) -> float:
     for _ in range(20):
         middle = (least + most) / 2
         least, most = (least, middle) if commanded(middle) <= -claim.brakes.least else (middle, most)
-    return most
+    return float(most)
 
 
 def _bound(law: LawNumbers, watch: Watch, distance: float, obstacle: float) -> float:
@@ -225,11 +225,11 @@ class _World:
         return np.asarray(forward[:, None] * self.latched + sideways[:, None] * across)
 
     def _ahead(self, towards: Vector) -> Vector:
-        """Return the largest thrust ahead after which the lag and the forces do not exceed the claim's largest speed."""
+        # what the thrust still adds counts too: without it, a light vehicle exceeds the claim's speed
         claim, period = self.claim, self.claim.watch.period
         # what the thrust still adds counts too: without it, light vehicles with a lag exceed the claim's speed
         stored = towards + self.lag * np.sum(self.thrust * self.latched, axis=1) / self.mass
-        return np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.push)
+        return np.asarray(np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.push))
 
     def _aside(self, across: Vector) -> Vector:
         """Return the thrust across the latched direction while a vehicle with unequal masses brakes."""

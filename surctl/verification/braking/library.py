@@ -6,14 +6,14 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from math import sqrt
+from math import ceil, sqrt
 from typing import Literal, NamedTuple
 
 from surctl.control import Barrier, Gains, build_law
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, NotApplicable, nearest
 from surctl.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
 from surctl.vehicle import Vehicle, check_equation_3
-from surctl.verification.assumptions import check_alike, check_sway_force
+from surctl.verification.assumptions import check_sway_force
 from surctl.verification.braking.claim import BrakingClaim, law_numbers
 from surctl.verification.setting import OVERSHOOT
 
@@ -42,12 +42,27 @@ def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
     near = brakes_of(vehicle, share=share, spread=_SPREAD)
     light = min(vehicle["m11"], vehicle["m22"])
     if wide:
-        return replace(brakes_of(vehicle, share=share), linear=near.linear)
+        (low, high), (low2, high2) = _masses(vehicle)
+        masses = min(low, low2), max(high, high2) if _equal(vehicle) else min(high, high2)
+        return replace(brakes_of(vehicle, share=share), linear=near.linear, masses=masses)
     return replace(near, masses=(light * (1 - _SPREAD), light * (1 + _SPREAD)))
 
 
-def _ratio(vehicle: Vehicle) -> float:
+def _masses(vehicle: Vehicle) -> list[tuple[float, float]]:
+    """Return the ranges of the masses in surge and sway; a mass without a range counts as exact."""
+    return [vehicle.parameters[name].range or (vehicle[name], vehicle[name]) for name in ("m11", "m22")]
+
+
+def _equal(vehicle: Vehicle) -> bool:
+    surge, sway = _masses(vehicle)
+    return vehicle["m11"] == vehicle["m22"] and surge == sway
+
+
+def _ratio(vehicle: Vehicle, *, wide: bool) -> float:
     """Return the largest ratio of the masses in surge and sway; 1 for equal masses, which are then off in common."""
+    if wide and not _equal(vehicle):
+        (low, high), (low2, high2) = _masses(vehicle)
+        return ceil(max(high / low2, high2 / low) * 1e9) / 1e9
     light, heavy = sorted((vehicle["m11"], vehicle["m22"]))
     return 1.0 if light == heavy else round(heavy / light * (1 + _APART), 9)
 
@@ -70,8 +85,11 @@ def _check(vehicle: Vehicle, *, wide: bool) -> None:
     """Raise NotApplicable if the vehicle violates an assumption of the claims."""
     check_sway_force(vehicle)
     check_equation_3(vehicle)
-    if wide:
-        check_alike(vehicle, mass_alone=True, ranges=True)
+    if wide and not _equal(vehicle) and None in (vehicle.parameters["m11"].range, vehicle.parameters["m22"].range):
+        values = " and ".join(f"{name} = {vehicle[name]:g} kg" for name in ("m11", "m22"))
+        raise NotApplicable(
+            f"{values} differ and the vehicle file has no ranges for both, over which the claim would hold"
+        )
 
 
 def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
@@ -83,7 +101,7 @@ def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains
         digests = (_digest(vehicle), "0" * 64)  # there is no law
         return BrakingClaim(
             name, brakes, _SENSED, acting, _COLUMNS, _fastest(cap), sideways=sideways,
-            side=0.0 if (ratio := _ratio(vehicle)) == 1 else brakes.most, speeds=_rows(cap), digests=digests,
+            side=0.0 if (ratio := _ratio(vehicle, wide=wide)) == 1 else brakes.most, speeds=_rows(cap), digests=digests,
             ratio=ratio,
         )  # fmt: skip
 
@@ -120,7 +138,7 @@ def _guarded(
             law=numbers,
             speeds=_rows(cap),
             digests=(_digest(vehicle), law.block.digest()),
-            ratio=_ratio(vehicle),
+            ratio=_ratio(vehicle, wide=wide),
         ).braking_with(brakes.least)
 
     return build

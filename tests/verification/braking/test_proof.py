@@ -3,6 +3,7 @@ import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from surctl.verification.braking import (
     law_numbers,
     prove_braking,
 )
-from surctl.verification.braking.distance import distance_table
+from surctl.verification.braking.distance import distance_table, encounter, figures, largest_obstacle
 from surctl.verification.braking.episodes import run_episodes
 
 KEPT = Path(__file__).parents[2] / "certcheck"
@@ -158,8 +159,35 @@ def test_unequal_masses_are_proved_with_their_coupling(vehicle: str) -> None:
         assert not check_document(seal("braking", changed["claim"], {"proof": changed["proof"]})).accepted
     assert run_episodes(claim, obstacle=0.1, runs=30, seconds=10.0).hits == 0
     assert prove_braking(replace(claim, turn=3.0)).verdict == "unknown"
-    with pytest.raises(InputError, match="m22"):
+    with pytest.raises(InputError, match=r"m22 .* no ranges"):
         claimed("braking-rule-ranges", vehicle)
+
+
+FORGED: dict[str, dict[str, Any]] = {
+    "the Coriolis force": {"turn": 0.0},
+    "the thrust across": {"side": 0.0},
+    "the coupling of the masses": {"ratio": 1.0},
+    "a speed of the loop": {"cap": 0.05},
+    "lag": {"lag": 0.25},
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_law_s_claim_whose_tables_lack_a_term_is_rejected(what: str) -> None:
+    claim = claimed("braking-inertia-20", "bluerov2-vonbenzon").braking_with(34.0)
+    assert claim.law is not None and claim.push < claim.brakes.most
+    change = dict(FORGED[what])
+    law, brakes = replace(claim.law, cap=change.pop("cap", 0.22)), replace(claim.brakes, lag=change.pop("lag", 0.3))
+    other = replace(claim, law=law, brakes=brakes, **change)
+    tables = [distance_table(other, obstacle) for obstacle in claim.obstacles]
+    ways = [{"knots": t.knots.tolist(), "slopes": t.slopes.tolist()} for t in tables]
+    stated = claim.document(figures(other, tables), largest_obstacle(claim))
+    assert not check_document(seal("braking", stated, {"proof": {"distances": ways}})).accepted
+    # and with figures of its own, so that the slopes or the margin decide
+    tables[0] = replace(tables[0], at=encounter(claim, 0.0))
+    stated = claim.document(figures(claim, tables), largest_obstacle(claim))
+    forged = check_document(seal("braking", stated, {"proof": {"distances": ways}}))
+    assert not forged.accepted or what in ("a speed of the loop", "lag")  # these two change no slope
 
 
 def test_claims_that_do_not_fit_are_the_users_mistake() -> None:
