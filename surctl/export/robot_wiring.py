@@ -91,8 +91,7 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
         "that the beam meets within 3° of its normal. "
         + {
-            "smooth": "For 9 s a mark is cleared only by silence from directions from which it was heard, or before "
-            "an echo from close behind it",
+            "smooth": "For 9 s a mark is cleared only by silence from directions from which it was heard",
             "specular": "A mark is cleared only by silence from directions from which it was heard",
         }.get(equipment.surface_model, "Silence clears the marks of obstacles, which must answer from every direction")
         if equipment.surface_model != "diffuse"

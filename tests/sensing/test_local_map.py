@@ -482,11 +482,13 @@ def test_what_went_away_is_cleared_and_what_came_is_marked():
     assert all(chart.at(HULL + 0.7 * math.cos(a), 0.7 * math.sin(a)) == 1.0 for a in np.linspace(-0.6, 0.6, 9))
 
 
-@pytest.mark.parametrize(("measured", "stays"), [(9.0, True), (0.65, True), (0.45, False)])
-def test_a_smooth_mark_that_is_silent_from_another_side_stays_unless_an_echo_comes_from_close_behind(measured, stays):
+@pytest.mark.parametrize(
+    ("measured", "angle", "stays"), [(9.0, 0.5, True), (0.65, 0.5, True), (0.45, 0.5, False), (0.45, 1.5, True)]
+)
+def test_a_smooth_mark_silent_from_beside_stays_unless_an_echo_comes_from_close_behind(measured, angle, stays):
     """Heard from two directions, then not from a third, with no echo, one from far behind and one from its new place.
 
-    The third direction is beside the sector, and counts only for marks beyond `NEAR`; `MOVED` is 0.135 m.
+    0.5 rad is beside the sector, which counts only for marks beyond `NEAR`; `MOVED` is 0.135 m.
     """
     mark, half = np.array([0.525, 0.025]), math.radians(20)
 
@@ -494,10 +496,10 @@ def test_a_smooth_mark_that_is_silent_from_another_side_stays_unless_an_echo_com
         return firing(mark - 0.3 * np.array([math.cos(angle), math.sin(angle)]), angle, reading, half=half)
 
     chart = Chart(smooth=True)
-    for angle in (0.1, 0.3):
-        chart((0.0, 0.0), beam(angle, 0.3))
+    for heard in (0.1, 0.3):
+        chart((0.0, 0.0), beam(heard, 0.3))
     assert chart.at(*mark) > 0.99
-    assert (chart((0.0, 0.0), beam(0.5, measured)).at(*mark) > 0) == stays
+    assert (chart((0.0, 0.0), beam(angle, measured)).at(*mark) > 0) == stays
 
 
 def test_an_echo_that_a_mark_explains_marks_nothing_known_to_be_free():

@@ -50,7 +50,7 @@ NEAR = 10
 The corner of a face that was heard stays marked there until the robot has passed it, although it has fallen silent."""
 
 MOVED = 2
-"""Distance [cells] behind a mark of a `smooth` map within which an echo clears the mark, whatever the directions.
+"""Distance [cells] behind a mark of a `smooth` map from which an echo makes `NEAR` not apply.
 
 The surface that was marked answers, and so has moved: no face's end is in front of an echo from the same body."""
 

@@ -131,9 +131,10 @@ def by_direction(
         moved: whether an echo came from close behind the cell.
         known, specular: see `LocalMap`.
     """
-    now, beside = level(value), includes(value, away, BESIDE if specular else ca.if_else(near, 0, BESIDE))
+    strict = ca.logic_and(near, ca.logic_not(moved))
+    now, beside = level(value), includes(value, away, BESIDE if specular else ca.if_else(strict, 0, BESIDE))
     mark = ca.logic_and(now > (0 if specular else PROTECTED), confirms(value))
-    lasts = ca.logic_and(mark, ca.logic_not(beside if specular else ca.logic_or(beside, moved)))
+    lasts = ca.logic_and(mark, ca.logic_not(beside))
     remark = sector_with(value, away, goes_on=now > BLIND, widest=WIDEST)
     if not specular:
         return lasts, remark, ca.if_else(now > BLIND, value, BLIND), ca.SX(-1), now >= -known

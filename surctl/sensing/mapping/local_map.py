@@ -52,8 +52,7 @@ class LocalMap:
         known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
             counts as known to be free.
         smooth: whether surfaces answer only near their normal: marks then store the directions from which they were
-            heard, and for 9 s silence clears a mark only from within these directions, or with an echo from close
-            behind the mark (see `directions`).
+            heard, and for 9 s silence clears a mark only from within these directions (see `directions`).
         specular: whether surfaces are mirrors: as `smooth`, but as long as the mark lasts, and also for marks of blind
             firings; and a cell that was silent may cause an echo from another direction.
     """

@@ -85,9 +85,9 @@ def map_step(
         if directed:
             now = _level(value)
             lasting = (now > (0 if specular else PROTECTED)) & (_stored(value) > DIRECTIONS)
-            beside = BESIDE if specular else np.where(beam.square < NEAR * NEAR * (edge * edge), 0.0, BESIDE)
-            moved = (not specular) & (beam.far > 0) & (beam.square > max(beam.near - MOVED * edge, 0.0) ** 2)
-            free &= np.logical_not(lasting) | _includes(value, beam.direction, beside) | moved
+            moved = (beam.far > 0) & (beam.square > max(beam.near - MOVED * edge, 0.0) ** 2)
+            strict = (beam.square < NEAR * NEAR * (edge * edge)) & ~moved & (not specular)
+            free &= np.logical_not(lasting) | _includes(value, beam.direction, np.where(strict, 0.0, BESIDE))
             remark = _sector_with(value, beam.direction, goes_on=now > BLIND, widest=WIDEST)
             blind = np.where(now > BLIND, value, BLIND)
         if specular:
