@@ -32,14 +32,15 @@ def test_the_page_of_the_robot_draws_the_certified_region_and_the_falsified_leve
     assert view.lines[-1][1] == "good" and labels[0].startswith("certified")
 
 
-def test_no_title_of_any_picture_of_a_page_is_clipped(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_title_of_any_picture_of_a_page_is_clipped() -> None:
     figures: list[Figure] = []
 
     def keep(figure: Figure, **metadata: str | None) -> bytes:
         figures.append(figure)
         return png(figure, **metadata)
 
-    monkeypatch.setattr("surctl.report.document.png", keep)
-    blank_pictures(monkeypatch)
-    render_page(report())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("surctl.report.document.png", keep)
+        blank_pictures(patch)
+        render_page(report())
     assert len(figures) > 15 and not any(outside(figure) for figure in figures)
