@@ -102,10 +102,10 @@ def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str)
         >>> from surctl.report import save_regions
         >>> from surctl.vehicle import load_vehicle
         >>> from surctl.verification.region import prove_statement, region_statement
-        >>> statement = region_statement("region-cruise-20-soft").model_copy(update={"attempts": 2})
+        >>> statement = region_statement("region-heading-20").model_copy(update={"attempts": 1})
         >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
-        >>> [path.name for path in save_regions({"soft": proof.certificate()}, "pictures")]
-        ['soft-levels.png']
+        >>> [path.name for path in save_regions({"heading": proof.certificate()}, "pictures")]
+        ['heading-levels.png']
     """
     return [save_figure(plot_region(document), folder, (name, "levels")) for name, document in documents.items()]
 
