@@ -18,8 +18,9 @@ def enclosed(node: Node) -> Ends:
         return pi, nextafter(pi, 4.0)  # the double lies below π
     near, value = float(node.value), node.value
     over, under = near.as_integer_ratio()
-    difference = over * value.denominator - value.numerator * under
-    return near if difference <= 0 else nextafter(near, -inf), near if difference >= 0 else nextafter(near, inf)
+    above = over * value.denominator - value.numerator * under  # a comparison of fractions is slow
+    low = near if above <= 0 else nextafter(near, -inf)
+    return low, near if above >= 0 else nextafter(near, inf)
 
 
 def applied(node: Node, args: Sequence[Ends], known: Mapping[str, Ends]) -> Ends | None:
