@@ -235,15 +235,15 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     heavy = masses[:, :2] + np.abs(masses[:, 2:])
     forces, behind = cruise.lack + others, None
     share = np.abs(turn[:, 0, :]) + np.pi / 2 / max(len(turn) - 1, 1) / 2
-    drift = np.array(claim.linear) + np.array(claim.quadratic) * (2 * v * np.minimum(share, 1.0) + claim.current)
-    drift = drift * claim.drag_factor[1] * claim.current
+    steep = np.array(claim.linear) + np.array(claim.quadratic) * (2 * v * np.minimum(share, 1.0) + claim.current)
+    drift = steep * claim.drag_factor[1] * claim.current
     if claim.lag or claim.period:
         if loops.shape[2] > 4:  # a thrust limit is active
             return None
-        slow, behind = behind_of(
+        held, behind = behind_of(
             claim, cruise.omega, forces + drift, covariance, high, turn, plans, loops, masses, turns
         )
-        forces = forces + slow
+        forces = forces + held
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
     drift = drift[:, None, :] * heavy
     return Vertices(
