@@ -29,9 +29,9 @@ from surctl.certcheck.braking_distance import (
     drag,
     forces,
     largest_disturbance,
-    push,
     read_distance,
     rounded,
+    thrust_ahead,
 )
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.patience import go_on
@@ -98,7 +98,7 @@ def needed(
     While the vehicle moves backward faster than the obstacle approaches, drag accelerates the vehicle towards the
     obstacle. The returned range takes this increase of speed into account.
     """
-    closing, gain = high + claim.speed_error + at.obstacle, _gain(claim, at, low, push(claim))
+    closing, gain = high + claim.speed_error + at.obstacle, _gain(claim, at, low, thrust_ahead(claim))
     later = min(closing + gain * claim.period, claim.fastest + at.obstacle)
     after = distance.worst(claim, at, later, at.swing)
     return _stale(claim, at, since) + _travelled(claim, closing, gain) + after
@@ -168,7 +168,7 @@ def _needed_by_loop(
         rise = max(_gain(claim, at, slowest, thrust) * claim.period, Fraction(0))
         closing = speed + claim.speed_error + at.obstacle
         after = distance.worst(claim, at, closing, at.swing + rise * claim.mass[0])
-        most = max(most, _travelled(claim, closing, _gain(claim, at, slowest, push(claim))) + after)
+        most = max(most, _travelled(claim, closing, _gain(claim, at, slowest, thrust_ahead(claim))) + after)
     return _stale(claim, at, claim.fastest) + most
 
 

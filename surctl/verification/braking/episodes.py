@@ -231,7 +231,7 @@ class _World:
         claim, period = self.claim, self.claim.watch.period
         # what the thrust still adds counts too: without it, light vehicles with a lag exceed the claim's speed
         stored = towards + self.lag * np.sum(self.thrust * self.latched, axis=1) / self.mass
-        return np.asarray(np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.push))
+        return np.asarray(np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.thrust_ahead))
 
     def _aside(self, across: Vector) -> Vector:
         """Return the thrust across the latched direction while a vehicle with unequal masses brakes."""
