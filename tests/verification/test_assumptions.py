@@ -118,8 +118,8 @@ def test_a_claim_over_ranges_of_surge_is_not_about_a_sway_of_other_ranges() -> N
         region_statement(name).claim(vehicle, GAINS)
         with pytest.raises(NotApplicable, match="the ranges of m11 and m22 differ"):
             region_statement(name).claim(other, GAINS)
-    with pytest.raises(NotApplicable, match="ranges of m11 and m22"):
-        braking_claim_named("braking-rule-ranges", other, GAINS)
+    claim = braking_claim_named("braking-rule-ranges", other, GAINS)
+    assert claim.ratio > 1
 
 
 def test_kinematic_claims_are_about_the_speeds_at_hand() -> None:
