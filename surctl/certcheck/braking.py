@@ -29,9 +29,9 @@ from surctl.certcheck.braking_distance import (
     drag,
     forces,
     largest_disturbance,
-    push,
     read_distance,
     rounded,
+    thrust_ahead,
 )
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.patience import go_on
@@ -98,7 +98,7 @@ def needed(
     While the vehicle moves backward faster than the obstacle approaches, drag accelerates the vehicle towards the
     obstacle. The returned range takes this increase of speed into account.
     """
-    closing, gain = high + claim.speed_error + at.obstacle, _gain(claim, at, low, push(claim))
+    closing, gain = high + claim.speed_error + at.obstacle, _gain(claim, at, low, thrust_ahead(claim))
     later = min(closing + gain * claim.period, claim.fastest + at.obstacle)
     after = distance.worst(claim, at, later, at.swing)
     return _stale(claim, at, since) + _travelled(claim, closing, gain) + after
@@ -114,7 +114,7 @@ def _travelled(claim: BrakingClaim, closing: Fraction, gain: Fraction) -> Fracti
     return max(closing * claim.period + gain * claim.period**2 / 2, Fraction(0))
 
 
-def _ways(
+def _sufficient(
     claim: BrakingClaim,
     law: GuardedLaw,
     at: Forces,
@@ -168,7 +168,7 @@ def _needed_by_loop(
         rise = max(_gain(claim, at, slowest, thrust) * claim.period, Fraction(0))
         closing = speed + claim.speed_error + at.obstacle
         after = distance.worst(claim, at, closing, at.swing + rise * claim.mass[0])
-        most = max(most, _travelled(claim, closing, _gain(claim, at, slowest, push(claim))) + after)
+        most = max(most, _travelled(claim, closing, _gain(claim, at, slowest, thrust_ahead(claim))) + after)
     return _stale(claim, at, claim.fastest) + most
 
 
@@ -215,11 +215,12 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
         low, high = cells.pop()
         held = max(law.margin + _bound_distance(law, at, claim.period, low), least)  # the clearance is never negative
         enough = next(
-            (enough for enough in _ways(claim, law, at, distance, (low, high), short=short) if enough <= held), None
+            (enough for enough in _sufficient(claim, law, at, distance, (low, high), short=short) if enough <= held),
+            None,
         )
         if enough is None:
             if high - low < _FINEST:
-                enough = min(_ways(claim, law, at, distance, (low, high), short=short))
+                enough = min(_sufficient(claim, law, at, distance, (low, high), short=short))
                 raise Rejected(
                     f"the law's margin is too small: at a speed bound of {float(low):.4f} m/s towards an obstacle of "
                     f"{float(at.obstacle):g} m/s it keeps {float(held):.4f} m, but {float(enough):.4f} m are needed"
@@ -253,13 +254,13 @@ def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
     return high
 
 
-def _forward(claim: BrakingClaim, law: GuardedLaw, wanted: Fraction) -> Fraction:
+def _forward(claim: BrakingClaim, law: GuardedLaw, desired: Fraction) -> Fraction:
     """Return the largest force along n [N] of the loop's drag model at a desired speed along n, and of errors across n.
 
     The law's drag model computes the drag of each axis separately and includes the sideways speed; at a speed astern it
     brakes. If the masses of the law's model differ, an error of up to 2 w across adds a force along.
     """
-    v, a, w = max(wanted, Fraction(0)), max(-wanted, Fraction(0)), claim.sideways
+    v, a, w = max(desired, Fraction(0)), max(-desired, Fraction(0)), claim.sideways
     (low, high), (low2, high2), (light, heavy) = (sorted(pair) for pair in (law.linear, law.quadratic, law.mass))
     aside = (high - low) * w / 2 + (2 * high2 - low2) * w**2 * ROOT27
     if low == high and low2 == high2 and not a:

@@ -74,7 +74,7 @@ def _turning(claim: BrakingClaim, through: Fraction, w: Fraction) -> Fraction:
     return claim.turn * claim.mass[1] * (claim.ratio - 1) * (fast + w)
 
 
-def push(claim: BrakingClaim) -> Fraction:
+def thrust_ahead(claim: BrakingClaim) -> Fraction:
     """Return F⁺, the largest thrust towards the obstacle [N]: most_n, or less if the law's velocity loop commands less.
 
     The loop commands M k_v (v_d − v) + D(v_d). While it does not brake, |v_d| ≤ cap and |v| ≤ fastest. While it begins
@@ -127,7 +127,7 @@ def largest_disturbance(claim: BrakingClaim, through: Fraction, slowest: Fractio
     else:
         side = (high - low) * w / 2 + ROOT2[1] * high2 * through * w + (2 * high2 - low2) * w**2 * ROOT27
     turned = claim.turn * claim.lag
-    lost = claim.ratio * turned**2 * max(push(claim), claim.brake)
+    lost = claim.ratio * turned**2 * max(thrust_ahead(claim), claim.brake)
     if claim.ratio > 1:
         lost += (coupling(claim) + claim.ratio * turned) * claim.side + _turning(claim, through, w)
     return claim.disturbance + side + lost
@@ -145,7 +145,7 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
     disturbance = largest_disturbance(claim, through)
     if claim.brake - disturbance - drag(claim, through) <= 0:
         raise Rejected(f"braking guarantees nothing for an obstacle that approaches at {float(obstacle):g} m/s")
-    swing = claim.lag * (push(claim) + claim.brake) + claim.turn * claim.lag**2 * claim.side
+    swing = claim.lag * (thrust_ahead(claim) + claim.brake) + claim.turn * claim.lag**2 * claim.side
     return Forces(obstacle, through, disturbance, swing)
 
 

@@ -67,7 +67,8 @@ def test_no_claim_is_offered_whose_assumptions_an_independent_look_finds_violate
                 assert braking.fastest >= cap and max(braking.speeds) >= min(cap, 0.22)
                 assert braking.brakes.masses[0] <= light <= braking.brakes.masses[1] and heavy <= braking.ratio * light
                 assert one_drag or braking.drag == "axes"
-                assert braking.ratio == 1 or braking.side == braking.brakes.most
+                rest = braking.brakes.most**2 - (braking.brakes.least**2 if braking.law else 0.0)
+                assert braking.ratio == 1 or braking.side**2 == pytest.approx(rest)
             elif name in REGION_CLAIMS:
                 region = region_statement(name).claim(vehicle, GAINS, cruise=cruise, cap=cap)
                 kind = next(kind for kind in _PLACES if kind in name)
@@ -117,8 +118,8 @@ def test_a_claim_over_ranges_of_surge_is_not_about_a_sway_of_other_ranges() -> N
         region_statement(name).claim(vehicle, GAINS)
         with pytest.raises(NotApplicable, match="the ranges of m11 and m22 differ"):
             region_statement(name).claim(other, GAINS)
-    with pytest.raises(NotApplicable, match="ranges of m11 and m22"):
-        braking_claim_named("braking-rule-ranges", other, GAINS)
+    claim = braking_claim_named("braking-rule-ranges", other, GAINS)
+    assert claim.ratio > 1
 
 
 def test_kinematic_claims_are_about_the_speeds_at_hand() -> None:

@@ -134,7 +134,7 @@ class BrakingClaim:
     ratio: float = 1.0
 
     @property
-    def push(self) -> float:
+    def thrust_ahead(self) -> float:
         """The largest thrust towards the obstacle [N]: that of the vehicle, or less if the law's loop commands less."""
         if self.law is None:
             return self.brakes.most

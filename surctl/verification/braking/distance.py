@@ -43,7 +43,7 @@ class Encounter:
 def encounter(claim: BrakingClaim, obstacle: float) -> Encounter:
     """Return the speeds and forces of the encounter with an obstacle that approaches at `obstacle` [m/s]."""
     b, through = claim.brakes, obstacle + claim.brakes.current
-    swing = b.lag * (claim.push + b.least) + claim.turn * b.lag**2 * claim.side
+    swing = b.lag * (claim.thrust_ahead + b.least) + claim.turn * b.lag**2 * claim.side
     return Encounter(obstacle, through, _disturbance(claim, through), swing)
 
 
@@ -55,7 +55,7 @@ def _disturbance(claim: BrakingClaim, through: float, slowest: float = 0.0) -> f
     side = high2 * min(through * w, w**2 / 2) + coupled * w * (high + high2 * (fast + w))
     if claim.drag == "axes":
         side = (high - low) * w / 2 + sqrt(2) * high2 * through * w + (2 * high2 - low2) * w**2 / (3 * sqrt(3))
-    lost = ratio * turned**2 * max(claim.push, b.least)
+    lost = ratio * turned**2 * max(claim.thrust_ahead, b.least)
     if ratio > 1:
         coriolis = claim.turn * b.masses[1] * (ratio - 1) * (fast * (ratio + 1) / (2 * sqrt(ratio)) + w)
         lost += ((coupled + ratio * turned) * claim.side + coriolis) * (1 + 1e-8)
@@ -130,7 +130,7 @@ def distance_table(claim: BrakingClaim, obstacle: float) -> DistanceTable:
     """
     b, at = claim.brakes, encounter(claim, obstacle)
     fastest = claim.fastest + claim.watch.speed_error
-    gain = (claim.push + at.disturbance + _largest_drag(claim, max(at.through, fastest))) / b.masses[0]
+    gain = (claim.thrust_ahead + at.disturbance + _largest_drag(claim, max(at.through, fastest))) / b.masses[0]
     top = fastest + obstacle + gain * claim.watch.period + at.swing / b.masses[0] + 0.01
     if claim.ratio > 1:  # the lag then adds more than the largest closing speed, beyond which G is straight
         top = min(top, claim.fastest + obstacle)
@@ -214,7 +214,7 @@ def figures_needed(claim: BrakingClaim, table: DistanceTable, speed: float, *, s
     b, at, w = claim.brakes, table.at, claim.watch
     closing = speed + w.speed_error + at.obstacle
     astern = max(at.through, b.current + min(w.speed_error - speed, claim.fastest))
-    gain = (claim.push + _disturbance(claim, astern) + _largest_drag(claim, astern)) / b.masses[0]
+    gain = (claim.thrust_ahead + _disturbance(claim, astern) + _largest_drag(claim, astern)) / b.masses[0]
     travelled = max(closing * w.period + gain * w.period**2 / 2, 0.0)
     late = max(since + w.speed_error + at.obstacle, 0.0) * w.age
     later = min(closing + gain * w.period, claim.fastest + at.obstacle)

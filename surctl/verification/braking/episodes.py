@@ -91,12 +91,14 @@ def _over(claim: BrakingClaim, law: LawNumbers, bound: float) -> float:
     loop, aside = min(law.mass) * law.k_v, (max(law.mass) - min(law.mass)) * law.k_v * w
 
     def commanded(over: float) -> float:
-        wanted = bound - gain * over
-        if wanted < 0:  # the drag of the model then brakes; drag feedforward acts on each axis
-            feed = low * wanted - low2 * wanted**2 / np.sqrt(2) + (high - low) * w / 2
+        desired = bound - gain * over
+        if desired < 0:  # the drag of the model then brakes; drag feedforward acts on each axis
+            feed = low * desired - low2 * desired**2 / np.sqrt(2) + (high - low) * w / 2
             feed += (2 * high2 - low2) * w**2 / np.sqrt(27)
         else:
-            feed = high * wanted + high2 * (wanted**2 + np.sqrt(2) * wanted * w + 0.7072 * w**2) + (high - low) * w / 2
+            feed = (
+                high * desired + high2 * (desired**2 + np.sqrt(2) * desired * w + 0.7072 * w**2) + (high - low) * w / 2
+            )
         return float(feed + aside - loop * (1 + gain) * over)
 
     least, most = 0.0, (claim.brakes.least + max(commanded(0.0), 0.0)) / (loop * (1 + gain))
@@ -229,7 +231,7 @@ class _World:
         claim, period = self.claim, self.claim.watch.period
         # what the thrust still adds counts too: without it, light vehicles with a lag exceed the claim's speed
         stored = towards + self.lag * np.sum(self.thrust * self.latched, axis=1) / self.mass
-        return np.asarray(np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.push))
+        return np.asarray(np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.thrust_ahead))
 
     def _aside(self, across: Vector) -> Vector:
         """Return the thrust across the latched direction while a vehicle with unequal masses brakes."""

@@ -175,7 +175,7 @@ FORGED: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("what", FORGED)
 def test_a_law_s_claim_whose_tables_lack_a_term_is_rejected(what: str) -> None:
     claim = claimed("braking-inertia-20", "bluerov2-vonbenzon").braking_with(34.0)
-    assert claim.law is not None and claim.push < claim.brakes.most
+    assert claim.law is not None and claim.thrust_ahead < claim.brakes.most
     change = dict(FORGED[what])
     law, brakes = replace(claim.law, cap=change.pop("cap", 0.22)), replace(claim.brakes, lag=change.pop("lag", 0.3))
     other = replace(claim, law=law, brakes=brakes, **change)
