@@ -49,7 +49,6 @@ from tests.simulation.test_crosstrack import _y
 from tests.simulation.test_dead_end import _run
 from tests.simulation.test_depth_escape import SCENES, _across, _box, _case, _flown
 from tests.simulation.test_missions import GAINS, SITE, VEHICLE, loops, same, written
-from tests.simulation.test_reflectors import pool
 from tests.simulation.test_thrusters import HEAVY
 from tests.tools import need_compiler
 
@@ -268,20 +267,6 @@ def test_the_compiled_loop_ends_at_a_dead_end_alike() -> None:
     (row,) = simulate_batch(case, seeds=[1]).table
     assert row[list(METRICS).index("stopped")] == STOPS.index("dead end")
     assert row[list(METRICS).index("time_s")] == pytest.approx(single.metrics.time_s)
-
-
-def test_both_loops_hear_reflectors_alike_for_any_threads_and_order() -> None:
-    need_compiler()
-    cloth = {"cloth": {"cylinder_range_m": 0.15}}  # some firings detect it
-    scenario = replace(pool(obstacle="cloth", reflectors=cloth), time_limit=3.0)
-    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar", law="paper")
-    run = simulate(scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=5)
-    seeds = np.array([5, 6, 7])
-    table = simulate_batch(case, seeds=seeds).table
-    np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)
-    assert not np.allclose(table[0], table[1], atol=1e-6, equal_nan=True)
-    turned = simulate_batch(case, seeds=seeds[::-1], threads=3).table[::-1]
-    assert turned.tobytes() == table.tobytes()
 
 
 @pytest.mark.parametrize(("law", "sensing", "seconds"), [("paper", "sonar", 3.0)])

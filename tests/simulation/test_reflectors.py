@@ -8,22 +8,18 @@ import numpy as np
 import pytest
 
 from surctl.cli.sensor_options import sensor_data
+from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import read_toml
 from surctl.sensing import REFLECTORS, Reflector
-from surctl.simulation import (
-    ECHOES,
-    LIBRARY,
-    Scenario,
-    findings,
-    load_scenario,
-)
+from surctl.simulation import ECHOES, LIBRARY, Case, Scenario, findings, load_scenario, simulate, simulate_batch
 from surctl.simulation.scenario import scenario_from_table
 from surctl.simulation.scenario_table import scenario_table
 from surctl.simulation.weak_echoes import WeakEchoes
 from surctl.simulation.world import build_world
 from surctl.vehicle import load_vehicle
 from surctl.world import Disc
+from tests.tools import need_compiler
 
 POOL = read_toml(LIBRARY / "pool-static.toml")
 
@@ -129,3 +125,17 @@ def test_weak_echoes_are_those_of_the_seed_in_every_physics() -> None:
     found = heard(one, range(60))
     assert found == heard(again, range(59, -1, -1)) and found != heard(other, range(60))
     assert 10 < sum(map(np.isfinite, found.values())) < 50
+
+
+def test_both_loops_hear_reflectors_alike_for_any_threads_and_order() -> None:
+    need_compiler()
+    cloth = {"cloth": {"cylinder_range_m": 0.15}}  # some firings detect it
+    scenario = replace(pool(obstacle="cloth", reflectors=cloth), time_limit=2.0)
+    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar", law="paper")
+    run = simulate(scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=5)
+    seeds = np.array([5, 6])
+    table = simulate_batch(case, seeds=seeds).table
+    np.testing.assert_allclose(table[0], run.metrics.row(), rtol=0, atol=1e-9)
+    assert not np.allclose(table[0], table[1], atol=1e-6, equal_nan=True)
+    turned = simulate_batch(case, seeds=seeds[::-1], threads=2).table[::-1]
+    assert turned.tobytes() == table.tobytes()
