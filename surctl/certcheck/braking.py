@@ -26,6 +26,7 @@ from surctl.certcheck.braking_distance import (
     ROOT27,
     BrakingDistance,
     Forces,
+    across,
     drag,
     forces,
     largest_disturbance,
@@ -156,7 +157,9 @@ def _needed_by_loop(
     enough. So the speeds from b to b + x suffice; they are divided into parts.
     """
     (low, high), most = bounds, Fraction(0)
-    aside = claim.ratio * claim.turn * claim.lag * claim.side + claim.brake * (1 - 1 / claim.ratio)
+    aside = claim.ratio * claim.turn * claim.lag * across(claim) + claim.brake * (1 - 1 / claim.ratio)
+    turned = claim.turn * claim.period  # the command is held in axes of the hull, which turns during the period
+    aside += turned * claim.most / 2 + turned**2 * claim.brake / 6
     for part in range(_PARTS):
         slow, fast = (spread * k / _PARTS for k in (part, part + 1))
         speed = min(high + fast, claim.fastest)

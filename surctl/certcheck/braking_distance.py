@@ -23,7 +23,7 @@ from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.region_claim import number
 from surctl.certcheck.region_exact import root_down, root_up
 
-__all__ = ["BrakingDistance", "drag", "forces", "read_distance", "rounded"]
+__all__ = ["BrakingDistance", "across", "drag", "forces", "read_distance", "rounded"]
 
 Pair = tuple[Fraction, Fraction]
 
@@ -93,6 +93,11 @@ def thrust_ahead(claim: BrakingClaim) -> Fraction:
     return min(claim.most, rounded(max(ahead, fed(law.cap**2 + claim.sideways**2))))
 
 
+def across(claim: BrakingClaim) -> Fraction:
+    """Return the largest thrust across n [N]: side_n, or what was commanded before braking and still lags."""
+    return max(claim.side, thrust_ahead(claim)) if claim.turn or claim.ratio > 1 else claim.side
+
+
 @dataclass(frozen=True)
 class Forces:
     """Speeds and forces in the encounter with one obstacle.
@@ -129,7 +134,7 @@ def largest_disturbance(claim: BrakingClaim, through: Fraction, slowest: Fractio
     turned = claim.turn * claim.lag
     lost = claim.ratio * turned**2 * max(thrust_ahead(claim), claim.brake)
     if claim.ratio > 1:
-        lost += (coupling(claim) + claim.ratio * turned) * claim.side + _turning(claim, through, w)
+        lost += (coupling(claim) + claim.ratio * turned) * across(claim) + _turning(claim, through, w)
     return claim.disturbance + side + lost
 
 
@@ -145,7 +150,7 @@ def forces(claim: BrakingClaim, obstacle: Fraction) -> Forces:
     disturbance = largest_disturbance(claim, through)
     if claim.brake - disturbance - drag(claim, through) <= 0:
         raise Rejected(f"braking guarantees nothing for an obstacle that approaches at {float(obstacle):g} m/s")
-    swing = claim.lag * (thrust_ahead(claim) + claim.brake) + claim.turn * claim.lag**2 * claim.side
+    swing = claim.lag * (thrust_ahead(claim) + claim.brake) + claim.turn * claim.lag**2 * across(claim)
     return Forces(obstacle, through, disturbance, swing)
 
 

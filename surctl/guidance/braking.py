@@ -46,7 +46,8 @@ be the largest speed of the obstacle towards the robot, s = v + v_o the closing 
 
 8. Speeds never exceed V, so B' may stay constant beyond z = V + v_o. A law's loop commands M k_v (v_d − v) + D(v_d)
    with |v_d| ≤ cap, so F⁺ is at most k_v m (cap + V) + D(cap) of its model. In a period without braking, z rises by at
-   most (u + f + D) T/m with u at its speed, and at x the drag of v_d = b − gain x brakes too.
+   most (u + f + D) T/m with u at its speed (a command held in axes of the hull also turns, by up to r T), and at x the
+   drag of v_d = b − gain x brakes too.
 
 Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead the robot into another
 obstacle); the bound v_o on the obstacle's speed holds at all times; m11 = m22, except in step 7. Drag acts on each

@@ -1,6 +1,7 @@
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from surctl.certcheck import braking as checker
 from surctl.certcheck import check_document
 from surctl.certcheck.braking_claim import read_claim
-from surctl.certcheck.braking_distance import forces, largest_disturbance, read_distance
+from surctl.certcheck.braking_distance import forces, largest_disturbance, read_distance, thrust_ahead
 from surctl.certcheck.document import Rejected
 from surctl.control import load_gains
 from surctl.control.stopping import BARRIERS, BRAKE
@@ -362,6 +363,29 @@ def test_an_unequal_certificate_whose_table_ends_or_margin_lacks_a_micrometre_is
     law = whole["claim"]["law"]
     law["margin_m"] = round(law["margin_m"] + encounters.lacking(whole, 0.0, bounds=120) - 1e-6, 9)
     assert "margin is too small" in reason(whole)
+
+
+def test_thrust_across_from_before_braking_counts_although_less_may_be_commanded_while_braking() -> None:
+    whole = document("braking-inertia-20-unequal")
+    whole["claim"]["vehicle"]["side_n"] = 0.0
+    claim = read_claim(whole["claim"])
+    assert forces(claim, Fraction(0)) == forces(replace(claim, side=thrust_ahead(claim)), Fraction(0))
+
+
+def test_a_command_that_is_held_while_the_hull_turns_counts_in_the_period() -> None:
+    whole = document("braking-inertia-20-axes")
+    claim = replace(read_claim(whole["claim"]), lag=Fraction(0))  # so that no thrust lags, which would turn too
+    law, speed = claim.law, Fraction(1, 10)
+    assert law is not None and claim.turn and claim.ratio == 1
+    at = forces(claim, Fraction(0))
+    distance = read_distance(claim, at, whole["proof"]["distances"][0])
+    still, turning = (
+        checker._needed_by_loop(replace(claim, turn=turn), law, at, distance, (speed, speed), Fraction(0))
+        for turn in (Fraction(0), claim.turn)
+    )
+    # the thrust across becomes thrust ahead: its impulse adds at least this much speed
+    gained = float(claim.most) * (1 - np.cos(float(claim.turn * claim.period))) / float(claim.turn * claim.mass[0])
+    assert float(turning - still) >= gained * float(claim.mass[0] * distance.slope(speed)) > 0
 
 
 def test_a_period_in_which_drag_turns_everything_round_is_rejected() -> None:

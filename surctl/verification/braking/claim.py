@@ -145,6 +145,11 @@ class BrakingClaim:
         aside = most[0] * (hypot(cap, self.sideways) + _ROOT) + most[1] * (cap**2 + self.sideways**2)
         return min(self.brakes.most, ceil(max(ahead, aside) * 1e9) / 1e9)
 
+    @property
+    def across(self) -> float:
+        """The largest thrust across [N]: `side`, or what was commanded before braking and still lags."""
+        return max(self.side, self.thrust_ahead) if self.turn or self.ratio > 1 else self.side
+
     def braking_with(self, least: float) -> BrakingClaim:
         """Return the claim with another guaranteed braking force [N]; less of it ends sooner after a decision to brake.
 

@@ -43,7 +43,7 @@ class Encounter:
 def encounter(claim: BrakingClaim, obstacle: float) -> Encounter:
     """Return the speeds and forces of the encounter with an obstacle that approaches at `obstacle` [m/s]."""
     b, through = claim.brakes, obstacle + claim.brakes.current
-    swing = b.lag * (claim.thrust_ahead + b.least) + claim.turn * b.lag**2 * claim.side
+    swing = b.lag * (claim.thrust_ahead + b.least) + claim.turn * b.lag**2 * claim.across
     return Encounter(obstacle, through, _disturbance(claim, through), swing)
 
 
@@ -58,7 +58,7 @@ def _disturbance(claim: BrakingClaim, through: float, slowest: float = 0.0) -> f
     lost = ratio * turned**2 * max(claim.thrust_ahead, b.least)
     if ratio > 1:
         coriolis = claim.turn * b.masses[1] * (ratio - 1) * (fast * (ratio + 1) / (2 * sqrt(ratio)) + w)
-        lost += ((coupled + ratio * turned) * claim.side + coriolis) * (1 + 1e-8)
+        lost += ((coupled + ratio * turned) * claim.across + coriolis) * (1 + 1e-8)
     # the factors cover the checker's roots, which are rounded up
     return b.disturbance + side * (1 + 2e-8) + lost
 
