@@ -43,7 +43,7 @@ def applied(node: Node, args: Sequence[Ends], known: Mapping[str, Ends]) -> Ends
         case "mul":
             # the product of equal factors is a square, which gives narrower intervals
             return _power(args[0], 2) if node.args[0] == node.args[1] else _multiply(args[0], args[1])
-        case "div" if node.args[1].op == "num" and node.args[1].value:
+        case "div" if node.args[1].op == "num" and (args[1][0] > 0 or args[1][1] < 0):  # 1e-400 is between doubles
             return _multiply(args[0], _inverse(args[1]))
         case "neg":
             return _negated(args[0])

@@ -8,7 +8,7 @@ from mpmath import mp, mpf
 
 from surctl.certcheck.enclosure import enclose, exact, span
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.verification.formula import parse, variable
+from surctl.verification.formula import number, parse, variable
 from surctl.verification.proving import functions as fn
 from surctl.verification.proving import intervals as iv
 from surctl.verification.proving.rules import apply_rules
@@ -297,3 +297,9 @@ def test_the_bound_of_one_box_is_that_of_arrays(text: str) -> None:
         lower, upper = np.sort(box, axis=0)
         bound = tape.upper(lower, upper)
         assert bound == (np.inf if "/y" in text else tape.run((lower[:, None], upper[:, None])).jets[0].value[1][0])
+
+
+def test_a_divisor_nearer_to_0_than_every_double_has_no_quotient_in_doubles() -> None:
+    for sign in (1, -1):
+        tape = build_tape(("x",), [variable("x") / number(Fraction(sign, 10**400))])
+        assert tape.upper(np.zeros(1), np.ones(1)) == np.inf
