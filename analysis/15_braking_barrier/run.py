@@ -29,6 +29,7 @@ UNEQUAL = ("bluerov2-heavy", "bluerov2-vonbenzon", "bluerov2-wu")
 UNKNOWN = {
     *((vehicle, "braking-simple-20") for vehicle in UNEQUAL),
     ("bluerov2-heavy", "braking-inertia-20"),
+    ("bluerov2-vonbenzon", "braking-inertia-20"),
     ("bluerov2-wu", "braking-inertia-20"),
     ("bluerov2-wu", "braking-inertia-20-axes"),
 }

@@ -226,7 +226,8 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
                 enough = min(_sufficient(claim, law, at, distance, (low, high), short=short))
                 raise Rejected(
                     f"the law's margin is too small: at a speed bound of {float(low):.4f} m/s towards an obstacle of "
-                    f"{float(at.obstacle):g} m/s it keeps {float(held):.4f} m, but {float(enough):.4f} m are needed"
+                    f"{float(at.obstacle):g} m/s it keeps {float(held):.4f} m, "
+                    f"{1000 * float(enough - held):.2g} mm less than needed"
                 )
             middle = (low + high) / 2
             cells += [(middle, high), (low, middle)]

@@ -14,7 +14,7 @@ from surctl.errors import InputError, NotApplicable, nearest
 from surctl.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
 from surctl.vehicle import Vehicle, check_equation_3
 from surctl.verification.assumptions import check_sway_force
-from surctl.verification.braking.claim import BrakingClaim, law_numbers
+from surctl.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
 from surctl.verification.setting import OVERSHOOT
 
 __all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
@@ -22,6 +22,7 @@ __all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
 _SPREAD = 0.2
 _APART = 0.05  # by how much the ratio of unequal masses may be off
 _FASTEST, _CAP = 0.25, 0.22  # [m/s] largest own speed, and the speed cap that it belongs to
+_BEYOND = 1.08  # largest speed in simulated runs, divided by the steady one
 _SPEEDS = (0.10, 0.15, 0.22)  # [m/s] own speeds of the table
 _SENSED = Watch(age=0.2, range_error=0.05, speed_error=0.01)
 _COLUMNS = (0.0, 0.05, 0.10, 0.15)  # [m/s] approach speeds of obstacles in the rule's table
@@ -131,7 +132,7 @@ def _guarded(
             Watch(period=law.dt),
             acting,
             (obstacle,),
-            _fastest(cap),
+            max(_fastest(cap), _overshoot(numbers, brakes)),
             sideways=sideways,
             turn=gains["spin"] if spins else 0.0,
             side=brakes.most,
@@ -146,6 +147,19 @@ def _guarded(
 
 def _fastest(cap: float) -> float:
     return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
+
+
+def _overshoot(law: LawNumbers, brakes: Brakes) -> float:
+    """Return the speed [m/s] at which the law ends up with the least drag of the claim, and what it overshoots by.
+
+    The velocity loop pushes with m k_v (cap − v) and the drag of its model at the cap, on each axis with its own model.
+    """
+    steady, (low, low2) = 0.0, (brakes.linear[0], brakes.quadratic[0])
+    for mass, linear, quadratic in zip(law.mass, law.linear, law.quadratic, strict=True):
+        loop = mass * law.k_v
+        push, slope = loop * law.cap + linear * law.cap + quadratic * law.cap**2, loop + low
+        steady = max(steady, 2 * push / (slope + sqrt(slope**2 + 4 * low2 * push)))
+    return ceil(_BEYOND * steady * 1e3) / 1e3
 
 
 def _rows(cap: float) -> tuple[float, ...]:
