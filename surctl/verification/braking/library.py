@@ -157,8 +157,8 @@ def _overshoot(law: LawNumbers, brakes: Brakes) -> float:
     steady, (low, low2) = 0.0, (brakes.linear[0], brakes.quadratic[0])
     for mass, linear, quadratic in zip(law.mass, law.linear, law.quadratic, strict=True):
         loop = mass * law.k_v
-        push, slope = loop * law.cap + linear * law.cap + quadratic * law.cap**2, loop + low
-        steady = max(steady, 2 * push / (slope + sqrt(slope**2 + 4 * low2 * push)))
+        thrust, slope = loop * law.cap + linear * law.cap + quadratic * law.cap**2, loop + low
+        steady = max(steady, 2 * thrust / (slope + sqrt(slope**2 + 4 * low2 * thrust)))
     return ceil(_BEYOND * steady * 1e3) / 1e3
 
 
