@@ -181,4 +181,7 @@ def _line(mujoco: Any, scene: Any, points: Iterable[Any], radius: float, colour:
         mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.array(colour, dtype=np.float32))
         mujoco.mjv_connector(geom, kind, radius, begin, end)
         geom.emission = 0.6
+        # MuJoCo leaves these as they are in memory, and draws a geom of the model in another light
+        geom.objtype, geom.objid, geom.segid = int(mujoco.mjtObj.mjOBJ_UNKNOWN), -1, -1
+        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
         scene.ngeom += 1

@@ -68,6 +68,16 @@ def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path, monkeypatch: py
         assert film.size == (640, 540) and getattr(film, "n_frames", 1) == 3
 
 
+def test_a_picture_does_not_depend_on_what_is_in_memory() -> None:
+    with scene() as boat:
+        moment = Moment(POOL.start_pose, beams=[(0.6, 1.0, 0.0, 0.5, 1.0, False)])
+        plain = boat.picture("above", moment)
+        drawn = boat._renderer.scene
+        for k in range(drawn.ngeom + 20):
+            drawn.geoms[k].objtype, drawn.geoms[k].objid = int(mujoco_library().mjtObj.mjOBJ_GEOM), 3
+        assert np.array_equal(boat.picture("above", moment), plain)
+
+
 def test_the_report_shows_the_scene_beside_the_plan_view(monkeypatch: pytest.MonkeyPatch) -> None:
     scene().close()
     blank_pictures(monkeypatch)
