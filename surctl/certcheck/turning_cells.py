@@ -169,6 +169,11 @@ def _commanded(claim: TurningClaim, trim: Trim, form: Form, high: Fraction) -> t
     return [float(steer[0]) / UP, float(steer[1]) * UP], [float(catch[0]) / UP, float(catch[1]) * UP]
 
 
+def _plans(claim: TurningClaim, steer: list[float], catch: list[float]) -> list[Array]:
+    """Return the slopes (2, 2) of −δW in the position at the ends of the ranges of s and κ."""
+    return [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
+
+
 def check_shell(
     claim: TurningClaim,
     trim: Trim,
@@ -190,7 +195,7 @@ def check_shell(
             alone reaches a thrust limit.
     """
     steer, catch = _commanded(claim, trim, form, high)
-    plans = [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
+    plans = _plans(claim, steer, catch)
     turns = turn_points(claim)
     coupling = coupling_of(claim)
     per_mass, loose, current = inverse_masses(claim, coupling), float(coupling.loose) * UP, float(claim.current)
@@ -226,7 +231,7 @@ def lateness(claim: TurningClaim, trim: Trim, cells: Cells, form: Form, forces: 
     """
     high = Fraction(1)
     steer, catch = _commanded(claim, trim, form, high)
-    plans = [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
+    plans = _plans(claim, steer, catch)
     lack = (cells.lack + np.array([float(force) for force in forces])) * UP
     limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
     every = []

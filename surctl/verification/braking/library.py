@@ -132,7 +132,7 @@ def _guarded(
             Watch(period=law.dt),
             acting,
             (obstacle,),
-            max(_fastest(cap), _overshoot(numbers, brakes)),
+            max(_fastest(cap), _attained(numbers, brakes)),
             sideways=sideways,
             turn=gains["spin"] if spins else 0.0,
             side=brakes.most,
@@ -149,7 +149,7 @@ def _fastest(cap: float) -> float:
     return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
 
 
-def _overshoot(law: LawNumbers, brakes: Brakes) -> float:
+def _attained(law: LawNumbers, brakes: Brakes) -> float:
     """Return the speed [m/s] at which the law ends up with the least drag of the claim, and what it overshoots by.
 
     The velocity loop pushes with m k_v (cap − v) and the drag of its model at the cap, on each axis with its own model.

@@ -12,7 +12,8 @@ import numpy as np
 from surctl.certcheck import seal
 from surctl.certcheck.turning_terms import other_moment
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_loop import corner_factors, split_of
+from surctl.verification.region.turning_behind import split_of
+from surctl.verification.region.turning_loop import corner_factors
 from surctl.verification.region.turning_shells import TurningCandidate
 
 __all__ = ["Region", "certificate_of", "raised", "region_of"]

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.turning_terms import other_forces
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_behind import Behind, behind_of, split_of
+from surctl.verification.region.turning_behind import Behind, behind_of
 
-__all__ = ["Cruise", "Vertices", "corner_factors", "split_of", "steady_turning", "vertices"]
+__all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
 
 Array = NDArray[np.float64]
 
@@ -54,9 +54,9 @@ class Vertices:
         Q: bound on w wᵀ (headings, masses, terms, 2, 2).
         effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
         lack: trim error (headings, masses, 2) of the body axes [m/s²].
+        drift: error (headings, masses, 2) by a current along each body axis [m/s²].
         turn: rotation matrices (headings, 2, 2) from the body to the path frame.
         behind: what thrust lag adds; None without lag.
-        drift: error (headings, masses, 2) by a current along each body axis [m/s²].
     """
 
     bodies: Array
@@ -70,9 +70,9 @@ class Vertices:
     Q: Array
     effect: Array
     lack: Array
+    drift: Array
     turn: Array
-    behind: Behind | None = None
-    drift: Array | None = None
+    behind: Behind | None
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -145,14 +145,13 @@ class Vertices:
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
         weights = late * (np.sqrt(2 * P[4, 4]) if self.behind is not None else 0.0)
-        drift = np.zeros_like(self.lack) if self.drift is None else self.drift
-        drifting = (drift.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))).max(axis=1)
+        drifting = (self.drift.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))).max(axis=1)
         total = most + ((sizes + weights).sum(axis=1) + drifting)[:, None, None]
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
         own = np.einsum("hi,hmi,hijk->hmjk", parts, self.lack**2, self.bodies)
         far = np.divide(total[:, 0, 0], drifting, out=np.zeros_like(drifting), where=drifting > 0)
-        own = own + np.einsum("h,hmi,hijk->hmjk", far, drift**2, self.bodies)
+        own = own + np.einsum("h,hmi,hijk->hmjk", far, self.drift**2, self.bodies)
         most_late = np.divide(total[:, :, 0], weights, out=np.zeros_like(sizes), where=weights > 0)
         rear = np.einsum("hi,hijk->hjk", most_late * late**2, self.bodies)
         return share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None], rear
@@ -248,7 +247,7 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     drift = drift[:, None, :] * heavy
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack, drift), effect, lack, turn, behind, drift,
+        _forces(bodies, effect, lack, drift), effect, lack, drift, turn, behind,
     )  # fmt: skip
 
 
