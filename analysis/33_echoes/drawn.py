@@ -12,9 +12,9 @@ from __future__ import annotations
 import argparse
 import sys
 from dataclasses import replace
-from math import radians
 
 import numpy as np
+from run import equipped
 
 from surctl.control import load_gains
 from surctl.reproduction.simulations import scenario_names
@@ -31,10 +31,8 @@ def plan_of(name: str | None, echoes: str, dropout: float, first: int) -> MonteC
     """Return the plan of the runs of a scenario, or of random worlds, with smooth surfaces, pitch and floor."""
     vehicle = load_vehicle(load_scenario(name).vehicle if name else WORLDS_VEHICLE)
     scenario = load_scenario(name) if name else world_template(vehicle)
-    sensors = replace(scenario.sensors.hearing(echoes), chances=FaultChances(dropout=dropout))
-    array = replace(sensors.equipment.array, pitch=radians(PITCH))
-    equipment = replace(sensors.equipment, array=array, surface_model="smooth", floor=scenario.site[2])
-    scenario = replace(scenario, sensors=replace(sensors, equipment=equipment))
+    scenario = equipped(scenario, echoes, "smooth", PITCH, floor=True)
+    scenario = replace(scenario, sensors=replace(scenario.sensors, chances=FaultChances(dropout=dropout)))
     case = Case(scenario, vehicle, load_gains("default"), sensing="sonar")
     return MonteCarlo(case, first) if name else RandomWorlds(case, first)
 

@@ -22,7 +22,7 @@ from rays import agreement, corner_table
 from surctl.control import load_gains
 from surctl.reproduction.simulations import scenario_names
 from surctl.sensing import SURFACE_MODELS, SurfaceModel
-from surctl.simulation import ECHOES, STOPS, Case, load_scenario, simulate_batch
+from surctl.simulation import ECHOES, STOPS, Case, Scenario, load_scenario, simulate_batch
 from surctl.vehicle import load_vehicle
 
 SEEDS = 200
@@ -34,14 +34,18 @@ HEAD = [
 ]
 
 
-def case_of(name: str, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool) -> Case:
-    """Return a scenario of the library with its own vehicle, with sonars, an echo model and what the law assumes."""
-    scenario = load_scenario(name)
+def equipped(scenario: Scenario, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool) -> Scenario:
+    """Return the scenario with an echo model and what the law assumes; the pitch of the sonars is in degrees."""
     sensors = scenario.sensors.hearing(echoes)
     array = replace(sensors.equipment.array, pitch=radians(pitch))
     depth = scenario.site[2] if floor else None
     equipment = replace(sensors.equipment, array=array, surface_model=surfaces, floor=depth)
-    scenario = replace(scenario, sensors=replace(sensors, equipment=equipment))
+    return replace(scenario, sensors=replace(sensors, equipment=equipment))
+
+
+def case_of(name: str, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool) -> Case:
+    """Return a scenario of the library with its own vehicle, with sonars, an echo model and what the law assumes."""
+    scenario = equipped(load_scenario(name), echoes, surfaces, pitch, floor)
     return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
 
 
