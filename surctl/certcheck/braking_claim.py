@@ -26,9 +26,9 @@ ASSUMES = (
     "direction, the true and the commanded speed are at most sideways_m_per_s",
     "law: the speed that it wants is at most cap_m_per_s; thrust that its velocity loop commanded against an obstacle "
     "does not act towards the obstacle within the lag, because its direction and the hull turn too little for that",
-    "law: its input gives the stated approach speed of the obstacles; its velocity bounds are consistent; no thruster "
-    "saturates, so that no axis is scaled in favour of another; its retreat speed is not limited (it is limited before "
-    "marks of the sonar map)",
+    "law: its input gives the stated approach speed of the obstacles; its velocity bounds are consistent; across the "
+    "latched direction, no axis reaches its limit and no thruster saturates, so that the braking thrust is not scaled "
+    "down; its retreat speed is not limited (it is limited before marks of the sonar map)",
     "at the start the clearance is at least the braking distance",
 )
 """Assumptions of the claim; a certificate repeats the assumptions word for word."""

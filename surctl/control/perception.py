@@ -94,8 +94,8 @@ def build_perception(
     outputs: Layout,
     *,
     dt: float,
-    model_noise: float = 0.3,
-    acceleration_noise: float = 0.003,
+    model_noise: float = OwnStateFilter.model_noise,
+    acceleration_noise: float = OwnStateFilter.acceleration_noise,
 ) -> PerceptionStage:
     """Assemble the perception of a law for its sensors.
 

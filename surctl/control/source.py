@@ -19,6 +19,7 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, identifier
 from surctl.own_code import called, is_own, own_file
 from surctl.priority import Mode
+from surctl.sensing import OwnStateFilter
 from surctl.system.parts import expression, symbolic
 from surctl.tasks import Task
 
@@ -92,8 +93,8 @@ class LawSource:
     perceive: Callable[[Mapping[str, ca.SX], Mapping[str, ca.SX]], Perception] | None = None
     damping: float = 0.0
     steering: Callable[[Mapping[str, ca.SX]], Steering] | None = None
-    model_noise: float = 0.3
-    acceleration_noise: float = 0.003
+    model_noise: float = OwnStateFilter.model_noise
+    acceleration_noise: float = OwnStateFilter.acceleration_noise
     parts: frozenset[str] = frozenset()
 
     @property
