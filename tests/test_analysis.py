@@ -637,9 +637,8 @@ def test_a_system_of_ones_own_ends_where_its_peers_do() -> None:
     assert len(rows) == 6 and all(float(row[4]) < 1e-6 for row in rows)
 
 
-@pytest.mark.parametrize("example", ["pendulum_lqr", "quadrotor_altitude"])
-def test_an_example_chooses_stable_gains_and_its_c_equals_python(example: str) -> None:
-    examine_example(example)
+def test_an_example_chooses_stable_gains_and_its_c_equals_python() -> None:
+    examine_example("pendulum_lqr")  # 40_long_checks: the others
 
 
 def examine_example(example: str) -> None:
