@@ -259,9 +259,9 @@ def test_the_study_of_what_the_checker_accepts() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     rows = {row[0]: row[1:] for row in table(done.stdout)}
     functions = [row for name, row in rows.items() if name.startswith("`")]
-    assert len(functions) == 46 and all(row[0] in ("500", "100") and row[1] == "0" for row in functions)
-    assert rows["all"][:2] == ["300", "0"]
-    assert rows["bound"][3].strip("| ") == "125 of 125", "the evidence does where the claim is true"
+    assert len(functions) == 46 and all(row[0] in ("200", "100") and row[1] == "0" for row in functions)
+    assert rows["all"][:2] == ["120", "0"]
+    assert rows["bound"][3].strip("| ") == "50 of 50", "the evidence does where the claim is true"
 
 
 def test_every_mutant_of_the_study_is_one_change_of_a_file_and_names_tests_that_are_there() -> None:
@@ -569,7 +569,7 @@ def test_the_sonar_s_filters_hold_their_bars(
     faults = [row for row in table(printed) if len(row) == 8 and row[0] != "fault"]
     assert len(faults) == 10
     assert all(row[2] == "100.0 %" for row in faults[1:]) and all(row[3] == "100.000 %" for row in faults)
-    assert len(list(out.glob("*.png"))) == 5
+    assert len(list(out.glob("*.png"))) == 4
 
 
 def test_a_bar_of_the_sonar_that_is_missed_ends_with_1(
@@ -594,12 +594,11 @@ def test_the_sonar_loop_touches_nothing_and_its_senses_fit_a_microcontroller() -
     assert [row[:4] for row in flown] == [["10 % lost", "`pool-behind`", "1", "0"]]
 
 
-def test_calm_thrust_has_the_margins_that_guarded_lacks() -> None:
+def test_calm_thrust_has_its_margins() -> None:
     done = run(ANALYSIS / "12_sonar_loop" / "margins.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     margins = {(row[0], row[2]): [float(cell) for cell in row[4:]] for row in table(done.stdout)[1:]}
-    guarded, full, lag = (margins[key] for key in (("`guarded`", "-"), ("`calm`", "full"), ("`calm`", "lag")))
-    assert all(calm > before for calm, before in zip(full, guarded, strict=True))
+    full, lag = (margins["`calm`", band] for band in ("full", "lag"))
     assert min(full[:3]) >= 0.6 and min(lag[:3]) >= 0.4 and min(full[3:]) >= 0.9 and min(lag[3:]) >= 0.6
 
 
@@ -638,9 +637,8 @@ def test_a_system_of_ones_own_ends_where_its_peers_do() -> None:
     assert len(rows) == 6 and all(float(row[4]) < 1e-6 for row in rows)
 
 
-@pytest.mark.parametrize("example", ["pendulum_lqr", "quadrotor_altitude"])
-def test_an_example_chooses_stable_gains_and_its_c_equals_python(example: str) -> None:
-    examine_example(example)
+def test_an_example_chooses_stable_gains_and_its_c_equals_python() -> None:
+    examine_example("pendulum_lqr")  # 40_long_checks: the others
 
 
 def examine_example(example: str) -> None:

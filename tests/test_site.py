@@ -167,7 +167,7 @@ def test_an_example_runs_and_draws(name: str, monkeypatch: pytest.MonkeyPatch) -
 # cells of tables beside the screen of a phone: a row is a card there
 _HIDDEN = """() => [...document.querySelectorAll("td[data-label]")]
   .filter((cell) => cell.getBoundingClientRect().right > innerWidth).map((cell) => cell.textContent)"""
-PAGES = ("index", "explanation/priorities", "reference/files/vehicle", "gallery/index", "coming-from/matlab")
+PAGES = ("index", "explanation/priorities", "reference/files/vehicle", "gallery/index")
 
 
 def test_pages_fit_and_can_be_read_in_both_schemes(site: Path) -> None:

@@ -76,7 +76,7 @@ def main(arguments: Sequence[str]) -> int:
         without_limits(count, options.seed),
         with_limits(count, options.seed),
         strict_with_limits(count, options.seed),
-        continuous(*(32, 32, QUICK_LOOPS) if options.quick else (2000, 2000, tuple(LOOPS))),
+        continuous(*(20, 32, QUICK_LOOPS) if options.quick else (2000, 2000, tuple(LOOPS))),
     ]
     prices(8 if options.quick else 500, options.seed)
     return 0 if all(good) else 1

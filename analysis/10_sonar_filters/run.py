@@ -107,9 +107,10 @@ def study(config: Config, *, quick: bool, out: Path | None) -> int:
     traces = lms_traces(config.seed)
     good &= print_lms(traces)
     for kind in QUICK_KINDS if quick else KINDS:
-        good &= print_kind(kind, config.quick_runs if quick else config.runs, config)
+        holds, clean = print_kind(kind, config.quick_runs if quick else config.runs, config)
+        good &= holds
     if out is not None:
-        draw(errors, traces, config, out, quick=quick)
+        draw(errors, traces, config, out, clean if quick else None)
     return 0 if good else 1
 
 
@@ -245,8 +246,8 @@ def print_lms(traces: dict[str, LmsTrace]) -> bool:
     return good & bar("printed step, echoes: the error stays more than 3 times the corrected one's", worse)
 
 
-def print_kind(kind: Kind, runs: int, config: Config) -> bool:
-    """Print every fault on one kind of approach; return whether its limits hold."""
+def print_kind(kind: Kind, runs: int, config: Config) -> tuple[bool, tuple[Stream, Tracked]]:
+    """Print every fault on one kind of approach; return whether its limits hold, and the runs without a fault."""
     bars = config.bars
     base = approach(kind, runs, seed=config.seed + 10)
     print(f"\n### {kind}: {runs} runs of {base.time[-1] + DT:.0f} s a fault\n")
@@ -275,7 +276,7 @@ def print_kind(kind: Kind, runs: int, config: Config) -> bool:
         if kind not in UNKNOWN and seen < wanted * showing:
             told.append(f"{fault} (found late)")
         if fault == "none":
-            clean = found
+            clean = stream, found
     if kind in UNKNOWN:
         text = (
             f"{kind}: bound kept in {100 * bars.kept_knowable:g} % of the steps in which a reading has the information"
@@ -285,7 +286,7 @@ def print_kind(kind: Kind, runs: int, config: Config) -> bool:
     else:
         text = f"{kind}: found in 0.3 s in {100 * wanted:g} %, bound kept in {100 * bars.kept:g} % of the steps"
     holds = bar(text + (f", not with {', '.join(told)}" if told else ""), not told)
-    return usefulness(kind, base, clean, bars) & holds
+    return usefulness(kind, base, clean[1], bars) & holds, clean
 
 
 def judged(stream: Stream, found: Tracked) -> dict[str, float]:
@@ -361,8 +362,14 @@ def usefulness(kind: Kind, base: Approach, found: Tracked, bars: Bars) -> bool:
     return bar(text, holds)
 
 
-def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config, out: Path, *, quick: bool) -> None:
-    """Save pictures: errors of the filters, both LMS steps, and one run with each of some faults; quick: with one."""
+def draw(
+    errors: dict[str, Errors],
+    traces: dict[str, LmsTrace],
+    config: Config,
+    out: Path,
+    clean: tuple[Stream, Tracked] | None,
+) -> None:
+    """Save pictures: errors of the filters, both LMS steps, one run with each of some faults, or that of `clean`."""
     names = tuple(errors)
     data = FilterErrors(
         names=names,
@@ -374,13 +381,15 @@ def draw(errors: dict[str, Errors], traces: dict[str, LmsTrace], config: Config,
     save(plot_filter_errors(data), out / "errors.png")
     for key, trace in traces.items():
         save(plot_lms_trace(trace), out / f"lms_{key}.png")
+    if clean:
+        save(plot_range_trace(trace_of("An unknown obstacle, fault: none", *clean)), out / "none.png")
+        return
     base = approach("obstacle", 1, seed=config.seed + 20, speed=0.2, stop=0.5)
     drawn = {"none": ("An unknown obstacle, fault: none", honest(base))}
-    for fault in DRAWN_FAULTS[: 1 if quick else None]:
+    for fault in DRAWN_FAULTS:
         drawn[fault] = (f"An unknown obstacle, fault: {fault}", faulty(base, fault, seed=DRAWN))
-    if not quick:
-        tank = honest(approach("tank, turning", 1, seed=config.seed + 21))
-        drawn["tank"] = ("A tank with a box, the beam turns", tank)
+    tank = honest(approach("tank, turning", 1, seed=config.seed + 21))
+    drawn["tank"] = ("A tank with a box, the beam turns", tank)
     streams = [stream for _, stream in drawn.values()]
     for (name, (title, stream)), found in zip(drawn.items(), each(robust, streams), strict=True):
         save(plot_range_trace(trace_of(title, stream, found)), out / f"{name}.png")

@@ -102,7 +102,7 @@ class Figures:
 def main(arguments: list[str]) -> int:
     """Run the study, print the results, and return the exit status."""
     parser = argparse.ArgumentParser(prog="run.py", description="The own-state filter in the closed loop.")
-    parser.add_argument("--quick", action="store_true", help="few runs of each case, and fewer hulls")
+    parser.add_argument("--quick", action="store_true", help="one run of each case, and fewer hulls")
     options = parser.parse_args(arguments)
     try:
         config = load_model(CONFIG, Config)

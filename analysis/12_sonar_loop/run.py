@@ -22,6 +22,8 @@ from surctl.errors import ToolMissing
 from surctl.ir import Block, memory, stack_bytes
 from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
 from surctl.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
+from surctl.simulation.batch.loop import build_loop
+from surctl.simulation.batch.pack import structure_of
 from surctl.vehicle import load_vehicle
 
 INSTRUCTIONS = 2  # of a Cortex-M4F per operation: assumption of the cost estimate
@@ -54,9 +56,13 @@ def conditions() -> dict[str, tuple[Sensors, bool]]:
 
 def flown(name: str, sensors: Sensors, seeds: int, values: Mapping[str, float] | None = None) -> BatchResult:
     """Simulate all seeds of a scenario with these sensors."""
+    return simulate_batch(case_of(name, sensors), values or {}, seeds=np.arange(seeds), threads=2)
+
+
+def case_of(name: str, sensors: Sensors) -> Case:
+    """Return a scenario with these sensors."""
     scenario = replace(load_scenario(name), sensors=sensors)
-    case = Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
-    return simulate_batch(case, values or {}, seeds=np.arange(seeds), threads=2)
+    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
 
 
 def row(condition: str, name: str, runs: BatchResult) -> int:
@@ -134,7 +140,10 @@ def main(words: list[str]) -> int:
         times = speed(max(size["seeds"], 8))
         held.append(times >= bars["real_time"])
         print(f"- compiled loop, one thread: {times:.0f} times real time, bar {bars['real_time']}: {_word(held[-1])}")
-    law = build_law(sonar=True)
+    if options.quick:  # the law that has just run
+        law = build_loop(structure_of(case_of(names[0], chosen[0][1][0]), {})).law
+    else:
+        law = build_law(sonar=True)
     assert law.perception is not None
     operations = law.perception.block.operations
     share = operations * INSTRUCTIONS * RATE / CLOCK

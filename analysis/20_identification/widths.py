@@ -1,7 +1,7 @@
 """Study 20, second part: are intervals wrong because of the estimates, or because of their estimated widths?
 
     python analysis/20_identification/widths.py            # four minutes on an idle core
-    python analysis/20_identification/widths.py --quick    # one log
+    python analysis/20_identification/widths.py --quick    # one log of half the length
 
 The logs are those of coloured.py. Each fit begins at the true parameters, which takes a third of the time of a whole
 fit and ends in the same minimum. Beside each interval stands the one that follows from the known noise.
@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 from coloured import CONSTANT_FORCE, FITTED, NOISE, SEED, drawn, log_of, nominal
@@ -29,13 +31,14 @@ INTERVALS, WIDE = 0.90, 1.2  # bars
 Array = NDArray[np.float64]
 
 
-def trial(seed: int) -> tuple[Array, Array, Array]:
+def trial(seed: int, *, share: float = 1.0) -> tuple[Array, Array, Array]:
     """Return estimate minus truth, half-interval, and half-interval with known noise, each (17,) in SI units."""
     rng = np.random.default_rng([SEED, seed])
     start = nominal()
     p = drawn(start, rng)
-    log, _ = log_of(p, start, rng)
-    correlation = np.array(_times(seed))
+    with _times() as times:
+        log, _ = log_of(p, start, rng, share=share)
+    correlation = np.array(times)
     sections = sections_of(log)
     model = Model(log, start, sections)
     truth = (np.array([dict(zip(NAMES, p, strict=True))[k] for k in model.names]) - model.start) / model.scale
@@ -53,8 +56,9 @@ def trial(seed: int) -> tuple[Array, Array, Array]:
     return (theta[: model.size] - truth) * model.scale, spread.half_intervals() * model.scale, known * model.scale
 
 
-def _times(seed: int) -> list[float]:
-    # correlation times of the slow noise of each column, as `log_of` draws them
+@contextmanager
+def _times() -> Iterator[list[float]]:
+    # correlation times of the slow noise of each column that `log_of` draws meanwhile
     import coloured
 
     times: list[float] = []
@@ -68,11 +72,9 @@ def _times(seed: int) -> list[float]:
 
     coloured.slow_and_white = noted
     try:
-        rng, start = np.random.default_rng([SEED, seed]), nominal()
-        log_of(drawn(start, rng), start, rng)
+        yield times
     finally:
         coloured.slow_and_white = original
-    return times
 
 
 def _known(parts: list[tuple[Array, Array]], noise: Array, times: Array, prior: Array, first: Array) -> Array:
@@ -98,11 +100,11 @@ def _known(parts: list[tuple[Array, Array]], noise: Array, times: Array, prior: 
 def main() -> int:
     """Print the table; return 1 if a statement does not hold."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one log")
-    count = 1 if parser.parse_args().quick else 200
+    parser.add_argument("--quick", action="store_true", help="one log of half the length")
+    count, share = (1, 0.5) if parser.parse_args().quick else (200, 1.0)
     results = []
     for seed in range(count):
-        results.append(trial(seed))
+        results.append(trial(seed, share=share))
         if count > 1:
             sys.stderr.write(f"  {seed + 1} of {count}\n")
     error, half, known = (np.array(x) for x in zip(*results, strict=True))

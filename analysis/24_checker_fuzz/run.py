@@ -346,7 +346,7 @@ def forgeries(count: int, seed: int) -> tuple[list[str], bool]:
 def main(words: Sequence[str] | None = None) -> int:
     """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="500 points a function, 300 claims")
+    parser.add_argument("--quick", action="store_true", help="200 points a function, 120 claims")
     parser.add_argument("--points", type=int, default=1_000_000, metavar="N", help="of each function")
     parser.add_argument("--claims", type=int, default=20_000, metavar="N", help="false claims")
     parser.add_argument("--seed", type=int, default=0)
@@ -355,7 +355,7 @@ def main(words: Sequence[str] | None = None) -> int:
     given = parser.parse_args(words)
     if min(given.points, given.claims, given.workers) < 1 or (given.write and given.quick):
         parser.error("--points, --claims and --workers: at least 1; --write: not with --quick")
-    points, claims = (500, 300) if given.quick else (given.points, given.claims)
+    points, claims = (200, 120) if given.quick else (given.points, given.claims)
     folder = Path(__file__).parent
     saved = folder / "parts" / f"functions-seed{given.seed}.csv" if given.write else None
     held_, sound = functions(points, given.seed, given.workers, saved)

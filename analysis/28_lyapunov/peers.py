@@ -167,11 +167,11 @@ PEERS: dict[str, tuple[Peer, bool]] = {
 """The peers, and whether each knows functions that are not polynomials."""
 
 
-def timed(run: Callable[[], Any]) -> tuple[Any, float]:
+def timed(run: Callable[[], Any], repeats: int) -> tuple[Any, float]:
     """Return the result of a call and the least processor time [s] of several, after one for imports and caches."""
-    result = run()
+    result = run() if repeats > 1 else None
     times: list[float] = []
-    while len(times) < REPEATS and sum(times) < LONGEST:
+    while len(times) < repeats and sum(times) < LONGEST:
         began = time.process_time()
         result = run()
         times.append(time.process_time() - began)
@@ -186,14 +186,14 @@ def forget() -> None:
             each.cache_clear()
 
 
-def alone(name: str, limit: float, *, polynomial: bool) -> str:
+def alone(name: str, limit: float, *, polynomial: bool, turns: int) -> str:
     """Return the least time of the proof of a system's claim, and how many times that of `Drake, whole` it is.
 
     The two take turns, so that other load on the machine changes both. Every proof does the whole work anew.
     """
     own: list[float] = []
     drakes: list[float] = []
-    while len(own) < TURNS and sum(own) < LONGEST:
+    while len(own) < turns and sum(own) < LONGEST:
         forget()
         claim = load_problem(HERE / "systems" / f"{name}.toml").claim  # a claim stores the derivative of its function
         assert isinstance(claim, Stability)
@@ -212,10 +212,10 @@ def alone(name: str, limit: float, *, polynomial: bool) -> str:
     return f"{min(own):.3g} s" + (f" ({min(own) / min(drakes):.1f} x Drake, whole)" if drakes else "")
 
 
-def cell(peer: Peer, claim: Stability, limit: float, ours: float) -> str:
+def cell(peer: Peer, claim: Stability, limit: float, ours: float, repeats: int) -> str:
     """Return the time of a peer, that time relative to surctl's, and the peer's answer."""
     try:
-        answer, seconds = timed(lambda: peer(claim, limit))
+        answer, seconds = timed(lambda: peer(claim, limit), repeats)
     except ImportError as error:
         return f"does not load: {str(error).splitlines()[0][:60]}"
     except RuntimeError:  # Drake's answer to a division by a polynomial
@@ -226,11 +226,11 @@ def cell(peer: Peer, claim: Stability, limit: float, ours: float) -> str:
 def main() -> int:
     """Print the table; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--quick", action="store_true", help="one system")
+    parser.add_argument("--quick", action="store_true", help="one system, measured once")
     parser.add_argument("--time-limit", type=float, default=60.0, help="time for each [s]")
     parser.add_argument("names", nargs="*", metavar="NAME", help="these systems")
     asked = parser.parse_args()
-    good = True
+    good, (repeats, turns) = True, (1, 1) if asked.quick else (REPEATS, TURNS)
     heads = ("system", "states", "surctl, exact", "proof alone", *PEERS)
     print(f"| {' | '.join(heads)} |\n" + "|---" * len(heads) + "|")
     known = {path.stem for path in (HERE / "systems").glob("*.toml")}
@@ -243,13 +243,14 @@ def main() -> int:
         if not isinstance(claim, Stability):
             print(f"{name}: states no V and level, or is no claim about stability", file=sys.stderr)
             return 2
-        decision, ours = timed(partial(decide_motion, claim, time_limit=asked.time_limit))
+        decision, ours = timed(partial(decide_motion, claim, time_limit=asked.time_limit), repeats)
         good = good and decision.verdict == "proved"
         nodes = ordered(claim.function, claim.dynamics.change(claim.function))
         polynomial = not any(node.op in FUNCTIONS for node in nodes)
-        proof = alone(name, asked.time_limit, polynomial=polynomial)
+        proof = alone(name, asked.time_limit, polynomial=polynomial, turns=turns)
         cells = [
-            cell(peer, claim, asked.time_limit, ours) if polynomial or every else "–" for peer, every in PEERS.values()
+            cell(peer, claim, asked.time_limit, ours, repeats) if polynomial or every else "–"
+            for peer, every in PEERS.values()
         ]
         states = len(claim.dynamics.states)
         first = f"| `{name}` | {states} | {ours:.3g} s: {decision.verdict} | {proof} | "

@@ -169,7 +169,7 @@ def heard_from(course: float, limit: float, *, turns: int, rays: int) -> float:
 def corner_table(*, quick: bool) -> tuple[list[str], dict[str, bool]]:
     """Return the lines of a table, and whether rays and closed form agree along the bisector."""
     limits, courses = (LIMITS[1:2], COURSES[-1:]) if quick else (LIMITS, COURSES)
-    turns, rays = (180, 151) if quick else (360, 601)
+    turns, rays = (90, 101) if quick else (360, 601)
     found = {
         (limit, course): heard_from(math.radians(course), math.radians(limit), turns=turns, rays=rays)
         for limit in limits

@@ -1,7 +1,7 @@
 """Study 36: sessions with an autopilot over a bad link.
 
     python analysis/36_bridge/run.py            # 1,000 sessions, nine flights, an hour as MCAP
-    python analysis/36_bridge/run.py --quick    # 8 sessions, no flight, 20 s as MCAP
+    python analysis/36_bridge/run.py --quick    # 8 sessions, no flight, 5 s as MCAP
 
 Prints Markdown; --write writes the README from it. Status 1 if a thrust lasts longer than its limit, the bridge steers
 without the operator, a flight takes 5 % longer than the direct one, or an hour as MCAP has more than 100 MB.
@@ -193,7 +193,7 @@ def main() -> int:
     parts = (
         sessions(8 if chosen.quick else 1000),
         *([] if chosen.quick else [flights()]),
-        hour(10.0 if chosen.quick else HOUR),
+        hour(5.0 if chosen.quick else HOUR),
     )
     lines = [ABOUT.read_text(encoding="utf-8")]
     failures = 0

@@ -8,8 +8,8 @@ from tests.test_analysis import ANALYSIS, examine_example, run, table
 from tests.tools import need_compiler
 
 
-@pytest.mark.parametrize("example", ["cybership2", "bluerov2_attitude"])
-def test_an_example_of_a_ship_or_an_rov(example: str) -> None:
+@pytest.mark.parametrize("example", ["cybership2", "bluerov2_attitude", "quadrotor_altitude"])
+def test_an_example_of_a_ship_an_rov_or_a_quadrotor(example: str) -> None:
     examine_example(example)
 
 

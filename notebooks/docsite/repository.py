@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 _LINK = re.compile(r"(!?\[[^\]]*\]\()([^)\s#]+)((?:#[^)\s]*)?\))")
 _CODE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 _PICTURES = (".png", ".gif", ".svg", ".jpg")
+_QUICK = os.environ.get("SURCTL_SITE") == "quick"
 _NAMES = {".py": "python", ".toml": "toml", ".md": "markdown", ".c": "c", ".csv": "text", ".json": "json"}
 
 
@@ -65,7 +66,12 @@ def _uri(path: Path) -> str:
         if below.endswith("/README.md"):
             return f"studies/{below.removesuffix('/README.md')}.md"
         return "studies/" + below.replace("README", "index")
-    return f"sources/{name}" + ("" if path.suffix in _PICTURES else ".md")
+    return f"sources/{name}" + ("" if _copied(path) else ".md")
+
+
+def _copied(path: Path) -> bool:
+    # the quick form makes no page for each of a hundred systems
+    return path.suffix in _PICTURES or (_QUICK and path.parent.name == "systems")
 
 
 def _target(link: str, source: Path) -> Path | None:
@@ -91,7 +97,7 @@ def reached(known: dict[str, Path], first: list[Page], guides: Path) -> list[Pag
             uri = _uri(path)
             if uri in known or uri in found or uri == "index.md":
                 continue
-            if path.suffix in _PICTURES:
+            if _copied(path):
                 found[uri] = Page(uri, source=path, copied=True)
                 continue
             if path.suffix == ".md":

@@ -133,7 +133,7 @@ def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
         >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=8)
+        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
         >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
         >>> print(save_sensitivity(found, "pictures").name)
         sensitivity-time_s.png

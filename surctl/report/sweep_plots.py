@@ -90,7 +90,7 @@ def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import build_cases, parse_axis, saltelli, sensitivity, sweep
         >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=8)
+        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
         >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
         >>> ax = plot_sensitivity(found)
         >>> ax.get_title("left"), ax.get_xlabel(), [label.get_text() for label in ax.get_yticklabels()]

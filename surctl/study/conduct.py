@@ -149,7 +149,7 @@ def conduct(
         ... [[runs]]
         ... scenario = "pool-speed-010"
         ... [sweep]
-        ... axes = [{ gain = "k_v", values = [1.5, 2.0] }]
+        ... axes = [{ gain = "k_v", values = [1.5] }]
         ... ''')
         >>> study = conduct(load_plan("mine.toml"), Path("out"), workers=1)
         >>> sorted(path.name for path in Path("out").iterdir())

@@ -79,9 +79,9 @@ def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
         >>> from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, goal_rows, tune
         >>> gains = load_gains("default")
         >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
-        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
-        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
-        >>> [row] = goal_rows(tuning)
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> row, _ = goal_rows(tuning)
         >>> row["name"], row["limit"], row["unit"], round(row["hand"], 2), round(row["tuned"], 1), row["met"]
         ('soon', 20.0, 's', 20.45, 19.9, True)
     """

@@ -122,43 +122,7 @@ class RangeTracker:
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """Return the entries (name, shape, initial value) of the state; initially, no sensor has an estimate."""
-        n, far = self.array.size, self.array.maximum
-        delays = self._delays
-
-        def port(name: str, unit: str, meaning: str, default: float = 0.0, *, width: int = 0) -> Port:
-            return Port(f"{prefix}{name}", (n, width) if width else (n,), unit, meaning, default)
-
-        return (
-            port("range", "m", "range of the track", far),
-            port("rate", "m/s", "rate of the track that own motion does not explain"),
-            port("var_range", "m^2", "variance of the range", 1.0),
-            port("covariance", "m^2/s", "covariance of range and rate"),
-            port("var_rate", "m^2/s^2", "variance of the rate", 0.0625),
-            port("surprise", "m", "excess of recent innovations over their standard deviations"),
-            port("known", "1", "1 once a track exists"),
-            port("explained", "1", "1 while the track agrees with the expected range"),
-            port("rejected", "1", "1 while the last reading is rejected as a fault"),
-            port("distrust", "1", "1 after a reading beyond a known wall, until the readings are reliable again"),
-            port("since", "s", "time since the last arrival", _NEVER),
-            port("age", "s", "time since a reading last updated the track", _NEVER),
-            port("turned", "rad", "sum of the beam's turns since a reading last updated the track", _NEVER),
-            port("swung", "rad", "signed turn of the beam since a reading last updated the track"),
-            port("candidate", "m", "range of a candidate for another track", far),
-            port("votes", "1", "number of consecutive readings that agree with the candidate"),
-            port("suspect", "1", "1 if the last reading of the candidate looks like a fault; less after others"),
-            port("late_by", "s", "possible delay of the readings after the last gap"),
-            port("late", "1", "1 if the readings are found to be late"),
-            port("absorbed", "m", "part of the delay's shift that is already in the track"),
-            port("cross", "m^2", "evidence of delay: residual times shift"),
-            port("power", "m^2", "evidence of delay: shift squared"),
-            port("looks", "1", "number of readings in the evidence of delay"),
-            port("repeated", "1", "number of consecutive equal sample sets"),
-            port("reading", "m", "trimmed mean of the last firing", far),
-            port("recent", "m", "last three readings moved by own motion, newest first", width=3),
-            port("samples", "m", "samples of the last firing", -1.0, width=self.array.samples),
-            port("shifts", "m", "predicted range 1, 2, ... steps ago minus the present one", width=delays),
-            port("walls", "m", "expected range 1, 2, ... steps ago", far, width=delays + 1),
-        )
+        return _ports(self, prefix)
 
     def update(
         self,
@@ -271,32 +235,78 @@ class RangeTracker:
 
     def rules(self) -> Rules:
         """Return the parameters of the tracker's rules."""
-        a = self.array
-        spread = sqrt(a.noise_sd**2 + a.resolution**2 / 12.0)
-        # noise much smaller than a conversion step does not dither it: a mean of equal codes keeps the rounding error
-        sigma = max(1.1 * spread / sqrt(a.samples), a.resolution / sqrt(12.0))
-        return Rules(
-            dt=self.dt,
-            due=self.due,
-            minimum=a.minimum,
-            maximum=a.maximum,
-            resolution=a.resolution,
-            bias=a.bias,
-            sigma=sigma,
-            beam=a.beam_angle,
-            sensors=a.size,
-            obstacle_speed=self.obstacle_speed,
-            tolerance=self.tolerance,
-            yaw_tolerance=self.yaw_tolerance,
-            longest_delay=self.longest_delay,
-            hold=self.hold,
-            repeats=self.repeats,
-            one_repeat=self.repeats > 0 and _chance_of_equal_sets(a) < _REPEAT,
-        )
+        return _rules(self)
 
     @property
     def _delays(self) -> int:
         return max(round(self.due / self.dt), ceil(self.longest_delay / self.dt - 1e-9))
+
+
+@cache
+def _ports(tracker: RangeTracker, prefix: str) -> tuple[Port, ...]:
+    n, far = tracker.array.size, tracker.array.maximum
+    delays = tracker._delays
+
+    def port(name: str, unit: str, meaning: str, default: float = 0.0, *, width: int = 0) -> Port:
+        return Port(f"{prefix}{name}", (n, width) if width else (n,), unit, meaning, default)
+
+    return (
+        port("range", "m", "range of the track", far),
+        port("rate", "m/s", "rate of the track that own motion does not explain"),
+        port("var_range", "m^2", "variance of the range", 1.0),
+        port("covariance", "m^2/s", "covariance of range and rate"),
+        port("var_rate", "m^2/s^2", "variance of the rate", 0.0625),
+        port("surprise", "m", "excess of recent innovations over their standard deviations"),
+        port("known", "1", "1 once a track exists"),
+        port("explained", "1", "1 while the track agrees with the expected range"),
+        port("rejected", "1", "1 while the last reading is rejected as a fault"),
+        port("distrust", "1", "1 after a reading beyond a known wall, until the readings are reliable again"),
+        port("since", "s", "time since the last arrival", _NEVER),
+        port("age", "s", "time since a reading last updated the track", _NEVER),
+        port("turned", "rad", "sum of the beam's turns since a reading last updated the track", _NEVER),
+        port("swung", "rad", "signed turn of the beam since a reading last updated the track"),
+        port("candidate", "m", "range of a candidate for another track", far),
+        port("votes", "1", "number of consecutive readings that agree with the candidate"),
+        port("suspect", "1", "1 if the last reading of the candidate looks like a fault; less after others"),
+        port("late_by", "s", "possible delay of the readings after the last gap"),
+        port("late", "1", "1 if the readings are found to be late"),
+        port("absorbed", "m", "part of the delay's shift that is already in the track"),
+        port("cross", "m^2", "evidence of delay: residual times shift"),
+        port("power", "m^2", "evidence of delay: shift squared"),
+        port("looks", "1", "number of readings in the evidence of delay"),
+        port("repeated", "1", "number of consecutive equal sample sets"),
+        port("reading", "m", "trimmed mean of the last firing", far),
+        port("recent", "m", "last three readings moved by own motion, newest first", width=3),
+        port("samples", "m", "samples of the last firing", -1.0, width=tracker.array.samples),
+        port("shifts", "m", "predicted range 1, 2, ... steps ago minus the present one", width=delays),
+        port("walls", "m", "expected range 1, 2, ... steps ago", far, width=delays + 1),
+    )
+
+
+@cache
+def _rules(tracker: RangeTracker) -> Rules:
+    a = tracker.array
+    spread = sqrt(a.noise_sd**2 + a.resolution**2 / 12.0)
+    # noise much smaller than a conversion step does not dither it: a mean of equal codes keeps the rounding error
+    sigma = max(1.1 * spread / sqrt(a.samples), a.resolution / sqrt(12.0))
+    return Rules(
+        dt=tracker.dt,
+        due=tracker.due,
+        minimum=a.minimum,
+        maximum=a.maximum,
+        resolution=a.resolution,
+        bias=a.bias,
+        sigma=sigma,
+        beam=a.beam_angle,
+        sensors=a.size,
+        obstacle_speed=tracker.obstacle_speed,
+        tolerance=tracker.tolerance,
+        yaw_tolerance=tracker.yaw_tolerance,
+        longest_delay=tracker.longest_delay,
+        hold=tracker.hold,
+        repeats=tracker.repeats,
+        one_repeat=tracker.repeats > 0 and _chance_of_equal_sets(a) < _REPEAT,
+    )
 
 
 def _column(parts: Iterable[Any]) -> ca.SX:
