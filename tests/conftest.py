@@ -19,18 +19,15 @@ from hypothesis import settings
 from tests import processes
 
 gc.disable()  # while the tests are collected: a quarter of that time
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)  # study 40: 100
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=25)  # study 40: 100
 settings.load_profile("repeatable")
 
 HERE = Path(__file__).parent
 SPENT = "processor time [s]"
 
-# files and rooms; elsewhere compiling is what takes the time
-MANY_RUNS = ("cli/test_tune.py", "tuning")
-
 # rooms in which a loop flies a few runs: one run at a time compiles in two thirds of the time
 FEW_RUNS = (
-    *("simulation", "control", "vehicle", "reproduction", "study", "engine", "guidance", "cli", "report"),
+    *("simulation", "control", "vehicle", "reproduction", "study", "engine", "guidance", "cli", "report", "tuning"),
     *("test_third_party.py", "test_analysis.py", "test_examples.py", "test_guides.py"),
 )
 SIDE_BY_SIDE = ("simulation/test_batch.py", "simulation/campaign/test_campaign.py")
@@ -116,9 +113,6 @@ def _compiled_soon(request: pytest.FixtureRequest) -> Iterator[None]:
         if "SURCTL_CFLAGS" not in os.environ:
             file = request.path.relative_to(HERE)
             names = {file.as_posix(), file.parent.as_posix(), file.parts[0]}
-            if not names.isdisjoint(MANY_RUNS):
-                flags = "-O1"
-            else:
-                flags = "-O0" if names.isdisjoint(FEW_RUNS) or not names.isdisjoint(SIDE_BY_SIDE) else "-O0 -DLANES=1"
-            patch.setenv("SURCTL_CFLAGS", flags)
+            side_by_side = names.isdisjoint(FEW_RUNS) or not names.isdisjoint(SIDE_BY_SIDE)
+            patch.setenv("SURCTL_CFLAGS", "-O0" if side_by_side else "-O0 -DLANES=1")
         yield

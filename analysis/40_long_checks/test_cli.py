@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from surctl.cli.linear_part import over_speeds
 from tests.cli.process import surctl
+from tests.cli.test_speeds import parts
 from tests.cli.test_systems import FILE, data
 from tests.cli.test_trial import Shell
 from tests.tools import need, need_compiler
@@ -32,6 +34,12 @@ def test_a_region_claim_of_ones_own_is_proved(tmp_path: Path) -> None:
     # it is not about the law with the gains that are exported: it has gains of its own
     check, export = done.json["next"]
     assert check == "surctl check proofs/mine.json" and "--certificate" not in export
+
+
+def test_a_loop_that_is_unstable_at_one_speed_is_told_whichever_comes_last() -> None:
+    slow, fast = parts("bluerov2-wu", 0.1, 0.47)
+    assert slow.stable and not fast.stable
+    assert not over_speeds([slow, fast]).stable and not over_speeds([fast, slow]).stable
 
 
 def test_export_ships_the_law_that_senses_and_checks_it_over_its_flight(tmp_path: Path) -> None:

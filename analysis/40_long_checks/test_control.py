@@ -27,6 +27,7 @@ from tests.control import (
     test_own_laws,
     test_scan,
     test_steered,
+    test_steered_arrival,
     test_stored,
 )
 from tests.control.robot import DT, Robot
@@ -371,3 +372,8 @@ def test_the_filter_of_the_own_state_uses_the_achieved_thrust() -> None:
     assert (tau == 0.0).all()
     assert (x_next[law.state.slice("last_thrust")] == 0.0).all()
     assert np.abs(telemetry[law.telemetry_slice("tau_desired")]).max() > 0.0
+
+
+def test_a_goal_is_reached_by_a_craft_that_drifts_in_its_turns() -> None:
+    """It circled the goal: its drift changed the course straight ahead."""
+    test_steered_arrival.test_a_goal_beside_the_craft_is_reached("lauv", 0.0, 84.0, 350.0)

@@ -9,6 +9,7 @@ from surctl.engine import BatchCase, mujoco_physics, simulate_seeds
 from surctl.engine.batch import simulate_with_steppers
 from surctl.export import CompiledLaw
 from surctl.simulation import Case, load_scenario
+from tests.engine import test_closed_forms
 from tests.engine.tools import load_vehicle
 from tests.tools import need_compiler
 
@@ -27,3 +28,9 @@ def test_runs_in_other_processes_by_the_law_as_c_have_the_same_bytes() -> None:
     for one, other in zip(apart, here, strict=True):
         assert one.record.eta.tobytes() == other.record.eta.tobytes()
         assert one.record.law_input.tobytes() == other.record.law_input.tobytes()
+
+
+def test_terminal_speeds() -> None:
+    for dof in (4, 6):
+        for axis in range(3):
+            test_closed_forms.test_terminal_speed(dof, axis)

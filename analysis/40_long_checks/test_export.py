@@ -192,6 +192,13 @@ def test_other_ros2_nodes_compile(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_the_law_with_constant_gains_is_proved_in_floats() -> None:
+    need("frama-c")
+    law, bundle, _ = exported("float32")
+    report = prove_bundle(law, bundle, vehicle().thrust_limit)
+    assert report.proved and not report.alarms and report.properties > 50, report.summary()
+
+
 @pytest.mark.parametrize(("pattern", "new", "kind"), WRONG, ids=[kind for *_, kind in WRONG])
 def test_the_proof_of_a_law_that_searches_tells_each_error(pattern: str, new: str, kind: str) -> None:
     need("frama-c")

@@ -60,10 +60,12 @@ def test_bits_of_other_charts_and_numbers() -> None:
 @pytest.mark.parametrize("limit", [None, test_echo.WEBOTS], ids=["all", "facing"])
 def test_the_hulls_shadow(beam: float, limit: float | None) -> None:
     test_echo.test_the_hulls_shadow_against_ray_casting(beam, limit)
+    test_echo.test_scenes_against_ray_casting(beam, limit)
 
 
 @pytest.mark.parametrize("beam", test_echo.BEAMS)
-@pytest.mark.parametrize(("limit", "mounted"), [(None, True), (test_echo.WEBOTS, False), (1.2, False)])
+@pytest.mark.parametrize("limit", [None, test_echo.WEBOTS, 1.2])
+@pytest.mark.parametrize("mounted", [False, True])
 def test_symbols_and_numbers(beam: float, limit: float | None, mounted: bool) -> None:
     test_echo.test_symbols_and_numbers_give_the_same_range(beam, limit, mounted)
 

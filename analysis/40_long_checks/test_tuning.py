@@ -12,8 +12,13 @@ from surctl.tuning import Goal, Request, conditions, derive_gains, gain_ranges
 from surctl.tuning.start import starting_sets
 from surctl.vehicle import load_vehicle
 from tests.craft import mission
-from tests.tuning import test_gradient
-from tests.tuning.test_derived import WU, made
+from tests.tuning import test_derived, test_gradient
+from tests.tuning.test_derived import REXROV, WU, made
+
+
+def test_derived_gains_of_further_vehicles_have_the_margin() -> None:
+    for vehicle, cruise in ((REXROV, 0.66), (WU, 0.15)):
+        test_derived.test_derived_gains_have_the_margin_of_all_loops_at_once(vehicle, cruise)
 
 
 def test_the_bearable_speed_is_borne_and_less_thrust_lag_raises_the_margin() -> None:

@@ -25,7 +25,7 @@ from surctl.ir.replay import replay
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
 from surctl.ir.sources import source_digest
 from surctl.ir.stored import read_block, write_block
-from surctl.ir.symbolic import on_vectors, to_casadi
+from surctl.ir.symbolic import on_columns, on_vectors, to_casadi
 from surctl.ir.tracing import Recording, each, fold, only_if, picked, repeat, tabulated
 
 __all__ = [
@@ -75,6 +75,7 @@ __all__ = [
     "lower_named",
     "memory",
     "nearby_angles",
+    "on_columns",
     "on_vectors",
     "only_if",
     "picked",

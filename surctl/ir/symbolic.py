@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -16,7 +17,7 @@ from surctl.errors import InputError
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
 
-__all__ = ["on_vectors", "to_casadi"]
+__all__ = ["on_columns", "on_vectors", "to_casadi"]
 
 _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
@@ -228,5 +229,31 @@ def on_vectors(function: ca.Function) -> Callable[..., list[NDArray[np.float64]]
             full[at] = part
             results.append(full)
         return results
+
+    return run
+
+
+def on_columns(function: ca.Function) -> Callable[[NDArray[np.float64]], list[NDArray[np.float64]]]:
+    """Return a Python function of points (n, N) that evaluates a CasADi function of one vector (n,) at every column.
+
+    Each output (m,) of the CasADi function becomes an array (m, N). As with `on_vectors`, nothing is converted.
+
+    Example:
+        >>> import casadi as ca
+        >>> import numpy as np
+        >>> from surctl.ir import on_columns
+        >>> v = ca.SX.sym("v", 2)
+        >>> on_columns(ca.Function("drag", [v], [v * ca.norm_2(v)]))(np.array([[0.3, 0.0], [0.4, 2.0]]))
+        [array([[0.15, 0.  ],
+               [0.2 , 4.  ]])]
+    """
+
+    @lru_cache(maxsize=8)
+    def together(count: int) -> Callable[..., list[NDArray[np.float64]]]:
+        return on_vectors(function.map(count))
+
+    def run(points: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        count = points.shape[1]
+        return [part.reshape(-1, count, order="F") for part in together(count)(points)]
 
     return run

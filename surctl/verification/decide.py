@@ -112,7 +112,7 @@ def _moved(oracle: Oracle, point: NDArray[np.float64], by: float) -> NDArray[np.
     claim = oracle.claim
     at = np.clip(point, claim.lower, claim.upper)
     for _ in range(_MOVES):
-        values, slopes = np.asarray(oracle.sides(at)[2]).reshape(-1), np.asarray(oracle.slopes(at)[1])
+        values, slopes = oracle.sides(at[:, None])[2][:, 0], oracle.jacobian(at)
         short = np.flatnonzero(values > -by)
         if not short.size:
             break

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.ir import on_columns, on_vectors
 from surctl.verification.claim import Claim
 
 __all__ = ["Oracle", "build_oracle"]
@@ -26,12 +28,12 @@ class Oracle:
         claim: the claim.
         sides: function of N points x (n, N); returns left (1, N), right (1, N), and constraints (m, N).
         slopes: function of one point x (n,); returns the gradient of the margin (n,), and the Jacobian of the
-            constraints (m, n).
+            constraints (m, n), column by column.
     """
 
     claim: Claim
-    sides: ca.Function
-    slopes: ca.Function
+    sides: Callable[[NDArray[np.float64]], list[NDArray[np.float64]]]
+    slopes: Callable[..., list[NDArray[np.float64]]]
 
     def place(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert points (n,) or (n, N) of the unit box to the claim's box, in the variables' units."""
@@ -45,16 +47,16 @@ class Oracle:
         Returns:
             Three arrays (N,): the margin; the larger of |left| and |right|; whether the point lies in the domain.
         """
-        left, right, g = (np.asarray(part) for part in self.sides(x))
-        left, right = np.broadcast_to(left, (1, x.shape[1]))[0], np.broadcast_to(right, (1, x.shape[1]))[0]
+        left, right, g = self.sides(x)
+        left, right = left[0], right[0]
         beyond = np.maximum(self.claim.lower[:, None] - x, x - self.claim.upper[:, None])
         in_box = np.all(beyond <= _FEASIBLE, axis=0)
         return left - right, np.maximum(abs(left), abs(right)), in_box & np.all(g <= _FEASIBLE, axis=0)
 
     def margin(self, unit: NDArray[np.float64]) -> float:
         """Return the margin at a point (n,) of the unit box; −inf if not finite, so that searches avoid the point."""
-        left, right, _ = self.sides(self.place(unit))
-        value = float(left) - float(right)
+        left, right, _ = self.sides(self.place(unit)[:, None])
+        value = float(left[0, 0]) - float(right[0, 0])
         return value if np.isfinite(value) else -np.inf
 
     def gradient(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -62,17 +64,20 @@ class Oracle:
 
         Where the exact gradient is not finite (at an arccos of ±1), finite differences replace the exact gradient.
         """
-        exact = np.asarray(self.slopes(self.place(unit))[0]).reshape(-1) * (self.claim.upper - self.claim.lower)
+        exact = self.slopes(self.place(unit))[0] * (self.claim.upper - self.claim.lower)
         return exact if np.all(np.isfinite(exact)) else self._differences(unit)
 
     def slack(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the slack −g (m,) of the constraints; in the domain every slack is ≥ 0."""
-        return -np.asarray(self.sides(self.place(unit))[2]).reshape(-1)
+        return -self.sides(self.place(unit)[:, None])[2][:, 0]
 
     def slack_jacobian(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the Jacobian ∂slack/∂unit (m, n) of the slacks with respect to the point in the unit box."""
-        jacobian = np.asarray(self.slopes(self.place(unit))[1])
-        return -jacobian * (self.claim.upper - self.claim.lower)
+        return -self.jacobian(self.place(unit)) * (self.claim.upper - self.claim.lower)
+
+    def jacobian(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the Jacobian ∂g/∂x (m, n) of the constraints at a point x (n,), in the variables' units."""
+        return self.slopes(x)[1].reshape(-1, x.size, order="F")
 
     def _differences(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
         slope = np.zeros(unit.size)
@@ -91,6 +96,6 @@ def build_oracle(claim: Claim) -> Oracle:
     sides = [ca.densify(ca.SX(claim.left)), ca.densify(ca.SX(claim.right)), ca.densify(claim.constraints)]
     return Oracle(
         claim,
-        ca.Function("sides", [x], sides),
-        ca.Function("slopes", [x], [ca.densify(s) for s in slopes]),
+        on_columns(ca.Function("sides", [x], sides)),
+        on_vectors(ca.Function("slopes", [x], [ca.densify(s) for s in slopes])),
     )

@@ -47,7 +47,7 @@ def narrow(found, value) -> bool:
     return libmp.mpf_le(libmp.mpf_sub(found[1], found[0]), size)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(numbers, numbers)
 def test_at_a_number_they_hold_the_value_and_are_narrow(x: float, y: float) -> None:
     cosine, sine = circle((raw(x), raw(x)))
@@ -60,7 +60,7 @@ def test_at_a_number_they_hold_the_value_and_are_narrow(x: float, y: float) -> N
         assert holds(found, value) and narrow(found, value)
 
 
-@settings(max_examples=120, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(numbers, st.floats(0, 7), numbers, st.floats(0, 1))
 def test_on_an_interval_they_hold_the_value_everywhere(x: float, width: float, y: float, share: float) -> None:
     high = min(x + width, 1.7e308) if x < 1e308 else x

@@ -86,7 +86,7 @@ boxes = st.lists(
 ).map(lambda rows: [(low, low + width) for low, width in rows])
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(expressions(branching=False), boxes, st.integers(0, 2**31))
 def test_ranges_and_slopes_hold_those_at_points_inside(root: Node, box: list[tuple[float, float]], seed: int) -> None:
     table, at, _ = read("0")

@@ -30,7 +30,7 @@ boxes = st.lists(st.tuples(ends, st.one_of(st.just(0.0), st.floats(0, 2))), min_
 shares = st.lists(st.sampled_from([0.0, 0.25, 0.5, 1.0]), min_size=3, max_size=3)
 
 
-@settings(max_examples=70, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(expressions(), boxes, shares)
 def test_the_checkers_ranges_hold_the_value_at_every_point(root, box, at) -> None:
     sheet = ExpressionTable(NAMES)
@@ -53,7 +53,7 @@ def test_the_checkers_ranges_hold_the_value_at_every_point(root, box, at) -> Non
         assert as_mpf(jet.value[0]) - room <= value <= as_mpf(jet.value[1]) + room, text_of(root)
 
 
-@settings(max_examples=70, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(expressions(), boxes, shares)
 def test_the_provers_ranges_hold_the_value_at_every_point(root, box, at) -> None:
     tape = build_tape(NAMES, [root])
@@ -84,7 +84,7 @@ def of_each_function(test):
 
 
 @of_each_function
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(expressions(branching=False), boxes, shares)
 def test_derivatives_hold_the_slopes_and_bends_that_differences_show(root, box, at) -> None:
     sheet = ExpressionTable(NAMES)

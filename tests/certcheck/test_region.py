@@ -310,7 +310,7 @@ def test_errors_of_what_is_measured_change_the_thrust_by_no_more_than_is_counted
     assert 0.5 * counted < change.max() <= counted
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.integers(1, 6), st.integers(0, 10**6))
 def test_definiteness_is_that_of_the_eigenvalues(size: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -325,7 +325,7 @@ def test_definiteness_is_that_of_the_eigenvalues(size: int, seed: int) -> None:
         assert all(unit[i][j] == (i == j) for i in range(size) for j in range(size))
 
 
-@settings(max_examples=50, deadline=None, derandomize=True)
+@settings(max_examples=30, deadline=None, derandomize=True)
 @given(st.fractions(0, 10**6))
 def test_roots_are_on_their_side(value: Fraction) -> None:
     assert root_down(value) ** 2 <= value <= root_up(value) ** 2

@@ -33,11 +33,6 @@ def test_every_speed_is_judged_and_the_worst_named():
 
 
 def test_a_loop_that_is_unstable_at_one_speed_fails_the_command(tmp_path):
-    slow, fast = parts("bluerov2-wu", 0.1, 0.47)
-    assert slow.stable and not fast.stable
-    both = over_speeds([slow, fast])
-    assert not over_speeds([fast, slow]).stable, "whichever is told in full"
-    assert not both.stable and both.data["worst_cruise_m_per_s"]["disk_margin"] == 0.47
     done = surctl(
         "verify",
         "m-norm-printed",
@@ -53,3 +48,4 @@ def test_a_loop_that_is_unstable_at_one_speed_fails_the_command(tmp_path):
     assert done.status == 1
     told = {one["cruise_m_per_s"]: one["stable"] for one in done.json["speeds"]}
     assert told == {0.1: True, 0.47: False} and done.json["cruise_m_per_s"] == 0.47
+    assert done.json["worst_cruise_m_per_s"]["disk_margin"] == 0.47

@@ -18,7 +18,6 @@ GAINS = load_gains("default", own=STEERED_GAINS)
     ("name", "current", "turned", "seconds"),
     [
         ("otter", 0.4, 0.0, 60.0),  # stood still in the current, and turned beside the goal
-        ("lauv", 0.0, 84.0, 350.0),  # circled the goal: its drift in the turn changed the course straight ahead
         ("lauv", 0.38, 84.0, 450.0),  # drifted away with the current: no water passed the rudder
     ],
 )

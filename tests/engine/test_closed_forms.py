@@ -71,11 +71,13 @@ def test_without_drag_momentum_and_energy_stay_for_any_inertia_matrix() -> None:
     assert abs(system.state[12]) + abs(system.state[13]) > 0.3  # it has tumbled
 
 
-@pytest.mark.parametrize("dof", [4, 6])
-@pytest.mark.parametrize(("axis", "names"), [(0, "Xu Xuu"), (1, "Yv Yvv"), (2, "Zw Zww")])
-def test_terminal_speed(dof: int, axis: int, names: str) -> None:
+DRAG = ("Xu Xuu", "Yv Yvv", "Zw Zww")
+
+
+@pytest.mark.parametrize(("dof", "axis"), [(6, 0), (4, 1), (6, 2)])  # the others: study 40
+def test_terminal_speed(dof: int, axis: int) -> None:
     vehicle = with_values(TILTING, {"zt": 0.0})
-    linear, quadratic = (vehicle[name] for name in names.split())
+    linear, quadratic = (vehicle[name] for name in DRAG[axis].split())
     thrust = [0.0] * 4
     thrust[axis] = 4.0
     system = begun(physics(vehicle, dof=dof), vehicle.form if dof == 6 else load_vehicle("sur400").form)

@@ -88,7 +88,7 @@ void board_gains(int result) { (void)fprintf(stderr, "gains %d", result); }
 
 def test_the_example_reacts_to_each_status(folder: Path) -> None:
     (folder / "board_test.c").write_text(BOARD)
-    program = build("gcc", folder, ["main_example.c", "loop.c", "board_test.c", *code(guarded()[1])], "scripted")
+    program = build("gcc", folder, ["main_example.c", "loop.c", "board_test.c", *code(guarded()[1])], "scripted", "-O0")
     done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=True)
     assert done.stderr == "gains -11"  # stored bytes of another length are reported, not ignored
     first, *rest = done.stdout.split(" ", 1)
@@ -230,7 +230,7 @@ def test_lost_fixes_hold_the_robot_though_every_step_is_accepted(tmp_path: Path)
     bundle = build_bundle(StandIn("lost", 0.05, *layouts, function), {})
     write_bundle(bundle, tmp_path)
     (tmp_path / "main_lost.c").write_text(LOST)
-    program = build("gcc", tmp_path, ["main_lost.c", "loop.c", *code(bundle)], "run")
+    program = build("gcc", tmp_path, ["main_lost.c", "loop.c", *code(bundle)], "run", "-O0")
     words = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
     applied, mode = (np.array([int(word[k]) for word in words]) for k in range(2))
     steps = np.arange(1, 151)
@@ -276,7 +276,7 @@ def test_a_pause_is_no_dead_end_and_arming_ends_one(tmp_path: Path) -> None:
     bundle = build_bundle(StandIn("stall", 0.05, *layouts, function), {})
     write_bundle(bundle, tmp_path)
     (tmp_path / "main_stall.c").write_text(STALL)
-    program = build("gcc", tmp_path, ["main_stall.c", "loop.c", *code(bundle)], "run")
+    program = build("gcc", tmp_path, ["main_stall.c", "loop.c", *code(bundle)], "run", "-O0")
     words = subprocess.run([program], capture_output=True, text=True, check=True).stdout.split()
     applied, status, progress, gain = np.array([word.split(",") for word in words], dtype=float).T
     steps = np.arange(430)

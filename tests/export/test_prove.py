@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
-from surctl.export import gain_box, prove_bundle, with_proof
+from surctl.export import ProofReport, gain_box, prove_bundle, with_proof
 from surctl.export.mutants import caught_by, mutants
 from surctl.export.prove import _program
 from surctl.ir import Program
@@ -30,10 +29,16 @@ def test_the_thrust_may_be_larger_ahead_than_astern() -> None:
     assert f"assert limit: -{limit[0]:g} <= output.tau[0] <= 9;" in ahead and both.count("limit:") == 4
 
 
-def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:
+@pytest.fixture(scope="module")
+def proved() -> ProofReport:
+    """Of the law that searches; that of `exported` is in `analysis/40_long_checks`."""
     need("frama-c")
-    law, bundle, _ = exported("float32")
-    report = prove_bundle(law, bundle, vehicle().thrust_limit)
+    law, bundle = searching()
+    return prove_bundle(law, bundle, vehicle().thrust_limit)
+
+
+def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle(proved: ProofReport) -> None:
+    bundle, report = searching()[1], proved
     assert report.proved and not report.alarms and report.properties > 50, report.summary()
     shipped = with_proof(bundle, report)
     manifest = json.loads(shipped.files["manifest.json"])
@@ -42,11 +47,9 @@ def test_nothing_is_left_open_and_the_outcome_travels_with_the_bundle() -> None:
     assert "0 alarms" in shipped.files["proof.log"] and "/tmp" not in shipped.files["proof.log"]
 
 
-def test_a_law_that_searches_and_remembers_is_proved_as_a_whole() -> None:
-    need("frama-c")
-    law, bundle = searching()
-    assert not isinstance(law.block, Program)
-    report = prove_bundle(law, bundle, vehicle().thrust_limit)
+def test_a_law_that_searches_and_remembers_is_proved_as_a_whole(proved: ProofReport) -> None:
+    assert not isinstance(searching()[0].block, Program)
+    report = proved
     assert report.proved and report.accepts and not report.inside, report.summary()
     assert "or is not a number is refused" in report.summary() and report.to_dict()["claim"] == report.claim
     assert sum("limit" in line for line in report.source.splitlines()) == 4
@@ -59,11 +62,10 @@ WRONG = (
 )
 
 
-@pytest.mark.parametrize("errors", [WRONG[::2], WRONG[1:2]], ids=["two errors", "one error"])
-def test_what_is_wrong_in_a_law_that_searches_is_told(errors: Sequence[tuple[str, str, str]]) -> None:
-    """The first and the last at once: behind one, the second would not be seen."""
+def test_what_is_wrong_in_a_law_that_searches_is_told() -> None:
+    """The first and the last at once; the second, behind which no more would be seen: `analysis/40_long_checks`."""
     need("frama-c")
-    law, bundle = searching()
+    (law, bundle), errors = searching(), WRONG[::2]
     for pattern, new, _ in errors:
         bundle = altered(bundle, pattern, new)
     report = prove_bundle(law, bundle, vehicle().thrust_limit)

@@ -64,7 +64,7 @@ def _nearest_pass(offset: Array, relative: Array) -> tuple[float, float]:
 _speed = st.floats(-0.3, 0.3)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.floats(0.72, 5.0), st.floats(-3.1, 3.1), _speed, _speed, _speed, _speed)
 def test_inside_is_what_passes_too_near_and_soon(
     distance: float, bearing: float, vx: float, vy: float, ox: float, oy: float
@@ -84,7 +84,7 @@ def test_within_the_passing_distance_only_going_nearer_is_inside() -> None:
     assert float(_depth()(offset, [0, 0], [-0.01, 0.2])[0]) < 0
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.floats(1.0, 2.5), st.floats(-1.0, 1.0), st.sampled_from([-1.0, 0.0, 1.0]))
 def test_the_velocity_chosen_passes_at_the_distance_asked_for(distance: float, bearing: float, side: float) -> None:
     """Head-on or nearly so, at the robot's own speed: an edge of the cone, on the latched side if there is one."""

@@ -76,7 +76,7 @@ def test_walls() -> None:
         assert reach[0] == HULL
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.integers(0, 10**6), st.floats(-3.1, 3.1))
 def test_each_sensor_stands_for_the_nearest_contact_of_its_quadrant(seed: int, heading: float) -> None:
     rng = np.random.default_rng(seed)

@@ -176,7 +176,7 @@ def _speed(wish: Array, normals: Array, bounds: Array) -> float:
     return max(speed, min(retreat + OVERTAKE, CAP) if retreat > 0 else 0.0)
 
 
-@settings(derandomize=True, deadline=None, max_examples=60)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.integers(0, 10**9), st.sampled_from([-1.0, 0.0, 1.0]), st.sampled_from([-0.1, 0.0]))
 def test_all_bounds_hold_whenever_some_course_is_free(seed: int, side: float, lowest: float) -> None:
     """Freedom is judged on 720 courses, not on the candidates that the choice looks at."""
@@ -192,7 +192,7 @@ def test_all_bounds_hold_whenever_some_course_is_free(seed: int, side: float, lo
         assert found.violation <= TOLERANCE
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.integers(0, 10**9), st.sampled_from([None, 1.0]))
 def test_bounds_that_ask_for_no_retreat_hold_always(seed: int, slower: float | None) -> None:
     """Free or not: the speed is reduced as far as they ask."""
@@ -203,7 +203,7 @@ def test_bounds_that_ask_for_no_retreat_hold_always(seed: int, slower: float | N
     assert np.all(normals @ found.velocity <= bounds + 2e-4)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.integers(0, 10**9), st.sampled_from([-1.0, 0.0, 1.0]))
 def test_the_speed_never_exceeds_the_cap(seed: int, side: float) -> None:
     wish, bearings, bounds = _random(seed, lowest=-0.5)
@@ -225,7 +225,7 @@ def test_through_a_gap_it_goes_slower_where_it_may() -> None:
     assert through.velocity[0] > 0.09
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.integers(0, 10**9), st.sampled_from([-1.0, 0.0, 1.0]))
 @example(1219, -1.0)
 @example(1303, 1.0)

@@ -66,7 +66,7 @@ def _unit(angle: float) -> Array:
     return np.array([np.cos(angle), np.sin(angle)])
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.floats(-3.1, 3.1), st.floats(0.05, 0.3), st.floats(-2, 2), st.floats(1.2, 4.0))
 def test_only_what_comes_head_on_costs_and_then_on_the_right(
     bearing: float, speed: float, share: float, away: float
@@ -81,7 +81,7 @@ def test_only_what_comes_head_on_costs_and_then_on_the_right(
     assert right == pytest.approx(RIGHT if abs(crossing) < HEAD_ON else 0.0)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.0, 0.2), st.floats(0.9, 3.0), st.floats(-0.2, 0.2))
 def test_left_is_where_it_ends_up_on_the_right(
     bearing: float, course: float, speed: float, away: float, crossing: float

@@ -106,7 +106,7 @@ def test_the_text_is_the_same_every_time() -> None:
     assert text.startswith("/*") and "static void f(const double in0[4], double out0[23])" in text
 
 
-@settings(max_examples=40, derandomize=True)
+@settings(max_examples=25, derandomize=True)
 @given(value=st.floats(allow_nan=False, allow_infinity=False))
 def test_literals_are_exact(value: float) -> None:
     text = c_literal(value)

@@ -68,21 +68,21 @@ def exact(name: str, a: float, b: float = 0.0) -> Decimal:
 SIZES = st.one_of(st.floats(-4, 4), st.floats(-1e5, 1e5), st.integers(-60000, 60000).map(lambda k: k * math.pi / 2))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(a=SIZES)
 @pytest.mark.parametrize("name", ["sin", "cos"])
 def test_sin_and_cos_against_eighty_digits(name: str, a: float) -> None:
     assert abs(Decimal(value(name, a)) - exact(name, a)) < Decimal("2e-16")
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(a=SIZES, b=SIZES)
 def test_atan2_against_eighty_digits(a: float, b: float) -> None:
     if a or b:
         assert abs(Decimal(value("atan2", a, b)) - exact("atan2", a, b)) < Decimal("5e-16")
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(a=st.one_of(st.floats(-1, 1), st.sampled_from([1 - 2.0**-53, 2.0**-53 - 1, 0.5, -0.5, 1e-300])))
 def test_acos_against_eighty_digits(a: float) -> None:
     assert abs(Decimal(value("acos", a)) - exact("acos", a)) < Decimal("5e-16")

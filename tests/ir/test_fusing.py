@@ -51,7 +51,7 @@ def test_products_that_only_sums_use_are_fused(expression: Callable[[ca.SX], ca.
     np.testing.assert_array_equal(np.asarray(to_casadi(found)(x[0])).reshape(1, -1), replay(plain, x)[0])
 
 
-@settings(max_examples=30)
+@settings(max_examples=25)
 @given(number, number, number)
 def test_it_is_rounded_once(a: float, b: float, c: float) -> None:
     (found,) = replay(fused(program_of(lambda x: x[0] * x[1] + x[2])), [a, b, c, 0.0])[0]
@@ -65,7 +65,7 @@ def test_it_is_rounded_once(a: float, b: float, c: float) -> None:
         assert not np.isfinite(other) or abs(Fraction(float(found)) - exact) <= abs(Fraction(float(other)) - exact)
 
 
-@settings(max_examples=30)
+@settings(max_examples=25)
 @given(*[st.floats(width=32, allow_nan=False, allow_infinity=False, min_value=-(2.0**50), max_value=2.0**50)] * 3)
 def test_in_float_too(a: float, b: float, c: float) -> None:
     (found,) = replay(fused(program_of(lambda x: x[0] * x[1] + x[2])), [a, b, c, 0.0], real=np.float32)[0]

@@ -124,13 +124,13 @@ def test_a_block_that_is_run_twice_is_one_object() -> None:
     assert found.steps[3].block is both  # type: ignore[union-attr]
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(steps=picks)
 def test_random_programs(steps: list[tuple[str, int, int, int]]) -> None:
     same(lower(grown(steps, EXACT)))
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_routines(seed: int) -> None:
     same(random_routine(seed))
@@ -207,14 +207,14 @@ def test_what_is_cut_off_is_refused() -> None:
     assert "altered" in refused(text.replace("v0", "v1", 1))
 
 
-@settings(max_examples=70, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(at=st.integers(0, 10**6), length=st.integers(0, 6), by=st.sampled_from(WORDS) | st.text(max_size=4))
 def test_a_changed_text_is_refused_or_another_block(at: int, length: int, by: str) -> None:
     at %= len(BODY)
     refused_or_exact(BODY[:at] + by + BODY[at + length :])
 
 
-@settings(max_examples=35, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(one=st.integers(0, 10**6), other=st.integers(0, 10**6))
 def test_exchanged_lines_are_refused_or_another_block(one: int, other: int) -> None:
     lines = BODY.split("\n")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.ir import on_vectors
+from surctl.ir import on_columns, on_vectors
 
 
 def function() -> ca.Function:
@@ -25,6 +25,20 @@ def test_it_gives_the_numbers_of_casadi() -> None:
         expected = [np.asarray(part).reshape(-1) for part in f(x, m)]
         for got, wanted in zip(run(x, m), expected, strict=True):
             assert got.tobytes() == wanted.tobytes() or np.array_equal(got, wanted, equal_nan=True)
+
+
+def test_columns_are_evaluated_one_by_one() -> None:
+    x = ca.SX.sym("x", 3)
+    f = ca.Function("f", [x], [ca.vertcat(x[0] * x[1], ca.sin(x[2])), ca.SX(0, 1), ca.sqrt(x[2])])
+    run, points = on_columns(f), np.random.default_rng(4).normal(size=(3, 7))
+    for given in (points, points[:, :1], np.asfortranarray(points)):
+        found = run(given)
+        assert [part.shape for part in found] == [(2, given.shape[1]), (0, given.shape[1]), (1, given.shape[1])]
+        for k, column in enumerate(given.T):
+            for part, wanted in zip(found, f(column), strict=True):
+                np.testing.assert_array_equal(part[:, k], np.asarray(wanted).reshape(-1))
+    with pytest.raises(InputError, match="14 numbers, expected 21"):
+        run(points[:2])
 
 
 def test_results_are_kept_when_it_is_called_again() -> None:

@@ -190,7 +190,7 @@ def test_a_nan_stays_in_its_lane() -> None:
     assert good[rest].tobytes() == bad[rest].tobytes() and np.isnan(bad[3]).any()
 
 
-@settings(max_examples=30)
+@settings(max_examples=25)
 @given(steps=picks, size=st.integers(1, 30))
 def test_a_split_program_is_the_same_program(steps: list[tuple[str, int, int, int]], size: int) -> None:
     block = lower(grown(steps, EXACT))

@@ -52,7 +52,7 @@ def evaluate(made, *, damping=0.0):
     return np.array(f(*[part for lv in made for part in (lv.J, lv.x)])).ravel()
 
 
-@settings(max_examples=30)
+@settings(max_examples=25)
 @given(seeds)
 def test_symbolic_equals_numeric_on_conditioned_levels(seed):
     made = draw_levels(np.random.default_rng(seed), conditioned=True, deficient=False)
@@ -74,7 +74,7 @@ def test_symbolic_leaves_out_zero_and_doubled_rows(seed):
     assert np.abs(evaluate(off) - evaluate(made)).max() == 0.0
 
 
-@settings(max_examples=30)
+@settings(max_examples=25)
 @given(seeds, st.floats(1e-3, 1.0))
 def test_damped_form_is_nsb_with_the_damped_inverse_in_both_places(seed, damping):
     made = draw_levels(np.random.default_rng(seed), most=4)

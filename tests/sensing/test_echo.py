@@ -97,8 +97,7 @@ def _array(beam, *, limit, mounted):
     return SonarArray(beam_angle=math.radians(beam), incidence_limit=limit, hull_radius=HULL, **mounts)
 
 
-@pytest.mark.parametrize("beam", BEAMS)
-@pytest.mark.parametrize("limit", [None, WEBOTS], ids=["all", "facing"])
+@pytest.mark.parametrize(("beam", "limit"), [(BEAMS[0], None), (BEAMS[-1], WEBOTS)], ids=["all", "facing"])
 def test_scenes_against_ray_casting(beam, limit):
     array, outcomes = _array(beam, limit=limit, mounted=False), {"hit": 0, "miss": 0, "other": 0}
     for seed in range(14):
@@ -130,8 +129,9 @@ def test_the_hulls_shadow_against_ray_casting(beam, limit):
     assert shadowed >= 2 or beam < 20
 
 
-@pytest.mark.parametrize("beam", BEAMS)
-@pytest.mark.parametrize(("limit", "mounted"), [(None, False), (WEBOTS, True), (1.2, True)])
+@pytest.mark.parametrize(  # the others: study 40
+    ("beam", "limit", "mounted"), [(BEAMS[0], None, False), (BEAMS[-1], WEBOTS, True), (BEAMS[0], 1.2, True)]
+)
 def test_symbols_and_numbers_give_the_same_range(beam, limit, mounted):
     array, sensors = _array(beam, limit=limit, mounted=mounted), (0, 3, 1, 2)
     twin, nothing, heard_some = _twin(array, sensors), 2.0 * array.maximum, 0

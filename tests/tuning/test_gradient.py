@@ -84,7 +84,7 @@ def test_refining_poor_gains_lowers_the_true_metrics() -> None:
     flown = case("pool-static")
     poor = GAINS.with_values({"k_v": 0.5, "lookahead": 2.0})
     found = refine(
-        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=160, iterations=2, floor=0.0, seed=1
+        [flown], poor, {"k_v": (0.4, 3.0), "lookahead": (0.3, 2.5)}, steps=110, iterations=2, floor=0.0, seed=1
     )
     (history,) = found.history
     assert found.cost == pytest.approx(min(history)) and found.cost < 0.95 * history[0]

@@ -239,7 +239,7 @@ def test_without_lag_thrust_acts_at_once_within_its_limits() -> None:
 # --- exact Jacobians ----------------------------------------------------------------------------------------------
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.integers(0, 10**6))
 def test_jacobians_equal_finite_differences(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
+from surctl.ir import on_columns
 from surctl.priority.diagnosis.region import Region, pose_text
 from surctl.priority.diagnosis.structure import world_jacobians
 from surctl.tasks import Stack
@@ -51,7 +52,7 @@ class Field:
     Attributes:
         names: names of the tasks. sizes: number of rows of each task. units: unit of σ̇ of each task.
         region: the region of poses and parameters.
-        function: CasADi function of a point (d,) of the region. The output is one column that contains, for one task
+        function: function of points (d, N) of the region. Its output is one array whose columns contain, for one task
             after another, the Jacobian column by column, the desired rate, and ‖a‖² and ‖∂a/∂η‖² of each row a of
             ∂σ/∂η.
     """
@@ -60,11 +61,11 @@ class Field:
     sizes: tuple[int, ...]
     units: tuple[str, ...]
     region: Region
-    function: ca.Function
+    function: Callable[[Array], list[Array]]
 
     def at(self, points: Array) -> Values:
         """Evaluate all tasks at points (N, d); numbers that are not finite are returned unchanged."""
-        column = np.asarray(self.function(points.T), dtype=float).T
+        column = self.function(points.T)[0].T
         values, start = Values([], [], []), 0
         for k in self.sizes:
             J, x, square, change = np.split(column[:, start : start + 7 * k], [4 * k, 5 * k, 6 * k], axis=1)
@@ -93,7 +94,7 @@ def build_field(stack: Stack, region: Region) -> Field:
         change = [ca.sumsqr(ca.jacobian(A[i, :], stack.eta)) for i in range(J.shape[0])]
         parts += [ca.vec(J), x, square, *change]
     column = ca.densify(ca.vertcat(*parts))
-    function = ca.Function("field", [region.symbols], [column])
+    function = on_columns(ca.Function("field", [region.symbols], [column]))
     sizes, units = tuple(task.size for task in stack.tasks), tuple(task.rate_unit for task in stack.tasks)
     return Field(stack.names, sizes, units, region, function)
 

@@ -93,7 +93,7 @@ def test_the_judge_refuses_a_moved_answer() -> None:
 
 
 @given(seeds)
-@settings(max_examples=30)
+@settings(max_examples=25)
 def test_without_rows_the_modes_are_nsb_and_strict_priority(seed: int) -> None:
     problem = draw_of_shape(np.random.default_rng(seed), VALUES, limits=False)
     for mode in MODES:
@@ -344,7 +344,7 @@ def test_hard_rows_that_contradict_each_other_leave_the_box(mode: Mode) -> None:
     assert tick.stage == "clamped" and np.abs(tick.v).max() <= 0.2 and tick.binding() == ()
 
 
-@pytest.mark.parametrize("mode", ["nsb", "filter"])  # the others: solver/test_fallback, control/test_law, study 40
+@pytest.mark.parametrize("mode", ["nsb"])  # the others: solver/test_fallback, control/test_law, study 40
 def test_compiled_and_replayed_are_the_same_bytes(mode: Mode) -> None:
     need_compiler()
     routine, rng, made = priority_step(mode, n=N, levels=SETS, rows=7), np.random.default_rng(9), []
