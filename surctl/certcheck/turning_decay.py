@@ -29,8 +29,8 @@ class Disturbed:
         drift: largest d_i (2,) [N]: in a current, the error on axis i is d_i γ_i with γ_1² + γ_2² ≤ 1.
         loose: norm of the Coriolis terms that m12 adds [1/s].
         stray: largest acceleration by these terms and by the Coriolis term of the current [m/s²].
-        late: bounds (2,) [m/s³] on w_2 along each axis (`turning_late`); 0 without thrust lag.
-        spread, split: c [1/s²] and λ [1/s] of `turning_late`; 0 without thrust lag.
+        late: bounds (2,) [m/s³] on w_2 along each axis (`turning_late`); 0 for thrust that is the present command.
+        spread, split, fall: c [1/s²], λ [1/s] and φ [1/s] of `turning_late`; 0 for thrust that is the present command.
     """
 
     lack: Array
@@ -40,6 +40,7 @@ class Disturbed:
     late: Array
     spread: float
     split: float
+    fall: float
 
 
 def decays(
@@ -160,7 +161,7 @@ def _behind(
     rear = form.lever @ np.einsum("mi,izjk->mzjk", light, np.array(axes)) @ form.error.T
     rear = rear + rear.swapaxes(-1, -2)
     share, split = form.error @ form.error.T * form.p[4, 4], disturbed.split * UP
-    rear = rear - (2 / (float(claim.lag[1]) * UP) - split) * share
+    rear = rear - (disturbed.fall / UP - split) * share
     spread = disturbed.spread**2 / disturbed.split * form.p[4, 4] * UP
     rear = rear + spread * (form.speed @ form.speed.T)
     k_v, rates = float(claim.k_v), np.array(turns)[:, 3]

@@ -11,9 +11,14 @@ Lipschitz constant L of the commanded velocity. So 2 q Eᵀ w_1 ≤ λ q |E|² +
 (k_v + h_i) L. On each axis, w_2 holds the commands that turn with the heading, r (k_v ω + h_i W) on the other axis, and
 (u_i − f_i)/(T m_i).
 
-A command is held for the period p. If V(t) is the first to exceed max(e^(−a t), floor), then V(t − s) ≤ e^(a s) V(t)
+Without lag, a command that is held for the period p is a constant F_i: the equation holds without −E/T, and E is 0 at
+each control instant. The weight q of |E|² is q_0 e^(−φ s) at the time s ≤ p since that instant, so that V does not
+increase there, and between, q̇ = −φ q takes the place of −2 q/T. The matrices of `turning_cells` prove V̇ + a V < η (low −
+V) for given w; both sides are affine in q, so that its two ends decide. With lag, φ is 2/T.
+
+With lag and held commands: if V(t) is the first to exceed max(e^(−a t), floor), then V(t − s) ≤ e^(a s) V(t)
 for all s before. |ḟ_i|/m_i ≤ G_i √V + g_i holds in the whole region, so that |u_i − f_i|/m_i ≤ p (e^(a p/2) G_i √V +
-g_i). Without lag, this is the force error F_i − f_i, which G_i counts as a part of U̇.
+g_i).
 """
 
 from __future__ import annotations
@@ -89,7 +94,7 @@ def held(
     turns: list[Turn],
     limit: float,
 ) -> Late:
-    """Return the bound on the change of the commands in a period, over all cells of headings.
+    """Return the bound on the change of the commands in a period, over all cells of headings, with thrust lag.
 
     Args:
         claim: the claim.
@@ -102,7 +107,7 @@ def held(
         limit: L [1/s].
 
     Raises:
-        Rejected: the period is too long for the claimed rate or the law's gain.
+        Rejected: the period is too long for the claimed rate.
     """
     period, k_v, r = float(claim.period), float(claim.k_v), float(claim.yaw_rate)
     late = 1 - float(claim.rate) * period / 2
@@ -119,17 +124,11 @@ def held(
                 form.largest(per * form.rows(stiff * plan, damped * eye), axes[i], 1.0)
                 for plan in plans for stiff, damped in loops[i]
             )  # fmt: skip
-            behind = per * mass / np.sqrt(form.p[4, 4]) if claim.lag[1] else 0.0  # F_i − f_i is a state
+            behind = per * mass / np.sqrt(form.p[4, 4])  # F_i − f_i is a state
             moved = form.largest(form.rows(none, eye), axes[j], 1.0)
             swung = max(form.largest(form.rows(k_v * plan, k_v * eye), axes[j], 1.0) for plan in plans)
             growth = (k_v + at.slope[i]) * limit * fastest + k_v * (pushed + behind + crossed * moved)
             growth += r * (swung + at.slope[i] * at.led[j])
             own = k_v * (lack[i] * per + crossed * (v * at.share[j] + float(claim.current))) + at.ahead[i]
             growing[i], fixed[i] = max(growing[i], growth), max(fixed[i], own)
-    growing, fixed = growing * period / late, fixed * period
-    if not claim.lag[1]:
-        left = 1 - period * k_v / late * heavy[:, :2].max(axis=0) * [float(m) for m in claim.mass]
-        if not np.all(left > 0):
-            raise Rejected("the control period is too long for the gain k_v")
-        growing, fixed = growing / left, fixed / left
-    return Late(growing * UP, fixed * UP)
+    return Late(growing * period / late * UP, fixed * period * UP)

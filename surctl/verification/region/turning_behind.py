@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.turning_late import lipschitz, stir
 from surctl.verification.region.turning import TurningClaim
 
-__all__ = ["Behind", "behind_of", "split_of"]
+__all__ = ["Behind", "behind_of", "fall_of", "phases", "split_of"]
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -21,6 +21,7 @@ Numbers = NDArray[np.intp]
 _TWIST = np.array([[0.0, 1.0], [-1.0, 0.0]])
 _OTHERS, _OWN = np.sqrt(1.5), np.sqrt(4.5)  # weights of the disturbances of U̇, and of those of E alone
 _SPLIT = 0.6  # of the decay of E that serves as multiplier λ
+_FALL = 2.0  # decay of the weight of |E|² while a command is held, as a logarithm
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Behind:
 
     Attributes:
         k_v: gain of the law [1/s].
-        lag: time constant [s].
+        fall: rate φ of the decay of |E|² [1/s].
         split: multiplier λ [1/s].
         light: inverse factors of the masses (masses, 2).
         rates: yaw rate r of each Coriolis term (terms,) [rad/s].
@@ -38,7 +39,7 @@ class Behind:
     """
 
     k_v: float
-    lag: float
+    fall: float
     split: float
     light: Array
     rates: Array
@@ -59,7 +60,7 @@ class Behind:
         swung = self.k_v * self.rates[t][:, None, None] * _TWIST
         whole[:, 4:, 2:4] += swung
         whole[:, 4:, :2] += swung * plans[:, None, :]
-        whole[:, 4:, 4:] -= (1 / self.lag - self.split / 2) * np.eye(2)
+        whole[:, 4:, 4:] -= (self.fall - self.split) / 2 * np.eye(2)
         more[:, :4, :2] = _OTHERS * factor
         more[:, 4:, :2] = self.k_v * more[:, 2:4, :2]
         more[:, 4:, 2:] = _OWN * turn * self.late[h][:, None, :]
@@ -73,15 +74,32 @@ class Behind:
         swung = swung + swung.swapaxes(-1, -2)
         away = np.einsum("t,pij->ijtp", self.rates, swung)[:, :, None, None, :, None, None, :]
         more = side @ np.einsum("mi,hijk->hmjk", self.light, bodies) @ rear
-        more = more + more.swapaxes(-1, -2) - (2 / self.lag - self.split) * q * (rear.T @ rear)
+        more = more + more.swapaxes(-1, -2) - (self.fall - self.split) * q * (rear.T @ rear)
         more = more + (self.spread * q)[:, None, None, None] * (speed.T @ speed)
         return away, more[:, :, None]
 
 
+def fall_of(claim: TurningClaim) -> float:
+    """Return φ [1/s] of a claim with thrust lag or held commands."""
+    return 2 / claim.lag if claim.lag else float(f"{_FALL / claim.period:.4g}")
+
+
 def split_of(claim: TurningClaim) -> float:
-    """Return the multiplier λ [1/s] of a claim with thrust lag."""
-    least = 0.5 / claim.lag
-    return float(f"{_SPLIT * max(1 / claim.lag - claim.gains['k_v'], least):.4g}")
+    """Return the multiplier λ [1/s] of a claim with thrust lag or held commands."""
+    half = fall_of(claim) / 2
+    return float(f"{_SPLIT * max(half - claim.gains['k_v'], half / 2):.4g}")
+
+
+def phases(claim: TurningClaim, P: Array) -> tuple[Array, ...]:
+    """Return the matrices (n, n) of V that decide: at a control instant and just before the next, if commands are held.
+
+    P may also be a basis (k, n, n) of these matrices.
+    """
+    if claim.lag or not claim.period:
+        return (P,)
+    late = P.copy()
+    late[..., 4:, 4:] *= np.exp(-fall_of(claim) * claim.period)
+    return P, late
 
 
 def behind_of(
@@ -95,8 +113,8 @@ def behind_of(
     loops: Array,
     masses: Array,
     turns: Array,
-) -> tuple[Array, Behind | None]:
-    """Return the force error of held commands (2,) [N], and what thrust lag adds; one of the two is 0 or None.
+) -> Behind:
+    """Return what thrust lag or held commands add.
 
     Args:
         claim: the claim.
@@ -126,7 +144,7 @@ def behind_of(
     share = np.clip(np.abs(turn[:, 0, :]) + step, 0, 1)
     every = [stir(claim.stated, omega, fast, limit, one, two) for one, two in zip(share, led, strict=True)]
     slope, light = np.array([one.slope for one in every]), masses[:, :2] * model
-    error = light.max(axis=0) * (np.sqrt(whole[4, 4]) if claim.lag else 0.0)
+    error = light.max(axis=0) * np.sqrt(whole[4, 4])
     crossed, moving = float(np.abs(turns[:, :2]).max()), np.zeros(2)
     for i, j in ((0, 1), (1, 0)):
         per = masses[:, i].max()
@@ -138,11 +156,9 @@ def behind_of(
         ahead = (k_v + slope[:, i]) * limit * np.sqrt(np.linalg.eigvalsh(speed)[-1])
         growth = ahead + k_v * (pushed + error[i] + crossed * largest(axes[j], speed)) + r * swung
         moving[i] = float((growth + r * slope[:, i] * led[:, j] + own).max())
-    held = claim.period * moving
-    if not claim.lag:
-        left = 1 - claim.period * k_v * light.max(axis=0)
-        return held / np.maximum(left, 1e-3) * model, None
     split = split_of(claim)
     spread = np.array([one.spread for one in every]) ** 2 / split
-    late = np.array([one.turned for one in every]) + held / claim.lag
-    return np.zeros(2), Behind(k_v, claim.lag, split, light, turns[:, 3], spread, late)
+    late = np.array([one.turned for one in every])
+    if claim.lag:
+        late = late + claim.period * moving / claim.lag
+    return Behind(k_v, fall_of(claim), split, light, turns[:, 3], spread, late)

@@ -1,7 +1,7 @@
 """The turning cruise as a linear inclusion on a grid of headings, in floating point; the checker derives its own.
 
-The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame; with thrust lag, the two
-entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯ W;
+The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame; with thrust lag or held
+commands, the two entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯ W;
 `certcheck.turning_cells` derives this inclusion.
 """
 
@@ -236,13 +236,10 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     share = np.abs(turn[:, 0, :]) + np.pi / 2 / max(len(turn) - 1, 1) / 2
     steep = np.array(claim.linear) + np.array(claim.quadratic) * (2 * v * np.minimum(share, 1.0) + claim.current)
     drift = steep * claim.drag_factor[1] * claim.current
-    if claim.lag or claim.period:
+    if claim.behind:
         if loops.shape[2] > 4:  # a thrust limit is active
             return None
-        held, behind = behind_of(
-            claim, cruise.omega, forces + drift, covariance, high, turn, plans, loops, masses, turns
-        )
-        forces = forces + held
+        behind = behind_of(claim, cruise.omega, forces + drift, covariance, high, turn, plans, loops, masses, turns)
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
     drift = drift[:, None, :] * heavy
     return Vertices(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.verification.region.turning import TurningClaim
+from surctl.verification.region.turning_behind import phases
 from surctl.verification.region.turning_loop import Cruise, Vertices, vertices
 
 __all__ = ["TurningCandidate", "fitted", "transformed", "violated", "worst_rate"]
@@ -33,7 +34,7 @@ class TurningCandidate:
     """A candidate of a proof, which is not yet checked.
 
     Attributes:
-        P: matrix (n, n) of the Lyapunov function V = zᵀ P z; n is 6 with thrust lag, and 4 without.
+        P: matrix (n, n) of the Lyapunov function V = zᵀ P z; n is 6 with thrust lag or held commands, and 4 without.
         levels: levels of V that divide the region into k shells, in ascending order; the last is 1.
         growths: for each of the k shells, the coefficient η [1/s] in the condition on the decay rate.
         cruise: the steady motion on the path.
@@ -102,20 +103,22 @@ def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Ar
     return half, side @ side.swapaxes(-1, -2)
 
 
-def best_growth(P: Array, at: Vertices, rate: float, low: float, guess: float) -> tuple[float, float]:
+def best_growth(forms: tuple[Array, ...], at: Vertices, rate: float, low: float, guess: float) -> tuple[float, float]:
     """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
 
-    The matrices that matter at one η are those that matter close to it, so few of them are searched.
+    `forms` are the matrices of V that decide, see `turning_behind.phases`. The matrices that matter at one η are those that matter close to it, so few of them are searched.
     """
-    growth, known = guess, np.zeros(0, dtype=np.intp)
+    growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in forms]
     best = (growth, np.inf)
     for _ in range(4):
-        value, known = worst_rate(at.matrices(P, rate, growth, low), known)
+        found = [worst_rate(at.matrices(P, rate, growth, low), few) for P, few in zip(forms, known, strict=True)]
+        value, known = max(one[0] for one in found), [one[1] for one in found]
         if value < best[1] - 1e-6:
             best = (growth, value)
         elif np.isfinite(best[1]):
             break
-        half, effect = transformed(P, at, known[:60])
+        pairs = [transformed(P, at, few[:60]) for P, few in zip(forms, known, strict=True)]
+        half, effect = (np.concatenate(part) for part in zip(*pairs, strict=True))
         effect = effect / low
         grid = np.unique(np.clip(growth * np.geomspace(0.4, 2.5, 25), _LEAST_GROWTH, _LARGEST_GROWTH))
         rates = np.linalg.eigvalsh(half + effect / grid[:, None, None, None])[..., -1].max(axis=1) + grid
@@ -136,7 +139,7 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
 
     def shell(low: float, high: float, growth: float) -> tuple[float, float]:
         at = vertices(claim, cruise, covariance, high)
-        return (growth, np.inf) if at is None else best_growth(P, at, claim.rate, low, growth)
+        return (growth, np.inf) if at is None else best_growth(phases(claim, P), at, claim.rate, low, growth)
 
     def holds(high: float) -> bool:
         return shell(high * _RATIO, high, guess)[1] <= -_MARGIN
