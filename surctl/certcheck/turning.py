@@ -31,13 +31,12 @@ from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lat
 from surctl.certcheck.turning_claim import TurningClaim, factors, read_claim
 from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_law import check_samples
-from surctl.certcheck.turning_masses import UP
+from surctl.certcheck.turning_late import Phase
 from surctl.certcheck.turning_terms import coupled_mass, other_forces, other_moment
 
 __all__ = ["check", "check_cells"]
 
 _MOST_SHELLS = 24
-_MOST_FALL = 20  # largest fall of the weight of |E|², as a logarithm
 _CELLS = (4, 96)  # least and largest number of cells of headings
 _UNMIRRORED = {(0, 1), (0, 3), (2, 1), (2, 3)}  # the reflection in the path changes the sign of y and U_y only
 
@@ -77,14 +76,14 @@ def check_cells(claim: TurningClaim, proof: Mapping[str, Any], slopes: tuple[Fra
     _check_munk_moment(claim, fastest)
     forces = other_forces(claim, fastest)
     divided = heading_cells(claim, trim, cells)
-    weights, split, fall = _thrust(claim, proof["thrust"]) if claim.behind else ((None,), 0.0, 0.0)
-    for weight in weights:
-        form, late = Form(p, weight, claim.k_v), None
+    weight, phases = _thrust(claim, proof["thrust"]) if claim.behind else (None, (Phase(),))
+    for phase in phases:
+        form, late = Form(p, weight, claim.k_v * phase.drive), None
         if claim.lag[1] and claim.period:
             late = lateness(claim, trim, divided, form, forces)
         for (low, high), growth in zip(pairwise(levels), growths, strict=True):
-            check_shell(claim, trim, divided, form, low, high, growth, forces, late, split, fall)
-        check_samples(claim, trim, form.p, float(levels[0]), fall)
+            check_shell(claim, trim, divided, form, low, high, growth, forces, late, phase)
+    check_samples(claim, trim, form.p, float(levels[0]))
 
 
 def _matrix(rows: Any) -> Matrix:
@@ -96,25 +95,21 @@ def _matrix(rows: Any) -> Matrix:
     return [[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)]
 
 
-def _thrust(claim: TurningClaim, value: Any) -> tuple[tuple[Fraction | None, ...], float, float]:
-    """Return the weights q of |E|² in V that decide, and λ and φ of `turning_late`.
+def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...]]:
+    """Return the weight q, and the forms of `turning_late` that decide.
 
     Raises:
         Rejected: the proof has other numbers, or the claim is about a curved path or an inertia with m12.
     """
     if claim.curvature or coupled_mass(claim):
         raise Rejected("thrust lag and held commands are not covered together with m12 or a curved path")
-    lag = claim.lag[1]
-    keys = ("weight", "split") if lag else ("weight", "split", "fall")
-    thrust = record(value, keys, "proof.thrust")
-    weight, split, *rest = (number(thrust[key], f"proof.thrust.{key}", above=True) for key in keys)
-    if lag:
-        return (weight,), float(split), 2 / float(lag)
-    (fall,) = rest
-    if fall * claim.period > _MOST_FALL:
-        raise Rejected("proof.thrust.fall is too large for the control period")
-    least = Fraction(math.exp(-float(fall * claim.period)) / UP)
-    return (weight, weight * least), float(split), float(fall)
+    thrust = record(value, ("weight", "split"), "proof.thrust")
+    weight, split = (number(thrust[key], f"proof.thrust.{key}", above=True) for key in ("weight", "split"))
+    if claim.lag[1]:
+        return weight, (Phase(float(split), 2 / float(claim.lag[1])),)
+    # the matrices take off a + η, of which a quarter is enough
+    fall = float(1 / claim.period - claim.k_v / claim.mass_factor[0] / 2)
+    return weight, (Phase(float(split), fall, push=False), Phase(0.0, fall, drive=False))
 
 
 def _slopes(value: Any) -> tuple[Fraction, Fraction]:

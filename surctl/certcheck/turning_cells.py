@@ -47,7 +47,7 @@ from surctl.certcheck.region_exact import root_up
 from surctl.certcheck.turning_claim import TurningClaim, drag_factors
 from surctl.certcheck.turning_decay import Disturbed, decays
 from surctl.certcheck.turning_form import Form, axes_of
-from surctl.certcheck.turning_late import Late, held, lipschitz, stir
+from surctl.certcheck.turning_late import Late, Phase, held, lipschitz, stir
 from surctl.certcheck.turning_masses import UP, coupling_of, inverse_masses, turn_points
 
 __all__ = ["Cells", "Trim", "check_shell", "heading_cells", "lateness", "steady"]
@@ -184,13 +184,11 @@ def check_shell(
     growth: Fraction,
     forces: tuple[Fraction, Fraction],
     late: Late | None,
-    split: float,
-    fall: float,
+    phase: Phase,
 ) -> None:
     """Prove V̇ < −a V for low ≤ V ≤ high at every heading; `forces` bounds the body forces beside equation (3) [N].
 
-    `late`, `split` and `fall` are the bound on held commands behind a lag, λ and φ of `turning_late`; None and 0 for
-    thrust that is the present command.
+    `late` is the bound on held commands behind a lag, else None, and `phase` tells which form of `turning_late` it is.
 
     Raises:
         Rejected: the proof fails in a cell, the law has another form in a part of the region, or the steady cruise
@@ -210,16 +208,19 @@ def check_shell(
         z = cells.corners[k]
         axes = axes_of(z)
         loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, float(high)) for i in (0, 1)]
-        rate, spread = np.zeros(2), 0.0
+        rate, spread, swing = np.zeros(2), 0.0, 0.0
         if claim.behind:
             if max(map(len, loops)) > 4:
                 raise Rejected("a thrust limit is active in the region, and the claim has thrust lag or held commands")
             led = np.array([_led(form, plans, axes[i], float(high)) for i in (0, 1)])
             at = stir(claim, omega, fast, limit, cells.share[k, :, 1], led)
-            rate, spread = at.turned * UP, at.spread
+            if phase.drive and claim.lag[1]:
+                rate, spread = at.turned * UP, at.spread
+            elif phase.drive:
+                rate, spread, swing = at.ahead * UP, np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
             if late is not None:
                 rate = rate + late.at(float(low)) / float(claim.lag[0]) * UP
-        disturbed = Disturbed(lack[k], cells.drift[k] * UP, loose, stray, rate, spread, split, fall)
+        disturbed = Disturbed(lack[k], cells.drift[k] * UP, loose, stray, rate, spread, swing, phase)
         if not decays(claim, form, axes, z, loops, plans, turns, per_mass, disturbed, float(growth), floor):
             degrees = 90 * (k + 0.5) / len(cells.corners)
             raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and {float(high):g} "

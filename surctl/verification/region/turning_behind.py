@@ -5,7 +5,7 @@ The quantities are those of `certcheck.turning_late`, on a grid of headings and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.turning_late import lipschitz, stir
 from surctl.verification.region.turning import TurningClaim
 
-__all__ = ["Behind", "behind_of", "fall_of", "phases", "split_of"]
+__all__ = ["Behind", "behind_of", "split_of"]
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
@@ -21,7 +21,6 @@ Numbers = NDArray[np.intp]
 _TWIST = np.array([[0.0, 1.0], [-1.0, 0.0]])
 _OTHERS, _OWN = np.sqrt(1.5), np.sqrt(4.5)  # weights of the disturbances of U̇, and of those of E alone
 _SPLIT = 0.6  # of the decay of E that serves as multiplier λ
-_FALL = 2.0  # decay of the weight of |E|² while a command is held, as a logarithm
 
 
 @dataclass(frozen=True)
@@ -30,32 +29,46 @@ class Behind:
 
     Attributes:
         k_v: gain of the law [1/s].
+        lag: time constant [s]; 0 with held commands.
         fall: rate φ of the decay of |E|² [1/s].
         split: multiplier λ [1/s].
+        push: whether E acts on the vehicle.
         light: inverse factors of the masses (masses, 2).
         rates: yaw rate r of each Coriolis term (terms,) [rad/s].
-        spread: weight c²/λ of q |δU|² (headings,) [1/s³].
+        spread: weight c²/λ of q |δU|² (headings,) [1/s³]; with held commands, twice as much.
+        swing: weight of q |δW|² (headings,) [1/s³], with held commands.
         late: bound on w_2 along each axis (headings, 2) [m/s³].
     """
 
     k_v: float
+    lag: float
     fall: float
     split: float
     light: Array
     rates: Array
     spread: Array
+    swing: Array
     late: Array
+    push: bool = True
+
+    def phases(self) -> tuple[Behind, ...]:
+        """Return the forms that decide: one with thrust lag; with held commands, those at both ends of a period."""
+        if self.lag:
+            return (self,)
+        nothing = np.zeros_like(self.spread)
+        end = replace(self, k_v=0.0, split=0.0, spread=nothing, swing=nothing, late=0 * self.late)
+        return replace(self, push=False), end
 
     def extended(
         self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array
     ) -> tuple[Array, Array, Array]:
-        """Return A, the factor of W and the weight of |δU|² with the entries of E.
+        """Return A, the factor of W and the weights of the squared states (k, 4) with the entries of E.
 
         `inner` (k, 2, 2) is ∂U̇/∂E, and `turn` (k, 2, 2) the rotation from the body. The weights of the disturbances
         depend on V, and are those of a typical V here.
         """
         whole, more = np.zeros((len(h), 6, 6)), np.zeros((len(h), 6, 4))
-        whole[:, :4, :4], whole[:, 2:4, 4:] = A, inner
+        whole[:, :4, :4], whole[:, 2:4, 4:] = A, inner * self.push
         whole[:, 4:] = self.k_v * whole[:, 2:4]
         swung = self.k_v * self.rates[t][:, None, None] * _TWIST
         whole[:, 4:, 2:4] += swung
@@ -64,42 +77,34 @@ class Behind:
         more[:, :4, :2] = _OTHERS * factor
         more[:, 4:, :2] = self.k_v * more[:, 2:4, :2]
         more[:, 4:, 2:] = _OWN * turn * self.late[h][:, None, :]
-        return whole, more, self.spread[h]
+        weights = np.repeat(self.spread[h][:, None], 4, axis=1)
+        weights[:, :2] = self.swing[h][:, None] * plans**2
+        return whole, more, weights
 
     def added(self, change: Array, P: Array, bodies: Array, plans: Array, side: Array) -> tuple[Array, Array]:
-        """Return what E adds to the matrices of V: (6, 6, 1, 1, terms, 1, 1, laws) and (headings, masses, 1, 6, 6)."""
+        """Return what E adds to the matrices of V: (6, 6, headings, 1, terms, 1, 1, laws) and (headings, masses, 1, 6, 6)."""
         place, speed, rear = change[:, :2].T, change[:, 2:4].T, change[:, 4:].T
         q, pull = P[4, 4], change @ P[:, 4:]
         swung = np.array([pull @ _TWIST @ (speed + plan[:, None] * place) * self.k_v for plan in plans])
         swung = swung + swung.swapaxes(-1, -2)
+        led = np.einsum("h,pk,ki,kj->ijhp", q * self.swing, plans**2, place, place)
         away = np.einsum("t,pij->ijtp", self.rates, swung)[:, :, None, None, :, None, None, :]
-        more = side @ np.einsum("mi,hijk->hmjk", self.light, bodies) @ rear
+        away = away + led[:, :, :, None, None, None, None, :]
+        more = side @ np.einsum("mi,hijk->hmjk", self.light * self.push, bodies) @ rear
         more = more + more.swapaxes(-1, -2) - (self.fall - self.split) * q * (rear.T @ rear)
         more = more + (self.spread * q)[:, None, None, None] * (speed.T @ speed)
         return away, more[:, :, None]
 
 
-def fall_of(claim: TurningClaim) -> float:
+def _fall(claim: TurningClaim) -> float:
     """Return φ [1/s] of a claim with thrust lag or held commands."""
-    return 2 / claim.lag if claim.lag else float(f"{_FALL / claim.period:.4g}")
+    return 2 / claim.lag if claim.lag else 1 / claim.period - claim.gains["k_v"] / claim.mass_factor[0] / 2
 
 
 def split_of(claim: TurningClaim) -> float:
     """Return the multiplier λ [1/s] of a claim with thrust lag or held commands."""
-    half = fall_of(claim) / 2
+    half = _fall(claim) / 2
     return float(f"{_SPLIT * max(half - claim.gains['k_v'], half / 2):.4g}")
-
-
-def phases(claim: TurningClaim, P: Array) -> tuple[Array, ...]:
-    """Return the matrices (n, n) of V that decide: at a control instant and just before the next, if commands are held.
-
-    P may also be a basis (k, n, n) of these matrices.
-    """
-    if claim.lag or not claim.period:
-        return (P,)
-    late = P.copy()
-    late[..., 4:, 4:] *= np.exp(-fall_of(claim) * claim.period)
-    return P, late
 
 
 def behind_of(
@@ -158,7 +163,10 @@ def behind_of(
         moving[i] = float((growth + r * slope[:, i] * led[:, j] + own).max())
     split = split_of(claim)
     spread = np.array([one.spread for one in every]) ** 2 / split
-    late = np.array([one.turned for one in every])
     if claim.lag:
-        late = late + claim.period * moving / claim.lag
-    return Behind(k_v, fall_of(claim), split, light, turns[:, 3], spread, late)
+        late = np.array([one.turned for one in every]) + claim.period * moving / claim.lag
+        swing = np.zeros(len(every))
+    else:
+        late = np.array([one.ahead for one in every])
+        spread, swing = 2 * spread, 2 * np.array([one.swing for one in every]) ** 2 / split
+    return Behind(k_v, claim.lag, _fall(claim), split, light, turns[:, 3], spread, swing, late)

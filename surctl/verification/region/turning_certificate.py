@@ -12,7 +12,7 @@ import numpy as np
 from surctl.certcheck import seal
 from surctl.certcheck.turning_terms import other_moment
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_behind import fall_of, split_of
+from surctl.verification.region.turning_behind import split_of
 from surctl.verification.region.turning_loop import corner_factors
 from surctl.verification.region.turning_shells import TurningCandidate
 
@@ -56,8 +56,7 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
         ],
     }
     if claim.behind:
-        fall = {} if claim.lag else {"fall": fall_of(claim)}
-        proof["thrust"] = {"weight": float(P[4, 4]), "split": split_of(claim), **fall}
+        proof["thrust"] = {"weight": float(P[4, 4]), "split": split_of(claim)}
     return Region(
         start, still if still > 0 else None, (_up(float(floor[0]) + away), _up(float(floor[1]))), float(fastest), proof
     )

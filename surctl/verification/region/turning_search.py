@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from surctl.verification.region.conic import Inequality, minimise
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_behind import phases
 from surctl.verification.region.turning_loop import Cruise, Vertices, steady_turning, vertices
 from surctl.verification.region.turning_shells import TurningCandidate, fitted, transformed, violated
 
@@ -65,16 +64,16 @@ def _improve(
     behind = claim.gains["k_v"] * extent[2:] if claim.behind else np.zeros(0)
     shells = [vertices(claim, cruise, np.diag(np.append(extent, _ERROR * behind) ** 2), high)
               for high in levels[1:]]  # fmt: skip
-    known = [one for one in shells if one is not None]
-    if len(known) < len(shells):
+    if any(one is None for one in shells):
         return None
+    known = [one.phases() for one in shells if one is not None]
     fixed = _extents(extent / units, basis) + _starts(claim, cruise, units, basis)
     cost = np.append(1e-3 * np.einsum("kii->k", basis), 1.0)
     units = np.append(units, units[2:] * claim.gains["k_v"] if claim.behind else [])
     cost[3] += (beside / units[1]) ** 2
     rng = np.random.default_rng(0)
-    forms = phases(claim, basis)
-    parts = [(*one, k) for one in zip(known, growths, levels[:-1], strict=True) for k in range(len(forms))]
+    parts = [(phase, growth, low) for phases, growth, low in zip(known, growths, levels[:-1], strict=True)
+             for phase in phases]  # fmt: skip
     chosen = []
     for (one, *_), some in zip(parts, active.known, strict=False):
         count = int(np.prod(one.shape))
@@ -82,8 +81,8 @@ def _improve(
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
-            _decay(shell, some, claim.rate, growth, low, units, forms[k])
-            for (shell, growth, low, k), some in zip(parts, chosen, strict=True)
+            _decay(shell, some, claim.rate, growth, low, units, basis)
+            for (shell, growth, low), some in zip(parts, chosen, strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
         x = minimise(cost, [decay, *fixed], tolerance=1e-7)
@@ -93,9 +92,8 @@ def _improve(
         if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
         fine = stuck = True
-        at = phases(claim, P)
-        for (shell, growth, low, k), some in zip(parts, chosen, strict=True):
-            matrices = shell.matrices(at[k], claim.rate, growth, low)
+        for (shell, growth, low), some in zip(parts, chosen, strict=True):
+            matrices = shell.matrices(P, claim.rate, growth, low)
             bad = violated(matrices, -_MARGIN / 2)
             if len(bad):
                 fine = False
@@ -105,8 +103,8 @@ def _improve(
                 stuck = stuck and more <= some  # `matrices` weighs the disturbances by V
                 some |= more
         if fine or stuck:
-            for number, ((shell, growth, low, k), some) in enumerate(zip(parts, chosen, strict=True)):
-                active.known[number] = _tightest(at[k], shell, some, growth * low)
+            for k, ((shell, growth, low), some) in enumerate(zip(parts, chosen, strict=True)):
+                active.known[k] = _tightest(P, shell, some, growth * low)
             return np.asarray(P)
     return None
 
@@ -149,13 +147,13 @@ def _decay(
     shell: Vertices, some: set[int], rate: float, growth: float, low: float, units: Array, basis: Array
 ) -> Inequality:
     """Return −(Aᵀ P + P A + (a + η) P + P W P/(η low)) ⪰ 0 with a margin, by its Schur complement."""
-    A, factor, spread = shell.select(sorted(some))
+    A, factor, weights = shell.select(sorted(some))
     count, n, inner = len(basis), len(units), factor.shape[2]
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
     whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * basis)
-    for k in (2, 3):  # the last entry of V is in units of |E|²
-        whole[:, count - 1, k, k] -= spread * basis[-1, -1, -1] * (units[k] / units[-1]) ** 2
+    for k in range(4):  # the last entry of V is in units of |E|²
+        whole[:, count - 1, k, k] -= weights[:, k] * (units[k] / units[-1]) ** 2
     side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
     whole[:, :-1, :n, n:], whole[:, :-1, n:, :n] = side, side.swapaxes(-1, -2)
     constant = np.zeros((len(A), n + inner, n + inner))

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.verification.region.turning import TurningClaim
-from surctl.verification.region.turning_behind import phases
 from surctl.verification.region.turning_loop import Cruise, Vertices, vertices
 
 __all__ = ["TurningCandidate", "fitted", "transformed", "violated", "worst_rate"]
@@ -94,30 +93,30 @@ def worst_rate(matrices: Array, first: Numbers) -> tuple[float, Numbers]:
 
 def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Array, Array]:
     """Return T (Aᵀ P + P A) Tᵀ and T P W P Tᵀ (k, n, n) of the vertices with the numbers (k,), where T P Tᵀ = I."""
-    A, factor, spread = at.select(chosen)
+    A, factor, weights = at.select(chosen)
     change = np.linalg.inv(np.linalg.cholesky(P))
     half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
     half = half + half.swapaxes(-1, -2)
     if len(P) > 4:
-        half = half + (spread * P[4, 4])[:, None, None] * (change[:, 2:4] @ change[:, 2:4].T)
+        half = half + P[4, 4] * (change[:, :4] * weights[:, None]) @ change[:, :4].T
     return half, side @ side.swapaxes(-1, -2)
 
 
-def best_growth(forms: tuple[Array, ...], at: Vertices, rate: float, low: float, guess: float) -> tuple[float, float]:
+def best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess: float) -> tuple[float, float]:
     """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
 
-    `forms` are the matrices of V that decide, see `turning_behind.phases`. The matrices that matter at one η are those that matter close to it, so few of them are searched.
+    `phases` are the vertices of each form that decides. The matrices that matter at one η are those that matter close to it, so few of them are searched.
     """
-    growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in forms]
+    growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in phases]
     best = (growth, np.inf)
     for _ in range(4):
-        found = [worst_rate(at.matrices(P, rate, growth, low), few) for P, few in zip(forms, known, strict=True)]
+        found = [worst_rate(at.matrices(P, rate, growth, low), few) for at, few in zip(phases, known, strict=True)]
         value, known = max(one[0] for one in found), [one[1] for one in found]
         if value < best[1] - 1e-6:
             best = (growth, value)
         elif np.isfinite(best[1]):
             break
-        pairs = [transformed(P, at, few[:60]) for P, few in zip(forms, known, strict=True)]
+        pairs = [transformed(P, at, few[:60]) for at, few in zip(phases, known, strict=True)]
         half, effect = (np.concatenate(part) for part in zip(*pairs, strict=True))
         effect = effect / low
         grid = np.unique(np.clip(growth * np.geomspace(0.4, 2.5, 25), _LEAST_GROWTH, _LARGEST_GROWTH))
@@ -139,7 +138,7 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
 
     def shell(low: float, high: float, growth: float) -> tuple[float, float]:
         at = vertices(claim, cruise, covariance, high)
-        return (growth, np.inf) if at is None else best_growth(phases(claim, P), at, claim.rate, low, growth)
+        return (growth, np.inf) if at is None else best_growth(P, at.phases(), claim.rate, low, growth)
 
     def holds(high: float) -> bool:
         return shell(high * _RATIO, high, guess)[1] <= -_MARGIN
