@@ -105,7 +105,15 @@ def stir(claim: TurningClaim, omega: float, fast: float, limit: float, share: Ar
     slope = (model[1] + 2 * model[2] * reached) / model[0]
     turned = r * (k_v * omega * share[::-1] + slope * reached[::-1])
     ahead = r * (k_v * omega + slope * fast) * share[::-1]
-    return Stir(share, led, slope * UP, float((k_v + slope.max()) * limit * UP), turned * UP, ahead * UP, float(r * slope.max()) * UP)
+    return Stir(
+        share,
+        led,
+        slope * UP,
+        float((k_v + slope.max()) * limit * UP),
+        turned * UP,
+        ahead * UP,
+        float(r * slope.max()) * UP,
+    )
 
 
 def held(

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 
 _TWIST = np.array([[0.0, 1.0], [-1.0, 0.0]])
-_OTHERS, _OWN = np.sqrt(1.5), np.sqrt(4.5)  # weights of the disturbances of U̇, and of those of E alone
+_OTHERS, _OWN = np.sqrt(1.5), np.sqrt(4.5)  # weights of the disturbances of U̇, and of those of Ė alone
 _SPLIT = 0.6  # of the decay of E that serves as multiplier λ
 
 
@@ -74,7 +74,7 @@ class Behind:
         whole[:, 4:, 2:4] += swung
         whole[:, 4:, :2] += swung * plans[:, None, :]
         whole[:, 4:, 4:] -= (self.fall - self.split) / 2 * np.eye(2)
-        more[:, :4, :2] = _OTHERS * factor
+        more[:, :4, :2] = (_OTHERS if self.k_v else 1.0) * factor
         more[:, 4:, :2] = self.k_v * more[:, 2:4, :2]
         more[:, 4:, 2:] = _OWN * turn * self.late[h][:, None, :]
         weights = np.repeat(self.spread[h][:, None], 4, axis=1)
