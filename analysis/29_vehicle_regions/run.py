@@ -201,22 +201,28 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     masses = np.array(law["mass_kg"])[:, None]
     if plant.lag:  # the last two entries of ξ are the thrust minus its command, over the mass in the law's model
         state[5:] += masses * xi[:, 4:].T
-    shift = omega / law["k1"]
+    shift, hold = omega / law["k1"], law.get("period_s", 0.0)
+    step = hold / 3 if hold else STEP
 
-    def level(at: Array) -> Array:
+    def level(at: Array, phase: float = 0.0) -> Array:
+        # with held commands, V = ξᵀ P ξ + q (1 − σ)/σ |E|² at the share σ of a period
         c, s = np.cos(at[2]), np.sin(at[2])
         z = np.stack([at[0] + shift, at[1], c * at[3] - s * at[4] - law["cruise"], s * at[3] + c * at[4]], axis=1)
         if plant.lag:
             z = np.hstack([z, ((at[5:] - plant.commanded(at)) / masses).T])
-        return np.asarray(np.einsum("ni,ij,nj->n", z, P, z))
+        value = np.asarray(np.einsum("ni,ij,nj->n", z, P, z))
+        if held is not None and phase and not plant.lag:
+            late = np.square((held - plant.commanded(at)) / masses).sum(axis=0)
+            value = value + proof["thrust"]["weight"] * (1 - phase) / phase * late
+        return value
 
     most_other = [vehicle[key] for key in ("heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2")]
     bounds = np.array([*most_other, law["cruise"] * claim["motion"]["curvature_per_m"]])[:, None]
     other = bounds * rng.choice([-1.0, 1.0], size=(4, count))
     greedy, r = np.arange(count) % 2 == 0, rng.choice([-most, most], size=count)
-    ratio, left, hold, held = 0.0, np.zeros(count, dtype=bool), law.get("period_s", 0.0), None
-    for k in range(1, int(seconds / STEP) + 1):
-        if hold and (k - 1) * STEP % hold < STEP - 1e-9:  # the period need not be a multiple of the step
+    ratio, left, held = 0.0, np.zeros(count, dtype=bool), None
+    for k in range(1, int(seconds / step) + 1):
+        if hold and k % 3 == 1:
             held = plant.commanded(state)
         if k % 5 == 1:
             # greedy: the yaw rate with the larger V a short time later
@@ -227,11 +233,11 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
             switched = np.where(rng.uniform(size=count) < 0.1, rng.uniform(-most, most, size=count), r)
             r = np.where(greedy, np.where(ahead[1] > ahead[0], most, -most), switched)
         a = plant.rate(state, r, other, held)
-        b = plant.rate(state + STEP / 2 * a, r, other, held)
-        d = plant.rate(state + STEP / 2 * b, r, other, held)
-        state = state + STEP / 6 * (a + 2 * b + 2 * d + plant.rate(state + STEP * d, r, other, held))
-        now = level(state)
-        bound = max(np.exp(-claim["motion"]["rate_per_s"] * k * STEP), proof["floor"])
+        b = plant.rate(state + step / 2 * a, r, other, held)
+        d = plant.rate(state + step / 2 * b, r, other, held)
+        state = state + step / 6 * (a + 2 * b + 2 * d + plant.rate(state + step * d, r, other, held))
+        now = level(state, ((k - 1) % 3 + 1) / 3)
+        bound = max(np.exp(-claim["motion"]["rate_per_s"] * k * step), proof["floor"])
         ratio = max(ratio, float(now.max()) / bound)
         left |= now > 1
     return Motions(ratio, int(left.sum()))

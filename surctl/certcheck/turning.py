@@ -4,7 +4,7 @@ The claim states that, for all constant true parameters in their ranges, there i
 x_e* = −ω/k1 along the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ = (x_e, y_e, U_x, U_y), every motion that starts in V ≤
 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0, however the heading moves with |r| ≤ yaw_rate_rad_per_s and
 on any curve with |curvature| ≤ curvature_per_m, and in any constant current of at most current_m_per_s. With thrust
-lag, q |E|² is added to V, and commands may be held for a period that begins at t = 0 (`turning_late`). The levels floor
+lag, or commands that are held for a period that begins at t = 0, q |E|² is added to V (`turning_late`). The levels floor
 = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every cell of
 headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
 """
@@ -31,6 +31,7 @@ from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lat
 from surctl.certcheck.turning_claim import TurningClaim, factors, read_claim
 from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_law import check_samples
+from surctl.certcheck.turning_late import Phase
 from surctl.certcheck.turning_terms import coupled_mass, other_forces, other_moment
 
 __all__ = ["check", "check_cells"]
@@ -48,7 +49,7 @@ def check(document: Mapping[str, Any]) -> None:
     """
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
-    keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.lag[1] else ())
+    keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.behind else ())
     proof = record(document.get("proof"), keys, "proof")
     check_cells(claim, proof, _slopes(proof["trim"]))
 
@@ -75,13 +76,13 @@ def check_cells(claim: TurningClaim, proof: Mapping[str, Any], slopes: tuple[Fra
     _check_munk_moment(claim, fastest)
     forces = other_forces(claim, fastest)
     divided = heading_cells(claim, trim, cells)
-    weight, split = _thrust(proof["thrust"]) if claim.lag[1] else (None, Fraction(0))
-    form, late = Form(p, weight, claim.k_v), None
-    if claim.lag[1] or claim.period:
-        _check_late(claim)
-        late = lateness(claim, trim, divided, form, forces)
-    for (low, high), growth in zip(pairwise(levels), growths, strict=True):
-        check_shell(claim, trim, divided, form, low, high, growth, forces, late, float(split))
+    weight, phases = _thrust(claim, proof["thrust"]) if claim.behind else (None, (Phase(),))
+    for phase in phases:
+        form, late = Form(p, weight, claim.k_v * phase.drive), None
+        if claim.lag[1] and claim.period:
+            late = lateness(claim, trim, divided, form, forces)
+        for (low, high), growth in zip(pairwise(levels), growths, strict=True):
+            check_shell(claim, trim, divided, form, low, high, growth, forces, late, phase)
     check_samples(claim, trim, form.p, float(levels[0]))
 
 
@@ -94,17 +95,21 @@ def _matrix(rows: Any) -> Matrix:
     return [[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)]
 
 
-def _thrust(value: Any) -> tuple[Fraction, Fraction]:
-    """Return the weight q of |E|² in V, and the multiplier λ of `turning_late`."""
-    thrust = record(value, ("weight", "split"), "proof.thrust")
-    weight, split = (number(thrust[key], f"proof.thrust.{key}", above=True) for key in ("weight", "split"))
-    return weight, split
+def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...]]:
+    """Return the weight q, and the forms of `turning_late` that decide.
 
-
-def _check_late(claim: TurningClaim) -> None:
-    """Check that a claim with thrust lag or held commands is about a straight path and an inertia without m12."""
+    Raises:
+        Rejected: the proof has other numbers, or the claim is about a curved path or an inertia with m12.
+    """
     if claim.curvature or coupled_mass(claim):
         raise Rejected("thrust lag and held commands are not covered together with m12 or a curved path")
+    thrust = record(value, ("weight", "split"), "proof.thrust")
+    weight, split = (number(thrust[key], f"proof.thrust.{key}", above=True) for key in ("weight", "split"))
+    if claim.lag[1]:
+        return weight, (Phase(float(split), 2 / float(claim.lag[1])),)
+    # the matrices take off a + η, of which a quarter is enough
+    fall = float(1 / claim.period - claim.k_v / claim.mass_factor[0] / 2)
+    return weight, (Phase(float(split), fall, push=False), Phase(0.0, fall, drive=False))
 
 
 def _slopes(value: Any) -> tuple[Fraction, Fraction]:

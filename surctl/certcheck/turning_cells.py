@@ -47,7 +47,7 @@ from surctl.certcheck.region_exact import root_up
 from surctl.certcheck.turning_claim import TurningClaim, drag_factors
 from surctl.certcheck.turning_decay import Disturbed, decays
 from surctl.certcheck.turning_form import Form, axes_of
-from surctl.certcheck.turning_late import Late, held, lipschitz, stir
+from surctl.certcheck.turning_late import Late, Phase, held, lipschitz, stir
 from surctl.certcheck.turning_masses import UP, coupling_of, inverse_masses, turn_points
 
 __all__ = ["Cells", "Trim", "check_shell", "heading_cells", "lateness", "steady"]
@@ -184,11 +184,11 @@ def check_shell(
     growth: Fraction,
     forces: tuple[Fraction, Fraction],
     late: Late | None,
-    split: float,
+    phase: Phase,
 ) -> None:
     """Prove V̇ < −a V for low ≤ V ≤ high at every heading; `forces` bounds the body forces beside equation (3) [N].
 
-    `late` and `split` are the bound and the multiplier λ of `turning_late`; None and 0 for thrust that follows at once.
+    `late` is the bound on held commands behind a lag, else None, and `phase` tells which form of `turning_late` it is.
 
     Raises:
         Rejected: the proof fails in a cell, the law has another form in a part of the region, or the steady cruise
@@ -201,7 +201,6 @@ def check_shell(
     per_mass, loose, current = inverse_masses(claim, coupling), float(coupling.loose) * UP, float(claim.current)
     stray = loose * (float(claim.cruise) + current) + float(np.abs(np.array(turns)[:, :2]).max()) * current * UP
     lack = (cells.lack + np.array([float(force) for force in forces])) * UP
-    slow = np.zeros(2) if late is None else late.at(float(low))
     limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
     floor = float(growth * low) / UP
     for k in range(len(cells.corners)):
@@ -209,14 +208,19 @@ def check_shell(
         z = cells.corners[k]
         axes = axes_of(z)
         loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, float(high)) for i in (0, 1)]
-        rate, spread, own = np.zeros(2), 0.0, lack[k]
-        if claim.lag[1]:
+        rate, spread, swing = np.zeros(2), 0.0, 0.0
+        if claim.behind:
+            if max(map(len, loops)) > 4:
+                raise Rejected("a thrust limit is active in the region, and the claim has thrust lag or held commands")
             led = np.array([_led(form, plans, axes[i], float(high)) for i in (0, 1)])
             at = stir(claim, omega, fast, limit, cells.share[k, :, 1], led)
-            rate, spread = (at.turned + slow / float(claim.lag[0])) * UP, at.spread
-        else:
-            own = own + slow * [float(m) for m in claim.mass] * UP
-        disturbed = Disturbed(own, cells.drift[k] * UP, loose, stray, rate, spread, split)
+            if phase.drive and claim.lag[1]:
+                rate, spread = at.turned * UP, at.spread
+            elif phase.drive:
+                rate, spread, swing = at.ahead * UP, np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
+            if late is not None:
+                rate = rate + late.at(float(low)) / float(claim.lag[0]) * UP
+        disturbed = Disturbed(lack[k], cells.drift[k] * UP, loose, stray, rate, spread, swing, phase)
         if not decays(claim, form, axes, z, loops, plans, turns, per_mass, disturbed, float(growth), floor):
             degrees = 90 * (k + 0.5) / len(cells.corners)
             raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and {float(high):g} "
@@ -224,10 +228,10 @@ def check_shell(
 
 
 def lateness(claim: TurningClaim, trim: Trim, cells: Cells, form: Form, forces: tuple[Fraction, Fraction]) -> Late:
-    """Return the bound on the change of the held commands in the region V ≤ 1.
+    """Return the bound on the change of the held commands in the region V ≤ 1, for thrust that lags behind them.
 
     Raises:
-        Rejected: a thrust limit is active in the region, or the period is too long.
+        Rejected: the period is too long.
     """
     high = Fraction(1)
     steer, catch = _commanded(claim, trim, form, high)
@@ -239,8 +243,6 @@ def lateness(claim: TurningClaim, trim: Trim, cells: Cells, form: Form, forces: 
         go_on()
         axes = axes_of(z)
         loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, 1.0) for i in (0, 1)]
-        if max(map(len, loops)) > 4:
-            raise Rejected("a thrust limit is active in the region, and the claim has thrust lag or held commands")
         led = np.array([_led(form, plans, axes[i], 1.0) for i in (0, 1)])
         every.append(
             (stir(claim, omega, fast, limit, cells.share[k, :, 1], led), loops, axes, lack[k] + cells.drift[k])

@@ -98,6 +98,11 @@ class TurningClaim:
     lag: Pair = (Fraction(0), Fraction(0))
     period: Fraction = Fraction(0)
 
+    @property
+    def behind(self) -> bool:
+        """Whether the thrust may differ from the present command: by a lag, or because a command is held."""
+        return bool(self.lag[1] or self.period)
+
 
 def factors(ends: Pair, asymmetry: Fraction, count: int) -> list[tuple[Fraction, ...]]:
     """Return the vertices of the set of `count` numbers in (least, largest) that differ by at most an asymmetry < 2.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.turning_claim import TurningClaim
 from surctl.certcheck.turning_form import Form
+from surctl.certcheck.turning_late import Phase
 from surctl.certcheck.turning_masses import UP, Turn
 
 __all__ = ["Disturbed", "decays"]
@@ -29,8 +30,9 @@ class Disturbed:
         drift: largest d_i (2,) [N]: in a current, the error on axis i is d_i γ_i with γ_1² + γ_2² ≤ 1.
         loose: norm of the Coriolis terms that m12 adds [1/s].
         stray: largest acceleration by these terms and by the Coriolis term of the current [m/s²].
-        late: bounds (2,) [m/s³] on w_2 along each axis (`turning_late`); 0 without thrust lag.
-        spread, split: c [1/s²] and λ [1/s] of `turning_late`; 0 without thrust lag.
+        late: bounds (2,) [m/s³] on w_2 along each axis (`turning_late`); 0 for thrust that is the present command.
+        spread, swing: the numbers that multiply |δU| and |δW| in the bound on |w_1 + w_3| [1/s²].
+        phase: which form it is, if the thrust differs from the present command.
     """
 
     lack: Array
@@ -39,7 +41,8 @@ class Disturbed:
     stray: float
     late: Array
     spread: float
-    split: float
+    swing: float
+    phase: Phase
 
 
 def decays(
@@ -156,17 +159,20 @@ def _behind(
     if n == 4:
         return np.zeros((len(heavy), count, 4, 4)), np.zeros((len(turns), len(plans), 4, 4))
     # n_i · E m_i of the model is the force error, which accelerates the true mass
-    light = heavy[:, :2] * [float(m) for m in claim.mass]
+    light, phase = heavy[:, :2] * [float(m) for m in claim.mass] * disturbed.phase.push, disturbed.phase
     rear = form.lever @ np.einsum("mi,izjk->mzjk", light, np.array(axes)) @ form.error.T
     rear = rear + rear.swapaxes(-1, -2)
-    share, split = form.error @ form.error.T * form.p[4, 4], disturbed.split * UP
-    rear = rear - (2 / (float(claim.lag[1]) * UP) - split) * share
-    spread = disturbed.spread**2 / disturbed.split * form.p[4, 4] * UP
-    rear = rear + spread * (form.speed @ form.speed.T)
+    q = float(form.p[4, 4])
+    rear = rear - (phase.fall / UP - phase.split * UP) * q * (form.error @ form.error.T)
+    if not phase.drive:
+        return rear, np.zeros((len(turns), len(plans), n, n))
+    each = q / phase.split * UP
+    rear = rear + each * disturbed.spread**2 * (form.speed @ form.speed.T)
     k_v, rates = float(claim.k_v), np.array(turns)[:, 3]
     swung = np.array([pull @ TWIST @ (form.speed.T + plan @ form.place.T) * k_v for plan in plans])
     swung = swung + swung.swapaxes(-1, -2)
-    return rear, rates[:, None, None, None] * swung
+    led = np.array([form.place @ plan.T @ plan @ form.place.T for plan in plans]) * (each * disturbed.swing**2)
+    return rear, rates[:, None, None, None] * swung + led
 
 
 def _error(

@@ -1,6 +1,6 @@
 """The form V of a turning cruise in double precision, and the axes of the body.
 
-Without thrust lag, V = ξᵀ P ξ. With lag, V = ξᵀ P ξ + q |E|². On axis i, E = n_i · E is the thrust minus its command,
+If the thrust is the present command, V = ξᵀ P ξ. With lag or held commands, V = ξᵀ P ξ + q |E|². On axis i, E = n_i · E is the thrust minus its command,
 divided by the mass in the law's model.
 """
 
@@ -27,7 +27,7 @@ class Form:
 
     Args:
         p: matrix P (4, 4).
-        weight: the weight q [s⁴/m²]; None without thrust lag.
+        weight: the weight q [s⁴/m²]; None for thrust that is the present command.
         k_v: the law's gain k_v [1/s], by which an acceleration changes the command.
     """
 

@@ -11,14 +11,29 @@ Lipschitz constant L of the commanded velocity. So 2 q Eᵀ w_1 ≤ λ q |E|² +
 (k_v + h_i) L. On each axis, w_2 holds the commands that turn with the heading, r (k_v ω + h_i W) on the other axis, and
 (u_i − f_i)/(T m_i).
 
-A command is held for the period p. If V(t) is the first to exceed max(e^(−a t), floor), then V(t − s) ≤ e^(a s) V(t)
+Without lag, a command that is held for the period p is a constant F_i: the equation holds without −E/T, and E is 0 at
+each control instant. At the time σ p after it, E = σ ε, and ε is bounded by the largest rate of the commands since. With V
+= W + q σ (1 − σ) |ε|², W = ξᵀ P ξ, V is continuous, and V = W at the control instants (a looped functional: Fridman 2010,
+Seuret 2012). As d(σ (1 − σ) |ε|²)/dt = 2 (1 − σ) εᵀ Ė − |ε|²/p,
+
+    V̇ + (a + η) V = Ẇ + (a + η) W − q |ε|²/p + 2 q (1 − σ) εᵀ Ė + (a + η) q σ (1 − σ) |ε|².
+
+Ẇ is affine in E = σ ε, and Ė in σ ε as well, by the term k_v Σ n_i μ_i n_i E of k_v U̇, with μ_i the mass in the model over
+the true one. For given ξ, ε and w, all this is affine in σ but for σ (1 − σ) q εᵀ (2 k_v Σ n_i μ_i n_i + a + η) ε, which
+is at most q (k_v max μ_i/2 + (a + η)/4) |ε|². So the two ends decide: at σ = 0, E does not act, and at σ = 1, Ė does not
+count. The matrices of `turning_cells` prove V̇ + (a + η) V < η low at both, and so between.
+
+The part r h_i of δW in w_2 is w_3 here: 2 q εᵀ (w_1 + w_3) ≤ λ q |ε|² + (2/λ) q (c² |δU|² + (r h)² |δW|²).
+
+With lag and held commands: if V(t) is the first to exceed max(e^(−a t), floor), then V(t − s) ≤ e^(a s) V(t)
 for all s before. |ḟ_i|/m_i ≤ G_i √V + g_i holds in the whole region, so that |u_i − f_i|/m_i ≤ p (e^(a p/2) G_i √V +
-g_i). Without lag, this is the force error F_i − f_i, which G_i counts as a part of U̇.
+g_i).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +43,21 @@ from surctl.certcheck.turning_claim import TurningClaim
 from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_masses import UP, Turn
 
-__all__ = ["Late", "Stir", "held", "stir"]
+__all__ = ["Late", "Phase", "Stir", "held", "stir"]
 
 Array = NDArray[np.float64]
+
+
+class Phase(NamedTuple):
+    """One of the forms that decide: λ and φ [1/s], whether Ė counts, and whether E acts on the vehicle.
+
+    φ is 2/T with lag, and with held commands what remains of 1/p. There is one form with lag, and two for held commands.
+    """
+
+    split: float = 0.0
+    fall: float = 0.0
+    drive: bool = True
+    push: bool = True
 
 
 @dataclass(frozen=True)
@@ -39,7 +66,7 @@ class Stir:
 
     `share` (2,) is the largest |cosine| between the path and each axis, `led` (2,) the largest |n_i δW| [m/s], `slope`
     (2,) the largest h_i [1/s], `spread` c [1/s²], and `turned` (2,) the rate at which the heading turns the command of
-    the steady cruise and of δW [m/s³]; `ahead` (2,) is the part of the steady cruise.
+    the steady cruise and of δW [m/s³]; `ahead` (2,) is the part of the steady cruise, and `swing` the largest |r h_i| [1/s²].
     """
 
     share: Array
@@ -48,6 +75,7 @@ class Stir:
     spread: float
     turned: Array
     ahead: Array
+    swing: float
 
 
 @dataclass(frozen=True)
@@ -77,7 +105,15 @@ def stir(claim: TurningClaim, omega: float, fast: float, limit: float, share: Ar
     slope = (model[1] + 2 * model[2] * reached) / model[0]
     turned = r * (k_v * omega * share[::-1] + slope * reached[::-1])
     ahead = r * (k_v * omega + slope * fast) * share[::-1]
-    return Stir(share, led, slope * UP, float((k_v + slope.max()) * limit * UP), turned * UP, ahead * UP)
+    return Stir(
+        share,
+        led,
+        slope * UP,
+        float((k_v + slope.max()) * limit * UP),
+        turned * UP,
+        ahead * UP,
+        float(r * slope.max()) * UP,
+    )
 
 
 def held(
@@ -89,7 +125,7 @@ def held(
     turns: list[Turn],
     limit: float,
 ) -> Late:
-    """Return the bound on the change of the commands in a period, over all cells of headings.
+    """Return the bound on the change of the commands in a period, over all cells of headings, with thrust lag.
 
     Args:
         claim: the claim.
@@ -102,7 +138,7 @@ def held(
         limit: L [1/s].
 
     Raises:
-        Rejected: the period is too long for the claimed rate or the law's gain.
+        Rejected: the period is too long for the claimed rate.
     """
     period, k_v, r = float(claim.period), float(claim.k_v), float(claim.yaw_rate)
     late = 1 - float(claim.rate) * period / 2
@@ -119,17 +155,11 @@ def held(
                 form.largest(per * form.rows(stiff * plan, damped * eye), axes[i], 1.0)
                 for plan in plans for stiff, damped in loops[i]
             )  # fmt: skip
-            behind = per * mass / np.sqrt(form.p[4, 4]) if claim.lag[1] else 0.0  # F_i − f_i is a state
+            behind = per * mass / np.sqrt(form.p[4, 4])  # F_i − f_i is a state
             moved = form.largest(form.rows(none, eye), axes[j], 1.0)
             swung = max(form.largest(form.rows(k_v * plan, k_v * eye), axes[j], 1.0) for plan in plans)
             growth = (k_v + at.slope[i]) * limit * fastest + k_v * (pushed + behind + crossed * moved)
             growth += r * (swung + at.slope[i] * at.led[j])
             own = k_v * (lack[i] * per + crossed * (v * at.share[j] + float(claim.current))) + at.ahead[i]
             growing[i], fixed[i] = max(growing[i], growth), max(fixed[i], own)
-    growing, fixed = growing * period / late, fixed * period
-    if not claim.lag[1]:
-        left = 1 - period * k_v / late * heavy[:, :2].max(axis=0) * [float(m) for m in claim.mass]
-        if not np.all(left > 0):
-            raise Rejected("the control period is too long for the gain k_v")
-        growing, fixed = growing / left, fixed / left
-    return Late(growing * UP, fixed * UP)
+    return Late(growing * period / late * UP, fixed * period * UP)

@@ -140,12 +140,20 @@ def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> No
     motions, angle = draw_motions(claim, _SAMPLES, rng), rng.uniform(0, 2 * np.pi, size=_SAMPLES)
     flow = float(claim.current) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     masses = np.array([float(m) for m in claim.mass])
-    error = xi[:, 4:] * masses if claim.lag[1] else None
+    sigma, behind = rng.uniform(0.01, 0.99, size=(_SAMPLES, 1)), xi[:, 4:]
+    if claim.period and not claim.lag[1]:  # V weighs |ε|² by q σ (1 − σ), and E is σ ε
+        behind = behind * np.sqrt(sigma / (1 - sigma))
+    error = behind * masses if claim.behind else None
     rate = true_rate(claim, boat, state, psi, r, motions, flow=flow, error=error)
     change = 2 * np.einsum("ni,ij,nj->n", xi[:, :4], p[:4, :4], rate)
-    if claim.lag[1]:
+    if claim.behind:
         later = commanded(claim, state + _STEP * rate, psi + _STEP * r)
         moving = (later - commanded(claim, state, psi)) / _STEP / masses
-        change += 2 * p[4, 4] * np.sum(xi[:, 4:] * (-xi[:, 4:] / float(claim.lag[1]) - moving), axis=1)
-    if not np.all(change <= -float(claim.rate) * level * (1 - 1e-4 * bool(claim.lag[1]) - 1e-9) + 1e-12):
+        if claim.lag[1]:
+            fall = -2 * behind * (behind / float(claim.lag[1]) + moving)
+        else:
+            late = behind / sigma
+            fall = -late * (late / float(claim.period) + 2 * (1 - sigma) * moving)
+        change += p[4, 4] * fall.sum(axis=1)
+    if not np.all(change <= -float(claim.rate) * level * (1 - 1e-4 * claim.behind - 1e-9) + 1e-12):
         raise Rejected("V decays more slowly than claimed at a sampled point of the true loop")

@@ -14,7 +14,7 @@ UP = 1 + 1e-9
 """Factor that covers the rounding of a bound."""
 
 Turn = tuple[float, float, float, float]
-"""The numbers r e1, r e2, turn rate of the path frame, and r; r is 0 in claims without thrust lag."""
+"""The numbers r e1, r e2, turn rate of the path frame, and r; r is 0 in claims whose thrust is the present command."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def turn_points(claim: TurningClaim) -> list[Turn]:
     ratio = _ratio(claim)
     low, high = claim.mass[0] / claim.mass[1] / ratio, claim.mass[0] / claim.mass[1] * ratio
     points = {(1 - 1 / q, q - 1) for q in (low, high)} | {(1 - 2 / (low + high), 2 * low * high / (low + high) - 1)}
-    turn = claim.yaw_rate if claim.lag[1] else Fraction(0)
+    turn = claim.yaw_rate if claim.behind else Fraction(0)
     ends = {(sign * claim.yaw_rate * a, sign * claim.yaw_rate * b, sign * turn) for a, b in points for sign in (1, -1)}
     bend = float(claim.curvature * claim.cruise) * UP
     return [(float(a) * UP, float(b) * UP, c, float(r) * UP) for a, b, r in sorted(ends) for c in sorted({bend, -bend})]

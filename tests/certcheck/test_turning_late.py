@@ -24,9 +24,9 @@ from tests.certcheck.altering import sealed
 HERE, STEP = Path(__file__).parent, 1e-6
 
 
-def document() -> dict[str, Any]:
+def document(name: str = "region-turning-20-lag") -> dict[str, Any]:
     """The certificate with its two outermost shells and few cells, which is checked in a fraction of the time."""
-    whole = json.loads((HERE / "region-turning-20-lag.json").read_text())
+    whole = json.loads((HERE / f"{name}.json").read_text())
     shells, proof = whole["proof"]["shells"], whole["proof"]
     whole["claim"]["motion"]["ultimate_bound_m"] = [0.2, 0.4]
     proof |= {"floor": shells[-3]["level"], "shells": shells[-2:], "cells": 24}
@@ -70,6 +70,33 @@ def test_a_certificate_with_thrust_lag_is_accepted_and_what_asks_for_more_is_rej
         changed = document()
         change(changed)
         assert not check_document(sealed(changed) if kind != "NaN" else changed).accepted, kind
+
+
+HELD: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "longer period": lambda d: d["claim"]["law"].update(period_s=0.07),
+    "long period": lambda d: d["claim"]["law"].update(period_s=200.0),
+    "no period": lambda d: d["claim"]["law"].update(period_s=0.0),
+    "lag": lambda d: d["claim"]["vehicle"].update(lag_s=[0.1, 0.1]),
+    "yaw rate": lambda d: d["claim"]["vehicle"].update(yaw_rate_rad_per_s=0.5),
+    "gain": lambda d: d["claim"]["law"].update(k_v=9.0),
+    "saturated thrust": lambda d: d["claim"]["vehicle"].update(thrust_n=[9.0, 9.0]),
+    "curve": lambda d: d["claim"]["motion"].update(curvature_per_m=0.01),
+    "small weight": lambda d: d["proof"]["thrust"].update(weight=d["proof"]["thrust"]["weight"] / 4),
+    "large weight": lambda d: d["proof"]["thrust"].update(weight=d["proof"]["thrust"]["weight"] * 4),
+    "small split": lambda d: d["proof"]["thrust"].update(split=0.01),
+    "large split": lambda d: d["proof"]["thrust"].update(split=30.0),
+    "no weight": lambda d: d["proof"]["thrust"].update(weight=0.0),
+    "no thrust": lambda d: d["proof"].pop("thrust"),
+}  # fmt: skip
+
+
+def test_a_certificate_with_held_commands_is_accepted_and_what_asks_for_more_is_rejected() -> None:
+    found = check_document(document("region-turning-20-sampled"))
+    assert found.accepted, found.reason
+    for kind, change in HELD.items():
+        changed = document("region-turning-20-sampled")
+        change(changed)
+        assert not check_document(sealed(changed)).accepted, kind
 
 
 def samples(claim: TurningClaim, trim: Any, form: Form, count: int = 6_000) -> dict[str, Any]:

@@ -98,6 +98,11 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         {"loop": "turning", "lagged": True, "yaw_rate_rad_per_s": 0.1, "rate_per_s": 0.02, "attempts": 8},
     ),
     (
+        "region-turning-20-sampled",
+        "as region-turning-20, with commands held for one control period and a yaw rate of at most 0.3 rad/s",
+        {"loop": "turning", "sampled": True, "yaw_rate_rad_per_s": 0.3, "rate_per_s": 0.02, "attempts": 16},
+    ),
+    (
         "region-turning-20-scale",
         "as region-turning-20, with both masses off by the same factor of up to ±20 %",
         {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},

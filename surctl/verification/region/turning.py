@@ -93,7 +93,7 @@ class TurningClaim:
         if self.cruise >= self.cap:
             why = f"the cruise speed of {self.cruise:g} m/s is not below the cap of {self.cap:g} m/s"
             raise NotApplicable(why, to="these speeds")
-        if (self.lag or self.period) and (self.curvature or self.terms.get("m12")):
+        if self.behind and (self.curvature or self.terms.get("m12")):
             raise NotApplicable("thrust lag and held commands are not covered together with m12 or a curved path")
 
     def document(
@@ -137,6 +137,11 @@ class TurningClaim:
             "sha256_vehicle": self.digests[0],
             "sha256_law": self.digests[1],
         }
+
+    @property
+    def behind(self) -> bool:
+        """Whether the thrust may differ from the present command: by a lag, or because a command is held."""
+        return bool(self.lag or self.period)
 
     @cached_property
     def stated(self) -> Stated:

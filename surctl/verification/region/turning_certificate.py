@@ -18,7 +18,7 @@ from surctl.verification.region.turning_shells import TurningCandidate
 
 __all__ = ["Region", "certificate_of", "raised", "region_of"]
 
-_CELLS = 48
+_CELLS, _HELD = 48, 32  # cells of headings; with held commands, each of them is checked twice
 
 
 class Region(NamedTuple):
@@ -49,13 +49,13 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
     proof = {
         "P": [[float(P[i, j]) for j in range(i + 1)] for i in range(4)],
         "floor": candidate.levels[0],
-        "cells": _CELLS,
+        "cells": _HELD if claim.period else _CELLS,
         "shells": [
             {"level": level, "growth": growth}
             for level, growth in zip(candidate.levels[1:], candidate.growths, strict=True)
         ],
     }
-    if claim.lag:
+    if claim.behind:
         proof["thrust"] = {"weight": float(P[4, 4]), "split": split_of(claim)}
     return Region(
         start, still if still > 0 else None, (_up(float(floor[0]) + away), _up(float(floor[1]))), float(fastest), proof

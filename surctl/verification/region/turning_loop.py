@@ -1,13 +1,13 @@
 """The turning cruise as a linear inclusion on a grid of headings, in floating point; the checker derives its own.
 
-The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame; with thrust lag, the two
-entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯ W;
+The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame; with thrust lag or held
+commands, the two entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯ W;
 `certcheck.turning_cells` derives this inclusion.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import product
 
@@ -80,10 +80,14 @@ class Vertices:
         count = self.loops.shape[2]
         return *self.Q.shape[:3], count, count, len(self.plans)
 
-    def select(self, chosen: NDArray[np.intp] | list[int]) -> tuple[Array, Array, Array]:
-        """Return A (k, n, n), a factor (k, n, c) of W, and the weight of |δU|² (k,) of the vertices with numbers (k,).
+    def phases(self) -> list[Vertices]:
+        """Return the vertices of each form that decides: two with held commands, else one."""
+        return [self] if self.behind is None else [replace(self, behind=one) for one in self.behind.phases()]
 
-        The weight is that of the last entry q of V with thrust lag, and 0 without.
+    def select(self, chosen: NDArray[np.intp] | list[int]) -> tuple[Array, Array, Array]:
+        """Return A (k, n, n), a factor (k, n, c) of W, and weights (k, 4) of the vertices with numbers (k,).
+
+        The weights are those of q times the squared states with thrust lag or held commands, and 0 without.
         """
         h, m, t, one, two, p = np.unravel_index(np.asarray(chosen, dtype=int), self.shape)
         pairs = np.stack([self.loops[h, 0, one], self.loops[h, 1, two]], 1)
@@ -97,7 +101,7 @@ class Vertices:
         factor = np.zeros((len(h), 4, 2))
         factor[:, 2:] = vectors * np.sqrt(np.maximum(values, 0))[:, None]
         if self.behind is None:
-            return A, factor, np.zeros(len(h))
+            return A, factor, np.zeros((len(h), 4))
         inner = np.einsum("ni,nijk->njk", self.behind.light[m], self.bodies[h])
         return self.behind.extended(A, factor, inner, h, t, self.plans[p], self.turn[h])
 
@@ -236,13 +240,10 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     share = np.abs(turn[:, 0, :]) + np.pi / 2 / max(len(turn) - 1, 1) / 2
     steep = np.array(claim.linear) + np.array(claim.quadratic) * (2 * v * np.minimum(share, 1.0) + claim.current)
     drift = steep * claim.drag_factor[1] * claim.current
-    if claim.lag or claim.period:
+    if claim.behind:
         if loops.shape[2] > 4:  # a thrust limit is active
             return None
-        held, behind = behind_of(
-            claim, cruise.omega, forces + drift, covariance, high, turn, plans, loops, masses, turns
-        )
-        forces = forces + held
+        behind = behind_of(claim, cruise.omega, forces + drift, covariance, high, turn, plans, loops, masses, turns)
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
     drift = drift[:, None, :] * heavy
     return Vertices(

@@ -61,26 +61,28 @@ def _improve(
     rest.
     """
     basis, units = _basis(claim), np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim)
-    behind = claim.gains["k_v"] * extent[2:] if claim.lag else np.zeros(0)
+    behind = claim.gains["k_v"] * extent[2:] if claim.behind else np.zeros(0)
     shells = [vertices(claim, cruise, np.diag(np.append(extent, _ERROR * behind) ** 2), high)
               for high in levels[1:]]  # fmt: skip
-    known = [one for one in shells if one is not None]
-    if len(known) < len(shells):
+    if any(one is None for one in shells):
         return None
+    known = [one.phases() for one in shells if one is not None]
     fixed = _extents(extent / units, basis) + _starts(claim, cruise, units, basis)
     cost = np.append(1e-3 * np.einsum("kii->k", basis), 1.0)
-    units = np.append(units, units[2:] * claim.gains["k_v"] if claim.lag else [])
+    units = np.append(units, units[2:] * claim.gains["k_v"] if claim.behind else [])
     cost[3] += (beside / units[1]) ** 2
     rng = np.random.default_rng(0)
+    parts = [(phase, growth, low) for phases, growth, low in zip(known, growths, levels[:-1], strict=True)
+             for phase in phases]  # fmt: skip
     chosen = []
-    for one, some in zip(known, active.known, strict=True):
+    for (one, *_), some in zip(parts, active.known, strict=False):
         count = int(np.prod(one.shape))
         earlier = {k for k in some if k < count}
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
             _decay(shell, some, claim.rate, growth, low, units, basis)
-            for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True)
+            for (shell, growth, low), some in zip(parts, chosen, strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
         x = minimise(cost, [decay, *fixed], tolerance=1e-7)
@@ -90,7 +92,7 @@ def _improve(
         if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
         fine = stuck = True
-        for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True):
+        for (shell, growth, low), some in zip(parts, chosen, strict=True):
             matrices = shell.matrices(P, claim.rate, growth, low)
             bad = violated(matrices, -_MARGIN / 2)
             if len(bad):
@@ -101,7 +103,8 @@ def _improve(
                 stuck = stuck and more <= some  # `matrices` weighs the disturbances by V
                 some |= more
         if fine or stuck:
-            _remember(P, known, chosen, levels, growths, active)
+            for k, ((shell, growth, low), some) in enumerate(zip(parts, chosen, strict=True)):
+                active.known[k] = _tightest(P, shell, some, growth * low)
             return np.asarray(P)
     return None
 
@@ -113,8 +116,8 @@ def _sizes(claim: TurningClaim) -> Array:
 
 
 def _basis(claim: TurningClaim) -> Array:
-    """Return a basis (k, n, n) of the matrices of V: the last one is |E|², with thrust lag."""
-    size = 6 if claim.lag else 4
+    """Return a basis (k, n, n) of the matrices of V: the last one is |E|², with thrust lag or held commands."""
+    size = 6 if claim.behind else 4
     basis = np.zeros((len(_ENTRIES) + (size > 4), size, size))
     for k, (i, j) in enumerate(_ENTRIES):
         basis[k, i, j] = basis[k, j, i] = 1
@@ -144,13 +147,13 @@ def _decay(
     shell: Vertices, some: set[int], rate: float, growth: float, low: float, units: Array, basis: Array
 ) -> Inequality:
     """Return −(Aᵀ P + P A + (a + η) P + P W P/(η low)) ⪰ 0 with a margin, by its Schur complement."""
-    A, factor, spread = shell.select(sorted(some))
+    A, factor, weights = shell.select(sorted(some))
     count, n, inner = len(basis), len(units), factor.shape[2]
     half = np.einsum("kij,njl->nkil", basis, A * units / units[:, None])
     whole = np.zeros((len(A), count + 1, n + inner, n + inner))
     whole[:, :-1, :n, :n] = -(half + half.swapaxes(-1, -2) + (rate + growth + _MARGIN + _LOOSE * shell.loose) * basis)
-    for k in (2, 3):  # the last entry of V is in units of |E|²
-        whole[:, count - 1, k, k] -= spread * (units[k] / units[-1]) ** 2
+    for k in range(4):  # the last entry of V is in units of |E|²
+        whole[:, count - 1, k, k] -= weights[:, k] * (units[k] / units[-1]) ** 2
     side = np.einsum("kij,njl->nkil", basis, factor / units[:, None])
     whole[:, :-1, :n, n:], whole[:, :-1, n:, :n] = side, side.swapaxes(-1, -2)
     constant = np.zeros((len(A), n + inner, n + inner))
@@ -158,15 +161,12 @@ def _decay(
     return constant, whole
 
 
-def _remember(
-    P: Array, known: list[Vertices], chosen: list[set[int]], levels: Array, growths: Array, active: _Active
-) -> None:
-    """Store the vertices whose inequality is nearly tight as the first ones of the next program."""
-    for k, (shell, some, growth, low) in enumerate(zip(known, chosen, growths, levels[:-1], strict=True)):
-        order = np.array(sorted(some))
-        half, effect = transformed(P, shell, order)
-        values = np.linalg.eigvalsh(half + effect / (growth * low))[:, -1]
-        active.known[k] = set(order[np.argsort(-values)[:_TIGHT]].tolist())
+def _tightest(P: Array, shell: Vertices, some: set[int], scale: float) -> set[int]:
+    """Return the vertices whose inequality is nearly tight: the first ones of the next program."""
+    order = np.array(sorted(some))
+    half, effect = transformed(P, shell, order)
+    values = np.linalg.eigvalsh(half + effect / scale)[:, -1]
+    return set(order[np.argsort(-values)[:_TIGHT]].tolist())
 
 
 def _first_steps(claim: TurningClaim, away: float, rng: np.random.Generator, k: int) -> Array:
@@ -191,7 +191,7 @@ def turning_search(
     cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
     away = max(map(abs, cruise.omega)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
-    active = _Active([set() for _ in range(_SHELLS)])
+    active = _Active([set() for _ in range(2 * _SHELLS)])
     regions: list[tuple[float, Array, Array]] = []  # score, next start values, P
     for k in range(attempts):
         if len(regions) >= _ENOUGH or (regions and 4 * k >= attempts):

@@ -33,7 +33,7 @@ class TurningCandidate:
     """A candidate of a proof, which is not yet checked.
 
     Attributes:
-        P: matrix (n, n) of the Lyapunov function V = zᵀ P z; n is 6 with thrust lag, and 4 without.
+        P: matrix (n, n) of the Lyapunov function V = zᵀ P z; n is 6 with thrust lag or held commands, and 4 without.
         levels: levels of V that divide the region into k shells, in ascending order; the last is 1.
         growths: for each of the k shells, the coefficient η [1/s] in the condition on the decay rate.
         cruise: the steady motion on the path.
@@ -93,29 +93,31 @@ def worst_rate(matrices: Array, first: Numbers) -> tuple[float, Numbers]:
 
 def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Array, Array]:
     """Return T (Aᵀ P + P A) Tᵀ and T P W P Tᵀ (k, n, n) of the vertices with the numbers (k,), where T P Tᵀ = I."""
-    A, factor, spread = at.select(chosen)
+    A, factor, weights = at.select(chosen)
     change = np.linalg.inv(np.linalg.cholesky(P))
     half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
     half = half + half.swapaxes(-1, -2)
     if len(P) > 4:
-        half = half + (spread * P[4, 4])[:, None, None] * (change[:, 2:4] @ change[:, 2:4].T)
+        half = half + P[4, 4] * (change[:, :4] * weights[:, None]) @ change[:, :4].T
     return half, side @ side.swapaxes(-1, -2)
 
 
-def best_growth(P: Array, at: Vertices, rate: float, low: float, guess: float) -> tuple[float, float]:
+def best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess: float) -> tuple[float, float]:
     """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
 
-    The matrices that matter at one η are those that matter close to it, so few of them are searched.
+    `phases` are the vertices of each form that decides. The matrices that matter at one η are those that matter close to it, so few of them are searched.
     """
-    growth, known = guess, np.zeros(0, dtype=np.intp)
+    growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in phases]
     best = (growth, np.inf)
     for _ in range(4):
-        value, known = worst_rate(at.matrices(P, rate, growth, low), known)
+        found = [worst_rate(at.matrices(P, rate, growth, low), few) for at, few in zip(phases, known, strict=True)]
+        value, known = max(one[0] for one in found), [one[1] for one in found]
         if value < best[1] - 1e-6:
             best = (growth, value)
         elif np.isfinite(best[1]):
             break
-        half, effect = transformed(P, at, known[:60])
+        pairs = [transformed(P, at, few[:60]) for at, few in zip(phases, known, strict=True)]
+        half, effect = (np.concatenate(part) for part in zip(*pairs, strict=True))
         effect = effect / low
         grid = np.unique(np.clip(growth * np.geomspace(0.4, 2.5, 25), _LEAST_GROWTH, _LARGEST_GROWTH))
         rates = np.linalg.eigvalsh(half + effect / grid[:, None, None, None])[..., -1].max(axis=1) + grid
@@ -136,7 +138,7 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
 
     def shell(low: float, high: float, growth: float) -> tuple[float, float]:
         at = vertices(claim, cruise, covariance, high)
-        return (growth, np.inf) if at is None else best_growth(P, at, claim.rate, low, growth)
+        return (growth, np.inf) if at is None else best_growth(P, at.phases(), claim.rate, low, growth)
 
     def holds(high: float) -> bool:
         return shell(high * _RATIO, high, guess)[1] <= -_MARGIN
