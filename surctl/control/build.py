@@ -12,7 +12,7 @@ import casadi as ca
 from surctl.control.allocated import with_allocation
 from surctl.control.baselines import Situation
 from surctl.control.closing import Closing, Memory
-from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
+from surctl.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
 from surctl.control.decision import Scan
 from surctl.control.echoes import perceive, perception_ports
 from surctl.control.law import (
@@ -275,7 +275,8 @@ def _decide(
     avoidance, mode, dt, guidance = chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
     scans, depths = "unknown" in inputs, "column" in inputs
-    state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths)
+    limit = chosen.equipment.search_limit if scans else None
+    state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths, limited=limit is not None)
     listed = scan_telemetry(inputs.port("sonars").shape[0]) if scans else TELEMETRY
     outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ()), *((DEPTH_PORT,) if depths else ())))
     x, xs = state.symbols("x")
@@ -331,7 +332,9 @@ def _decide(
             carried["drift"] = learnt(guidance, desired, xs["drift"], eta, nu, decision.avoiding, guided, dt=dt)
         if "trapped" in xs:
             known = perceived.known if moving else ()
-            dead_end = dead_end_next(desired, known, xs, eta, decision.stopped, ps, nu, us.get("column"), dt=dt)
+            dead_end = dead_end_next(
+                desired, known, xs, eta, decision.stopped, ps, nu, us.get("column"), dt=dt, limit=limit
+            )
             carried |= dead_end
             reported["trapped"] = dead_end["trapped"]
         if depths:
@@ -382,7 +385,9 @@ def _decide(
     )
 
 
-def _state_layout(source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool) -> Layout:
+def _state_layout(
+    source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool, limited: bool
+) -> Layout:
     unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
     memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
     return Layout(
@@ -391,6 +396,7 @@ def _state_layout(source: LawSource, dt: float, guidance: Guidance, *, sonar: bo
             Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
             *memory,
             *(DEAD_END_PORTS if source.gives_up else ()),
+            *((SEARCH_PORT,) if source.gives_up and limited else ()),
             *(LAYER_PORTS if depths else ()),
             *source.ports,
             *perception_ports(dt, sonar=sonar),
