@@ -12,9 +12,9 @@ import casadi as ca
 from surctl.control.allocated import with_allocation
 from surctl.control.baselines import Situation
 from surctl.control.closing import Closing, Memory
-from surctl.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
+from surctl.control.dead_end import dead_end_next, standing
 from surctl.control.decision import Scan
-from surctl.control.echoes import perceive, perception_ports
+from surctl.control.echoes import perceive
 from surctl.control.law import (
     DEGRADED,
     DEPTH_PORT,
@@ -26,7 +26,7 @@ from surctl.control.law import (
     Stages,
     scan_telemetry,
 )
-from surctl.control.layers import LAYER_PORTS, aimed_depth
+from surctl.control.layers import aimed_depth
 from surctl.control.perception import PerceptionStage, build_perception
 from surctl.control.ports import (
     CONTACT_SLOTS,
@@ -41,7 +41,7 @@ from surctl.control.reference import learnt, path_following
 from surctl.control.registry import SONARLESS, law_ref, law_source
 from surctl.control.routines import limited, sensing
 from surctl.control.solver_inputs import limit_rows, solver_inputs
-from surctl.control.source import LawSource, decision_of, perceived_by, thrust_of
+from surctl.control.source import LawSource, decision_of, perceived_by, state_layout, thrust_of
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
 from surctl.errors import InputError, SurctlError, nearest
@@ -49,7 +49,6 @@ from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.ir import (
     Block,
     Layout,
-    Port,
     Recording,
     cached_bytes,
     fold,
@@ -276,7 +275,7 @@ def _decide(
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
     scans, depths = "unknown" in inputs, "column" in inputs
     limit = chosen.equipment.search_limit if scans else None
-    state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths, limited=limit is not None)
+    state = state_layout(source, dt, guidance, sonar=sonar, depths=depths, limited=limit is not None)
     listed = scan_telemetry(inputs.port("sonars").shape[0]) if scans else TELEMETRY
     outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ()), *((DEPTH_PORT,) if depths else ())))
     x, xs = state.symbols("x")
@@ -382,23 +381,4 @@ def _decide(
         barrier=barrier,
         movers=movers,
         fallback=fallback,
-    )
-
-
-def _state_layout(
-    source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool, limited: bool
-) -> Layout:
-    unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
-    memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
-    return Layout(
-        (
-            Port("progress", (1,), "m", "arc length of the target point on the path"),
-            Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
-            *memory,
-            *(DEAD_END_PORTS if source.gives_up else ()),
-            *((SEARCH_PORT,) if source.gives_up and limited else ()),
-            *(LAYER_PORTS if depths else ()),
-            *source.ports,
-            *perception_ports(dt, sonar=sonar),
-        )
     )
