@@ -73,6 +73,14 @@ def test_the_study_of_hostile_gains_and_broken_time() -> None:
     assert next(row[4:] for row in rows if len(row) == 8 and row[0].isdigit()) == ["0"] * 4
 
 
+def test_the_cycles_of_a_loop_of_known_length_are_counted() -> None:
+    need("arm-none-eabi-gcc")
+    need("qemu-system-arm")
+    done = run(ANALYSIS / "18_export_benchmark" / "cycles.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.strip() == "- a loop of known length is counted to the last instruction: holds"
+
+
 def test_the_study_of_sessions_with_an_autopilot() -> None:
     need_compiler()
     need_module("pymavlink")

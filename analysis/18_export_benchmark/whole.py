@@ -64,12 +64,12 @@ def whole(*, quick: bool, smooth: bool = False) -> tuple[list[str], list[tuple[s
     held: list[tuple[str, bool]] = []
     laws = [("by true positions", False, False), ("with sonars", True, False)]
     for name, sonar, pitched in [*laws, ("with sonars, `smooth`", True, True)] if smooth else laws:
-        flight, double, bundle = _made(sonar, "float64", steps=20 if quick else None, smooth=pitched)
+        flight, double, bundle = made(sonar, "float64", steps=20 if quick else None, smooth=pitched)
         with tempfile.TemporaryDirectory() as scratch:
             controller = build_controller(double, bundle, Path(scratch, "b"))
             files = [_compiled(Path(scratch, "b"), file) for file in (*bundle.sources, bundle.selftest)]
             mean, most = _counted(controller, as_records(double, flight), Path(scratch, "callgrind"))
-        _, _, small = _made(sonar, "float32", steps=1, smooth=pitched)
+        _, _, small = made(sonar, "float32", steps=1, smooth=pitched)
         told += [f"| {name} | `{f.file}` | {f.size} | {f.seconds:.1f}, {f.megabytes:.0f} |" for f in files]
         size, seconds = sum(f.size for f in files), sum(f.seconds for f in files)
         memory = max(f.megabytes for f in files)
@@ -84,9 +84,11 @@ def whole(*, quick: bool, smooth: bool = False) -> tuple[list[str], list[tuple[s
     return [*told, "", *taken], held
 
 
-def _made(sonar: bool, real: Real, *, steps: int | None, smooth: bool = False) -> tuple[Records, Exportable, Bundle]:
+def made(
+    sonar: bool, real: Real, *, steps: int | None, smooth: bool = False, scenario: str = SCENARIO
+) -> tuple[Records, Exportable, Bundle]:
     """The beginning of a flight (all of it if `steps` is None), the law that was exported, and its bundle."""
-    mission, gains = load_scenario(SCENARIO), load_gains("default")
+    mission, gains = load_scenario(scenario), load_gains("default")
     if smooth:
         equipment = mission.sensors.equipment
         array = replace(equipment.array, pitch=math.radians(-18.0))

@@ -1,7 +1,7 @@
 """Study 33: every scenario with the four echo models; and the echo model against brute-force rays.
 
     python analysis/33_echoes/run.py [--quick] [--write] [--seeds N] [--first N] [--echoes NAME] [--surface-model NAME]
-        [--pitch DEGREES] [--floor]
+        [--pitch DEGREES] [--floor] [--search-limit SECONDS]
 
 Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
 option.
@@ -34,18 +34,22 @@ HEAD = [
 ]
 
 
-def equipped(scenario: Scenario, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool) -> Scenario:
+def equipped(
+    scenario: Scenario, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool, search: float | None = None
+) -> Scenario:
     """Return the scenario with an echo model and what the law assumes; the pitch of the sonars is in degrees."""
     sensors = scenario.sensors.hearing(echoes)
     array = replace(sensors.equipment.array, pitch=radians(pitch))
     depth = scenario.site[2] if floor else None
-    equipment = replace(sensors.equipment, array=array, surface_model=surfaces, floor=depth)
+    equipment = replace(sensors.equipment, array=array, surface_model=surfaces, floor=depth, search_limit=search)
     return replace(scenario, sensors=replace(sensors, equipment=equipment))
 
 
-def case_of(name: str, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool) -> Case:
+def case_of(
+    name: str, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool, search: float | None = None
+) -> Case:
     """Return a scenario of the library with its own vehicle, with sonars, an echo model and what the law assumes."""
-    scenario = equipped(load_scenario(name), echoes, surfaces, pitch, floor)
+    scenario = equipped(load_scenario(name), echoes, surfaces, pitch, floor, search)
     return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
 
 
@@ -75,14 +79,15 @@ def study(options: argparse.Namespace) -> tuple[str, bool]:
     names = ["pool-behind"] if quick else scenario_names()
     models = [only] if only else ["specular"] if quick else list(ECHOES)
     law = "The law as it is"
-    if options.surface_model != "diffuse" or options.pitch or options.floor:
+    if options.surface_model != "diffuse" or options.pitch or options.floor or options.search_limit:
         floor = ", with the floor assumed" if options.floor else ""
-        law = f"Surface model `{options.surface_model}`, pitch {options.pitch:g}°{floor}"
+        search = f", search limit {options.search_limit:g} s" if options.search_limit else ""
+        law = f"Surface model `{options.surface_model}`, pitch {options.pitch:g}°{floor}{search}"
     out = [f"## {law}: seeds {first}-{first + seeds - 1} of each", "", *HEAD]
     totals: dict[str, NDArray[np.int64]] = {}
     for echoes in models:
         for name in names:
-            case = case_of(name, echoes, options.surface_model, options.pitch, options.floor)
+            case = case_of(name, echoes, options.surface_model, options.pitch, options.floor, options.search_limit)
             line, counts = row(case, echoes, first, seeds, quick=quick)
             out.append(line)
             totals[echoes] = totals.get(echoes, np.zeros(4, dtype=int)) + counts
@@ -114,6 +119,7 @@ def main() -> int:
     parser.add_argument("--surface-model", choices=SURFACE_MODELS, default="diffuse", help="what the law assumes")
     parser.add_argument("--pitch", type=float, default=0.0, help="pitch of the sonars [deg] (default 0)")
     parser.add_argument("--floor", action="store_true", help="the law assumes the floor of the site")
+    parser.add_argument("--search-limit", type=float, help="search limit of the law [s] (default none)")
     options = parser.parse_args()
     text, held = study(options)
     print(text)

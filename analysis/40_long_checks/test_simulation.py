@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
+from surctl.control import TRAPPED, load_gains
+from surctl.export import Records, as_records, build_bundle, build_controller, closed_form
 from surctl.guidance import Guidance, Path
 from surctl.sensing import Equipment, SonarArray
 from surctl.simulation import (
@@ -25,6 +26,7 @@ from surctl.simulation import (
     load_scenario,
     simulate,
     simulate_batch,
+    stop_reason,
 )
 from surctl.simulation.batch.bodies import NO_END
 from surctl.simulation.batch.bodies import Body as Symbols
@@ -329,3 +331,25 @@ def test_the_compiled_loop_with_failed_thrusters_equals_the_loop_in_python() -> 
         assert a == b or abs(a - b) <= 1e-9 or (np.isnan(a) and np.isnan(b)), name
     whole = simulate_batch(replace(case, failed=()), engine="c").table[0]
     assert whole.tolist() != found.tolist()
+
+
+def test_by_sonar_a_search_before_a_closed_wall_ends_at_its_limit_in_both_loops_and_in_c(tmp_path: FilePath) -> None:
+    need_compiler()
+    scenario = test_dead_end._case("a box as wide as the pool").scenario
+    equipment = replace(scenario.sensors.equipment, search_limit=12.0)
+    scenario = replace(scenario, sensors=replace(scenario.sensors, equipment=equipment), time_limit=90.0)
+    gains = load_gains("default").with_values({"patience": 0.0})
+    case = Case(scenario, load_vehicle(scenario.vehicle), gains, sensing="sonar")
+    law = case.build()
+    run = simulate(scenario, case.vehicle, gains=gains, law=law, sensing="sonar", seed=1)
+    assert run.metrics.stopped_because == "dead end" and run.metrics.min_clearance_m > 0
+    assert stop_reason(run).startswith("no progress along the path for 12 s, search ended at (")
+    np.testing.assert_allclose(simulate_batch(case, seeds=[1]).table[0], run.metrics.row(), rtol=0, atol=1e-9)
+    shipped, record = closed_form(law, real="float64"), run.record
+    bundle = build_bundle(shipped, law.gains.unpack(record.law_parameters))
+    flight = as_records(shipped, Records(record.law_state, record.law_input, record.law_parameters))
+    first = np.arange(len(flight)) == 0
+    rows = build_controller(shipped, bundle, tmp_path).run(flight, load=first)
+    assert np.array_equal(rows.tau, record.tau) and np.array_equal(rows.status, record.status)
+    assert np.array_equal(rows.state[:-1], record.law_state[1:])
+    assert rows.status[-1] & TRAPPED and not rows.status[0] & TRAPPED

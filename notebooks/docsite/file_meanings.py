@@ -153,6 +153,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "echoes": "echo model: every surface answers, or within 22.5° of the normal",
         "surface_model": "what the law assumes of surfaces (default `diffuse`)",
         "floor_m": "depth of a floor whose echoes the law takes for no obstacles; default: it expects none",
+        "search_limit_s": "time without progress along the path after which the law gives up; default: no limit",
         "minimum_m": "blind range (default 0.2)",
         "blind_time_s": "time after a ping without reception; replaces `minimum_m`",
         "maximum_m": "longest range (default 4.5)",

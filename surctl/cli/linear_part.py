@@ -81,9 +81,32 @@ def law_part(
     loop = corners.nominal
     lines = [f"margins of {vehicle.name}:", *corners.lines()]
     data = {"margins": [m.to_dict() for m in loop.margins], "linear": corners.to_dict()}
+    if law == "calm":
+        further, data["by_sonar"] = _by_sonar(law, vehicle, own, cruise=cruise, mission=mission)
+        lines += further
     delay = min((m.delay_margin_s for m in loop.margins), default=math.nan)
     disk = min((m.disk_margin for m in loop.margins), default=math.nan)
     return LinearPart(lines, data, corners.stable, cruise, delay, disk)
+
+
+def _by_sonar(
+    law: str, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None
+) -> tuple[list[str], list[dict[str, Any]]]:
+    from surctl.control import build_law
+    from surctl.errors import InputError
+    from surctl.sensing import OwnState
+    from surctl.verification import sonar_margins
+
+    own = OwnState() if mission is None else mission.sensors.equipment.own
+    if own is None:
+        return [], []
+    try:
+        margins = sonar_margins(build_law(law, sonar=True), vehicle, gains, cruise=cruise, own=own)
+    except InputError as error:
+        return [f"margins by sonar: not judged, because {error.key} {error.problem}"], []
+    late = f"own-state filter and fixes {own.fixes.latency:g} s late"
+    head = f"by sonar, with {late}, about a straight cruise at {cruise:g} m/s without turning, nominal vehicle:"
+    return [head, *(each.line() for each in margins)], [each.to_dict() for each in margins]
 
 
 def _run(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> Run:

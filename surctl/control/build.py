@@ -12,9 +12,9 @@ import casadi as ca
 from surctl.control.allocated import with_allocation
 from surctl.control.baselines import Situation
 from surctl.control.closing import Closing, Memory
-from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
+from surctl.control.dead_end import dead_end_next, standing
 from surctl.control.decision import Scan
-from surctl.control.echoes import perceive, perception_ports
+from surctl.control.echoes import perceive
 from surctl.control.law import (
     DEGRADED,
     DEPTH_PORT,
@@ -26,7 +26,7 @@ from surctl.control.law import (
     Stages,
     scan_telemetry,
 )
-from surctl.control.layers import LAYER_PORTS, aimed_depth
+from surctl.control.layers import aimed_depth
 from surctl.control.perception import PerceptionStage, build_perception
 from surctl.control.ports import (
     CONTACT_SLOTS,
@@ -41,7 +41,7 @@ from surctl.control.reference import learnt, path_following
 from surctl.control.registry import SONARLESS, law_ref, law_source
 from surctl.control.routines import limited, sensing
 from surctl.control.solver_inputs import limit_rows, solver_inputs
-from surctl.control.source import LawSource, decision_of, perceived_by, thrust_of
+from surctl.control.source import LawSource, decision_of, perceived_by, state_layout, thrust_of
 from surctl.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
 from surctl.control.stored import law_bytes, law_from
 from surctl.errors import InputError, SurctlError, nearest
@@ -49,7 +49,6 @@ from surctl.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.ir import (
     Block,
     Layout,
-    Port,
     Recording,
     cached_bytes,
     fold,
@@ -275,7 +274,8 @@ def _decide(
     avoidance, mode, dt, guidance = chosen.avoidance, chosen.mode, chosen.dt, chosen.guidance
     barrier, movers, fallback = chosen.barrier, chosen.movers, chosen.fallback
     scans, depths = "unknown" in inputs, "column" in inputs
-    state = _state_layout(source, dt, guidance, sonar=sonar, depths=depths)
+    limit = chosen.equipment.search_limit if scans else None
+    state = state_layout(source, dt, guidance, sonar=sonar, depths=depths, limited=limit is not None)
     listed = scan_telemetry(inputs.port("sonars").shape[0]) if scans else TELEMETRY
     outputs = Layout((*listed, *((TRAPPED_PORT,) if "trapped" in state else ()), *((DEPTH_PORT,) if depths else ())))
     x, xs = state.symbols("x")
@@ -331,7 +331,9 @@ def _decide(
             carried["drift"] = learnt(guidance, desired, xs["drift"], eta, nu, decision.avoiding, guided, dt=dt)
         if "trapped" in xs:
             known = perceived.known if moving else ()
-            dead_end = dead_end_next(desired, known, xs, eta, decision.stopped, ps, nu, us.get("column"), dt=dt)
+            dead_end = dead_end_next(
+                desired, known, xs, eta, decision.stopped, ps, nu, us.get("column"), dt=dt, limit=limit
+            )
             carried |= dead_end
             reported["trapped"] = dead_end["trapped"]
         if depths:
@@ -379,20 +381,4 @@ def _decide(
         barrier=barrier,
         movers=movers,
         fallback=fallback,
-    )
-
-
-def _state_layout(source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool) -> Layout:
-    unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
-    memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
-    return Layout(
-        (
-            Port("progress", (1,), "m", "arc length of the target point on the path"),
-            Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
-            *memory,
-            *(DEAD_END_PORTS if source.gives_up else ()),
-            *(LAYER_PORTS if depths else ()),
-            *source.ports,
-            *perception_ports(dt, sonar=sonar),
-        )
     )

@@ -6,6 +6,9 @@ causes neither event. The law counts the time without progress. The count pauses
 end of the path, and while the law stops because it does not know what is ahead (the output `stopped` reports this).
 After the time `patience` without progress, the law sets the status `TRAPPED` permanently: the robot holds its position
 and still avoids moving obstacles. If other depths are allowed, the robot tries these depths first (`control.layers`).
+
+With a search limit (`sensing.Equipment.search_limit`, in seconds), a search of new places ends too, if the projection
+on the path moves no further for this time. The time also counts while the law stops before unknown space.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from surctl.control.reference import DesiredMotion
 from surctl.guidance import Contact
 from surctl.ir import Port
 
-__all__ = ["DEAD_END_PORTS", "dead_end_next", "standing"]
+__all__ = ["DEAD_END_PORTS", "SEARCH_PORT", "dead_end_next", "standing"]
 
 NEW = 0.1  # [m] smallest distance that counts as progress: several times the position uncertainty
 NEAR = 1.5  # [m] clearance of a moving contact below which the robot waits for it
@@ -34,6 +37,8 @@ DEAD_END_PORTS = (
     Port("stalled", (1,), "s", "time without progress"),
     Port("trapped", (1,), "1", "1 after the law gave up in a dead end"),
 )
+
+SEARCH_PORT = Port("searching", (1,), "s", "time without progress along the path, for a law with a search limit")
 
 
 def standing(desired: DesiredMotion, x: Mapping[str, ca.SX], eta: ca.SX, p: Mapping[str, ca.SX]) -> DesiredMotion:
@@ -63,6 +68,7 @@ def dead_end_next(
     column: ca.SX | None = None,
     *,
     dt: float,
+    limit: float | None = None,
 ) -> dict[str, ca.SX]:
     """Return the next values of the state entries `DEAD_END_PORTS`, and of `LAYER_PORTS` if depths may change.
 
@@ -77,6 +83,8 @@ def dead_end_next(
         nu: (4, 1) velocity in {B}; required if other depths are allowed.
         column: (2, 1) free water above and below the hull [m]; None: only the path's depth is allowed.
         dt: control period [s].
+        limit: time without progress along the path [s] after which the law gives up; the next value of `SEARCH_PORT` is
+            then returned too. None: no limit.
     """
     here = ca.vertcat(eta[0], eta[0], eta[1], eta[1])
     signs = ca.DM([-1, 1, -1, 1])
@@ -94,6 +102,10 @@ def dead_end_next(
     stalled = ca.if_else(new, 0, x["stalled"] + ca.if_else(waits, 0, dt))
     was = x["trapped"] > 0.5
     now = ca.logic_or(was, ca.logic_and(p["patience"] > 0, stalled >= p["patience"]))
+    searching = None
+    if limit is not None:
+        searching = ca.if_else(further, 0, x["searching"] + ca.if_else(ca.logic_or(near, ended), 0, dt))
+        now = ca.logic_or(now, searching >= limit)
     # the box grows in steps of `NEW`, so that slow motion counts as progress but a drift of the estimate does not
     box = ca.if_else(grown > NEW, here, x["searched"])
     box = ca.if_else(further, here, box)
@@ -103,6 +115,7 @@ def dead_end_next(
         "searched": box,
         "stalled": stalled,
         "trapped": now,
+        **({} if searching is None else {SEARCH_PORT.name: searching}),
     }
     if column is None or nu is None:
         return after

@@ -23,6 +23,7 @@ class Mission:
     Attributes:
         acceleration: largest heave acceleration for braking: brake · largest heave thrust / heave mass [m/s²].
         end: (2,) end of the path in {E} [m].
+        search_limit: see `sensing.Equipment.search_limit`.
     """
 
     patience: float
@@ -34,6 +35,7 @@ class Mission:
     depth: float
     acceleration: float
     end: tuple[float, float]
+    search_limit: float | None = None
 
     @property
     def pitch(self) -> float:
@@ -81,7 +83,7 @@ class Mover:
 
 @dataclass(frozen=True)
 class DeadEnd:
-    """The values of the law's state entries `DEAD_END_PORTS` and `LAYER_PORTS`."""
+    """The values of the law's state entries `DEAD_END_PORTS`, `SEARCH_PORT` and `LAYER_PORTS`."""
 
     furthest: float = -100.0
     searched: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -90,6 +92,11 @@ class DeadEnd:
     layer: float = 0.0
     changing: float = 0.0
     beyond: float = 0.0
+    searching: float = 0.0
+
+    def anew(self) -> DeadEnd:
+        """Return the state with both counts of time at zero."""
+        return replace(self, stalled=0.0, searching=0.0)
 
 
 @dataclass(frozen=True)
@@ -146,15 +153,14 @@ def dead_end_step(dead_end: DeadEnd, place: Place, movers: Iterable[Mover], miss
         )
     home = mission.depth - place.eta[2]
     if abs(dead_end.layer) > 0.5 and (place.reached > dead_end.beyond or ended) and place.free(home, mission.margin):
-        return replace(after, changing=2.0, searched=here, stalled=0.0)
+        return replace(after.anew(), changing=2.0, searched=here)
     if not dead:
         return after
     return replace(
-        after,
+        after.anew(),
         layer=dead_end.layer + (-1 if dead_end.layer < 0 else 1),
         changing=1.0,
         searched=here,
-        stalled=0.0,
         beyond=dead_end.beyond if abs(dead_end.layer) > 0.5 else after.furthest + mission.pitch,
     )
 
@@ -168,21 +174,26 @@ def _searching(
     further = place.reached > dead_end.furthest + NEW
     outside = max(west - x, x - east, south - y, y - north) > NEW
     ended = (x - mission.end[0]) ** 2 + (y - mission.end[1]) ** 2 < ARRIVED**2
-    waits = place.stopped or ended or any(m.speed > MOVES and m.clearance < NEAR for m in movers)
-    stalled = dead_end.stalled if waits else dead_end.stalled + dt
+    near = any(m.speed > MOVES and m.clearance < NEAR for m in movers)
+    stalled = dead_end.stalled if place.stopped or ended or near else dead_end.stalled + dt
     stalled = 0.0 if further or outside else stalled
+    searching = dead_end.searching
+    if mission.search_limit is not None:
+        searching = 0.0 if further else searching if ended or near else searching + dt
     furthest = place.reached if further else dead_end.furthest
+    after = replace(dead_end, furthest=furthest, stalled=stalled, searching=searching)
     if dead_end.trapped:
-        return replace(dead_end, furthest=furthest, stalled=stalled), ended
-    if mission.patience > 0 and stalled >= mission.patience:
-        return replace(dead_end, furthest=furthest, stalled=stalled, trapped=True, searched=(x, x, y, y)), ended
+        return after, ended
+    lost = mission.search_limit is not None and searching >= mission.search_limit
+    if lost or (mission.patience > 0 and stalled >= mission.patience):
+        return replace(after, trapped=True, searched=(x, x, y, y)), ended
     box = (
         x if west - x > NEW else west,
         x if x - east > NEW else east,
         y if south - y > NEW else south,
         y if y - north > NEW else north,
     )
-    return replace(dead_end, furthest=furthest, stalled=stalled, searched=(x, x, y, y) if further else box), ended
+    return replace(after, searched=(x, x, y, y) if further else box), ended
 
 
 def _changing(before: DeadEnd, after: DeadEnd, place: Place, mission: Mission, dead: bool) -> DeadEnd:
@@ -190,15 +201,15 @@ def _changing(before: DeadEnd, after: DeadEnd, place: Place, mission: Mission, d
     returns = before.changing > 1.5
     rise = _goal(before, mission) - place.eta[2]
     if abs(rise) <= AT:
-        return replace(after, changing=-1.0, stalled=0.0, layer=0.0 if returns else before.layer)
+        return replace(after.anew(), changing=-1.0, layer=0.0 if returns else before.layer)
     if place.free(rise, mission.margin) and not dead:
-        return replace(after, stalled=0.0) if abs(place.nu[2]) > RISES else after
+        return after.anew() if abs(place.nu[2]) > RISES else after
     if returns:  # the water back to the path's depth is no longer free: go back to the layer
-        return replace(after, changing=1.0, stalled=0.0)
+        return replace(after.anew(), changing=1.0)
     if before.layer < 0:
         abandoned_layer = (place.eta[2] - mission.depth) / mission.pitch
         return replace(after, changing=0.0, trapped=True, layer=abandoned_layer)
-    return replace(after, changing=1.0, stalled=0.0, layer=-1.0)
+    return replace(after.anew(), changing=1.0, layer=-1.0)
 
 
 def _goal(dead_end: DeadEnd, mission: Mission) -> float:

@@ -144,10 +144,12 @@ def layers_next(
     searched = ca.if_else(starts, here, ca.if_else(moves, x["searched"], dead_end["searched"]))
     rises = ca.logic_and(moves, ca.fabs(nu[2]) > RISES)
     anew = ca.logic_or(ca.logic_or(further, home), ca.logic_or(ca.logic_or(there, rises), failed))
+    fresh = ca.logic_and(anew, ca.logic_not(abandoned))
+    counts = {name: ca.if_else(fresh, 0, dead_end[name]) for name in ("stalled", "searching") if name in dead_end}
     return {
         "furthest": dead_end["furthest"],
         "searched": ca.if_else(was, x["searched"], searched),
-        "stalled": ca.if_else(ca.logic_and(anew, ca.logic_not(abandoned)), 0, dead_end["stalled"]),
+        **counts,
         "trapped": ca.logic_or(was, abandoned),
         "layer": ca.if_else(was, layer, following),
         "changing": ca.if_else(was, STANDS, state),

@@ -10,12 +10,15 @@ import casadi as ca
 
 from surctl.control.baselines import Situation
 from surctl.control.closing import Thrust
+from surctl.control.dead_end import DEAD_END_PORTS, SEARCH_PORT
 from surctl.control.decision import DECISION_PORTS, Decision, TaskLevel
-from surctl.control.echoes import Perception
+from surctl.control.echoes import Perception, perception_ports
 from surctl.control.gains import GainSpec
+from surctl.control.layers import LAYER_PORTS
 from surctl.control.ports import PARAMETERS
 from surctl.control.steering import Steering
 from surctl.errors import InputError, nearest
+from surctl.guidance import Guidance
 from surctl.ir import Layout, Port, identifier
 from surctl.own_code import called, is_own, own_file
 from surctl.priority import Mode
@@ -23,7 +26,17 @@ from surctl.sensing import OwnStateFilter
 from surctl.system.parts import expression, symbolic
 from surctl.tasks import Task
 
-__all__ = ["AVOIDANCE", "BARRIER", "CASCADE", "PATH_FOLLOWING", "LawSource", "decision_of", "perceived_by", "thrust_of"]
+__all__ = [
+    "AVOIDANCE",
+    "BARRIER",
+    "CASCADE",
+    "PATH_FOLLOWING",
+    "LawSource",
+    "decision_of",
+    "perceived_by",
+    "state_layout",
+    "thrust_of",
+]
 
 PATH_FOLLOWING, CASCADE, AVOIDANCE, BARRIER = "path following", "cascade", "avoidance (20)", "barrier"
 """Parts of a law for which the library has claims and linear models: path following by equations (8)–(12) of the paper;
@@ -160,6 +173,35 @@ def _check_port(name: str, unit: str, *, where: str, reserved: frozenset[str]) -
         raise InputError("is a gain, state or input of every law", key=where, value=name, remedy="choose another name")
     if not unit.strip():
         raise InputError("has no unit", key=f"{where}.{name}", remedy='give its unit, "1" if it has none')
+
+
+def state_layout(
+    source: LawSource, dt: float, guidance: Guidance, *, sonar: bool, depths: bool, limited: bool
+) -> Layout:
+    """Return the layout of the state of a law without perception.
+
+    Args:
+        source: the source of the law.
+        dt: control period [s].
+        guidance: path following.
+        sonar: whether the law uses sonars, without a map.
+        depths: whether the law may leave a dead end at another depth.
+        limited: whether the law has a search limit.
+    """
+    unit = {"ilos": "s", "alos": "1"}.get(guidance, "")
+    memory = (Port("drift", (1,), unit, f"estimate of guidance {guidance} for a steady disturbance"),) if unit else ()
+    return Layout(
+        (
+            Port("progress", (1,), "m", "arc length of the target point on the path"),
+            Port("integral", (4,), "m/s^2, rad/s^2", "integral action of the velocity loops"),
+            *memory,
+            *(DEAD_END_PORTS if source.gives_up else ()),
+            *((SEARCH_PORT,) if source.gives_up and limited else ()),
+            *(LAYER_PORTS if depths else ()),
+            *source.ports,
+            *perception_ports(dt, sonar=sonar),
+        )
+    )
 
 
 def decision_of(source: LawSource, situation: Situation, reference: str) -> Decision:

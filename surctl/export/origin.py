@@ -166,6 +166,8 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
         floor = origin.equipment.floor
         entries["sensors"] = {"surface_model": origin.equipment.surface_model}
         entries["sensors"] |= {} if floor is None else {"floor_m": floor}
+        search = origin.equipment.search_limit
+        entries["sensors"] |= {} if search is None else {"search_limit_s": search}
     return entries
 
 

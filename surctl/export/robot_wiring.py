@@ -52,7 +52,7 @@ def robot_wiring(law: Exportable, origin: Origin | None) -> dict[str, Any]:
         "oldest_fix": f"{LONGEST_LATENCY:g}",
         "never_fixed": f"{LONGEST_AGE:g}",
         "arriving": "progress" in law.state,
-        "stalling": "stalled" in law.state,
+        "stalling": [count for count in ("stalled", "searching") if count in law.state],
         "listening": "samples" in law.inputs,
         "coasting": "" if origin is None else _coasting(origin),
         "plant_line": "" if origin is None else _plant(origin),
@@ -103,6 +103,15 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
             f"An echo from the range of a floor {equipment.floor:g} m deep, or from beyond, marks no obstacle. The "
             "water surface is not in the model: "
         )
+    search = (
+        []
+        if equipment.search_limit is None
+        else [
+            f"Search limit: after {equipment.search_limit:g} s without progress along the path the status is TRAPPED, "
+            "also while the robot still searches new places, and whatever `patience` is; `searching` in the state "
+            "counts. Time near a moving obstacle, at the end of the path, and without thrust does not count."
+        ]
+    )
     tilt = f", its axis {abs(degrees(array.pitch)):.3g}° {'above' if array.pitch > 0 else 'below'} the horizontal"
     tilt = tilt if array.pitch else ""
     step = f"{1000 * array.resolution:.4g} mm"
@@ -127,6 +136,7 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         "`samples = 1` for whole centimetres, one number), which allows for such repeats.",
         f"Speed of sound {array.speed:.0f} m/s ({array.medium}, {array.temperature:g} °C); readings are "
         f"{array.scale:.4g} times the true range.",
+        *search,
     ]
 
 

@@ -69,7 +69,7 @@ def wiring_values(law: Exportable) -> dict[str, Any]:
         "flag_names": [port.name for port in law.inputs if port.name == "fresh" or port.name.endswith("_fresh")],
         "own_age": False,
         "arriving": False,
-        "stalling": False,
+        "stalling": [],
         "listening": False,
         "plant_line": "",
         "coasting": "",

@@ -44,6 +44,8 @@ class Equipment:
         surface_model: what the law assumes of surfaces, see `SurfaceModel`.
         floor: depth [m] of a floor that answers the sonars: the law takes an echo from its range, or from beyond, for
             no obstacle. None: the law expects no echo of the floor.
+        search_limit: time [s] without progress along the path after which a law that recognises dead ends gives up,
+            also if it still searches new places (see `control.dead_end`). None: no limit.
     """
 
     array: SonarArray = field(default_factory=SonarArray)
@@ -51,6 +53,7 @@ class Equipment:
     own: OwnState | None = field(default_factory=OwnState)
     surface_model: SurfaceModel = "diffuse"
     floor: float | None = None
+    search_limit: float | None = None
 
     def __post_init__(self) -> None:
         """Check the values; raise an InputError that names an invalid value."""
@@ -59,6 +62,9 @@ class Equipment:
             raise InputError("is not known", key="surface_model", value=self.surface_model, remedy=remedy)
         if self.floor is not None and not 0.0 < self.floor < inf:
             raise InputError("must be greater than 0", key="floor", value=self.floor, remedy="give the depth in m")
+        if self.search_limit is not None and not 0.0 < self.search_limit < inf:
+            remedy = "give the time in s, or leave it out for no limit"
+            raise InputError("must be greater than 0", key="search_limit", value=self.search_limit, remedy=remedy)
 
     @property
     def assumed(self) -> Equipment:

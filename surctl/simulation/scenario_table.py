@@ -87,6 +87,8 @@ def _sensors(sensors: Sensors) -> dict[str, Any]:
         sonar["surface_model"] = equipment.surface_model
     if equipment.floor is not None:
         sonar["floor_m"] = equipment.floor
+    if equipment.search_limit is not None:
+        sonar["search_limit_s"] = equipment.search_limit
     sonar |= {
         "faults": [fault.model_dump(exclude_none=True) for fault in sensors.faults],
         "chances": sensors.chances.model_dump(),

@@ -62,6 +62,7 @@ class SonarTable(Strict):
     echoes: Literal["ideal", "webots", "specular", "diffuse"] | None = None
     surface_model: SurfaceModel = "diffuse"
     floor_m: Positive | None = None
+    search_limit_s: Positive | None = None
     minimum_m: Positive | None = None
     blind_time_s: Positive | None = None
     maximum_m: Positive | None = None
@@ -220,8 +221,14 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
         for steps in (delivery.late, delivery.every):
             _in_table(table, partial(steps, _PERIOD))
     own_state = None if own.truth else measured
-    surfaces, floor = sonar.surface_model, sonar.floor_m
-    equipment = Equipment(array=array, station=base_station, own=own_state, surface_model=surfaces, floor=floor)
+    equipment = Equipment(
+        array=array,
+        station=base_station,
+        own=own_state,
+        surface_model=sonar.surface_model,
+        floor=sonar.floor_m,
+        search_limit=sonar.search_limit_s,
+    )
     echoes = sonar.echoes if sonar.echoes is not None and not _simple(sonar.echoes)[0] else ""
     return Sensors(equipment, sonar.faults, sonar.chances, echoes)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from surctl.control.dead_end import SEARCH_PORT
 from surctl.errors import InputError
 from surctl.simulation.fit import findings
 from surctl.simulation.run import Run, depth_changes
@@ -102,9 +103,11 @@ def _search_reason(run: Run) -> str:
     since = float(record.time[int(np.argmax(furthest >= furthest[-1]))])
     if not furthest[-1] > -1 or record.time[-1] - since < _LEAST:
         return ""
+    limit = run.scenario.sensors.equipment.search_limit
+    limited = f", search_limit_s: {'none' if limit is None else f'{limit:g} s'}" if law.perception is not None else ""
     return (
         f"no progress along the path since {since:.0f} s, at {furthest[-1]:.1f} m of {run.scenario.path.length:.1f} m; "
-        f"until the end it searched for a way round (gain patience: {run.gains['patience']:g} s)"
+        f"until the end it searched for a way round (gain patience: {run.gains['patience']:g} s{limited})"
     )
 
 
@@ -114,6 +117,11 @@ def _dead_end_reason(run: Run) -> str:
     x, y = record.eta[first, :2]
     state = record.law_state[first]
     furthest, stalled = (float(state[law.state.slice(name)][0]) for name in ("furthest", "stalled"))
+    along, limit = "", run.scenario.sensors.equipment.search_limit
+    if limit is not None and SEARCH_PORT.name in law.state:
+        searching = float(state[law.state.slice(SEARCH_PORT.name)][0])
+        if searching > limit - 2 * law.dt:  # the state is that before the step that gave up
+            along, stalled = " along the path", searching
     if run.scenario.path.fed:  # the law measures along its window
         follower = run.scenario.follower()
         follower.track(record.eta[: first + 1, :2])
@@ -122,7 +130,7 @@ def _dead_end_reason(run: Run) -> str:
     tried = [f"{change.to_m:.2f}" for change in depth_changes(run) if not change.back]
     depths = f"; depths tried besides the path's, z in m: {', '.join(tried)}" if tried else ""
     return (
-        f"no progress for {stalled:.0f} s, search ended at ({x:.2f}, {y:.2f}) m after "
+        f"no progress{along} for {stalled:.0f} s, search ended at ({x:.2f}, {y:.2f}) m after "
         f"{record.time[first]:.0f} s; reached {furthest:.1f} m of the {length:.1f} m path{depths}"
     )
 

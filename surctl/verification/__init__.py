@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from surctl.verification.proving import Proof, prove
     from surctl.verification.sampled_margins import system_disk_margin, system_margins
     from surctl.verification.setting import Setting, setting_from
+    from surctl.verification.sonar_margins import SonarMargins, sonar_margins
     from surctl.verification.speeds import (
         OverSpeeds,
         check_held,
@@ -55,6 +56,7 @@ __all__ = [
     "Proof",
     "Replay",
     "Setting",
+    "SonarMargins",
     "Variable",
     "Verdict",
     "VerdictWord",
@@ -78,6 +80,7 @@ __all__ = [
     "replay",
     "setting_from",
     "settling_intrusion",
+    "sonar_margins",
     "speeds_text",
     "steady_motion",
     "sweep_locus",
@@ -110,6 +113,7 @@ load_at_first_use(
         "proving": "Proof prove",
         "sampled_margins": "system_disk_margin system_margins",
         "setting": "Setting setting_from",
+        "sonar_margins": "SonarMargins sonar_margins",
         "speeds": "OverSpeeds check_held cruise_speeds over_speeds speeds_text worst_place worst_text",
         "verdict": "Inapplicable Verdict",
     },

@@ -184,7 +184,7 @@ def _linear(
     along, ahead = _turned(axis).T @ at.current, _turned(at.heading).T @ at.current
     numbers, psi = plant_parameters(vehicle)[None], at.heading - axis
     (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
-    B = B @ _delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
+    B = B @ delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
     Az, By, C, D = slopes
     acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
     lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
@@ -237,7 +237,7 @@ def _free(A: Array, felt: NDArray[np.bool_], coordinates: Sequence[int]) -> list
         free += more
 
 
-def _delivered(vehicle: Vehicle, nu: Array) -> Array:
+def delivered(vehicle: Vehicle, nu: Array) -> Array:
     """Return the derivative (4, 4) of the force and yaw moment that the thrusters deliver by the command of the law.
 
     It is the identity, unless a command moves another axis too: a rudder pushes sideways when it turns the craft. `nu`

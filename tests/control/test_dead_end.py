@@ -14,28 +14,30 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.control import PARAMETERS, law_parameters, load_gains
-from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
+from surctl.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
 from surctl.control.reference import path_following
 from surctl.guidance import Path, disc_contact
 from surctl.ir import Layout, Port
 from surctl.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
-DT, PATIENCE = 0.5, 10.0
+DT, PATIENCE, LIMIT = 0.5, 10.0, 30.0
 STATE = Layout((Port("progress", (1,), "m", "arc length of the target point on the path"), *DEAD_END_PORTS))
+LIMITED = Layout((*STATE, SEARCH_PORT))
 SMALL = {name: STATE.slice(name) for name in ("furthest", "searched", "stalled", "trapped")}
 
 
 @cache
-def _function() -> ca.Function:
-    x, xs = STATE.symbols("x")
+def _function(limit: float | None = None) -> ca.Function:
+    state = STATE if limit is None else LIMITED
+    x, xs = state.symbols("x")
     p, ps = PARAMETERS.symbols("p")
     eta, mover, halted = ca.SX.sym("eta", 4), ca.SX.sym("mover", 3), ca.SX.sym("stopped")
     wish = path_following(eta, xs["progress"], ps, dt=DT)
     contact = disc_contact(eta[:2], ps["hull"], mover[:2], ca.SX(0.2), ca.vertcat(mover[2], 0), ca.SX(1))
-    after = {**dead_end_next(wish, [contact], xs, eta, halted, ps, dt=DT), "progress": xs["progress"]}
+    after = {**dead_end_next(wish, [contact], xs, eta, halted, ps, dt=DT, limit=limit), "progress": xs["progress"]}
     kept = standing(wish, xs, eta, ps).velocity
-    return ca.Function("dead_end", [x, eta, mover, halted, p], [STATE.join(after), kept, wish.velocity])
+    return ca.Function("dead_end", [x, eta, mover, halted, p], [state.join(after), kept, wish.velocity])
 
 
 def _parameters(**gains: float) -> Array:
@@ -50,11 +52,18 @@ def _parameters(**gains: float) -> Array:
     )
 
 
-def _fly(places: Array, *, mover: tuple[float, float, float] = (90, 90, 0), halted: float = 0, **gains: float) -> Array:
+def _fly(
+    places: Array,
+    *,
+    mover: tuple[float, float, float] = (90, 90, 0),
+    halted: float = 0,
+    limit: float | None = None,
+    **gains: float,
+) -> Array:
     """The state after the last of the places (n, 2), one a step."""
-    x, p = STATE.pack({"progress": 3.0}), _parameters(**gains)
+    x, p = (STATE if limit is None else LIMITED).pack({"progress": 3.0}), _parameters(**gains)
     for place in places:
-        x = np.asarray(_function()(x, [*place, -0.15, 0.0], mover, halted, p)[0]).ravel()
+        x = np.asarray(_function(limit)(x, [*place, -0.15, 0.0], mover, halted, p)[0]).ravel()
     return x
 
 
@@ -81,6 +90,20 @@ def test_to_and_fro_within_what_was_searched_is_a_dead_end_and_a_way_on_is_none(
     back = np.column_stack([2.0 - 0.04 * DT * np.arange(n), np.zeros(n)])
     for way in (along, aside, back):
         assert not _told(_fly(way))["trapped"]
+
+
+def test_a_search_without_progress_along_the_path_ends_at_its_limit() -> None:
+    """Away from the path at 0.04 m/s, it searches new places all the time."""
+    n = round(LIMIT / DT) + 1  # the first place is progress
+    aside = np.column_stack([np.full(n, 2.0), 0.04 * DT * np.arange(n)])
+    assert not _told(_fly(aside))["trapped"]
+    assert not _told(_fly(aside[:-1], limit=LIMIT))["trapped"]
+    assert _told(_fly(aside, limit=LIMIT))["trapped"]
+    assert _told(_fly(aside, limit=LIMIT, halted=1, patience=0.0))["trapped"], "a halt gives no time for progress"
+    assert not _told(_fly(aside[:, ::-1] + [3, 0], limit=LIMIT))["trapped"], "along the path"
+    assert not _told(_fly(aside, limit=LIMIT, mover=(2.0, 1.5, 0.1)))["trapped"], "it waits for what moves"
+    assert not _told(_fly([8.9, 0.0] + 0 * aside, limit=LIMIT))["trapped"], "at the end of the path"
+    assert _told(_fly(_still(PATIENCE), limit=LIMIT))["trapped"], "patience is as before"
 
 
 def test_new_ground_counts_anew_where_the_path_was_got_on_with() -> None:

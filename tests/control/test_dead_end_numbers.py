@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.control import PARAMETERS, law_parameters, load_gains
-from surctl.control.dead_end import DEAD_END_PORTS, dead_end_next, standing
+from surctl.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
 from surctl.control.dead_end_numbers import DeadEnd, Mission, Mover, Place, aim, dead_end_step
 from surctl.control.layers import LAYER_PORTS, aimed_depth
 from surctl.control.reference import path_following
@@ -19,25 +19,33 @@ from surctl.guidance import Path, disc_contact
 from surctl.ir import Layout, Port
 from surctl.vehicle import load_vehicle
 
-DT, PATIENCE, DEPTH, END = 0.5, 4.0, -2.0, (9.0, 0.0)
+DT, PATIENCE, DEPTH, END, LIMIT = 0.5, 4.0, -2.0, (9.0, 0.0), 8.0
 PROGRESS = Port("progress", (1,), "m", "arc length of the target point on the path")
-STATES = {depths: Layout((PROGRESS, *DEAD_END_PORTS, *(LAYER_PORTS if depths else ()))) for depths in (False, True)}
+STATES = {
+    (depths, limit): Layout(
+        (PROGRESS, *DEAD_END_PORTS, *(LAYER_PORTS if depths else ()), *(() if limit is None else (SEARCH_PORT,)))
+    )
+    for depths in (False, True)
+    for limit in (None, LIMIT)
+}
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default").with_values({"patience": PATIENCE})
 PITCH = 2 * VEHICLE["radius"] + GAINS["margin"]
 
 
 @cache
-def _function(depths: bool) -> ca.Function:
-    x, xs = STATES[depths].symbols("x")
+def _function(depths: bool, limit: float | None) -> ca.Function:
+    state = STATES[depths, limit]
+    x, xs = state.symbols("x")
     p, ps = PARAMETERS.symbols("p")
     eta, nu, mover, halted, column = (ca.SX.sym(n, k) for n, k in (("e", 4), ("n", 4), ("m", 3), ("h", 1), ("c", 2)))
     wish = path_following(eta, xs["progress"], ps, dt=DT)
     contact = disc_contact(eta[:2], ps["hull"], mover[:2], ca.SX(0.2), ca.vertcat(mover[2], 0), ca.SX(1))
-    after = dead_end_next(wish, [contact], xs, eta, halted, ps, nu, column if depths else None, dt=DT)
+    known = (wish, [contact], xs, eta, halted, ps, nu, column if depths else None)
+    after = dead_end_next(*known, dt=DT, limit=limit)
     layer, depth = aimed_depth(xs, eta, nu, column, ps) if depths else (ps["depth"], ps["depth"])
     kept = ca.vertcat(standing(wish, xs, eta, ps).velocity, layer, depth)
     told = ca.vertcat(contact.clearance, xs["progress"] + wish.x_e, wish.velocity)
-    joined = STATES[depths].join({**after, "progress": xs["progress"]})
+    joined = state.join({**after, "progress": xs["progress"]})
     return ca.Function("dead_end", [x, eta, nu, mover, halted, column, p], [joined, kept, told])
 
 
@@ -48,7 +56,7 @@ def _parameters() -> tuple[float, ...]:
     return tuple(law_parameters(GAINS, VEHICLE, path=path, depth=DEPTH, **site).tolist())  # type: ignore[arg-type]
 
 
-def _mission() -> Mission:
+def _mission(limit: float | None) -> Mission:
     return Mission(
         patience=PATIENCE,
         cruise=0.2,
@@ -59,6 +67,7 @@ def _mission() -> Mission:
         depth=DEPTH,
         acceleration=GAINS["brake"] * VEHICLE["Fw_max"] / VEHICLE["m33"],
         end=END,
+        search_limit=limit,
     )
 
 
@@ -76,6 +85,7 @@ def _drawn(rng: np.random.Generator, depths: bool) -> tuple[DeadEnd, Place, tupl
         layer=layer,
         changing=changing,
         beyond=x + rng.uniform(-1, 0.5),
+        searching=rng.uniform(0, LIMIT + 1),
     )
     goal = DEPTH + PITCH * (0.0 if changing > 1.5 else layer)
     z = goal + rng.choice([0.02, 0.2, 1.0]) * rng.normal()
@@ -92,21 +102,21 @@ def _packed(trap: DeadEnd, layout: Layout, progress: float) -> NDArray[np.float6
     return layout.pack({name: value for name, value in values.items() if name in layout})
 
 
-@pytest.mark.parametrize("depths", [False, True], ids=["one depth", "depths"])
-def test_the_symbols_and_the_plain_twin_agree(depths: bool) -> None:
-    rng, mission, p = np.random.default_rng(1), _mission(), _parameters()
+@pytest.mark.parametrize(
+    ("depths", "limit"), [(False, None), (True, None), (True, LIMIT)], ids=["one depth", "depths", "limited"]
+)
+def test_the_symbols_and_the_plain_twin_agree(depths: bool, limit: float | None) -> None:
+    rng, mission, p, state = np.random.default_rng(1), _mission(limit), _parameters(), STATES[depths, limit]
     seen: set[tuple[float, ...]] = set()
     for _ in range(600):
         trap, place, mover, progress = _drawn(rng, depths)
-        x = _packed(trap, STATES[depths], progress)
+        x = _packed(trap, state, progress)
         column = place.column or (0.0, 0.0)
-        after, kept, told = _function(depths)(x, place.eta, place.nu, mover, place.stopped, column, p)
+        after, kept, told = _function(depths, limit)(x, place.eta, place.nu, mover, place.stopped, column, p)
         clearance, reached, *free = np.asarray(told).ravel().tolist()
         place = Place(**{**asdict(place), "reached": reached})
         wanted = dead_end_step(trap, place, [Mover(clearance, mover[2])], mission, dt=DT)
-        np.testing.assert_allclose(
-            np.asarray(after).ravel(), _packed(wanted, STATES[depths], progress), rtol=0, atol=1e-12
-        )
+        np.testing.assert_allclose(np.asarray(after).ravel(), _packed(wanted, state, progress), rtol=0, atol=1e-12)
         asked = aim(trap, place, mission)
         expected = [*(asked.velocity or free), asked.layer, asked.depth]
         np.testing.assert_allclose(np.asarray(kept).ravel(), expected, rtol=0, atol=1e-12)

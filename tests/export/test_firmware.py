@@ -15,6 +15,7 @@ import pytest
 from surctl.control import build_law
 from surctl.export import Bundle, build_bundle, origin_of, write_bundle
 from surctl.export.contract import STATUS
+from surctl.export.origin import origin_entries
 from surctl.export.robot_wiring import _sonars
 from surctl.export.wiring import DEMANDS
 from surctl.ir import Layout, Port
@@ -31,6 +32,16 @@ def test_the_wiring_states_the_pitch_of_the_sonars() -> None:
     origin = origin_of(build_law("closed_form"), load_vehicle("sur400"))
     for pitch, words in ((-0.3, "75° wide, its axis 17.2° below the horizontal."), (0.0, "75° wide. No echo")):
         assert words in " ".join(_sonars(Equipment(array=SonarArray(pitch=pitch)), origin))
+
+
+def test_the_wiring_and_the_manifest_state_the_search_limit() -> None:
+    law, vehicle = build_law("closed_form"), load_vehicle("sur400")
+    for limit, entries in ((None, {}), (60.0, {"search_limit_s": 60.0})):
+        equipment = Equipment(search_limit=limit)
+        origin = origin_of(law, vehicle, equipment=equipment)
+        assert ("Search limit: after 60 s without progress" in " ".join(_sonars(equipment, origin))) is bool(entries)
+        stated = origin_entries(law, law.gains.pack({}), origin)["sensors"]
+        assert stated == {"surface_model": "diffuse", **entries}
 
 
 STRICT = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1", "-ffp-contract=off")
@@ -260,14 +271,14 @@ int main(void)
 def test_a_pause_is_no_dead_end_and_arming_ends_one(tmp_path: Path) -> None:
     """The law moves on for 2 s, and is trapped after 3 s without progress."""
     need_compiler()
-    x, u, p = ca.SX.sym("x", 3), ca.SX.sym("u"), ca.SX.sym("p")
-    progress, stalled, trapped = ca.vertsplit(x)
+    x, u, p = ca.SX.sym("x", 4), ca.SX.sym("u"), ca.SX.sym("p")
+    progress, stalled, searching, trapped = ca.vertsplit(x)
     moved = progress < 1.99
-    stalled = ca.if_else(moved, 0, stalled + 0.05)
-    trapped = ca.logic_or(trapped, stalled > 2.99)
-    after = ca.vertcat(progress + 0.05 * moved, stalled, trapped)
+    stalled, searching = ca.if_else(moved, 0, stalled + 0.05), ca.if_else(moved, 0, searching + 0.05)
+    trapped = ca.logic_or(trapped, ca.fmax(stalled, searching) > 2.99)
+    after = ca.vertcat(progress + 0.05 * moved, stalled, searching, trapped)
     layouts = (
-        Layout(tuple(Port(name, (1,), "1", name) for name in ("progress", "stalled", "trapped"))),
+        Layout(tuple(Port(name, (1,), "1", name) for name in ("progress", "stalled", "searching", "trapped"))),
         Layout((Port("depth", (1,), "m", "depth"),)),
         Layout((Port("k", (1,), "1", "gain", default=1.0),)),
         Layout((Port("tau", (4,), "N, N, N, N m", "thrust"),)),

@@ -480,14 +480,14 @@ def test_compact_replies_are_compared_in_thrust_and_carry_pythons_state(small: d
 
 def test_in_a_paused_step_no_time_without_progress_counts(tmp_path: Path) -> None:
     need_compiler()
-    x, u, p = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p", 0)
+    x, u, p = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 0)
     layouts = (
-        Layout((Port("stalled", (1,), "s", "time without progress"),)),
+        Layout(tuple(Port(name, (1,), "s", "time without progress") for name in ("stalled", "searching"))),
         Layout((Port("depth", (1,), "m", "depth"),)),
         Layout(()),
         Layout((Port("tau", (4,), "N, N, N, N m", "thrust"),)),
     )
-    function = ca.Function("law", [x, u, p], [x * ca.SX.ones(4), x + 0.05, ca.SX(0), ca.SX(0, 1)])
+    function = ca.Function("law", [x, u, p], [ca.fmax(x[0], x[1]) * ca.SX.ones(4), x + 0.05, ca.SX(0), ca.SX(0, 1)])
     law = StandIn("stall", 0.05, *layouts, function)
     with serving(program(law, np.zeros(0), tmp_path, "float64")) as (_, where), connect(where) as opened:
         opened.start(opened.request().id)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from surctl.control import TRAPPED, build_law, law_parameters, load_gains
+from surctl.control.dead_end import SEARCH_PORT
 from surctl.guidance import Path
+from surctl.ir import Layout
 from surctl.simulation import (
     STANDSTILL,
     Case,
@@ -68,6 +70,22 @@ def test_a_dead_end_is_found_and_said_in_safety(scene: str) -> None:
     assert np.hypot(*run.record.nu[-1, :2]) < 0.05
     assert np.linalg.norm(run.record.eta[-1, :2] - run.record.eta[trapped][0, :2]) < 0.15
     assert f"no progress for {run.gains['patience']:.0f} s, search ended at (" in stop_reason(run)
+
+
+def test_a_search_that_reached_its_limit_is_the_reason() -> None:
+    """As if the law had a search limit; the run itself, by sonar: study 40."""
+    run = _run("a box as wide as the pool")
+    law = replace(run.law, state=Layout((*run.law.state, SEARCH_PORT)))
+    for searching, said in (
+        (19.95, "no progress along the path for 20 s, search"),
+        (3.0, "no progress for 5 s, search"),
+    ):
+        states = np.column_stack([run.record.law_state, np.full(len(run.record.time), searching)])
+        sensors = run.scenario.sensors
+        limited = replace(sensors, equipment=replace(sensors.equipment, search_limit=20.0))
+        scenario = replace(run.scenario, sensors=limited)
+        seen = replace(run, law=law, scenario=scenario, record=replace(run.record, law_state=states))
+        assert stop_reason(seen).startswith(said)
 
 
 def test_patience_0_never_gives_up() -> None:

@@ -39,6 +39,7 @@ SENSORS = {
             own=OwnState(yaw_sd=0.02, rate_sd=0.001, fixes=LATE),
             surface_model="specular",
             floor=1.5,
+            search_limit=45.0,
         ),
         (Fault(sensor=1, kind="delay", delay_s=0.25), Fault(sensor=0, kind="stuck", start_s=1.0, duration_s=2.0)),
         FaultChances(dropout=0.05, spike=0.01),
