@@ -189,6 +189,10 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     plant, law, most = Plant(claim, count, rng), claim["law"], claim["vehicle"]["yaw_rate_rad_per_s"]
     vehicle = claim["vehicle"]
     omega = sum(slope * mean for slope, mean in zip(proof["trim"], plant.means, strict=True))
+    gains = np.stack([np.ones(count), *plant.means]).T @ np.array(proof.get("flow", np.zeros((3, 2))))
+    drawn = -gains.T * plant.flow  # the steady command shifts with the current
+    omega = omega + drawn[0]
+    aside = -law["lookahead"] * drawn[1] / (law["cruise"] + omega)
     if plant.lag:
         P = np.block([[P, np.zeros((4, 2))], [np.zeros((2, 4)), proof["thrust"]["weight"] * np.eye(2)]])
     xi = rng.normal(size=(count, len(P))) @ np.linalg.inv(np.linalg.cholesky(P))
@@ -196,7 +200,9 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     psi = rng.uniform(-np.pi, np.pi, size=count)
     along, across = xi[:, 2] + law["cruise"], xi[:, 3]
     c, s = np.cos(psi), np.sin(psi)
-    state = np.stack([xi[:, 0] - omega / law["k1"], xi[:, 1], psi, c * along + s * across, c * across - s * along])
+    state = np.stack(
+        [xi[:, 0] - omega / law["k1"], xi[:, 1] + aside, psi, c * along + s * across, c * across - s * along]
+    )
     state = np.concatenate([state, plant.commanded(state)])
     masses = np.array(law["mass_kg"])[:, None]
     if plant.lag:  # the last two entries of ξ are the thrust minus its command, over the mass in the law's model
@@ -207,7 +213,9 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
     def level(at: Array, phase: float = 0.0) -> Array:
         # with held commands, V = ξᵀ P ξ + q (1 − σ)/σ |E|² at the share σ of a period
         c, s = np.cos(at[2]), np.sin(at[2])
-        z = np.stack([at[0] + shift, at[1], c * at[3] - s * at[4] - law["cruise"], s * at[3] + c * at[4]], axis=1)
+        z = np.stack(
+            [at[0] + shift, at[1] - aside, c * at[3] - s * at[4] - law["cruise"], s * at[3] + c * at[4]], axis=1
+        )
         if plant.lag:
             z = np.hstack([z, ((at[5:] - plant.commanded(at)) / masses).T])
         value = np.asarray(np.einsum("ni,ij,nj->n", z, P, z))

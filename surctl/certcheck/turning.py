@@ -1,7 +1,7 @@
 """Check of a `turning` certificate: V decays on every motion of a cruise with unequal masses at any heading.
 
 The claim states that, for all constant true parameters in their ranges, there is a steady cruise ξ* with the offset
-x_e* = −ω/k1 along the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ = (x_e, y_e, U_x, U_y), every motion that starts in V ≤
+x_e* = −ω/k1 along the path, and in a current with one across it (`turning_flow`). With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ = (x_e, y_e, U_x, U_y), every motion that starts in V ≤
 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0, however the heading moves with |r| ≤ yaw_rate_rad_per_s and
 on any curve with |curvature| ≤ curvature_per_m, and in any constant current of at most current_m_per_s. With thrust
 lag, or commands that are held for a period that begins at t = 0, q |E|² is added to V (`turning_late`). The levels floor
@@ -28,7 +28,8 @@ from surctl.certcheck.region_exact import (
     root_up,
 )
 from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lateness, steady
-from surctl.certcheck.turning_claim import TurningClaim, factors, read_claim
+from surctl.certcheck.turning_claim import Pair, TurningClaim, factors, read_claim
+from surctl.certcheck.turning_flow import STILL
 from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_law import check_samples
 from surctl.certcheck.turning_late import Phase
@@ -50,12 +51,20 @@ def check(document: Mapping[str, Any]) -> None:
     record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
     claim = read_claim(document.get("claim"))
     keys = ("P", "floor", "trim", "cells", "shells") + (("thrust",) if claim.behind else ())
+    keys += ("flow",) if claim.current else ()
     proof = record(document.get("proof"), keys, "proof")
-    check_cells(claim, proof, _slopes(proof["trim"]))
+    check_cells(claim, proof, _slopes(proof["trim"]), _flow(claim, proof["flow"]) if claim.current else STILL)
 
 
-def check_cells(claim: TurningClaim, proof: Mapping[str, Any], slopes: tuple[Fraction, Fraction]) -> None:
+def check_cells(
+    claim: TurningClaim,
+    proof: Mapping[str, Any],
+    slopes: tuple[Fraction, Fraction],
+    flow: tuple[Pair, Pair, Pair] = STILL,
+) -> None:
     """Check the P, floor, cells and shells of a proof for the steady cruise with ω = slopes · (mean factors − 1).
+
+    `flow` holds the coefficients of the gains of the current, see `turning_cells`.
 
     Raises:
         Rejected: the proof does not prove the claim; the message names the first failure.
@@ -65,7 +74,7 @@ def check_cells(claim: TurningClaim, proof: Mapping[str, Any], slopes: tuple[Fra
         raise Rejected("P is not positive definite")
     if any(p[i][j] for i, j in _UNMIRRORED):
         raise Rejected("P is not symmetric under reflection in the path")
-    trim, cells = steady(claim, slopes), proof["cells"]
+    trim, cells = steady(claim, slopes, flow), proof["cells"]
     if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:
         raise Rejected(f"proof.cells must be a whole number from {_CELLS[0]} to {_CELLS[1]}")
     levels, growths = _shells(proof)
@@ -112,6 +121,21 @@ def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...
     return weight, (Phase(float(split), fall, push=False), Phase(0.0, fall, drive=False))
 
 
+def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:
+    """Return the coefficients of the gains of the current."""
+    if (
+        not isinstance(value, list)
+        or len(value) != 3
+        or not all(isinstance(row, list) and len(row) == 2 for row in value)
+    ):
+        raise Rejected("proof.flow must have three pairs of numbers")
+    rows = [tuple(number(entry, "proof.flow", least=-(10**9)) for entry in row) for row in value]
+    if claim.behind and any(map(any, rows)):
+        raise Rejected("with thrust lag or held commands, proof.flow must be 0")
+    one, two, three = ((row[0], row[1]) for row in rows)
+    return one, two, three
+
+
 def _slopes(value: Any) -> tuple[Fraction, Fraction]:
     if not isinstance(value, list) or len(value) != 2:
         raise Rejected("proof.trim must have two entries")
@@ -139,17 +163,18 @@ def _check_starts(claim: TurningClaim, p: Matrix, trim: Trim) -> None:
     starts = [(claim.offset, Fraction(0), "with the target's velocity")]
     if claim.rest_offset is not None:
         starts.append((claim.rest_offset, -claim.cruise, "at rest"))
-    for omega in trim.omega:
+    for omega in trim.moved:
         for beside, speed, how in starts:
-            for side in (1, -1):
-                if quadratic(p, [omega / claim.k1, side * beside, speed, Fraction(0)]) > 1:
+            for side in (beside + trim.beside, beside - trim.beside):
+                if quadratic(p, [omega / claim.k1, side, speed, Fraction(0)]) > 1:
                     raise Rejected(f"a start {how} {float(beside):g} m beside the path is not in the region")
 
 
 def _check_ultimate_bound(claim: TurningClaim, covariance: Matrix, trim: Trim, floor: Fraction) -> None:
     """Check that |x_e| and |y_e| in the set V ≤ floor do not exceed the claimed ultimate bound."""
-    away = max(map(abs, trim.omega)) / claim.k1
+    away = max(map(abs, trim.moved)) / claim.k1
     x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
+    y += trim.beside
     if x + away > claim.ultimate_bound[0] or y > claim.ultimate_bound[1]:
         raise Rejected(f"the set V <= floor extends to |x_e| = {float(x + away):.4g} m and |y_e| = {float(y):.4g} m, "
                        "beyond the claimed ultimate bound")  # fmt: skip

@@ -17,7 +17,10 @@ V follows from
     Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low) < 0,    Q ⪰ w wᵀ.
 
 In a current c, the drag and the Coriolis force act on U − c. So t_i is a secant slope from n_i (U* − c) on, and w also
-has the changes of the drag at U* along each axis, and −r R [[0, e1], [e2, 0]] Rᵀ c with the opposite sign.
+has −r R [[0, e1], [e2, 0]] Rᵀ c with the opposite sign. The steady cruise shifts with the current: the steady command is
+W* = (v + ω − g_x c_x, −g_y c_y) with gains g affine in the mean drag factors, x_e* = −(W*_x − v)/k1 and y_e* = −Δ W*_y/W*_x
+(`turning_flow` bounds what is left of the drag's change by the current). Since the course depends on the speed, δW_y =
+−s y/Δ + κ x y_e*/Δ.
 
 On a curve, the path frame turns at σ, |σ| ≤ curvature · v. That adds −σ S to both diagonal blocks of A and −σ S U* to
 w, with the quarter turn S. With a coupling c = m12 and ρ² = c²/(m11 m22), M⁻¹ has the diagonal 1/(m_i (1 − ρ²)), as
@@ -44,8 +47,9 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import root_up
-from surctl.certcheck.turning_claim import TurningClaim, drag_factors
+from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
 from surctl.certcheck.turning_decay import Disturbed, decays
+from surctl.certcheck.turning_flow import STILL, flow_gains, flow_lack
 from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_late import Late, Phase, held, lipschitz, stir
 from surctl.certcheck.turning_masses import UP, coupling_of, inverse_masses, turn_points
@@ -59,14 +63,22 @@ _FIRST = 2 * (np.sqrt(2) - 1)  # least secant slope of |u| u from v, divided by 
 
 @dataclass(frozen=True)
 class Trim:
-    """The steady cruise: ω [m/s] as an affine function of the drag factors, and bounds on ω and W* = v + ω [m/s]."""
+    """The steady cruise: ω [m/s] as an affine function of the drag factors, and bounds on ω and W*_x [m/s].
+
+    `flow` holds the coefficients of the gains (g_x, g_y) of the current: constant, and per mean factor − 1 of linear and
+    of quadratic drag. `moved` is the range of W*_x − v, `across` the largest |W*_y| [m/s], `beside` the largest |y_e*| [m].
+    """
 
     slopes: tuple[Fraction, Fraction]
     omega: tuple[Fraction, Fraction]
     command: tuple[Fraction, Fraction]
+    flow: tuple[Pair, Pair, Pair]
+    moved: tuple[Fraction, Fraction]
+    across: Fraction
+    beside: Fraction
 
 
-def steady(claim: TurningClaim, slopes: tuple[Fraction, Fraction]) -> Trim:
+def steady(claim: TurningClaim, slopes: tuple[Fraction, Fraction], flow: tuple[Pair, Pair, Pair] = STILL) -> Trim:
     """Return the steady cruise with ω = slopes · (mean factor of linear drag − 1, mean factor of quadratic drag − 1).
 
     Raises:
@@ -74,10 +86,13 @@ def steady(claim: TurningClaim, slopes: tuple[Fraction, Fraction]) -> Trim:
     """
     ends = [_omega(slopes, f) for f in drag_factors(claim)]
     low, high = min(ends), max(ends)
-    command = (claim.cruise + low, claim.cruise + high)
+    gains = [flow_gains(flow, f) for f in drag_factors(claim)]
+    along, across = (max(abs(one[k]) for one in gains) * claim.current for k in (0, 1))
+    moved = low - along, high + along
+    command = (claim.cruise + moved[0], claim.cruise + moved[1])
     if command[0] <= 0 or command[1] >= claim.cap:
         raise Rejected("the steady command leaves the range from 0 to the speed cap")
-    return Trim(slopes, (low, high), command)
+    return Trim(slopes, (low, high), command, flow, moved, across, claim.lookahead * across / command[0])
 
 
 def _omega(slopes: tuple[Fraction, Fraction], f: tuple[Fraction, ...]) -> Fraction:
@@ -90,14 +105,12 @@ class Cells:
     """Cells of headings ψ in [0, 90°].
 
     `share` (cells, 2, 2) holds the least and largest |cosine| between the path and each axis of the body, `corners`
-    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), `lack` (cells, 2) the largest |l_i| [N] in still water,
-    and `drift` (cells, 2) the largest change of the drag at the target's velocity by a current along each axis [N].
+    (cells, 3, 2) the triangles that contain (cos 2ψ, sin 2ψ), and `lack` (cells, 2) the largest |l_i| [N].
     """
 
     share: Array
     corners: Array
     lack: Array
-    drift: Array
 
 
 def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
@@ -114,7 +127,10 @@ def heading_cells(claim: TurningClaim, trim: Trim, count: int) -> Cells:
     centre = triangle.mean(axis=0)
     triangle = centre + (triangle - centre) * (1 + 1e-6)  # its edges are rounded
     corners = triangle[None, :, :1] * ahead[:, None] + triangle[None, :, 1:] * aside[:, None]
-    return Cells(share, corners, _lack(claim, trim, share), _drift(claim, share))
+    lack = _lack(claim, trim, share)
+    if claim.current:
+        lack = lack + flow_lack(claim, trim.flow, (float(trim.omega[0]), float(trim.omega[1])), share)
+    return Cells(share, corners, lack)
 
 
 def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
@@ -139,39 +155,30 @@ def _lack(claim: TurningClaim, trim: Trim, share: Array) -> Array:
     return np.asarray(np.where(lack > 0, lack, 0.0))
 
 
-def _drift(claim: TurningClaim, share: Array) -> Array:
-    """Return d_i [N] per cell, so that the current (c_1, c_2) in the body changes the drag on axis i by ≤ d_i |c_i|/c.
-
-    |u|u changes by at most |c_i| (2 |u| + |c_i|).
-    """
-    v, current = float(claim.cruise), float(claim.current)
-    drift = np.zeros(share.shape[:2])
-    for axis in (0, 1):
-        linear, square = float(claim.linear[axis]), float(claim.quadratic[axis])
-        slope = linear + square * (2 * v * share[:, axis, 1] + current)
-        drift[:, axis] = float(claim.drag_factor[1]) * current * slope * UP
-    return drift
-
-
 def _commanded(claim: TurningClaim, trim: Trim, form: Form, high: Fraction) -> tuple[list[float], list[float]]:
     """Return the ranges of s [m/s] and κ [1/s]: the commanded speed along the path, and its slope in −x_e."""
     x, y = (root_up(form.exact[k][k] * high) for k in (0, 1))
     k1, ahead = claim.k1, claim.lookahead
+    y = y + trim.beside
     most = claim.cap * ahead / root_up(ahead * ahead + y * y)  # the cap limits s √(y² + Δ²)/Δ
     if most < trim.command[1]:
         raise Rejected("the region contains points where the speed cap is below the steady command")
     if k1 * x > trim.command[0]:
         raise Rejected("the region contains points where the law would command backward motion")
-    if x + max(map(abs, trim.omega)) / k1 > claim.wait / 2:
+    if x + max(map(abs, trim.moved)) / k1 > claim.wait / 2:
         raise Rejected("the region contains points where the path's target waits")
     steer = (trim.command[0] - k1 * x, min(trim.command[1] + k1 * x, claim.cap))
     catch = (min(k1, (most - trim.command[1]) / x), k1)
     return [float(steer[0]) / UP, float(steer[1]) * UP], [float(catch[0]) / UP, float(catch[1]) * UP]
 
 
-def _plans(claim: TurningClaim, steer: list[float], catch: list[float]) -> list[Array]:
-    """Return the slopes (2, 2) of −δW in the position at the ends of the ranges of s and κ."""
-    return [np.diag([k, s / float(claim.lookahead)]) for k in sorted(set(catch)) for s in steer]
+def _plans(claim: TurningClaim, trim: Trim, steer: list[float], catch: list[float]) -> list[Array]:
+    """Return the slopes (2, 2) of −δW in the position at the ends of the ranges of s, κ and y_e*."""
+    ahead, beside = float(claim.lookahead), float(trim.beside) * UP
+    return [
+        np.array([[k, 0.0], [k * y / ahead, s / ahead]])
+        for k in sorted(set(catch)) for s in steer for y in sorted({beside, -beside})
+    ]  # fmt: skip
 
 
 def check_shell(
@@ -195,7 +202,7 @@ def check_shell(
             alone reaches a thrust limit.
     """
     steer, catch = _commanded(claim, trim, form, high)
-    plans = _plans(claim, steer, catch)
+    plans = _plans(claim, trim, steer, catch)
     turns = turn_points(claim)
     coupling = coupling_of(claim)
     per_mass, loose, current = inverse_masses(claim, coupling), float(coupling.loose) * UP, float(claim.current)
@@ -220,7 +227,7 @@ def check_shell(
                 rate, spread, swing = at.ahead * UP, np.sqrt(2) * UP * at.spread, np.sqrt(2) * UP * at.swing
             if late is not None:
                 rate = rate + late.at(float(low)) / float(claim.lag[0]) * UP
-        disturbed = Disturbed(lack[k], cells.drift[k] * UP, loose, stray, rate, spread, swing, phase)
+        disturbed = Disturbed(lack[k], loose, stray, rate, spread, swing, phase)
         if not decays(claim, form, axes, z, loops, plans, turns, per_mass, disturbed, float(growth), floor):
             degrees = 90 * (k + 0.5) / len(cells.corners)
             raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and {float(high):g} "
@@ -235,7 +242,7 @@ def lateness(claim: TurningClaim, trim: Trim, cells: Cells, form: Form, forces: 
     """
     high = Fraction(1)
     steer, catch = _commanded(claim, trim, form, high)
-    plans = _plans(claim, steer, catch)
+    plans = _plans(claim, trim, steer, catch)
     lack = (cells.lack + np.array([float(force) for force in forces])) * UP
     limit, (omega, fast) = _limit(claim, form, steer[1], high), _fastest(trim)
     every = []
@@ -244,9 +251,7 @@ def lateness(claim: TurningClaim, trim: Trim, cells: Cells, form: Form, forces: 
         axes = axes_of(z)
         loops = [_axis(claim, trim, form, i, axes[i], cells.share[k, i], plans, 1.0) for i in (0, 1)]
         led = np.array([_led(form, plans, axes[i], 1.0) for i in (0, 1)])
-        every.append(
-            (stir(claim, omega, fast, limit, cells.share[k, :, 1], led), loops, axes, lack[k] + cells.drift[k])
-        )
+        every.append((stir(claim, omega, fast, limit, cells.share[k, :, 1], led), loops, axes, lack[k]))
     return held(
         claim, form, every, plans, np.array(inverse_masses(claim, coupling_of(claim))), turn_points(claim), limit
     )
@@ -278,13 +283,14 @@ def _axis(
     led, current = _led(form, plans, axes, high), float(claim.current)
     water = max(v * share[0] - current, 0.0) / UP, (v * share[1] + current) * UP
     least, most = share[0] / UP, share[1] * UP
+    aside = float(trim.across) * np.sqrt(max(1 - least**2, 0.0)) * UP  # of |n_i W*|, by the command across the path
 
     def secant(a: float, b: float, speed: tuple[float, float], change: float, limit: float) -> tuple[float, float]:
         # |u| u from `speed` on has slopes from max(0.828 speed, 2 speed − change) to 2 speed + change
         steep = b * (speed[1] + min(limit, speed[1] + change))
         return a + b * max(_FIRST * speed[0], 2 * speed[0] - change) / UP, (a + steep) * UP
 
-    h = secant(linear, square, (slow * least, fast * most), led, cap)
+    h = secant(linear, square, (max(slow * least - aside, 0.0), fast * most + aside), led, cap)
     low = secant(float(claim.drag_factor[0]) * linear, float(claim.drag_factor[0]) * square,
                  water, moved, np.inf)[0]  # fmt: skip
     top = secant(float(claim.drag_factor[1]) * linear, float(claim.drag_factor[1]) * square,
@@ -294,6 +300,7 @@ def _axis(
     # the trim force increases with w; in the direction cosine n it is a n + b n² with b ≥ 0, so its ends bound it
     # above, and below it is at least a n
     trimmed = max(*map(abs, ends), -((gain + linear) * slow - gain * v) * share[1]) * UP
+    trimmed += (gain + linear + 2 * square * (fast * most + aside)) * aside * UP
     left = float(claim.thrust[i]) - trimmed
     if not left > 0:
         raise Rejected("the steady cruise needs all the thrust of an axis")

@@ -27,7 +27,6 @@ class Disturbed:
 
     Attributes:
         lack: largest |l_i| (2,) [N].
-        drift: largest d_i (2,) [N]: in a current, the error on axis i is d_i γ_i with γ_1² + γ_2² ≤ 1.
         loose: norm of the Coriolis terms that m12 adds [1/s].
         stray: largest acceleration by these terms and by the Coriolis term of the current [m/s²].
         late: bounds (2,) [m/s³] on w_2 along each axis (`turning_late`); 0 for thrust that is the present command.
@@ -36,7 +35,6 @@ class Disturbed:
     """
 
     lack: Array
-    drift: Array
     loose: float
     stray: float
     late: Array
@@ -88,16 +86,14 @@ def decays(
             sizes.append(float(np.linalg.norm(effect)))
     turned = np.array([r[0] for r in rests]).reshape(len(turns), len(z), n, n)
     effects = np.array([r[1] for r in rests]).reshape(len(turns), len(z), n)
-    weights, drifting = [max(sizes)], 0.0
+    weights = [max(sizes)]
     for i in (0, 1):
         most = max(float(np.trace(side @ n @ side.T)) for n in axes[i])
         weights.append(lack[i] * heavy[:, i].max() * np.sqrt(max(most, 0.0)))
-        drifting = max(drifting, disturbed.drift[i] * heavy[:, i].max() * float(np.sqrt(max(most, 0.0))))
     spread = float(np.linalg.norm(side)) * UP
     weights.append(disturbed.stray * spread)
     pull = t @ form.p[:, 4:]  # of V by a change of E
     weights += [late * float(np.linalg.norm(pull)) for late in disturbed.late]
-    weights.append(drifting)
     total = sum(weights)
     forced, force = np.zeros((len(heavy), len(turns), len(z), n, n)), 0.0
     if total > 0:
@@ -110,8 +106,6 @@ def decays(
             force += (size * 3.3 * v * float(np.abs(turns).max())) ** 2 * scale
         for i in (0, 1):
             scale = lack[i] ** 2 * (total / weights[1 + i] / floor) if lack[i] > 0 else 0.0
-            if drifting > 0:  # Σ (d_i n_i/m_i)(d_i n_i/m_i)ᵀ bounds the sum over both axes
-                scale += disturbed.drift[i] ** 2 * (total / drifting / floor)
             if scale > 0:
                 # w = l_i (n_i/m_i + β n_j) on axis i
                 share, other = heavy[:, i], heavy[:, 2]

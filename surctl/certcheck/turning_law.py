@@ -133,12 +133,15 @@ def check_samples(claim: TurningClaim, trim: Trim, p: Array, floor: float) -> No
     level = np.where(rng.uniform(size=_SAMPLES) < 0.5, rng.choice([floor, 1.0], size=_SAMPLES),
                      rng.uniform(floor, 1, size=_SAMPLES))  # fmt: skip
     xi *= np.sqrt(level / np.einsum("ni,ij,nj->n", xi, p, xi))[:, None]
-    nought = np.zeros(_SAMPLES)
-    state = xi[:, :4] + np.stack([-omega / float(claim.k1), nought, nought + float(claim.cruise), nought], 1)
     r = float(claim.yaw_rate) * rng.choice([-1.0, 1.0], size=_SAMPLES)
     psi = rng.uniform(0, 2 * np.pi, size=_SAMPLES)
     motions, angle = draw_motions(claim, _SAMPLES, rng), rng.uniform(0, 2 * np.pi, size=_SAMPLES)
     flow = float(claim.current) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    means = np.stack([np.ones(_SAMPLES), *(boat[name].mean(axis=1) - 1 for name in ("linear", "quadratic"))], 1)
+    shift = -(means @ np.array([[float(g) for g in row] for row in trim.flow])) * flow  # of the steady command
+    omega, cruise = omega + shift[:, 0], np.full(_SAMPLES, float(claim.cruise))
+    aside = -float(claim.lookahead) * shift[:, 1] / (cruise + omega)
+    state = xi[:, :4] + np.stack([-omega / float(claim.k1), aside, cruise, np.zeros(_SAMPLES)], 1)
     masses = np.array([float(m) for m in claim.mass])
     sigma, behind = rng.uniform(0.01, 0.99, size=(_SAMPLES, 1)), xi[:, 4:]
     if claim.period and not claim.lag[1]:  # V weighs |ε|² by q σ (1 − σ), and E is σ ε

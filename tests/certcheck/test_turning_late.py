@@ -156,16 +156,49 @@ def test_the_change_of_a_held_command_is_bounded_by_what_sampling_finds() -> Non
     assert np.all(late.at(0.25) >= late.growing / 2 + late.fixed)
 
 
-def test_the_drag_that_a_current_adds_is_bounded_to_the_last_digits() -> None:
-    claim, trim, _ = read(document())
-    claim = replace(claim, current=Fraction(1, 20))
-    cells, v, c = heading_cells(claim, trim, 12), float(claim.cruise), 0.05
-    for i in (0, 1):
-        speed = v * cells.share[:, i, 1]
-        linear, square = 1.2 * float(claim.linear[i]), 1.2 * float(claim.quadratic[i])
-        change = linear * c + square * ((speed + c) ** 2 - speed**2)
-        assert np.all(change <= cells.drift[:, i]) and np.all(cells.drift[:, i] <= change * (1 + 1e-7) + 1e-12)
-    assert not heading_cells(replace(claim, current=Fraction(0)), trim, 12).drift.any()
+def test_what_a_current_leaves_of_the_trim_force_is_bounded_by_what_sampling_finds() -> None:
+    whole, rng, n = json.loads((HERE / "region-turning-20-current.json").read_text()), np.random.default_rng(4), 20_000
+    claim, flow = read_claim(whole["claim"]), np.array(whole["proof"]["flow"])
+    rows = tuple((Fraction(repr(a)), Fraction(repr(b))) for a, b in flow.tolist())
+    still = replace(claim, current=Fraction(0))
+    slopes = Fraction(0), Fraction(0)
+    cells = [heading_cells(one, steady(one, slopes, (rows[0], rows[1], rows[2])), 12).lack for one in (claim, still)]
+    boat, psi, angle = draw_vehicles(claim, n, rng), rng.uniform(0, np.pi / 2, n), rng.uniform(0, 2 * np.pi, n)
+    c, v = float(claim.current) * np.stack([np.cos(angle), np.sin(angle)]), float(claim.cruise)
+    means = np.stack([np.ones(n), *(boat[key].mean(axis=1) - 1 for key in ("linear", "quadratic"))])
+    shift = -(flow.T @ means) * c
+    for i, axis in enumerate(([np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)])):
+        m, a, b = (float(one[i]) for one in (claim.mass, claim.linear, claim.quadratic))
+        w, to, water = axis[0] * v, axis[0] * shift[0] + axis[1] * shift[1], axis[0] * c[0] + axis[1] * c[1]
+        law = (m * float(claim.k_v) + a) * to + b * (np.abs(w + to) * (w + to) - np.abs(w) * w)
+        drag = boat["linear"][:, i] * a * water
+        drag -= boat["quadratic"][:, i] * b * (np.abs(w - water) * (w - water) - np.abs(w) * w)
+        ratio = np.abs(law + drag) / (cells[0] - cells[1])[(psi / (np.pi / 2) * 12).astype(int), i]
+        assert 0.6 < ratio.max() <= 1
+
+
+CURRENT: dict[str, Callable[[dict[str, Any]], Any]] = {
+    "faster": lambda d: d["claim"]["vehicle"].update(current_m_per_s=0.05),
+    "none": lambda d: d["claim"]["vehicle"].update(current_m_per_s=0.0),
+    "no shift": lambda d: d["proof"].update(flow=[[0.0, 0.0]] * 3),
+    "with the current": lambda d: d["proof"].update(flow=[[-g for g in row] for row in d["proof"]["flow"]]),
+    "large shift": lambda d: d["proof"].update(flow=[[9.0, 9.0], [0.0, 0.0], [0.0, 0.0]]),
+    "two rows": lambda d: d["proof"]["flow"].pop(),
+    "no flow": lambda d: d["proof"].pop("flow"),
+    "held": lambda d: (d["claim"]["law"].update(period_s=0.001), d["proof"].update(thrust={"weight": 1, "split": 1})),
+    "narrower": lambda d: d["claim"]["motion"].update(ultimate_bound_m=[0.0687, 0.1041 - 0.01]),
+    "wider start": lambda d: d["claim"]["motion"].update(offset_m=d["claim"]["motion"]["offset_m"] + 0.005),
+}  # fmt: skip
+
+
+def test_a_certificate_with_a_current_is_accepted_and_what_asks_for_more_is_rejected() -> None:
+    whole = json.loads((HERE / "region-turning-20-current.json").read_text())
+    found = check_document(whole)
+    assert found.accepted, found.reason
+    for kind, change in CURRENT.items():
+        changed = json.loads((HERE / "region-turning-20-current.json").read_text())
+        change(changed)
+        assert not check_document(sealed(changed)).accepted, kind
 
 
 def test_in_a_current_the_checkers_vehicle_is_that_of_the_toolkit() -> None:

@@ -103,6 +103,14 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         {"loop": "turning", "sampled": True, "yaw_rate_rad_per_s": 0.3, "rate_per_s": 0.02, "attempts": 16},
     ),
     (
+        "region-turning-20-current",
+        "as region-turning-20-scale, with a constant current of up to 0.03 m/s from any direction",
+        {
+            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "current_m_per_s": 0.03, "rate_per_s": 0.02,
+            "attempts": 24,
+        },
+    ),
+    (
         "region-turning-20-scale",
         "as region-turning-20, with both masses off by the same factor of up to ±20 %",
         {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},
@@ -113,6 +121,14 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
         {
             "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
             "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 100,
+        },
+    ),
+    (
+        "region-turning-20-curved-fast",
+        "as region-turning-20-curved, at 0.15 m/s",
+        {
+            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
+            "cruise_m_per_s": 0.15, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 24,
         },
     ),
     (

@@ -43,7 +43,8 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
     rounded = TurningCandidate(P, candidate.levels, candidate.growths, candidate.cruise)
     covariance = np.linalg.inv(P)
     floor = np.sqrt(np.diag(covariance)[:2] * candidate.levels[0]) * 1.0001
-    away = max(map(abs, candidate.cruise.omega)) / claim.gains["k1"]
+    cruise = candidate.cruise
+    away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     fastest = claim.cruise + claim.current + np.sqrt(np.linalg.eigvalsh(covariance[2:4, 2:4])[-1])
     start, still = (_down(rounded.start(claim, speed)) for speed in (0.0, -claim.cruise))
     proof = {
@@ -55,10 +56,16 @@ def region_of(claim: TurningClaim, candidate: TurningCandidate) -> Region:
             for level, growth in zip(candidate.levels[1:], candidate.growths, strict=True)
         ],
     }
+    if claim.current:
+        proof["flow"] = cruise.flow.tolist()
     if claim.behind:
         proof["thrust"] = {"weight": float(P[4, 4]), "split": split_of(claim)}
     return Region(
-        start, still if still > 0 else None, (_up(float(floor[0]) + away), _up(float(floor[1]))), float(fastest), proof
+        start,
+        still if still > 0 else None,
+        (_up(float(floor[0]) + away), _up(float(floor[1]) + cruise.beside)),
+        float(fastest),
+        proof,
     )
 
 

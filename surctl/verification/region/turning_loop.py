@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.turning_terms import other_forces
 from surctl.verification.region.turning import TurningClaim
 from surctl.verification.region.turning_behind import Behind, behind_of
+from surctl.verification.region.turning_water import best_flow, flow_error, least_error
 
 __all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
 
@@ -29,13 +30,19 @@ _TURNING = np.kron(np.eye(2), [[0.0, -1.0], [1.0, 0.0]])
 class Cruise:
     """The steady cruise: slopes of ω [m/s] in the mean drag factors, range of ω, and headings ψ (cells + 1,) [rad].
 
-    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N] near each heading.
+    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N] near each heading. In a current, the
+    gains of the shift (g_x, g_y) have the coefficients `flow` (3, 2); `moved` is the range of W*_x − v, `across` the
+    largest |W*_y| [m/s], and `beside` the largest |y_e*| [m].
     """
 
     slopes: tuple[float, float]
     omega: tuple[float, float]
     headings: Array
     lack: Array
+    flow: Array
+    moved: tuple[float, float]
+    across: float
+    beside: float
 
 
 @dataclass(frozen=True)
@@ -50,11 +57,10 @@ class Vertices:
         bends: turn rate of the path frame (terms,) [rad/s].
         loose: norm [1/s] of the Coriolis terms that m12 adds.
         loops: stiffness and damping (headings, 2, loops, 2) of each body axis [N s/m].
-        plans: κ and s/Δ (laws, 2) [1/s].
+        plans: slopes of −δW in the position (laws, 2, 2) [1/s].
         Q: bound on w wᵀ (headings, masses, terms, 2, 2).
         effect: Coriolis term of the steady cruise (headings, terms, 2) [m/s²].
         lack: trim error (headings, masses, 2) of the body axes [m/s²].
-        drift: error (headings, masses, 2) by a current along each body axis [m/s²].
         turn: rotation matrices (headings, 2, 2) from the body to the path frame.
         behind: what thrust lag adds; None without lag.
     """
@@ -70,7 +76,6 @@ class Vertices:
     Q: Array
     effect: Array
     lack: Array
-    drift: Array
     turn: Array
     behind: Behind | None
 
@@ -94,7 +99,7 @@ class Vertices:
         stiff, damped = np.einsum("nic,nijk->cnjk", pairs, self._driven()[m, h])
         A = np.zeros((len(h), 4, 4))
         A[:, 0, 2] = A[:, 1, 3] = 1
-        A[:, 2:, :2] = -stiff * self.plans[p][:, None, :]
+        A[:, 2:, :2] = -stiff @ self.plans[p]
         A[:, 2:, 2:] = -damped - self.coriolis[h, t]
         A -= self.bends[t][:, None, None] * _TURNING
         values, vectors = np.linalg.eigh(self.Q[h, m, t])
@@ -103,7 +108,7 @@ class Vertices:
         if self.behind is None:
             return A, factor, np.zeros((len(h), 4))
         inner = np.einsum("ni,nijk->njk", self.behind.light[m], self.bodies[h])
-        return self.behind.extended(A, factor, inner, h, t, self.plans[p], self.turn[h])
+        return self.behind.extended(A, factor, inner, h, t, _straight(self.plans[p]), self.turn[h])
 
     def _driven(self) -> Array:
         """Return n_i n_iᵀ/m_i + β n_j n_iᵀ (masses, headings, 2, 2, 2): what a force on each axis i accelerates."""
@@ -124,11 +129,11 @@ class Vertices:
         base = fixed - (turned + turned.swapaxes(-1, -2))[:, None] + side @ weighted @ side.T / (growth * low)
         away = np.zeros((n, n, 1, 1, 1, 1, 1, 1))
         if self.behind is not None:
-            away, more = self.behind.added(change, P, self.bodies, self.plans, side)
+            away, more = self.behind.added(change, P, self.bodies, _straight(self.plans), side)
             pull = change @ P[:, 4:]
             base = base + more + (pull @ rear @ pull.T / (growth * low))[:, None, None]
         driven = self._driven()
-        led = side @ (driven[:, :, :, None] * self.plans[:, None, :]) @ place  # (m, h, 2, p, 4, 4)
+        led = side @ (driven[:, :, :, None] @ self.plans) @ place  # (m, h, 2, p, 4, 4)
         slowed = side @ driven @ speed  # (m, h, 2, 4, 4)
         led, slowed = led + led.swapaxes(-1, -2), slowed + slowed.swapaxes(-1, -2)
         whole = (
@@ -149,13 +154,10 @@ class Vertices:
         sizes = self.lack.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))  # (h, i)
         late = np.zeros_like(sizes) if self.behind is None else self.behind.late
         weights = late * (np.sqrt(2 * P[4, 4]) if self.behind is not None else 0.0)
-        drifting = (self.drift.max(axis=1) * np.sqrt(np.einsum("hijk,ak,aj->hi", self.bodies, side, side))).max(axis=1)
-        total = most + ((sizes + weights).sum(axis=1) + drifting)[:, None, None]
+        total = most + (sizes + weights).sum(axis=1)[:, None, None]
         share = np.divide(total, most, out=np.zeros_like(total), where=most > 0)[..., None, None]
         parts = np.divide(total[:, :, 0], sizes, out=np.zeros_like(sizes), where=sizes > 0)  # (h, i)
         own = np.einsum("hi,hmi,hijk->hmjk", parts, self.lack**2, self.bodies)
-        far = np.divide(total[:, 0, 0], drifting, out=np.zeros_like(drifting), where=drifting > 0)
-        own = own + np.einsum("h,hmi,hijk->hmjk", far, self.drift**2, self.bodies)
         most_late = np.divide(total[:, :, 0], weights, out=np.zeros_like(sizes), where=weights > 0)
         rear = np.einsum("hi,hijk->hjk", most_late * late**2, self.bodies)
         return share * np.einsum("hti,htj->htij", self.effect, self.effect)[:, None] + own[:, :, None], rear
@@ -164,6 +166,11 @@ class Vertices:
 def _bent(change: Array, P: Array) -> Array:
     """Return T P S Tᵀ for the turning of the path frame; 0 with thrust lag, whose claims have straight paths."""
     return np.zeros_like(P) if len(P) > 4 else change @ P @ _TURNING @ change.T
+
+
+def _straight(plans: Array) -> Array:
+    """Return κ and s/Δ (k, 2) of the slopes (k, 2, 2) of a steady cruise that no current shifts."""
+    return np.stack([plans[:, 0, 0], plans[:, 1, 1]], 1)
 
 
 def corner_factors(ends: tuple[float, float], asymmetry: float) -> Array:
@@ -189,40 +196,45 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     means = np.stack([f.mean(axis=1) - 1, g.mean(axis=1) - 1], 1)  # (k, 2)
     if slopes is None:
         rows = (means[:, None, None, :] * own[None, :, :, None] / np.array(claim.mass)[:, None]).reshape(-1, 2)
-        slopes = _least_error(rows, (missing / claim.mass).reshape(-1))
+        first, second = least_error(rows, (missing / claim.mass).reshape(-1))
+        slopes = float(first), float(second)
     omegas = means @ slopes
     lack = (
         np.abs(missing + omegas[:, None, None] * own).max(axis=0)
         + np.square(omegas).max() * np.array(claim.quadratic) * n * n
     )
+    omega = float(omegas.min()), float(omegas.max())
+    flow = np.zeros((3, 2))
+    if claim.current:
+        full = np.hstack([np.ones((len(means), 1)), means])
+        if not claim.behind:
+            flow = best_flow(claim, n, np.stack([f, g], 1), full)
+        lack = lack + flow_error(claim, n, np.stack([f, g], 1), full @ flow, omega)
+        along, across = np.abs(full @ flow).max(axis=0) * claim.current
+    else:
+        along = across = 0.0
     near = np.pad(lack, ((1, 1), (0, 0)), mode="edge")
     lack = np.max([near[:-2], near[1:-1], near[2:]], axis=0)[::2]
-    return Cruise(slopes, (float(omegas.min()), float(omegas.max())), psi[::2], lack)
-
-
-def _least_error(rows: Array, sides: Array) -> tuple[float, float]:
-    """Return x (2,) that minimises the largest |rows x + sides|, with six decimals."""
-    from scipy.optimize import linprog
-
-    ones = np.ones((len(rows), 1))
-    solution = linprog(
-        [0, 0, 1], A_ub=np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones])]),
-        b_ub=np.concatenate([-sides, sides]), bounds=[(None, None)] * 3,
-    )  # fmt: skip
-    first, second = np.round(solution.x[:2], 6)
-    return float(first), float(second)
+    moved = omega[0] - float(along), omega[1] + float(along)
+    beside = claim.gains["lookahead"] * float(across) / (v + moved[0])
+    return Cruise(slopes, omega, psi[::2], lack, flow, moved, float(across), beside)
 
 
 def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float) -> Vertices | None:
     """Return the vertices in V ≤ high for the covariance P⁻¹ (n, n); None if the law has another form there."""
     k1, ahead, v, cap = claim.gains["k1"], claim.gains["lookahead"], claim.cruise, claim.cap
     x, y = 1.001 * np.sqrt(np.diag(covariance)[:2] * high)
-    slow, fast = v + cruise.omega[0], v + cruise.omega[1]
-    most = cap * ahead / np.hypot(ahead, y)
-    if most <= fast or k1 * x >= slow or x + max(map(abs, cruise.omega)) / k1 >= claim.gains["wait"] / 2:
+    slow, fast = v + cruise.moved[0], v + cruise.moved[1]
+    if slow <= 0 or fast >= cap:
+        return None
+    most = cap * ahead / np.hypot(ahead, y + cruise.beside)
+    if most <= fast or k1 * x >= slow or x + max(map(abs, cruise.moved)) / k1 >= claim.gains["wait"] / 2:
         return None
     steer, catch = (slow - k1 * x, min(fast + k1 * x, cap)), (min(k1, (most - fast) / x), k1)
-    plans = np.array([[k, s / ahead] for k, s in product(sorted(set(catch)), steer)])
+    shifts = sorted({cruise.beside, -cruise.beside})
+    plans = np.array([
+        [[k, 0.0], [k * y / ahead, s / ahead]] for k, s, y in product(sorted(set(catch)), steer, shifts)
+    ])  # fmt: skip
     c, s = np.cos(cruise.headings), np.sin(cruise.headings)
     turn = np.stack([np.stack([c, -s], 1), np.stack([s, c], 1)], 1)  # (headings, 2, 2)
     loops = _loops(claim, cruise, covariance[:4, :4] * high * 1.002, turn, plans)
@@ -237,30 +249,24 @@ def vertices(claim: TurningClaim, cruise: Cruise, covariance: Array, high: float
     others = np.array([float(force) for force in other_forces(claim.stated, Fraction(float(fastest)))])
     heavy = masses[:, :2] + np.abs(masses[:, 2:])
     forces, behind = cruise.lack + others, None
-    share = np.abs(turn[:, 0, :]) + np.pi / 2 / max(len(turn) - 1, 1) / 2
-    steep = np.array(claim.linear) + np.array(claim.quadratic) * (2 * v * np.minimum(share, 1.0) + claim.current)
-    drift = steep * claim.drag_factor[1] * claim.current
     if claim.behind:
         if loops.shape[2] > 4:  # a thrust limit is active
             return None
-        behind = behind_of(claim, cruise.omega, forces + drift, covariance, high, turn, plans, loops, masses, turns)
+        behind = behind_of(claim, cruise.omega, forces, covariance, high, turn, _straight(plans), loops, masses, turns)
     lack = forces[:, None, :] * heavy + loose * v + np.abs(turns[:, :2]).max() * claim.current
-    drift = drift[:, None, :] * heavy
     return Vertices(
         bodies, crossed, masses, coriolis, turns[:, 2], loose, loops, plans,
-        _forces(bodies, effect, lack, drift), effect, lack, drift, turn, behind,
+        _forces(bodies, effect, lack), effect, lack, turn, behind,
     )  # fmt: skip
 
 
-def _forces(bodies: Array, effect: Array, lack: Array, drift: Array) -> Array:
+def _forces(bodies: Array, effect: Array, lack: Array) -> Array:
     """Return Q (headings, masses, terms, 2, 2) with w wᵀ ⪯ Q for the trim errors and the Coriolis force."""
     size = np.linalg.norm(effect, axis=-1)[:, None]  # (h, 1, t)
-    far = drift.max(axis=-1)
-    total = size + (lack.sum(axis=-1) + far)[:, :, None]
+    total = size + lack.sum(axis=-1)[:, :, None]
     share = np.divide(total, size, out=np.zeros_like(total), where=size > 0)
     Q = share[..., None, None] * np.einsum("hti,htj->htij", effect, effect)[:, None]
-    scales = lack + np.divide(drift**2, far[..., None], out=np.zeros_like(drift), where=far[..., None] > 0)
-    return np.asarray(Q + np.einsum("hmt,hmi,hijk->hmtjk", total, scales, bodies))
+    return np.asarray(Q + np.einsum("hmt,hmi,hijk->hmtjk", total, lack, bodies))
 
 
 def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans: Array) -> Array | None:
@@ -269,7 +275,7 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
     near, far = np.clip(cruise.headings - step, 0, None), np.clip(cruise.headings + step, None, np.pi / 2)
     shares = np.array([[np.cos(far), np.cos(near)], [np.sin(near), np.sin(far)]])  # (axis, end, headings)
     v, cap, (low, top) = claim.cruise, claim.cap, claim.drag_factor
-    slow, fast = v + cruise.omega[0], v + cruise.omega[1]
+    slow, fast = v + cruise.moved[0], v + cruise.moved[1]
 
     def largest(rows: Array) -> Array:
         return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", rows, sized, rows), 0.0)))
@@ -279,9 +285,13 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
         gain, linear, square = claim.mass[i] * claim.gains["k_v"], claim.linear[i], claim.quadratic[i]
         n, (least, most), c = turn[:, :, i], shares[i], claim.current
         still = np.hstack([np.zeros_like(n), n])
-        led = np.stack([np.hstack([n * plan, np.zeros_like(n)]) for plan in plans])
+        led = np.stack([np.hstack([n @ plan, np.zeros_like(n)]) for plan in plans])
         moved, away = largest(still), largest(led).max(axis=0)
-        w, u = (slow * least, fast * most), (np.maximum(v * least - c, 0.0), v * most + c)
+        aside = cruise.across * np.sqrt(1 - least**2)
+        w, u = (
+            (np.maximum(slow * least - aside, 0.0), fast * most + aside),
+            (np.maximum(v * least - c, 0.0), v * most + c),
+        )
         h = (linear + square * np.maximum(0.828 * w[0], 2 * w[0] - away),
              linear + square * (w[1] + np.minimum(cap, w[1] + away)))  # fmt: skip
         t = (low * (linear + square * np.maximum(0.828 * u[0], 2 * u[0] - moved)),
@@ -289,6 +299,7 @@ def _loops(claim: TurningClaim, cruise: Cruise, sized: Array, turn: Array, plans
         ends = [((gain + linear) * one - gain * v) * k + square * (one * k) ** 2
                 for one in (slow, fast) for k in shares[i]]  # fmt: skip
         left = claim.thrust[i] - np.max([*np.abs(ends), -((gain + linear) * slow - gain * v) * most], axis=0)
+        left = left - (gain + linear + 2 * square * w[1]) * aside
         if np.any(left <= 0):
             return None
         need = np.max([largest((gain + slope)[:, None] * one + gain * still) for one in led for slope in h], axis=0)

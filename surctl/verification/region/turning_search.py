@@ -33,6 +33,7 @@ _FIRST = np.array([
     [0.105, 0.33, 1.0, 0.63, 0.75, 0.016, 0.3], [0.155, 0.47, 0.95, 0.57, 0.9, 0.07, 0.3],
     [0.12, 0.35, 0.9, 0.4, 0.25, 0.03, 0.25], [0.16, 0.42, 0.8, 0.45, 0.6, 0.09, 0.25],
 ])  # first start values, with the velocity deviation divided by the cruise speed  # fmt: skip
+_SMALLER = np.array([0.7, 0.7, 0.7, 1, 2, 2, 0.7])  # of the first start values, if none of them has a V
 _SPREAD = np.array([0.2, 0.2, 0.12, 0.2, 0.4, 0.4, 0.15])  # of the start values near the first ones
 _NEAR = np.array([0.06, 0.06, 0.05, 0.06, 0.2, 0.2, 0.1])  # of the start values near the best one
 _REST = 1.35  # factor of the first velocity deviations if the region must contain a vehicle at rest
@@ -137,7 +138,7 @@ def _extents(extent: Array, basis: Array) -> list[Inequality]:
 def _starts(claim: TurningClaim, cruise: Cruise, units: Array, basis: Array) -> list[Inequality]:
     """Return x_k ≥ zᵀ P z for the deviation z along the path at the start, for each ω."""
     rows = []
-    for omega in sorted(set(cruise.omega)):
+    for omega in sorted(set(cruise.moved)):
         z = np.array([omega / claim.gains["k1"], 0, -claim.cruise if claim.rest else 0, 0]) / units
         rows.append(np.append(-np.einsum("i,kij,j->k", z, basis[:, :4, :4], z), 1.0)[:, None, None])
     return [(np.zeros((len(rows), 1, 1)), np.array(rows))]
@@ -189,15 +190,17 @@ def turning_search(
     """
     fine = steady_turning(claim, cells=_CELLS, slopes=slopes)
     cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
-    away = max(map(abs, cruise.omega)) / claim.gains["k1"]
+    away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active([set() for _ in range(2 * _SHELLS)])
     regions: list[tuple[float, Array, Array]] = []  # score, next start values, P
-    for k in range(attempts):
+    for k, smaller in ((k % attempts, k >= attempts) for k in range(2 * attempts)):
+        if smaller and k == 0 and regions:
+            break
         if len(regions) >= _ENOUGH or (regions and 4 * k >= attempts):
             start = max(regions, key=lambda one: one[0])[1] * np.exp(rng.choice([1.0, 0.4]) * rng.normal(scale=_NEAR))
         else:
-            start = _first_steps(claim, away, rng, k)
+            start = _first_steps(claim, away, rng, k) * (_SMALLER if smaller else 1.0)
         floor, growth, beside = min(start[4], _HIGHEST), start[5], start[6]
         levels = np.geomspace(floor, 1.0, _SHELLS + 1)
         extent = start[:4] * (1, 1, 1, start[1])

@@ -47,10 +47,10 @@ class TurningCandidate:
     def start(self, claim: TurningClaim, speed: float) -> float:
         """Return the largest |y_e| [m] in the region at x_e = 0 with the speed U_x − v = `speed` [m/s]; 0 if none."""
         left = 1.0
-        for omega in self.cruise.omega:
+        for omega in self.cruise.moved:
             z = np.array([omega / claim.gains["k1"], speed])
             left = min(left, 1 - float(z @ self.P[np.ix_((0, 2), (0, 2))] @ z))
-        return float(np.sqrt(max(left, 0.0) / self.P[1, 1]))
+        return max(float(np.sqrt(max(left, 0.0) / self.P[1, 1])) - self.cruise.beside, 0.0)
 
 
 def violated(matrices: Array, bound: float) -> Numbers:
