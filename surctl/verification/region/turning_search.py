@@ -2,7 +2,8 @@
 
 The start values are the extent of the region in each state, the floor of the decay, the growth η, and how far beside
 the path the vehicle starts. The bounds of a region with this extent are constant in each shell, so P is the solution
-of a convex program. Then the region is enlarged and the floor lowered as far as the fixed shape of P allows.
+of a convex program. The next program has the bounds of a multiple of that region, which hold in every region inside
+it, and so on while the region grows. Then it is enlarged and the floor lowered as far as the fixed shape of P allows.
 """
 
 from __future__ import annotations
@@ -34,15 +35,42 @@ _FIRST = np.array([
     [0.12, 0.35, 0.9, 0.4, 0.25, 0.03, 0.25], [0.16, 0.42, 0.8, 0.45, 0.6, 0.09, 0.25],
 ])  # first start values, with the velocity deviation divided by the cruise speed  # fmt: skip
 _SPREAD = np.array([0.2, 0.2, 0.12, 0.2, 0.4, 0.4, 0.15])  # of the start values near the first ones
-_NEAR = np.array([0.06, 0.06, 0.05, 0.06, 0.2, 0.2, 0.1])  # of the start values near the best one
 _REST = 1.35  # factor of the first velocity deviations if the region must contain a vehicle at rest
-_ENOUGH = 4  # number of regions after which the search refines the best one
+_ENOUGH = 4  # number of first regions after which the search enlarges the best one
+_GROWTH, _LEAST = 1.25, 1.01  # first and least factor of y in a step
+_OTHERS = 0.3  # exponent of that factor for x and U_x, without a start at rest
+_GAIN = 1.001  # factor of the score that a step must reach
+_FALL = 1  # exponent of that factor by which the floor is lowered
+_LOWEST = 0.15  # lowest floor in the search
+_WEIGHT = 1e-4  # of the trace of P in the cost
+_FACTORS = np.geomspace(0.5, 2, 21)  # of a growth, in the search of a better one
 _HIGHEST = 0.9  # largest floor in the search
 _PRICE, _FREE = 0.8, 0.2  # a floor above 0.2 counts as a smaller region
 _TRIED = 3  # number of candidates that the checker sees at most
 _ERROR = 0.5  # first E, divided by k_v times the first velocity deviation
 _LOOSE = 4.0  # reserve of the decay rate for each 1/s of the Coriolis terms that m12 adds
 _MARGIN = 0.006  # [1/s] reserve of the decay rate, for points between the grid points
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Start values of a program: levels of V (shells + 1,), growths η (shells,) [1/s], and the start beside the path.
+
+    `beside` [m] is how far beside the path the vehicle starts.
+    """
+
+    levels: Array
+    growths: Array
+    beside: float
+
+
+@dataclass(frozen=True)
+class _Region:
+    """A solution P of a program, the start values of the next one, and the score."""
+
+    P: Array
+    start: _Start
+    score: float
 
 
 @dataclass
@@ -53,24 +81,26 @@ class _Active:
 
 
 def _improve(
-    claim: TurningClaim, cruise: Cruise, extent: Array, levels: Array, growths: Array, beside: float, active: _Active
-) -> Array | None:
-    """Return P whose region V ≤ 1 has at most the given extent (4,) in each state but E; None if none.
+    claim: TurningClaim, cruise: Cruise, bound: Array, start: _Start, active: _Active, extent: Array | None = None
+) -> tuple[Array, Array] | None:
+    """Return P and the best growth of each shell [1/s] for the bounds in ξᵀ bound⁻¹ ξ ≤ 1; None if there is no P.
 
-    P has the least V at the start `beside` [m] the path, with the target's velocity or, if the claim asks for it, at
-    rest.
+    The region V ≤ 1 lies in that ellipsoid, or has at most the given extent (4,) in each state but E. P has the least V
+    at the start `beside` [m] the path, with the target's velocity or, if the claim asks for it, at rest.
     """
-    basis, units = _basis(claim), np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim)
-    behind = claim.gains["k_v"] * extent[2:] if claim.lag else np.zeros(0)
-    shells = [vertices(claim, cruise, np.diag(np.append(extent, _ERROR * behind) ** 2), high)
-              for high in levels[1:]]  # fmt: skip
+    basis, units, levels = _basis(claim), np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim), start.levels
+    shells = [vertices(claim, cruise, bound, high) for high in levels[1:]]
     known = [one for one in shells if one is not None]
     if len(known) < len(shells):
         return None
-    fixed = _extents(extent / units, basis) + _starts(claim, cruise, units, basis)
-    cost = np.append(1e-3 * np.einsum("kii->k", basis), 1.0)
+    fixed = _starts(claim, cruise, units, basis)
+    cost = np.append(_WEIGHT * np.einsum("kii->k", basis), 1.0)
+    cost[3] += (start.beside / units[1]) ** 2
+    if extent is not None:
+        fixed += _extents(extent / units, basis)
     units = np.append(units, units[2:] * claim.gains["k_v"] if claim.lag else [])
-    cost[3] += (beside / units[1]) ** 2
+    if extent is None:
+        fixed += _within(np.linalg.inv(bound) * units[:, None] * units, basis)
     rng = np.random.default_rng(0)
     chosen = []
     for one, some in zip(known, active.known, strict=True):
@@ -80,7 +110,7 @@ def _improve(
     for _ in range(_ROUNDS):
         own = [
             _decay(shell, some, claim.rate, growth, low, units, basis)
-            for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True)
+            for shell, some, growth, low in zip(known, chosen, start.growths, levels[:-1], strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
         x = minimise(cost, [decay, *fixed], tolerance=1e-7)
@@ -90,7 +120,7 @@ def _improve(
         if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
         fine = stuck = True
-        for shell, some, growth, low in zip(known, chosen, growths, levels[:-1], strict=True):
+        for shell, some, growth, low in zip(known, chosen, start.growths, levels[:-1], strict=True):
             matrices = shell.matrices(P, claim.rate, growth, low)
             bad = violated(matrices, -_MARGIN / 2)
             if len(bad):
@@ -101,8 +131,7 @@ def _improve(
                 stuck = stuck and more <= some  # `matrices` weighs the disturbances by V
                 some |= more
         if fine or stuck:
-            _remember(P, known, chosen, levels, growths, active)
-            return np.asarray(P)
+            return np.asarray(P), _remember(P, known, chosen, start, active)
     return None
 
 
@@ -129,6 +158,13 @@ def _extents(extent: Array, basis: Array) -> list[Inequality]:
     corner[:, 4, 4] = extent**2
     wide[:, :-1, :4, :4] = basis[:, :4, :4]
     return [(corner, wide)]
+
+
+def _within(least: Array, basis: Array) -> list[Inequality]:
+    """Return P ⪰ `least` (n, n): the region lies in the ellipsoid ξᵀ least ξ ≤ 1."""
+    wide = np.zeros((1, len(basis) + 1, *least.shape))
+    wide[0, :-1] = basis
+    return [(-least[None], wide)]
 
 
 def _starts(claim: TurningClaim, cruise: Cruise, units: Array, basis: Array) -> list[Inequality]:
@@ -158,24 +194,30 @@ def _decay(
     return constant, whole
 
 
-def _remember(
-    P: Array, known: list[Vertices], chosen: list[set[int]], levels: Array, growths: Array, active: _Active
-) -> None:
-    """Store the vertices whose inequality is nearly tight as the first ones of the next program."""
-    for k, (shell, some, growth, low) in enumerate(zip(known, chosen, growths, levels[:-1], strict=True)):
-        order = np.array(sorted(some))
+def _remember(P: Array, known: list[Vertices], chosen: list[set[int]], start: _Start, active: _Active) -> Array:
+    """Store the vertices whose inequality is nearly tight for the next program, and return the best growths for P."""
+    growths = []
+    for k, (shell, some) in enumerate(zip(known, chosen, strict=True)):
+        order, growth, low = np.array(sorted(some)), start.growths[k], start.levels[k]
         half, effect = transformed(P, shell, order)
         values = np.linalg.eigvalsh(half + effect / (growth * low))[:, -1]
-        active.known[k] = set(order[np.argsort(-values)[:_TIGHT]].tolist())
+        tight = np.argsort(-values)[:_TIGHT]
+        active.known[k] = set(order[tight].tolist())
+        grid = growth * _FACTORS
+        worst = np.linalg.eigvalsh(half[tight] + effect[tight] / (low * grid[:, None, None, None]))[..., -1]
+        growths.append(grid[int(np.argmin(worst.max(axis=1) + grid))])
+    return np.array(growths)
 
 
-def _first_steps(claim: TurningClaim, away: float, rng: np.random.Generator, k: int) -> Array:
+def _first(claim: TurningClaim, away: float, rng: np.random.Generator, k: int) -> tuple[_Start, Array]:
+    """Return the start values number k and the extent (4,) of the region."""
     along, beside, fast, _ = _sizes(claim)
     speed = claim.cruise * (_REST if claim.rest else 1)
     start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
-    return np.asarray(start)
+    levels = np.geomspace(min(start[4], _HIGHEST), 1.0, _SHELLS + 1)
+    return _Start(levels, start[5] * levels[1:] ** -0.15, start[6]), start[:4] * (1, 1, 1, start[1])
 
 
 def turning_search(
@@ -184,29 +226,72 @@ def turning_search(
     """Yield candidates, the largest region first.
 
     The size of a region is that of its start beside the path, and also that of its start at rest if the claim asks for
-    it. `attempts` is the number of start values of the search; equal seeds give equal candidates. `slopes` are those
-    of ω in the mean drag factors; by default those with the least error of the trim force.
+    it. `attempts` is the number of convex programs; equal seeds give equal candidates. `slopes` are those of ω in the
+    mean drag factors; by default those with the least error of the trim force.
     """
     fine = steady_turning(claim, cells=_CELLS, slopes=slopes)
     cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
     away = max(map(abs, cruise.omega)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active([set() for _ in range(_SHELLS)])
-    regions: list[tuple[float, Array, Array]] = []  # score, next start values, P
-    for k in range(attempts):
-        if len(regions) >= _ENOUGH or (regions and 4 * k >= attempts):
-            start = max(regions, key=lambda one: one[0])[1] * np.exp(rng.choice([1.0, 0.4]) * rng.normal(scale=_NEAR))
+    left, k = attempts, 0
+    first: list[_Region] = []
+    grown: list[_Region] = []
+    while left > 0:
+        if first and (len(first) + len(grown) >= _ENOUGH or 4 * (attempts - left) >= attempts):
+            first.sort(key=lambda one: one.score)
+            region, used = _grown(claim, cruise, first.pop(), left, active)
+            grown.append(region)
+            left -= used
+            continue
+        start, extent = _first(claim, away, rng, k)
+        behind = _ERROR * claim.gains["k_v"] * extent[2:] if claim.lag else np.zeros(0)
+        bound = np.diag(np.append(extent, behind) ** 2)
+        found = _improve(claim, cruise, bound, start, active, extent)
+        k, left = k + 1, left - 1
+        if found is not None and (one := _region(claim, cruise, start, *found)).score > 0:
+            first.append(one)
+    regions = iter(sorted([*first, *grown], key=lambda one: -one.score)[:_TRIED])
+    candidates = []
+    for one in regions:
+        candidate = fitted(claim, fine, one.P, float(one.start.growths[-1]))
+        if candidate is not None:
+            candidates.append(candidate)
+            if _score(claim, candidate) >= one.score:
+                break
+    yield from sorted(candidates, key=lambda one: -_score(claim, one))
+    for one in regions:  # the checker accepts none of the others
+        candidate = fitted(claim, fine, one.P, float(one.start.growths[-1]))
+        if candidate is not None:
+            yield candidate
+
+
+def _region(claim: TurningClaim, cruise: Cruise, start: _Start, P: Array, growths: Array) -> _Region:
+    candidate = TurningCandidate(P, (float(start.levels[0]),), (), cruise)
+    beside = _size(claim, candidate) or start.beside
+    return _Region(P, replace(start, growths=growths, beside=beside), _score(claim, candidate))
+
+
+def _grown(claim: TurningClaim, cruise: Cruise, region: _Region, most: int, active: _Active) -> tuple[_Region, int]:
+    """Return the region after steps that enlarge it, each by one convex program, and their number, at most `most`.
+
+    Bounds that hold in a multiple of the last region hold in every region inside it.
+    """
+    growth, used = _GROWTH, 0
+    while used < most and growth > _LEAST:
+        stretch = np.full(len(region.P), growth ** (1.0 if claim.rest or claim.lag else _OTHERS))
+        stretch[[1, 3]] = growth
+        bound = np.linalg.inv(region.P) * stretch[:, None] * stretch
+        floor = max(float(region.start.levels[0]) / growth**_FALL, min(_LOWEST, float(region.start.levels[0])))
+        start = replace(region.start, levels=np.geomspace(floor, 1.0, _SHELLS + 1))
+        found = _improve(claim, cruise, bound, start, active)
+        used += 1
+        larger = None if found is None else _region(claim, cruise, start, *found)
+        if larger is not None and larger.score > region.score * _GAIN:
+            region = larger
         else:
-            start = _first_steps(claim, away, rng, k)
-        floor, growth, beside = min(start[4], _HIGHEST), start[5], start[6]
-        levels = np.geomspace(floor, 1.0, _SHELLS + 1)
-        extent = start[:4] * (1, 1, 1, start[1])
-        P = _improve(claim, cruise, extent, levels, growth * levels[1:] ** -0.15, beside, active)
-        if P is not None:
-            regions.append((_score(claim, TurningCandidate(P, (floor,), (), cruise)), start, P))
-    regions.sort(key=lambda one: -one[0])
-    candidates = [fitted(claim, fine, P, start[5]) for _, start, P in regions[:_TRIED]]
-    yield from sorted((one for one in candidates if one is not None), key=lambda one: -_score(claim, one))
+            growth = float(np.sqrt(growth))
+    return region, used
 
 
 def _score(claim: TurningClaim, candidate: TurningCandidate) -> float:
