@@ -247,9 +247,9 @@ def turning_search(
         start, extent = _first(claim, away, rng, k)
         behind = _ERROR * claim.gains["k_v"] * extent[2:] if claim.lag else np.zeros(0)
         bound = np.diag(np.append(extent, behind) ** 2)
-        found = _improve(claim, cruise, bound, start, active, extent)
+        improved = _improve(claim, cruise, bound, start, active, extent)
         k, left = k + 1, left - 1
-        if found is not None and (one := _region(claim, cruise, start, *found)).score > 0:
+        if improved is not None and (one := _region(claim, cruise, start, *improved)).score > 0:
             first.append(one)
     regions = iter(sorted([*first, *grown], key=lambda one: -one.score)[:_TRIED])
     candidates = []
@@ -284,9 +284,9 @@ def _grown(claim: TurningClaim, cruise: Cruise, region: _Region, most: int, acti
         bound = np.linalg.inv(region.P) * stretch[:, None] * stretch
         floor = max(float(region.start.levels[0]) / growth**_FALL, min(_LOWEST, float(region.start.levels[0])))
         start = replace(region.start, levels=np.geomspace(floor, 1.0, _SHELLS + 1))
-        found = _improve(claim, cruise, bound, start, active)
+        improved = _improve(claim, cruise, bound, start, active)
         used += 1
-        larger = None if found is None else _region(claim, cruise, start, *found)
+        larger = None if improved is None else _region(claim, cruise, start, *improved)
         if larger is not None and larger.score > region.score * _GAIN:
             region = larger
         else:
