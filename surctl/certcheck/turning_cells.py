@@ -17,10 +17,10 @@ V follows from
     Aᵀ P + P A + (a + η) P + P B Q Bᵀ P/(η low) < 0,    Q ⪰ w wᵀ.
 
 In a current c, the drag and the Coriolis force act on U − c. So t_i is a secant slope from n_i (U* − c) on, and w also
-has −r R [[0, e1], [e2, 0]] Rᵀ c with the opposite sign. The steady cruise shifts with the current: the steady command is
-W* = (v + ω − g_x c_x, −g_y c_y) with gains g affine in the mean drag factors, x_e* = −(W*_x − v)/k1 and y_e* = −Δ W*_y/W*_x
-(`turning_flow` bounds what is left of the drag's change by the current). Since the course depends on the speed, δW_y =
-−s y/Δ + κ x y_e*/Δ.
+has −r R [[0, e1], [e2, 0]] Rᵀ c with the opposite sign. The steady cruise shifts with the current: the steady command
+is W* = (v + ω − g_x c_x, −g_y c_y) with gains g affine in the mean drag factors, x_e* = −(W*_x − v)/k1 and y_e* = −Δ
+W*_y/W*_x (`turning_flow` bounds what is left of the drag's change by the current). Since the course depends on the
+speed, δW_y = −s y/Δ + κ x y_e*/Δ.
 
 On a curve, the path frame turns at σ, |σ| ≤ curvature · v. That adds −σ S to both diagonal blocks of A and −σ S U* to
 w, with the quarter turn S. With a coupling c = m12 and ρ² = c²/(m11 m22), M⁻¹ has the diagonal 1/(m_i (1 − ρ²)), as
@@ -65,8 +65,9 @@ _FIRST = 2 * (np.sqrt(2) - 1)  # least secant slope of |u| u from v, divided by 
 class Trim:
     """The steady cruise: ω [m/s] as an affine function of the drag factors, and bounds on ω and W*_x [m/s].
 
-    `flow` holds the coefficients of the gains (g_x, g_y) of the current: constant, and per mean factor − 1 of linear and
-    of quadratic drag. `moved` is the range of W*_x − v, `across` the largest |W*_y| [m/s], `beside` the largest |y_e*| [m].
+    `flow` holds the coefficients of the gains (g_x, g_y) of the current: constant, and per mean factor − 1 of linear
+    and of quadratic drag. `moved` is the range of W*_x − v, `across` the largest |W*_y| [m/s], `beside` the largest
+    |y_e*| [m].
     """
 
     slopes: tuple[Fraction, Fraction]

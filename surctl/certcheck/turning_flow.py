@@ -1,11 +1,11 @@
 """What a constant current leaves of the trim force of a turning cruise whose steady command shifts with the current.
 
-Let c be the current, n_i an axis of the body in the path frame, and δ = −n_i G c the shift of the steady command along it,
-G = diag(g_x, g_y). The law adds m_i k_v δ and the change of its feedforward, and the drag at the target's velocity changes
-by the current. With α = m_i k_v + â + b̂ S_w and β = f a + g b S_u, the error on axis i changes by n_i (β − α G) c. S_w is the
-secant slope of |w| w from w = n_i (v + ω, 0) to w + δ, and S_u that of |u| u from u = n_i (v, 0) to u − n_i c, both between
-max(2 (√2 − 1) |u|, 2 |u| − change) and 2 |u| + change. For given slopes, β − α g_k is affine in the drag factors, so that
-their vertices decide.
+Let c be the current, n_i an axis of the body in the path frame, and δ = −n_i G c the shift of the steady command along
+it, G = diag(g_x, g_y). The law adds m_i k_v δ and the change of its feedforward, and the drag at the target's velocity
+changes by the current. With α = m_i k_v + â + b̂ S_w and β = f a + g b S_u, the error on axis i changes by n_i (β − α
+G) c. S_w is the secant slope of |w| w from w = n_i (v + ω, 0) to w + δ, and S_u that of |u| u from u = n_i (v, 0) to u
+− n_i c, both between max(2 (√2 − 1) |u|, 2 |u| − change) and 2 |u| + change. For given slopes, β − α g_k is affine in
+the drag factors, so that their vertices decide.
 """
 
 from __future__ import annotations

@@ -12,16 +12,16 @@ Lipschitz constant L of the commanded velocity. So 2 q Eᵀ w_1 ≤ λ q |E|² +
 (u_i − f_i)/(T m_i).
 
 Without lag, a command that is held for the period p is a constant F_i: the equation holds without −E/T, and E is 0 at
-each control instant. At the time σ p after it, E = σ ε, and ε is bounded by the largest rate of the commands since. With V
-= W + q σ (1 − σ) |ε|², W = ξᵀ P ξ, V is continuous, and V = W at the control instants (a looped functional: Fridman 2010,
-Seuret 2012). As d(σ (1 − σ) |ε|²)/dt = 2 (1 − σ) εᵀ Ė − |ε|²/p,
+each control instant. At the time σ p after it, E = σ ε, and ε is bounded by the largest rate of the commands since.
+With V = W + q σ (1 − σ) |ε|², W = ξᵀ P ξ, V is continuous, and V = W at the control instants (a looped functional:
+Fridman 2010, Seuret 2012). As d(σ (1 − σ) |ε|²)/dt = 2 (1 − σ) εᵀ Ė − |ε|²/p,
 
     V̇ + (a + η) V = Ẇ + (a + η) W − q |ε|²/p + 2 q (1 − σ) εᵀ Ė + (a + η) q σ (1 − σ) |ε|².
 
-Ẇ is affine in E = σ ε, and Ė in σ ε as well, by the term k_v Σ n_i μ_i n_i E of k_v U̇, with μ_i the mass in the model over
-the true one. For given ξ, ε and w, all this is affine in σ but for σ (1 − σ) q εᵀ (2 k_v Σ n_i μ_i n_i + a + η) ε, which
-is at most q (k_v max μ_i/2 + (a + η)/4) |ε|². So the two ends decide: at σ = 0, E does not act, and at σ = 1, Ė does not
-count. The matrices of `turning_cells` prove V̇ + (a + η) V < η low at both, and so between.
+Ẇ is affine in E = σ ε, and Ė in σ ε as well, by the term k_v Σ n_i μ_i n_i E of k_v U̇, with μ_i the mass in the model
+over the true one. For given ξ, ε and w, all this is affine in σ but for σ (1 − σ) q εᵀ (2 k_v Σ n_i μ_i n_i + a + η) ε,
+which is at most q (k_v max μ_i/2 + (a + η)/4) |ε|². So the two ends decide: at σ = 0, E does not act, and at σ = 1, Ė
+does not count. The matrices of `turning_cells` prove V̇ + (a + η) V < η low at both, and so between.
 
 The part r h_i of δW in w_2 is w_3 here: 2 q εᵀ (w_1 + w_3) ≤ λ q |ε|² + (2/λ) q (c² |δU|² + (r h)² |δW|²).
 
@@ -51,7 +51,8 @@ Array = NDArray[np.float64]
 class Phase(NamedTuple):
     """One of the forms that decide: λ and φ [1/s], whether Ė counts, and whether E acts on the vehicle.
 
-    φ is 2/T with lag, and with held commands what remains of 1/p. There is one form with lag, and two for held commands.
+    φ is 2/T with lag, and with held commands what remains of 1/p. There is one form with lag, and two for held
+    commands.
     """
 
     split: float = 0.0
@@ -66,7 +67,8 @@ class Stir:
 
     `share` (2,) is the largest |cosine| between the path and each axis, `led` (2,) the largest |n_i δW| [m/s], `slope`
     (2,) the largest h_i [1/s], `spread` c [1/s²], and `turned` (2,) the rate at which the heading turns the command of
-    the steady cruise and of δW [m/s³]; `ahead` (2,) is the part of the steady cruise, and `swing` the largest |r h_i| [1/s²].
+    the steady cruise and of δW [m/s³]; `ahead` (2,) is the part of the steady cruise, and `swing` the largest |r h_i|
+    [1/s²].
     """
 
     share: Array

@@ -72,30 +72,30 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
     (
         "region-turning",
         "vehicle with its own masses and drag in surge and sway, exactly known, any heading, also from rest",
-        {"loop": "turning", "share": 0.0, "mass_share": 0.0, "rate_per_s": 0.02, "at_rest": True, "attempts": 120},
+        {"loop": "turning", "share": 0.0, "mass_share": 0.0, "rate_per_s": 0.02, "at_rest": True, "attempts": 60},
     ),
     (
         "region-turning-20",
         "as region-turning, with masses uncertain by ±5 % and drag by ±20 %, not from rest",
-        {"loop": "turning", "rate_per_s": 0.02, "attempts": 150},
+        {"loop": "turning", "rate_per_s": 0.02, "attempts": 100},
     ),
     (
         "region-turning-20-rest",
         "as region-turning-20, also from rest",
-        {"loop": "turning", "rate_per_s": 0.02, "at_rest": True, "attempts": 150},
+        {"loop": "turning", "rate_per_s": 0.02, "at_rest": True, "attempts": 60},
     ),
     (
         "region-turning-lag",
         "as region-turning, with thrust lag and a yaw rate of at most 0.03 rad/s, not from rest",
         {
             "loop": "turning", "share": 0.0, "mass_share": 0.0, "lagged": True, "yaw_rate_rad_per_s": 0.03,
-            "rate_per_s": 0.02, "attempts": 40,
+            "rate_per_s": 0.02, "attempts": 20,
         },
     ),
     (
         "region-turning-20-lag",
         "as region-turning-20, with thrust lag and a yaw rate of at most 0.1 rad/s",
-        {"loop": "turning", "lagged": True, "yaw_rate_rad_per_s": 0.1, "rate_per_s": 0.02, "attempts": 8},
+        {"loop": "turning", "lagged": True, "yaw_rate_rad_per_s": 0.1, "rate_per_s": 0.02, "attempts": 20},
     ),
     (
         "region-turning-20-sampled",
@@ -113,14 +113,14 @@ REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
     (
         "region-turning-20-scale",
         "as region-turning-20, with both masses off by the same factor of up to ±20 %",
-        {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 150},
+        {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 40},
     ),
     (
         "region-turning-20-curved",
         "as region-turning-20-scale, at 0.1 m/s on curved paths with a radius of at least 3 m",
         {
             "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
-            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 100,
+            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 40,
         },
     ),
     (

@@ -70,7 +70,8 @@ class RegionStatement(Strict):
         at_rest: whether the region must contain a vehicle at rest (`turning` only).
         curvature_per_m: largest curvature of the path (`turning` only).
         gains: gains that replace those of the gain file.
-        attempts: number of start values of the search; for `heading`, number of enlargements of the region.
+        attempts: number of start values of the search (`turning`: of convex programs); for `heading`, number of
+            enlargements of the region.
         cells: largest number of cells of (ψ, y) in a proof (`heading` only).
     """
 

@@ -82,7 +82,8 @@ class Behind:
         return whole, more, weights
 
     def added(self, change: Array, P: Array, bodies: Array, plans: Array, side: Array) -> tuple[Array, Array]:
-        """Return what E adds to the matrices of V: (6, 6, headings, 1, terms, 1, 1, laws) and (headings, masses, 1, 6, 6)."""
+        """Return what E adds to the matrices of V: (6, 6, headings, 1, terms, 1, 1, laws) and (headings, masses, 1, 6,
+        6)."""
         place, speed, rear = change[:, :2].T, change[:, 2:4].T, change[:, 4:].T
         q, pull = P[4, 4], change @ P[:, 4:]
         swung = np.array([pull @ _TWIST @ (speed + plan[:, None] * place) * self.k_v for plan in plans])

@@ -1,8 +1,8 @@
 """The turning cruise as a linear inclusion on a grid of headings, in floating point; the checker derives its own.
 
 The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame; with thrust lag or held
-commands, the two entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯ W;
-`certcheck.turning_cells` derives this inclusion.
+commands, the two entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯
+W; `certcheck.turning_cells` derives this inclusion.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _TURNING = np.kron(np.eye(2), [[0.0, -1.0], [1.0, 0.0]])
 class Cruise:
     """The steady cruise: slopes of ω [m/s] in the mean drag factors, range of ω, and headings ψ (cells + 1,) [rad].
 
-    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N] near each heading. In a current, the
-    gains of the shift (g_x, g_y) have the coefficients `flow` (3, 2); `moved` is the range of W*_x − v, `across` the
-    largest |W*_y| [m/s], and `beside` the largest |y_e*| [m].
+    `lack` (cells + 1, 2) holds the largest error of the trim force on each axis [N] near each heading. In a current,
+    the gains of the shift (g_x, g_y) have the coefficients `flow` (3, 2); `moved` is the range of W*_x − v, `across`
+    the largest |W*_y| [m/s], and `beside` the largest |y_e*| [m].
     """
 
     slopes: tuple[float, float]

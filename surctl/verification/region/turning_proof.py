@@ -22,7 +22,7 @@ def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> 
 
     Args:
         claim: the claim.
-        attempts: number of start values of the search.
+        attempts: number of convex programs of the search.
         seed: seed of the search.
     """
     began = time.perf_counter()

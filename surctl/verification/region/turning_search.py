@@ -2,7 +2,8 @@
 
 The start values are the extent of the region in each state, the floor of the decay, the growth η, and how far beside
 the path the vehicle starts. The bounds of a region with this extent are constant in each shell, so P is the solution
-of a convex program. Then the region is enlarged and the floor lowered as far as the fixed shape of P allows.
+of a convex program. The next program has the bounds of a multiple of that region, which hold in every region inside
+it, and so on while the region grows. Then it is enlarged and the floor lowered as far as the fixed shape of P allows.
 """
 
 from __future__ import annotations
@@ -35,15 +36,52 @@ _FIRST = np.array([
 ])  # first start values, with the velocity deviation divided by the cruise speed  # fmt: skip
 _SMALLER = np.array([0.7, 0.7, 0.7, 1, 2, 2, 0.7])  # of the first start values, if none of them has a V
 _SPREAD = np.array([0.2, 0.2, 0.12, 0.2, 0.4, 0.4, 0.15])  # of the start values near the first ones
-_NEAR = np.array([0.06, 0.06, 0.05, 0.06, 0.2, 0.2, 0.1])  # of the start values near the best one
 _REST = 1.35  # factor of the first velocity deviations if the region must contain a vehicle at rest
-_ENOUGH = 4  # number of regions after which the search refines the best one
+_ENOUGH = 4  # number of first regions after which the search enlarges the best one
+_GROWTH, _LEAST = 1.25, 1.01  # first and least factor of y in a step
+_OTHERS = 0.3  # exponent of that factor for x and U_x, without a start at rest
+_GAIN = 1.001  # factor of the score that a step must reach
+_FALL = 1  # exponent of that factor by which the floor is lowered
+_LOWEST = 0.15  # lowest floor in the search
+_WEIGHT = 1e-4  # of the trace of P in the cost
+_FACTORS = np.geomspace(0.5, 2, 21)  # of a growth, in the search of a better one
 _HIGHEST = 0.9  # largest floor in the search
 _PRICE, _FREE = 0.8, 0.2  # a floor above 0.2 counts as a smaller region
 _TRIED = 3  # number of candidates that the checker sees at most
 _ERROR = 0.5  # first E, divided by k_v times the first velocity deviation
 _LOOSE = 4.0  # reserve of the decay rate for each 1/s of the Coriolis terms that m12 adds
 _MARGIN = 0.006  # [1/s] reserve of the decay rate, for points between the grid points
+
+
+@dataclass(frozen=True)
+class _Start:
+    """Start values of a program: levels of V (shells + 1,), growths η (shells,) [1/s], and the start beside the path.
+
+    `beside` [m] is how far beside the path the vehicle starts.
+    """
+
+    levels: Array
+    growths: Array
+    beside: float
+
+
+@dataclass(frozen=True)
+class _Region:
+    """A solution P of a program, the start values of the next one, and the score."""
+
+    P: Array
+    start: _Start
+    score: float
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The vertices of one form that decides in the shell `number`, from the level `low`, and its growth η [1/s]."""
+
+    number: int
+    shell: Vertices
+    growth: float
+    low: float
 
 
 @dataclass
@@ -54,36 +92,41 @@ class _Active:
 
 
 def _improve(
-    claim: TurningClaim, cruise: Cruise, extent: Array, levels: Array, growths: Array, beside: float, active: _Active
-) -> Array | None:
-    """Return P whose region V ≤ 1 has at most the given extent (4,) in each state but E; None if none.
+    claim: TurningClaim, cruise: Cruise, bound: Array, start: _Start, active: _Active, extent: Array | None = None
+) -> tuple[Array, Array] | None:
+    """Return P and the best growth of each shell [1/s] for the bounds in ξᵀ bound⁻¹ ξ ≤ 1; None if there is no P.
 
-    P has the least V at the start `beside` [m] the path, with the target's velocity or, if the claim asks for it, at
-    rest.
+    The region V ≤ 1 lies in that ellipsoid, or has at most the given extent (4,) in each state but E. P has the least V
+    at the start `beside` [m] the path, with the target's velocity or, if the claim asks for it, at rest.
     """
-    basis, units = _basis(claim), np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim)
-    behind = claim.gains["k_v"] * extent[2:] if claim.behind else np.zeros(0)
-    shells = [vertices(claim, cruise, np.diag(np.append(extent, _ERROR * behind) ** 2), high)
-              for high in levels[1:]]  # fmt: skip
-    if any(one is None for one in shells):
+    basis, units, levels = _basis(claim), np.array([0.3, 0.3, 0.15, 0.15]) * _sizes(claim), start.levels
+    shells = [vertices(claim, cruise, bound, high) for high in levels[1:]]
+    known = [one for one in shells if one is not None]
+    if len(known) < len(shells):
         return None
-    known = [one.phases() for one in shells if one is not None]
-    fixed = _extents(extent / units, basis) + _starts(claim, cruise, units, basis)
-    cost = np.append(1e-3 * np.einsum("kii->k", basis), 1.0)
+    parts = [
+        _Part(k, phase, growth, low)
+        for k, (one, growth, low) in enumerate(zip(known, start.growths, levels[:-1], strict=True))
+        for phase in one.phases()
+    ]
+    fixed = _starts(claim, cruise, units, basis)
+    cost = np.append(_WEIGHT * np.einsum("kii->k", basis), 1.0)
+    cost[3] += (start.beside / units[1]) ** 2
+    if extent is not None:
+        fixed += _extents(extent / units, basis)
     units = np.append(units, units[2:] * claim.gains["k_v"] if claim.behind else [])
-    cost[3] += (beside / units[1]) ** 2
+    if extent is None:
+        fixed += _within(np.linalg.inv(bound) * units[:, None] * units, basis)
     rng = np.random.default_rng(0)
-    parts = [(phase, growth, low) for phases, growth, low in zip(known, growths, levels[:-1], strict=True)
-             for phase in phases]  # fmt: skip
     chosen = []
-    for (one, *_), some in zip(parts, active.known, strict=False):
-        count = int(np.prod(one.shape))
+    for part, some in zip(parts, active.known, strict=False):
+        count = int(np.prod(part.shell.shape))
         earlier = {k for k in some if k < count}
         chosen.append(earlier or set(rng.integers(count, size=_TIGHT).tolist()))
     for _ in range(_ROUNDS):
         own = [
-            _decay(shell, some, claim.rate, growth, low, units, basis)
-            for (shell, growth, low), some in zip(parts, chosen, strict=True)
+            _decay(part.shell, some, claim.rate, part.growth, part.low, units, basis)
+            for part, some in zip(parts, chosen, strict=True)
         ]
         decay = (np.concatenate([one[0] for one in own]), np.concatenate([one[1] for one in own]))
         x = minimise(cost, [decay, *fixed], tolerance=1e-7)
@@ -93,8 +136,8 @@ def _improve(
         if np.linalg.eigvalsh(P * units[:, None] * units)[0] <= 0:
             return None
         fine = stuck = True
-        for (shell, growth, low), some in zip(parts, chosen, strict=True):
-            matrices = shell.matrices(P, claim.rate, growth, low)
+        for part, some in zip(parts, chosen, strict=True):
+            matrices = part.shell.matrices(P, claim.rate, part.growth, part.low)
             bad = violated(matrices, -_MARGIN / 2)
             if len(bad):
                 fine = False
@@ -104,9 +147,7 @@ def _improve(
                 stuck = stuck and more <= some  # `matrices` weighs the disturbances by V
                 some |= more
         if fine or stuck:
-            for k, ((shell, growth, low), some) in enumerate(zip(parts, chosen, strict=True)):
-                active.known[k] = _tightest(P, shell, some, growth * low)
-            return np.asarray(P)
+            return np.asarray(P), _remember(P, parts, chosen, active)
     return None
 
 
@@ -133,6 +174,13 @@ def _extents(extent: Array, basis: Array) -> list[Inequality]:
     corner[:, 4, 4] = extent**2
     wide[:, :-1, :4, :4] = basis[:, :4, :4]
     return [(corner, wide)]
+
+
+def _within(least: Array, basis: Array) -> list[Inequality]:
+    """Return P ⪰ `least` (n, n): the region lies in the ellipsoid ξᵀ least ξ ≤ 1."""
+    wide = np.zeros((1, len(basis) + 1, *least.shape))
+    wide[0, :-1] = basis
+    return [(-least[None], wide)]
 
 
 def _starts(claim: TurningClaim, cruise: Cruise, units: Array, basis: Array) -> list[Inequality]:
@@ -162,21 +210,34 @@ def _decay(
     return constant, whole
 
 
-def _tightest(P: Array, shell: Vertices, some: set[int], scale: float) -> set[int]:
-    """Return the vertices whose inequality is nearly tight: the first ones of the next program."""
-    order = np.array(sorted(some))
-    half, effect = transformed(P, shell, order)
-    values = np.linalg.eigvalsh(half + effect / scale)[:, -1]
-    return set(order[np.argsort(-values)[:_TIGHT]].tolist())
+def _remember(P: Array, parts: list[_Part], chosen: list[set[int]], active: _Active) -> Array:
+    """Store the vertices whose inequality is nearly tight for the next program, and return the best growths for P."""
+    worst: dict[int, Array] = {}
+    growths: dict[int, Array] = {}
+    for k, (part, some) in enumerate(zip(parts, chosen, strict=True)):
+        order, grid = np.array(sorted(some)), part.growth * _FACTORS
+        half, effect = transformed(P, part.shell, order)
+        values = np.linalg.eigvalsh(half + effect / (part.growth * part.low))[:, -1]
+        tight = np.argsort(-values)[:_TIGHT]
+        active.known[k] = set(order[tight].tolist())
+        bound = np.linalg.eigvalsh(half[tight] + effect[tight] / (part.low * grid[:, None, None, None]))[..., -1]
+        worst[part.number] = np.maximum(worst.get(part.number, -np.inf), bound.max(axis=1) + grid)
+        growths[part.number] = grid
+    return np.array([growths[k][int(np.argmin(worst[k]))] for k in sorted(worst)])
 
 
-def _first_steps(claim: TurningClaim, away: float, rng: np.random.Generator, k: int) -> Array:
+def _first(
+    claim: TurningClaim, away: float, rng: np.random.Generator, k: int, *, smaller: bool
+) -> tuple[_Start, Array]:
+    """Return the start values number k and the extent (4,) of the region."""
     along, beside, fast, _ = _sizes(claim)
     speed = claim.cruise * (_REST if claim.rest else 1)
     start = _FIRST[k % len(_FIRST)] * (along, beside, speed, fast / beside, 1, 1, beside)
     start = start * np.exp(rng.normal(scale=_SPREAD) * (k >= len(_FIRST)))
     start[0] += away
-    return np.asarray(start)
+    start = start * (_SMALLER if smaller else 1.0)
+    levels = np.geomspace(min(start[4], _HIGHEST), 1.0, _SHELLS + 1)
+    return _Start(levels, start[5] * levels[1:] ** -0.15, start[6]), start[:4] * (1, 1, 1, start[1])
 
 
 def turning_search(
@@ -185,31 +246,76 @@ def turning_search(
     """Yield candidates, the largest region first.
 
     The size of a region is that of its start beside the path, and also that of its start at rest if the claim asks for
-    it. `attempts` is the number of start values of the search; equal seeds give equal candidates. `slopes` are those
-    of ω in the mean drag factors; by default those with the least error of the trim force.
+    it. `attempts` is the number of convex programs, or half of it if the first start values yield no V; equal seeds
+    give equal candidates. `slopes` are those of ω in the mean drag factors; by default those with the least error of
+    the trim force.
     """
     fine = steady_turning(claim, cells=_CELLS, slopes=slopes)
     cruise = replace(fine, headings=fine.headings[::_FINE], lack=fine.lack[::_FINE])
     away = max(map(abs, cruise.moved)) / claim.gains["k1"]
     rng = np.random.default_rng(seed)
     active = _Active([set() for _ in range(2 * _SHELLS)])
-    regions: list[tuple[float, Array, Array]] = []  # score, next start values, P
-    for k, smaller in ((k % attempts, k >= attempts) for k in range(2 * attempts)):
-        if smaller and k == 0 and regions:
+    first: list[_Region] = []
+    grown: list[_Region] = []
+    for smaller in (False, True):
+        left, k = attempts, 0
+        while left > 0:
+            if first and (len(first) + len(grown) >= _ENOUGH or 4 * (attempts - left) >= attempts):
+                first.sort(key=lambda one: one.score)
+                region, used = _grown(claim, cruise, first.pop(), left, active)
+                grown.append(region)
+                left -= used
+                continue
+            start, extent = _first(claim, away, rng, k, smaller=smaller)
+            behind = _ERROR * claim.gains["k_v"] * extent[2:] if claim.behind else np.zeros(0)
+            bound = np.diag(np.append(extent, behind) ** 2)
+            improved = _improve(claim, cruise, bound, start, active, extent)
+            k, left = k + 1, left - 1
+            if improved is not None and (one := _region(claim, cruise, start, *improved)).score > 0:
+                first.append(one)
+        if grown:
             break
-        if len(regions) >= _ENOUGH or (regions and 4 * k >= attempts):
-            start = max(regions, key=lambda one: one[0])[1] * np.exp(rng.choice([1.0, 0.4]) * rng.normal(scale=_NEAR))
+    regions = iter(sorted([*first, *grown], key=lambda one: -one.score)[:_TRIED])
+    candidates = []
+    for one in regions:
+        candidate = fitted(claim, fine, one.P, float(one.start.growths[-1]))
+        if candidate is not None:
+            candidates.append(candidate)
+            if _score(claim, candidate) >= one.score:
+                break
+    yield from sorted(candidates, key=lambda one: -_score(claim, one))
+    for one in regions:  # the checker accepts none of the others
+        candidate = fitted(claim, fine, one.P, float(one.start.growths[-1]))
+        if candidate is not None:
+            yield candidate
+
+
+def _region(claim: TurningClaim, cruise: Cruise, start: _Start, P: Array, growths: Array) -> _Region:
+    candidate = TurningCandidate(P, (float(start.levels[0]),), (), cruise)
+    beside = _size(claim, candidate) or start.beside
+    return _Region(P, replace(start, growths=growths, beside=beside), _score(claim, candidate))
+
+
+def _grown(claim: TurningClaim, cruise: Cruise, region: _Region, most: int, active: _Active) -> tuple[_Region, int]:
+    """Return the region after steps that enlarge it, each by one convex program, and their number, at most `most`.
+
+    Bounds that hold in a multiple of the last region hold in every region inside it.
+    """
+    growth, used = _GROWTH, 0
+    while used < most and growth > _LEAST:
+        stretch = np.full(len(region.P), growth ** (1.0 if claim.rest or claim.behind else _OTHERS))
+        stretch[[1, 3]] = growth
+        bound = np.linalg.inv(region.P) * stretch[:, None] * stretch
+        floor = max(float(region.start.levels[0]) / growth**_FALL, min(_LOWEST, float(region.start.levels[0])))
+        start = replace(region.start, levels=np.geomspace(floor, 1.0, _SHELLS + 1))
+        improved = _improve(claim, cruise, bound, start, active)
+        used += 1
+        larger = None if improved is None else _region(claim, cruise, start, *improved)
+        if larger is not None and larger.score > region.score * _GAIN:
+            region = larger
         else:
-            start = _first_steps(claim, away, rng, k) * (_SMALLER if smaller else 1.0)
-        floor, growth, beside = min(start[4], _HIGHEST), start[5], start[6]
-        levels = np.geomspace(floor, 1.0, _SHELLS + 1)
-        extent = start[:4] * (1, 1, 1, start[1])
-        P = _improve(claim, cruise, extent, levels, growth * levels[1:] ** -0.15, beside, active)
-        if P is not None:
-            regions.append((_score(claim, TurningCandidate(P, (floor,), (), cruise)), start, P))
-    regions.sort(key=lambda one: -one[0])
-    candidates = [fitted(claim, fine, P, start[5]) for _, start, P in regions[:_TRIED]]
-    yield from sorted((one for one in candidates if one is not None), key=lambda one: -_score(claim, one))
+            growth = float(np.sqrt(growth))
+    return region, used
 
 
 def _score(claim: TurningClaim, candidate: TurningCandidate) -> float:

@@ -105,7 +105,8 @@ def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Ar
 def best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess: float) -> tuple[float, float]:
     """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
 
-    `phases` are the vertices of each form that decides. The matrices that matter at one η are those that matter close to it, so few of them are searched.
+    `phases` are the vertices of each form that decides. The matrices that matter at one η are those that matter close
+    to it, so few of them are searched.
     """
     growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in phases]
     best = (growth, np.inf)

@@ -1,4 +1,5 @@
-"""How the steady command of a turning cruise shifts with a current, in the search for V; see `certcheck.turning_flow`."""
+"""How the steady command of a turning cruise shifts with a current, in the search for V; see
+`certcheck.turning_flow`."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ def least_error(rows: Array, sides: Array) -> Array:
         [0] * count + [1], A_ub=np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones])]),
         b_ub=np.concatenate([-sides, sides]), bounds=[(None, None)] * (count + 1),
     )  # fmt: skip
-    return np.round(solution.x[:count], 6)
+    return np.asarray(np.round(solution.x[:count], 6))
 
 
 def _sizes(claim: TurningClaim, n: Array, factors: Array, moved: Array | float) -> tuple[Array, Array]:
