@@ -19,7 +19,7 @@ from hypothesis import settings
 from tests import processes
 
 gc.disable()  # while the tests are collected: a quarter of that time
-settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=25)  # study 40: 100
+settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)  # study 40: 100
 settings.load_profile("repeatable")
 
 HERE = Path(__file__).parent

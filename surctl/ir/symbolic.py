@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -19,12 +19,13 @@ from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
 
 __all__ = ["on_columns", "on_vectors", "to_casadi"]
 
+# `binary` itself: for `a + b` CasADi first tries every other kind of argument, for ten times as long
 _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
-        "add": lambda a, b: a + b,
-        "sub": lambda a, b: a - b,
-        "mul": lambda a, b: a * b,
-        "div": lambda a, b: a / b,
+        "add": partial(ca.SX.binary, ca.OP_ADD),
+        "sub": partial(ca.SX.binary, ca.OP_SUB),
+        "mul": partial(ca.SX.binary, ca.OP_MUL),
+        "div": partial(ca.SX.binary, ca.OP_DIV),
         "fma": lambda a, b, c: a * b + c,  # rounded twice: CasADi has no fma
         "neg": lambda a: -a,
         "inv": lambda a: 1 / a,
@@ -36,8 +37,8 @@ _SYMBOLIC: Mapping[str, Callable[..., Any]] = MappingProxyType(
         # not ca.fmin: for signed zeros and NaN the result must be that of the C text
         "fmin": lambda a, b: ca.if_else(b < a, b, a),
         "fmax": lambda a, b: ca.if_else(a < b, b, a),
-        "lt": lambda a, b: a < b,
-        "le": lambda a, b: a <= b,
+        "lt": partial(ca.SX.binary, ca.OP_LT),
+        "le": partial(ca.SX.binary, ca.OP_LE),
         "eq": ca.eq,
         "ne": ca.ne,
         "and": ca.logic_and,
