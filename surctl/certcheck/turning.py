@@ -119,7 +119,7 @@ def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...
         return weight, (Phase(float(split), 2 / float(claim.lag[1])),)
     # the matrices take off a + η, of which a quarter is enough
     fall = float(1 / claim.period - claim.k_v / claim.mass_factor[0] / 2)
-    return weight, (Phase(float(split), fall, push=False), Phase(0.0, fall, drive=False))
+    return weight, (Phase(float(split), fall, acts=False), Phase(0.0, fall, drive=False))
 
 
 def _flow(claim: TurningClaim, value: Any) -> tuple[Pair, Pair, Pair]:

@@ -196,7 +196,7 @@ def check_shell(
 ) -> None:
     """Prove V̇ < −a V for low ≤ V ≤ high at every heading; `forces` bounds the body forces beside equation (3) [N].
 
-    `late` is the bound on held commands behind a lag, else None, and `phase` tells which form of `turning_late` it is.
+    `late` is the bound on held commands behind a lag, else None, and `phase` is a form of `turning_late`.
 
     Raises:
         Rejected: the proof fails in a cell, the law has another form in a part of the region, or the steady cruise

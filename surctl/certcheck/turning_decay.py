@@ -153,7 +153,7 @@ def _behind(
     if n == 4:
         return np.zeros((len(heavy), count, 4, 4)), np.zeros((len(turns), len(plans), 4, 4))
     # n_i · E m_i of the model is the force error, which accelerates the true mass
-    light, phase = heavy[:, :2] * [float(m) for m in claim.mass] * disturbed.phase.push, disturbed.phase
+    light, phase = heavy[:, :2] * [float(m) for m in claim.mass] * disturbed.phase.acts, disturbed.phase
     rear = form.lever @ np.einsum("mi,izjk->mzjk", light, np.array(axes)) @ form.error.T
     rear = rear + rear.swapaxes(-1, -2)
     q = float(form.p[4, 4])

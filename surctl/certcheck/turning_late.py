@@ -58,7 +58,7 @@ class Phase(NamedTuple):
     split: float = 0.0
     fall: float = 0.0
     drive: bool = True
-    push: bool = True
+    acts: bool = True
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ class Behind:
         lag: time constant [s]; 0 with held commands.
         fall: rate φ of the decay of |E|² [1/s].
         split: multiplier λ [1/s].
-        push: whether E acts on the vehicle.
+        acts: whether E acts on the vehicle.
         light: inverse factors of the masses (masses, 2).
         rates: yaw rate r of each Coriolis term (terms,) [rad/s].
         spread: weight c²/λ of q |δU|² (headings,) [1/s³]; with held commands, twice as much.
@@ -49,7 +49,7 @@ class Behind:
     spread: Array
     swing: Array
     late: Array
-    push: bool = True
+    acts: bool = True
 
     def phases(self) -> tuple[Behind, ...]:
         """Return the forms that decide: one with thrust lag; with held commands, those at both ends of a period."""
@@ -57,7 +57,7 @@ class Behind:
             return (self,)
         nothing = np.zeros_like(self.spread)
         end = replace(self, k_v=0.0, split=0.0, spread=nothing, swing=nothing, late=0 * self.late)
-        return replace(self, push=False), end
+        return replace(self, acts=False), end
 
     def extended(
         self, A: Array, factor: Array, inner: Array, h: Numbers, t: Numbers, plans: Array, turn: Array
@@ -68,7 +68,7 @@ class Behind:
         depend on V, and are those of a typical V here.
         """
         whole, more = np.zeros((len(h), 6, 6)), np.zeros((len(h), 6, 4))
-        whole[:, :4, :4], whole[:, 2:4, 4:] = A, inner * self.push
+        whole[:, :4, :4], whole[:, 2:4, 4:] = A, inner * self.acts
         whole[:, 4:] = self.k_v * whole[:, 2:4]
         swung = self.k_v * self.rates[t][:, None, None] * _TWIST
         whole[:, 4:, 2:4] += swung
@@ -91,7 +91,7 @@ class Behind:
         led = np.einsum("h,pk,ki,kj->ijhp", q * self.swing, plans**2, place, place)
         away = np.einsum("t,pij->ijtp", self.rates, swung)[:, :, None, None, :, None, None, :]
         away = away + led[:, :, :, None, None, None, None, :]
-        more = side @ np.einsum("mi,hijk->hmjk", self.light * self.push, bodies) @ rear
+        more = side @ np.einsum("mi,hijk->hmjk", self.light * self.acts, bodies) @ rear
         more = more + more.swapaxes(-1, -2) - (self.fall - self.split) * q * (rear.T @ rear)
         more = more + (self.spread * q)[:, None, None, None] * (speed.T @ speed)
         return away, more[:, :, None]

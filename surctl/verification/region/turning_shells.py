@@ -111,8 +111,8 @@ def best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess
     growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in phases]
     best = (growth, np.inf)
     for _ in range(4):
-        found = [worst_rate(at.matrices(P, rate, growth, low), few) for at, few in zip(phases, known, strict=True)]
-        value, known = max(one[0] for one in found), [one[1] for one in found]
+        worst = [worst_rate(at.matrices(P, rate, growth, low), few) for at, few in zip(phases, known, strict=True)]
+        value, known = max(one[0] for one in worst), [one[1] for one in worst]
         if value < best[1] - 1e-6:
             best = (growth, value)
         elif np.isfinite(best[1]):
