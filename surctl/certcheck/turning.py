@@ -4,10 +4,10 @@ The claim states that, for all constant true parameters in their ranges, there i
 x_e* = −ω/k1 along the path, and in a current with one across it (`turning_flow`). With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ =
 (x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
 however the heading moves with |r| ≤ yaw_rate_rad_per_s and on any curve with |curvature| ≤ curvature_per_m, and in any
-constant current of at most current_m_per_s. With thrust lag, or commands that are held for a period that begins at t =
-0, q |E|² is added to V (`turning_late`). The levels floor = ℓ_0 < ℓ_1 < … < 1 divide the region into shells, and
-`turning_cells` proves the decay in every shell and every cell of headings. P > 0, the offsets, the ultimate bound and
-the Munk moment are checked in exact rational arithmetic.
+constant current of at most current_m_per_s. With thrust lag, q |E|² is added to V; with commands that are held for a
+period that begins at t = 0, a term that vanishes at each control instant (`turning_late`). The levels floor = ℓ_0 <
+ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every cell of
+headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
 """
 
 from __future__ import annotations

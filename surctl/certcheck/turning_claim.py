@@ -27,8 +27,8 @@ EXCLUDES = (
     "the path is a smooth curve with a curvature of at most curvature_per_m (0: one straight leg), and its target "
     "moves along it at the cruise speed; a path of short straight legs is not such a curve",
     "no obstacle, wall or unknown area bounds the velocity; no inequality constraint of the priority problem is active",
-    "measured position, velocity and heading are exact; there is no wave and no thrust error; the current is the same "
-    "everywhere and at all times, and at most current_m_per_s",
+    "measured position, velocity and heading are exact, and the command is computed from them without delay; there is "
+    "no wave and no thrust error; the current is the same everywhere and at all times, and at most current_m_per_s",
     "the thrust lags behind its command with a time constant of lag_s (0: no lag), and equals its command at the "
     "stated starts; a command is held for period_s (0: not at all), and time begins at a control instant",
     "the depth and heading loops are not covered: the heading may turn in any way up to yaw_rate_rad_per_s, with a yaw "

@@ -1,7 +1,8 @@
 """The form V of a turning cruise in double precision, and the axes of the body.
 
-If the thrust is the present command, V = ξᵀ P ξ. With lag or held commands, V = ξᵀ P ξ + q |E|². On axis i, E = n_i · E
-is the thrust minus its command, divided by the mass in the law's model.
+If the thrust is the present command, V = ξᵀ P ξ. With lag, V = ξᵀ P ξ + q |E|². On axis i, E = n_i · E is the thrust
+minus its command, divided by the mass in the law's model. With held commands, V = ξᵀ P ξ + q σ (1 − σ) |E/σ|² at the
+share σ of a period.
 """
 
 from __future__ import annotations
