@@ -19,9 +19,9 @@ import casadi as ca
 
 from surctl.ir import Port, each
 
-__all__ = ["FACE_PORTS", "Face", "Heard", "face_after", "with_face"]
+__all__ = ["FACE_PORTS", "Face", "Firing", "face_after", "with_face"]
 
-_NEVER = 1e5  # [s] age of a face that was never heard
+_NEVER = 1e5  # [s] age of a face that was never measured
 _NEAR = 0.6  # [m] longest range of an echo from which a face is determined
 _APART = 0.25  # [m] least distance between two echoes
 _TOGETHER = 0.8  # [m] distance beyond which two echoes count as those of different objects
@@ -32,6 +32,7 @@ _TURNS = 0.2  # share by which an estimate turns a face that is already known
 _ALIKE = 0.9  # least cosine of the angle between an estimate and the known face, for them to be the same
 _INSIDE = 0.05  # [rad] the foot of the perpendicular must lie this far inside the beam
 _LASTS = 10.0  # [s] time without a confirmation after which the face is dropped
+_CLOSE = 3.0  # [s] time since an echo from within the blind range after which the map alone counts
 _GOES_ON = 0.2  # [m] distance by which the face goes on beyond the last place at which it was confirmed
 _FAR = 1e6  # [m²] no face; as in the map
 
@@ -45,12 +46,12 @@ FACE_PORTS = (
     Port(
         "face_plane", (5,), "1, m", "normal x, y in {E}, distance from the origin of {E}, x, y of the last confirmation"
     ),
-    Port("face_age", (1,), "s", "time since the face beside the robot was confirmed", _NEVER),
+    Port("face_age", (2,), "s", "time since the face was confirmed, and since it was within the blind range", _NEVER),
 )
 """State of the face beside the robot."""
 
 
-class Heard(NamedTuple):
+class Firing(NamedTuple):
     """One firing: apex and axis (2, 1) of the beam in {E}, half its opening angle [rad], and what was measured.
 
     Attributes:
@@ -81,7 +82,7 @@ class Face:
 
 def face_after(
     x: Mapping[str, ca.SX],
-    heard: Sequence[Heard],
+    firings: Sequence[Firing],
     position: ca.SX,
     *,
     dt: float,
@@ -93,7 +94,7 @@ def face_after(
 
     Args:
         x: state by name, see `FACE_PORTS`.
-        heard: the firings of all sensors.
+        firings: the firings of all sensors.
         position: the robot's place (2, 1) in {E} [m].
         dt: control period [s].
         blind: longest range that a sensor cannot measure [m].
@@ -101,9 +102,9 @@ def face_after(
         deep: distance [m] by which the point in `foot` lies behind the face, as the centre of a marked cell does.
     """
     late, early = x["face_echoes"][0, :].T, x["face_echoes"][1, :].T
-    plane, age = x["face_plane"], x["face_age"] + dt
+    plane, age, close = x["face_plane"], x["face_age"][0] + dt, x["face_age"][1] + dt
     nearest, now, axis, half = ca.SX(_NEAR), ca.SX.zeros(3), ca.SX([1, 0]), ca.SX(1)
-    for one in heard:
+    for one in firings:
         measured = ca.logic_and(ca.logic_and(one.arrived, one.echo), ca.logic_not(one.blind))
         take = ca.logic_and(measured, one.reading < nearest)
         nearest = ca.if_else(take, one.reading, nearest)
@@ -131,13 +132,14 @@ def face_after(
     normal = ca.if_else(same, turned / ca.fmax(ca.sqrt(ca.sumsqr(turned)), 0.5), normal)
     plane = ca.if_else(fits, ca.vertcat(normal, ca.dot(normal, now[:2]) + now[2], now[:2]), plane)
     age = ca.if_else(fits, 0, age)
-    for one in heard:
+    for one in firings:
         ahead = plane[2] - ca.dot(plane[:2], one.apex)
         faces = ca.logic_and(one.arrived, ca.dot(plane[:2], one.axis) > cos(one.half - _INSIDE))
         agrees = ca.if_else(one.blind, ahead < blind + _SAME, ca.fabs(one.reading - ahead) < _SAME)
         agrees = ca.logic_and(ca.logic_and(faces, age < _LASTS), agrees)
         gone = ca.logic_and(faces, one.longest > ca.fmax(ahead, blind) + _GONE)
         age = ca.if_else(agrees, 0, ca.if_else(gone, _NEVER, age))
+        close = ca.if_else(ca.logic_and(agrees, one.blind), 0, close)
         plane = ca.if_else(agrees, ca.vertcat(plane[:3], one.apex), plane)
     # the later of the two echoes moves on
     lost = ca.logic_or(late[2] <= 0, step > _TOGETHER)
@@ -147,10 +149,13 @@ def face_after(
     )
     away = plane[2] - ca.dot(plane[:2], position)
     further = ca.fabs(ca.dot(ca.vertcat(-plane[1], plane[0]), position - plane[3:]))
-    holds = ca.logic_and(ca.logic_and(age < _LASTS, further < _GOES_ON), ca.logic_and(away > 0, away < hull + blind))
+    holds = ca.logic_and(
+        ca.logic_and(ca.logic_and(age < _LASTS, close < _CLOSE), further < _GOES_ON),
+        ca.logic_and(away > 0, away < hull + blind),
+    )
     away += deep
     foot = ca.if_else(holds, ca.vertcat(away * plane[:2], away * away), ca.DM([0, 0, _FAR]))
-    state = {"face_echoes": echoes, "face_plane": plane, "face_age": ca.fmin(age, _NEVER)}
+    state = {"face_echoes": echoes, "face_plane": plane, "face_age": ca.fmin(ca.vertcat(age, close), _NEVER)}
     return Face(state, foot)
 
 

@@ -17,7 +17,7 @@ from math import ceil, cos, sin
 import casadi as ca
 
 from surctl.control.beams import SILENT, Around, beams, corrected, expected, floor_range, honest, least_of, slotted
-from surctl.control.faces import FACE_PORTS, Heard, face_after, with_face
+from surctl.control.faces import FACE_PORTS, Firing, face_after, with_face
 from surctl.control.ports import PARAMETERS, SECTORS, after_gap
 from surctl.errors import InputError
 from surctl.ir import (
@@ -264,7 +264,7 @@ class _Builder:
             prefix="sonar_",
         )
         floor = floor_range(self.equipment, around.eta[2])
-        firings, silent, heard = [], [], []
+        firings, silent, fired = [], [], []
         for i in range(array.size):
             reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
             arrived = ca.logic_and(
@@ -278,7 +278,7 @@ class _Builder:
             blind = reading <= shortest
             usable = ca.logic_and(arrived, around.placed)
             clear = ca.fmax(least_of(recent) - _READING - _DIAGONAL * edge, 0)
-            heard.append(Heard(apexes[i], axes[i], halves[i], usable, reading, least_of(recent), echo, blind))
+            fired.append(Firing(apexes[i], axes[i], halves[i], usable, reading, least_of(recent), echo, blind))
             firing = {
                 "apex": apexes[i],
                 "axis": axes[i],
@@ -308,7 +308,7 @@ class _Builder:
         if "column" in self.outputs:
             perceived["column"] = inputs["column"]
         if local_map.smooth:
-            face = face_after(x, heard, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2)
+            face = face_after(x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2)
             after |= face.state
             perceived["face"] = face.foot
         free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
