@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ import pytest
 
 from surctl.control import load_gains
 from surctl.simulation import METRICS, STOPS, BatchResult, Case
+from surctl.simulation.campaign import RunTable
 from surctl.vehicle import FITTED, load_vehicle
 from surctl.verification.region import REGION_CLAIMS, RegionProof
 from tests.pictures import blank_pictures
@@ -143,6 +145,31 @@ def test_the_study_of_echoes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     rows = [row for row in table(printed) if len(row) == 8][1:]
     assert [row[:7] for row in rows] == [["`pool-behind`", "specular", "1", "1", "1", "1", "20.0 / 20.0"]]
     assert "does not hold" not in printed
+
+
+def test_the_study_of_drawn_runs_tells_what_a_touch_violates(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
+    study = runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
+    plan = study["plan_of"]("tank-slalom", "webots", 0.05, 7)
+    assert (plan.first, plan.case.scenario.sensors.chances.dropout) == (7, 0.05)
+    assert plan.case.scenario.sensors.equipment.surface_model == "smooth"
+    ends = [{"reached": 1}, {"collided": 1, "min_clearance_m": -0.002}, {"collided": 1, "min_clearance_m": -0.004}]
+    figures = np.array([[row.get(name, 0.0) for name in METRICS] for row in ends])
+    monkeypatch.setattr(sys, "argv", ["drawn.py", "--runs", "3", "--first", "7", "--scenario", "tank-slalom"])
+
+    def ran(*broken: tuple[str, ...]) -> Callable[..., Any]:
+        return lambda plan, **_: SimpleNamespace(table=RunTable(np.arange(3), figures, {}, broken))
+
+    for second, status in ((("margin", "echoes"), 0), (("echoes",), 1)):
+        monkeypatch.setitem(study["main"].__globals__, "run_campaign", ran(("echoes",), ("margin", "echoes"), second))
+        assert study["main"]() == status
+        printed = capsys.readouterr().out
+        assert f"| `tank-slalom` | webots | 0% | 3 | 1 | 2 | {status} |" in printed
+        what = "nothing" if status else "margin"
+        assert "seed 8 collides by 2.0 mm; violated: margin" in printed
+        assert f"seed 9 collides by 4.0 mm; violated: {what}" in printed
 
 
 def test_the_study_of_published_vehicles() -> None:

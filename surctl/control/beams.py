@@ -5,18 +5,29 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import groupby
-from math import radians
+from math import radians, sin
 from typing import NamedTuple
 
 import casadi as ca
 
 from surctl.ir import each, tabulated
-from surctl.sensing import Ranging, SonarArray, expected_range
+from surctl.sensing import Equipment, Ranging, SonarArray, expected_range
 from surctl.sensing.mapping.local_map import READING
 from surctl.sensing.sonar.cones import turned
 from surctl.vehicle import planar_rotation
 
-__all__ = ["SILENT", "Around", "Expected", "beams", "corrected", "expected", "honest", "least_of", "slotted"]
+__all__ = [
+    "SILENT",
+    "Around",
+    "Expected",
+    "beams",
+    "corrected",
+    "expected",
+    "floor_range",
+    "honest",
+    "least_of",
+    "slotted",
+]
 
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""
@@ -135,6 +146,12 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
     least = array.lowest - array.resolution
     echo = ca.logic_and(samples < top, samples > least)
     return ca.if_else(echo, (samples - array.bias) / array.scale, samples)
+
+
+def floor_range(equipment: Equipment, z: ca.SX) -> ca.SX | None:
+    """Return the range [m] at which the steepest direction of a beam meets the floor; None if no floor is assumed."""
+    depth = equipment.floor
+    return None if depth is None else (z + depth) / sin(equipment.array.steepest(-1))
 
 
 def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:

@@ -16,8 +16,9 @@ from math import ceil, cos, sin
 
 import casadi as ca
 
-from surctl.control.beams import SILENT, Around, beams, corrected, expected, honest, least_of, slotted
-from surctl.control.ports import PARAMETERS, SECTORS
+from surctl.control.beams import SILENT, Around, beams, corrected, expected, floor_range, honest, least_of, slotted
+from surctl.control.faces import FACE_PORTS, Firing, face_after, with_face
+from surctl.control.ports import PARAMETERS, SECTORS, after_gap
 from surctl.errors import InputError
 from surctl.ir import (
     Block,
@@ -56,8 +57,6 @@ _MARGIN_SD = 0.02 / 3  # [m] standard deviation of the robot's position that the
 _DEAF = 0.3  # [s] time without a plausible firing, after which a sonar is not trusted
 _PLACED_SD = 0.2  # [m] standard deviation above which the position counts as unknown
 _SILENT_MARGIN = 0.05  # [m] added to the radius of every mark while a sonar is silent, since obstacles drift
-_AGES = ("age", "since", "silent")  # ends of the names of the times in the state that grow without a step
-_LASTING = ("mover_latest", "sonar_distrust")  # messages, which have an age; and what was found wrong with a sonar
 _NEVER = 1e5  # [s] longest silence of a sonar; also of a sonar that was never plausible
 _FAR = 1e5  # [m²] larger than any squared distance in the map
 
@@ -79,13 +78,6 @@ class PerceptionStage:
     inputs: Layout
     outputs: Layout
     block: Block
-
-
-def _after_gap(port: Port) -> Port:
-    # what a step does with a memory of the last steps after periods without a step
-    if port.unit == "s" and port.name.endswith(_AGES):
-        return replace(port, gap="age")
-    return port if port.name in _LASTING else replace(port, gap="anew")
 
 
 def build_perception(
@@ -202,7 +194,8 @@ class _Builder:
         n = self.equipment.array.size
         silent = Port("silent", (n,), "s", "time since the last plausible firing of each sonar", _NEVER)
         launched = Port("launched", (1,), "1", "1 after the free water around the start is marked in the map")
-        last = tuple(_after_gap(port) for port in (*own, *movers, *self._ranges.ports("sonar_"), silent))
+        face = FACE_PORTS if self._map.smooth else ()
+        last = tuple(after_gap(port) for port in (*own, *movers, *self._ranges.ports("sonar_"), silent, *face))
         return Layout((*last, launched))
 
     @cached_property
@@ -217,9 +210,10 @@ class _Builder:
         known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles at the present time"),) if slots else ()
         pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
         column = (self.outputs.port("column"),) if "column" in self.outputs else ()
+        face = (Port("face", (3,), "m, m^2", "nearest point of the face beside the robot"),) if self._map.smooth else ()
         uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
         flags = tuple(self.outputs.port(name) for name in ("placed", "echoed"))
-        return Layout((*pose, uncertainty, *flags, *known, sonars, *column))
+        return Layout((*pose, uncertainty, *flags, *known, sonars, *column, *face))
 
     def _split(self) -> Program:
         # three parts: small states, map cells, map corner
@@ -269,8 +263,8 @@ class _Builder:
             turn=around.nu[3],
             prefix="sonar_",
         )
-        floor = self._floor(around.eta[2])
-        firings, silent = [], []
+        floor = floor_range(self.equipment, around.eta[2])
+        firings, silent, fired = [], [], []
         for i in range(array.size):
             reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
             arrived = ca.logic_and(
@@ -281,8 +275,10 @@ class _Builder:
             if floor is not None:
                 strange = ca.logic_and(strange, reading < floor - _TOLERANCE)
             echo = ca.logic_and(reading < array.maximum - SILENT, strange)
-            blind = reading <= array.lowest / array.scale + array.resolution
+            blind = reading <= shortest
+            usable = ca.logic_and(arrived, around.placed)
             clear = ca.fmax(least_of(recent) - _READING - _DIAGONAL * edge, 0)
+            fired.append(Firing(apexes[i], axes[i], halves[i], usable, reading, least_of(recent), echo, blind))
             firing = {
                 "apex": apexes[i],
                 "axis": axes[i],
@@ -293,7 +289,7 @@ class _Builder:
                 "cutoff": reading + _EXPLAINS * edge + 0.01,
             }
             listed = ca.vertcat(*(firing[name] for name, _, _ in READING))
-            firings.append((ca.logic_and(arrived, around.placed), listed))
+            firings.append((usable, listed))
         healthy = ca.vertcat(*silent) <= _DEAF
         sonars = [
             ca.horzcat(ranging.range[i], ranging.bound[i], healthy[i], ranging.age[i], axes[i].T)
@@ -311,6 +307,10 @@ class _Builder:
             perceived["movers"] = around.movers
         if "column" in self.outputs:
             perceived["column"] = inputs["column"]
+        if local_map.smooth:
+            face = face_after(x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2)
+            after |= face.state
+            perceived["face"] = face.foot
         free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
         outputs = {
             "small_next": self._small.join(
@@ -328,11 +328,6 @@ class _Builder:
             "perceived": self._perceived.join(perceived),
         }
         return {"small": small, "u": u, "p": p}, outputs
-
-    def _floor(self, z: ca.SX) -> ca.SX | None:
-        # [m] range at which the steepest direction of a beam meets the floor
-        depth, steepest = self.equipment.floor, self.equipment.array.steepest(-1)
-        return None if depth is None else (z + depth) / sin(steepest)
 
     def _around(
         self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
@@ -382,7 +377,9 @@ class _Builder:
             return [ca.if_else(mark[2] < _FAR, contact, 0), ca.if_else(there, unknown_row, ca.DM([0, 0, 100]))]
 
         with Recording() as recording:
-            tables = (ca.reshape(flat, 3, local_map.sectors).T for flat in (marked, unknown))
+            tables = [ca.reshape(flat, 3, local_map.sectors).T for flat in (marked, unknown)]
+            if local_map.smooth:
+                tables[0] = with_face(tables[0], perceived["face"])
             marks, blank = each("sector_ahead", sector, *tables)
             contacts = [*(each("mover_ahead", mover, perceived["movers"]) if self._movers else []), marks]
         values = {

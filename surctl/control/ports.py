@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from math import degrees, hypot
 from types import MappingProxyType
 
@@ -23,6 +24,7 @@ __all__ = [
     "PARAMETERS",
     "SECTORS",
     "YAW_SHARE",
+    "after_gap",
     "law_inputs",
     "law_parameters",
     "parameter_ports",
@@ -38,6 +40,9 @@ _WIDER_SIDE = 0.1  # [m] offset of the site's middle from the path's first segme
 
 SECTORS = 16
 """Number of direction sectors; in each, a law with a map knows the nearest occupied and the nearest unknown cell."""
+
+_AGES = ("age", "since", "silent")  # ends of the names of the times in the state that grow without a step
+_LASTING = ("mover_latest", "sonar_distrust")  # messages, which have an age; and what was found wrong with a sonar
 
 _POSE = (
     Port("eta", (4,), "m, rad", "measured position x, y, z and heading psi in {E} (z up, psi counter-clockwise)"),
@@ -282,3 +287,10 @@ def law_parameters(
     }
     values |= {name: OF_VEHICLE[name](vehicle, cruise) for name, spec in gains.own.items() if spec.from_vehicle}
     return parameter_ports(gains.own).pack(values)
+
+
+def after_gap(port: Port) -> Port:
+    """Return an entry of the perception's state with what a step does with it after periods without a step."""
+    if port.unit == "s" and port.name.endswith(_AGES):
+        return replace(port, gap="age")
+    return port if port.name in _LASTING else replace(port, gap="anew")
