@@ -28,7 +28,7 @@ from surctl.vehicle import load_vehicle
 SEEDS = 200
 STOPPED = [STOPS.index(reason) for reason in ("dead end", "standstill")]
 HEAD = [
-    "| scenario | echoes | arrived | collided | stopped | late | time of those that arrived, median / slowest [s] "
+    "| scenario | echoes | arrived | collided | stopped | late | time of those that arrived, mean / median / slowest [s] "
     "| least clearance [m] |",
     "|---|---|---|---|---|---|---|---|",
 ]
@@ -66,7 +66,7 @@ def row(case: Case, echoes: str, first: int, seeds: int, *, quick: bool) -> tupl
     stopped = int(np.isin(runs.column("stopped"), STOPPED).sum())
     counts = [arrived, hit, stopped, seeds - arrived - hit - stopped]
     times = runs.column("time_s")[reached]
-    took = f"{np.median(times):.1f} / {times.max():.1f}" if arrived else "-"
+    took = f"{times.mean():.1f} / {np.median(times):.1f} / {times.max():.1f}" if arrived else "-"
     least = runs.column("min_clearance_m").min()
     print(name, echoes, counts, took, file=sys.stderr, flush=True)
     return f"| `{name}` | {echoes} | {' | '.join(map(str, counts))} | {took} | {least:.3f} |", counts
