@@ -28,8 +28,8 @@ from surctl.vehicle import load_vehicle
 SEEDS = 200
 STOPPED = [STOPS.index(reason) for reason in ("dead end", "standstill")]
 HEAD = [
-    "| scenario | echoes | arrived | collided | stopped | late | time of those that arrived, mean / median / slowest [s] "
-    "| least clearance [m] |",
+    "| scenario | echoes | arrived | collided | stopped | late | time of those that arrived, mean / median / slowest "
+    "[s] | least clearance [m] |",
     "|---|---|---|---|---|---|---|---|",
 ]
 
