@@ -60,7 +60,7 @@ STRONGER: dict[str, Callable[[dict[str, Any]], Any]] = {
     "no weight": lambda d: d["proof"]["thrust"].update(weight=0.0),
     "no thrust": lambda d: d["proof"].pop("thrust"),
     "NaN": lambda d: d["proof"]["thrust"].update(weight=float("nan")),
-}  # fmt: skip
+}  # a row each  # fmt: skip
 
 
 def test_a_certificate_with_thrust_lag_is_accepted_and_what_asks_for_more_is_rejected() -> None:
@@ -87,7 +87,7 @@ HELD: dict[str, Callable[[dict[str, Any]], Any]] = {
     "large split": lambda d: d["proof"]["thrust"].update(split=30.0),
     "no weight": lambda d: d["proof"]["thrust"].update(weight=0.0),
     "no thrust": lambda d: d["proof"].pop("thrust"),
-}  # fmt: skip
+}  # a row each  # fmt: skip
 
 
 def test_a_certificate_with_held_commands_is_accepted_and_what_asks_for_more_is_rejected() -> None:
@@ -188,7 +188,7 @@ CURRENT: dict[str, Callable[[dict[str, Any]], Any]] = {
     "held": lambda d: (d["claim"]["law"].update(period_s=0.001), d["proof"].update(thrust={"weight": 1, "split": 1})),
     "narrower": lambda d: d["claim"]["motion"].update(ultimate_bound_m=[0.0687, 0.1041 - 0.01]),
     "wider start": lambda d: d["claim"]["motion"].update(offset_m=d["claim"]["motion"]["offset_m"] + 0.005),
-}  # fmt: skip
+}  # a row each  # fmt: skip
 
 
 def test_a_certificate_with_a_current_is_accepted_and_what_asks_for_more_is_rejected() -> None:

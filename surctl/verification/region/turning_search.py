@@ -38,10 +38,9 @@ _SMALLER = np.array([0.7, 0.7, 0.7, 1, 2, 2, 0.7])  # of the first start values,
 _SPREAD = np.array([0.2, 0.2, 0.12, 0.2, 0.4, 0.4, 0.15])  # of the start values near the first ones
 _REST = 1.35  # factor of the first velocity deviations if the region must contain a vehicle at rest
 _ENOUGH = 4  # number of first regions after which the search enlarges the best one
-_GROWTH, _LEAST = 1.25, 1.01  # first and least factor of y in a step
+_GROWTH, _LEAST = 1.25, 1.01  # first and least factor of y in a step, by which the floor is lowered
 _OTHERS = 0.3  # exponent of that factor for x and U_x, without a start at rest
 _GAIN = 1.001  # factor of the score that a step must reach
-_FALL = 1  # exponent of that factor by which the floor is lowered
 _LOWEST = 0.15  # lowest floor in the search
 _WEIGHT = 1e-4  # of the trace of P in the cost
 _FACTORS = np.geomspace(0.5, 2, 21)  # of a growth, in the search of a better one
@@ -275,17 +274,16 @@ def turning_search(
                 first.append(one)
         if grown:
             break
-    regions = iter(sorted([*first, *grown], key=lambda one: -one.score)[:_TRIED])
+    regions = sorted([*first, *grown], key=lambda one: -one.score)[:_TRIED]
+    further = ((one.score, fitted(claim, fine, one.P, float(one.start.growths[-1]))) for one in regions)
     candidates = []
-    for one in regions:
-        candidate = fitted(claim, fine, one.P, float(one.start.growths[-1]))
+    for score, candidate in further:
         if candidate is not None:
             candidates.append(candidate)
-            if _score(claim, candidate) >= one.score:
+            if _score(claim, candidate) >= score:
                 break
     yield from sorted(candidates, key=lambda one: -_score(claim, one))
-    for one in regions:  # the checker accepts none of the others
-        candidate = fitted(claim, fine, one.P, float(one.start.growths[-1]))
+    for _, candidate in further:  # the checker accepts none of the others
         if candidate is not None:
             yield candidate
 
@@ -306,7 +304,7 @@ def _grown(claim: TurningClaim, cruise: Cruise, region: _Region, most: int, acti
         stretch = np.full(len(region.P), growth ** (1.0 if claim.rest or claim.behind else _OTHERS))
         stretch[[1, 3]] = growth
         bound = np.linalg.inv(region.P) * stretch[:, None] * stretch
-        floor = max(float(region.start.levels[0]) / growth**_FALL, min(_LOWEST, float(region.start.levels[0])))
+        floor = max(float(region.start.levels[0]) / growth, min(_LOWEST, float(region.start.levels[0])))
         start = replace(region.start, levels=np.geomspace(floor, 1.0, _SHELLS + 1))
         improved = _improve(claim, cruise, bound, start, active)
         used += 1

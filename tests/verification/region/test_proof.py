@@ -120,7 +120,7 @@ def test_the_library_builds_what_it_says(name: str) -> None:
     alike = ("scale", "curved", "curved-fast", "current")
     equal = "turning" not in name or name.removeprefix("region-turning-20-") in alike
     lagged = {"region-turning-lag": "bluerov2-vonbenzon", "region-turning-20-lag": "bluerov2-heavy",
-              "region-turning-20-sampled": "bluerov2-heavy"}  # fmt: skip
+              "region-turning-20-sampled": "bluerov2-heavy"}  # a table  # fmt: skip
     vehicle = load_vehicle("sur540-flooded" if equal else lagged.get(name, "bluerov2-vonbenzon"))
     gains = derived_gains(vehicle, cruise=0.15) if name in lagged else load_gains("default")
     claim = REGION_CLAIMS[name].claim(vehicle, gains)
