@@ -223,6 +223,15 @@ def test_no_file_holds_leftovers_or_paths_of_a_machine() -> None:
     assert found == []
 
 
+def test_no_law_holds_a_number_that_depends_on_the_processor() -> None:
+    """NumPy's sin, cos, exp, … take other routines where the processor has AVX-512; those of `math` do not."""
+    functions = r"a?sinh?|a?cosh?|a?tanh?|arc\w+|exp(2|m1)?|log(2|10|1p)?|power|hypot|cbrt"
+    call = re.compile(rf"^(?!\s*>>>).*\bnp\.({functions})\(", re.MULTILINE)
+    laws = [path for room in ("control", "guidance", "tasks") for path in (PACKAGE / room).rglob("*.py")]
+    laws += [PACKAGE / "sensing/localisation/design.py", PACKAGE / "vehicle/thrusters.py"]
+    assert [(path.name, found.group()) for path in laws for found in call.finditer(path.read_text())] == []
+
+
 def test_the_package_says_that_it_is_typed() -> None:
     assert (PACKAGE / "py.typed").exists()
     assert Path(surctl.__file__).parent == PACKAGE, "the tests run against another copy of surctl"

@@ -13,6 +13,7 @@ ended before the first clear course.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import cos, sin  # NumPy's differ in the last bit between processors, and the law's digest with them
 
 import casadi as ca
 import numpy as np
@@ -165,14 +166,14 @@ def _ordered(side: int) -> Iterator[tuple[float, ...]]:
         (
             offset,
             share,
-            1 - np.cos(offset) + _SLOW * (1 - share) + _OTHER_SIDE * bool(sided(offset) and offset * side < 0),
+            1 - cos(offset) + _SLOW * (1 - share) + _OTHER_SIDE * bool(sided(offset) and offset * side < 0),
         )
         for share in SPEEDS
         for offset in COURSES
     ]
     rows.sort(key=lambda row: round(row[2], 12))  # stable, so of equal ones the first remains first
     for (offset, share, least), later in zip(rows, [*(row[2] for row in rows[1:]), _LAST], strict=True):
-        yield offset, share, np.cos(offset), np.sin(offset), least, later
+        yield offset, share, cos(offset), sin(offset), least, later
 
 
 def _contacts(s: Situation) -> tuple[ca.SX, ca.SX]:

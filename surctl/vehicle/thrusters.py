@@ -19,7 +19,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from math import ceil, cos, degrees, hypot, isclose, pi, sin
+from math import atan2, ceil, cos, degrees, hypot, isclose, pi, sin
 from typing import Any
 
 import numpy as np
@@ -130,7 +130,7 @@ class Thruster:
         full = isclose(high - low, _FULL, abs_tol=_SAME)
         count = max(1, ceil((high - low) / _FULL * SIDES - _SAME))
         angles = low + (high - low) * np.arange(count + (not full)) / count
-        arc = self.forward * np.column_stack([np.cos(angles), np.sin(angles)])
+        arc = self.forward * np.array([[cos(a), sin(a)] for a in angles])
         return arc if full else np.vstack([[0.0, 0.0], arc])
 
     @cached_property
@@ -281,7 +281,7 @@ class Actuators:
     def angles(self, components: Array) -> Array:
         """Return the joint angle (k,) [rad] of each swivelling thruster; 0 for a force of 0."""
         parts = [components[self.slices[k]] for k in self.swivels]
-        return np.array([float(np.arctan2(part[1], part[0])) for part in parts])
+        return np.array([atan2(part[1], part[0]) for part in parts])
 
     def components(self, forces: Array, angles: Array) -> Array:
         """Return the force components (N,) [N] of thrusters with these forces (n,) and joint angles (k,) [rad]."""

@@ -13,9 +13,9 @@ robot with its limited thrust follows only after some time.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import cos, pi, sin  # NumPy's differ in the last bit between processors, and the law's digest with them
 
 import casadi as ca
-import numpy as np
 
 from surctl.control.baselines.situation import Situation, decided, limited
 from surctl.control.decision import Decision
@@ -89,7 +89,7 @@ def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap
 
 
 def _least_bad(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) -> ca.SX:
-    angles = 2 * np.pi * np.arange(FAN) / FAN
+    angles = [2 * pi * k / FAN for k in range(FAN)]
     table = tabulated(rows, 3)
 
     def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:
@@ -99,6 +99,6 @@ def _least_bad(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) 
         worst = fold("missed", missed, ca.SX(-1e6), table)
         return [ca.if_else(worst < least - 1e-9, candidate, best), ca.fmin(worst, least)]
 
-    fan = [ca.SX.zeros(2), *(cap * ca.SX([np.cos(a), np.sin(a)]) for a in angles)]
+    fan = [ca.SX.zeros(2), *(cap * ca.SX([cos(a), sin(a)]) for a in angles)]
     best: ca.SX = fold("fan", judged, [desired, ca.SX(1e6)], tabulated([candidate] for candidate in fan))[0]
     return best

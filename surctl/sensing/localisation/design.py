@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import exp  # NumPy's differs in the last bit between processors
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +22,7 @@ def transition(dt: float, disturbance_time: float) -> Matrix:
     The disturbance is constant within a step and decays from step to step with the time constant `disturbance_time`
     [s] (first-order Gauss-Markov process).
     """
-    return np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, np.exp(-dt / disturbance_time)]])
+    return np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, exp(-dt / disturbance_time)]])
 
 
 def white(dt: float, size: float) -> Matrix:
@@ -34,7 +36,7 @@ def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, distu
     Q is the sum of two parts: white acceleration noise [m/s^1.5], and the noise that keeps the standard deviation of
     the disturbance acceleration [m/s²] constant.
     """
-    fresh = disturbance_sd**2 * (1.0 - np.exp(-2.0 * dt / disturbance_time))
+    fresh = disturbance_sd**2 * (1.0 - exp(-2.0 * dt / disturbance_time))
     return white(dt, acceleration_noise) + np.diag([0.0, 0.0, fresh])
 
 
