@@ -103,10 +103,12 @@ class ExpressionTable:
         """Return, in table order, the positions of the given roots and of all operations on which the roots depend."""
         key = tuple(roots)
         if key not in self._live:
-            live = set(key)
-            for at in range(max(live, default=-1), -1, -1):
-                if at in live:
-                    live.update(self.entries[at].args)
+            live, waiting = set(key), list(key)
+            while waiting:
+                for a in self.entries[waiting.pop()].args:
+                    if a not in live:
+                        live.add(a)
+                        waiting.append(a)
             if len(self._live) >= _CACHED:
                 self._live.clear()
             self._live[key] = sorted(live)

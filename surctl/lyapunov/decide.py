@@ -310,8 +310,8 @@ def _axes(d: Dynamics, functions: Callable[[Array], Sequence[Array]]) -> list[Ar
         bend = np.zeros((n, n))
         bend[i, j] = q
         own = np.diag(bend) / 4
-        bend = bend + bend.T - (own[:, None] + own) * (1 - axes) - 2 * np.diag(np.diag(bend))
-        bend[np.diag_indices(n)] = 2 * own
+        bend = bend + bend.T - (own[:, None] + own)
+        np.fill_diagonal(bend, 2 * own)
         lines = np.hstack([axes, np.linalg.eigh(bend)[1]]) if np.all(np.isfinite(bend)) else axes
         along = (scales[:, None] * lines)[:, None, :] * _ALONG[:, None]
         states.append((centre[:, None] + along).reshape(n, -1))
@@ -338,8 +338,8 @@ def short(value: float, *, digits: int = 3, up: bool = False) -> float:
     """Return a positive number of few digits, not above `value` (not below it if `up`); 1 for 0."""
     if value == 0:
         return 1.0
-    size = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
-    count = np.ceil(value / size) if up else np.floor(value / size)
+    size = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    count = math.ceil(value / size) if up else math.floor(value / size)
     return float(f"{count * size:.6g}")
 
 
