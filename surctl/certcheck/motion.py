@@ -101,9 +101,8 @@ class Motion:
             self._continuous(table, rates, "the dynamics contain")
         own = composed(table, root, dict(enumerate(rates))) if self.discrete else along(table, root, rates)
         self._defined(table, [*rates, own])
-        if own != claimed:
-            if not self.normal.equal(claimed, lambda e: e.of(own)) or self.normal.assumed:
-                raise Rejected("the stated change of the function does not follow from the dynamics")
+        if own != claimed and (not self.normal.equal(claimed, lambda e: e.of(own)) or self.normal.assumed):
+            raise Rejected("the stated change of the function does not follow from the dynamics")
         return str(stated)
 
     def _defined(self, table: ExpressionTable, roots: Sequence[int]) -> None:

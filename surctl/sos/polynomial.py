@@ -12,7 +12,7 @@ Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float
 """A coefficient; integers count as fractions."""
-ONE: Number = Fraction(1)
+ONE = Fraction(1)
 """The coefficient of a variable; no multiplication is needed with this very object."""
 
 
