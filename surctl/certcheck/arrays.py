@@ -54,6 +54,8 @@ def proved_together(
         constraints: expressions of which one has to be positive for the rules `i` and `j`.
         leaves: the leaves.
     """
+    if len(leaves) < FEWEST:
+        return [False] * len(leaves)
     done = np.zeros(len(leaves), dtype=bool)
     rules = np.array([rule for rule, _ in leaves])
     for rule, roots in {

@@ -52,4 +52,4 @@ def check(document: Mapping[str, Any]) -> None:
     else:
         ExpressionTable(motion.names).read(multiplier)
         needed.append(Obligation(motion.names, motion.box, change, f"({multiplier})*({function})"))
-    check_all(needed, document["proofs"])
+    check_all(needed, document["proofs"], motion.normal)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from typing import NamedTuple
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
@@ -41,13 +41,15 @@ _BINDS = {"+": 1, "-": 1, "*": 2, "/": 2}
 _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
 
 
-@dataclass(frozen=True)
-class Entry:
+_NONE = Fraction(0)  # the value of an operation that has none
+
+
+class Entry(NamedTuple):
     """One operation; `value` is the number of `num`, the exponent of `pow` and `powr`, or the index of the variable."""
 
     op: str
     args: tuple[int, ...] = ()
-    value: Fraction = Fraction(0)
+    value: Fraction = _NONE
 
 
 def _lexemes(text: str) -> tuple[tuple[str, str], ...]:
@@ -85,9 +87,10 @@ class ExpressionTable:
         self._live: dict[tuple[int, ...], list[int]] = {}
         self._read: dict[str, int] = {}
 
-    def put(self, op: str, *args: int, value: Fraction | int = 0) -> int:
+    def put(self, op: str, *args: int, value: Fraction | int = _NONE) -> int:
         """Return the position of an operation in the table; add the operation to the table if it is new."""
-        key = op, args, value.numerator, value.denominator  # the hash of a fraction is slow
+        over, under = (0, 1) if value is _NONE else value.as_integer_ratio()
+        key = op, args, over, under  # the hash of a fraction is slow
         at = self._at.get(key)
         if at is None:
             if len(self.entries) >= _MOST:
@@ -100,10 +103,12 @@ class ExpressionTable:
         """Return, in table order, the positions of the given roots and of all operations on which the roots depend."""
         key = tuple(roots)
         if key not in self._live:
-            live = set(key)
-            for at in range(max(live, default=-1), -1, -1):
-                if at in live:
-                    live.update(self.entries[at].args)
+            live, waiting = set(key), list(key)
+            while waiting:
+                for a in self.entries[waiting.pop()].args:
+                    if a not in live:
+                        live.add(a)
+                        waiting.append(a)
             if len(self._live) >= _CACHED:
                 self._live.clear()
             self._live[key] = sorted(live)

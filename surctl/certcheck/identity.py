@@ -31,7 +31,8 @@ _LONG = 8  # factors of a term that count as one term
 _BITS = 4096  # most bits of a coefficient's numerator or denominator
 _LONGEST = 20_000  # most characters of an atom's name
 _TOO_LARGE = "an identity is too large to be checked"
-_ONE: Sum = {(): Fraction(1)}
+_UNIT = Fraction(1)
+_ONE: Sum = {(): _UNIT}
 
 
 class Exact:
@@ -60,6 +61,8 @@ class Exact:
     def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
         """Return whether the expression at table position `a` equals the fraction that the function `b` returns."""
         p, q = self.of(a), b(self)
+        if p == q:
+            return True
         return not self.plus(self.mul(p[0], q[1]), self.mul(q[0], p[1]), -1)
 
     def under_root(self, atom: str) -> Sum:
@@ -95,11 +98,15 @@ class Exact:
             if k % 16 == 0:
                 go_on()
             for t, y in b.items():
-                powers = dict(s)
-                for atom, e in t:
-                    powers[atom] = powers.get(atom, 0) + e
-                term = tuple(sorted(powers.items()))
-                out[term] = out[term] + x * y if term in out else x * y
+                if not s or not t:
+                    term = s or t
+                else:
+                    powers = dict(s)
+                    for atom, e in t:
+                        powers[atom] = powers.get(atom, 0) + e
+                    term = tuple(sorted(powers.items()))
+                product = y if x is _UNIT else x if y is _UNIT else x * y
+                out[term] = out[term] + product if term in out else product
         return self._simple({t: x for t, x in out.items() if x})
 
     def _simple(self, a: Sum) -> Sum:
@@ -150,9 +157,9 @@ class Exact:
             case "num":
                 return ({(): entry.value} if entry.value else {}), _ONE
             case "pi":
-                return {(("pi", 1),): Fraction(1)}, _ONE
+                return {(("pi", 1),): _UNIT}, _ONE
             case "var":
-                return {((f"v{entry.value.numerator}", 1),): Fraction(1)}, _ONE
+                return {((f"v{entry.value.numerator}", 1),): _UNIT}, _ONE
             case "add":
                 return self.add(args[0], args[1])
             case "sub":

@@ -124,6 +124,8 @@ class Inequality:
 
     def _branches(self) -> list[int]:
         """Return the distinct abs, max, min and select entries: of the left side, the right side, the constraints."""
+        if not any(self.expressions.entries[at].op in BRANCHES for at in self.expressions.needed(self.parts)):
+            return []
         met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
         while waiting:
             at = waiting.pop()

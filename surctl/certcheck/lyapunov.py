@@ -51,7 +51,7 @@ def check(document: Mapping[str, Any]) -> None:
         needed = _bound(document, motion, function, change, inside)
     else:
         raise Rejected(f"the property {claim['property']!r} is not known")
-    check_all(needed, document["proofs"])
+    check_all(needed, document["proofs"], motion.normal)
 
 
 def _stability(

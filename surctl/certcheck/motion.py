@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any
 
 from mpmath import libmp
@@ -71,10 +72,19 @@ class Motion:
     rates: Sequence[str]
     discrete: bool
 
-    @property
+    @cached_property
     def state_box(self) -> Box:
         """Return the bounds of the states."""
         return self.box[: len(self.states)]
+
+    @cached_property
+    def _of_states(self) -> ExpressionTable:
+        return ExpressionTable(self.states)
+
+    @cached_property
+    def normal(self) -> Exact:
+        """The normal forms of expressions of all names so far, with their table."""
+        return Exact(self._of_states if self.names == self.states else ExpressionTable(self.names))
 
     def verify_change(self, function: object, stated: object) -> str:
         """Return the stated change of a function of the states: its time derivative, or its value at the successor.
@@ -82,8 +92,8 @@ class Motion:
         The stated text is rejected unless it equals the change that is computed from the dynamics. The dynamics and the
         change must be defined in the whole box; so a function with a derivative is smooth there.
         """
-        ExpressionTable(self.states).read(function)  # a function of the states alone
-        table = ExpressionTable(self.names)
+        self._of_states.read(function)  # a function of the states alone
+        table = self.normal.expressions
         root, claimed = table.read(function), table.read(stated)
         rates = [table.read(text) for text in self.rates]
         if not self.discrete:
@@ -91,10 +101,8 @@ class Motion:
             self._continuous(table, rates, "the dynamics contain")
         own = composed(table, root, dict(enumerate(rates))) if self.discrete else along(table, root, rates)
         self._defined(table, [*rates, own])
-        if own != claimed:
-            exact = Exact(table)
-            if not exact.equal(claimed, lambda e: e.of(own)) or exact.assumed:
-                raise Rejected("the stated change of the function does not follow from the dynamics")
+        if own != claimed and (not self.normal.equal(claimed, lambda e: e.of(own)) or self.normal.assumed):
+            raise Rejected("the stated change of the function does not follow from the dynamics")
         return str(stated)
 
     def _defined(self, table: ExpressionTable, roots: Sequence[int]) -> None:
@@ -139,16 +147,15 @@ class Motion:
         The function must be continuous, the point must lie inside the box, and the function must be below the level at
         the point. The point has a number for each state.
         """
-        table = ExpressionTable(self.names)
-        root = table.read(function)
         if self.discrete:  # in continuous time, the function has a derivative
-            self._continuous(table, [root], "the function contains")
+            table = self.normal.expressions
+            self._continuous(table, [table.read(function)], "the function contains")
         at = [Fraction(repr(number(point[name]))) for name in self.states]
         if not all(
             Fraction(repr(low)) < x < Fraction(repr(high)) for x, (low, high) in zip(at, self.box, strict=False)
         ):
             raise Rejected("the equilibrium does not lie inside the box")
-        own = ExpressionTable(self.states)
+        own = self._of_states
         try:
             value = enclose(own, [own.read(function)], [rational(x) for x in at])[0].value
         except Undefined as reason:
@@ -195,12 +202,12 @@ def _require_loop(about: object) -> None:
             raise Rejected("the certificate states a gain without a value")
 
 
-def check_all(obligations: Sequence[Obligation], proofs: object) -> None:
-    """Raise Rejected unless there is one proof for each obligation."""
+def check_all(obligations: Sequence[Obligation], proofs: object, known: Exact) -> None:
+    """Raise Rejected unless there is one proof for each obligation; `known` holds normal forms of expressions."""
     proved = listed(proofs)
     if len(proved) != len(obligations):
         raise Rejected(f"the certificate has {len(proved)} proofs, but {len(obligations)} inequalities must be proved")
-    earlier: dict[tuple[str, ...], Exact] = {}
+    earlier = {known.expressions.names: known}
     for k, (obligation, cases) in enumerate(zip(obligations, proved, strict=True)):
         names = tuple(obligation.names)
         normal = earlier.get(names)

@@ -27,6 +27,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
 from math import lcm
 from typing import Any
 
@@ -86,10 +87,10 @@ def check_squares(entry: Mapping[str, Any], claimed: Claimed) -> None:
         names = listed(each["factors"])
         if len(names) > _FACTORS:
             raise Rejected(f"a sum of squares has {len(names)} factors beside it; the limit is {_FACTORS}")
-        weight = {0: Fraction(1)}
-        for name in names:
-            weight = _product(weight, ring.factor(name))
-        rest = _less(rest, _product(block.polynomial(), weight))
+        part = block.polynomial()
+        if names:
+            part = _product(part, reduce(_product, map(ring.factor, names)))
+        rest = _less(rest, part)
         if names:
             block.check()
         else:
@@ -136,7 +137,8 @@ class _Ring:
         over, under = self._exact.of(position)
         if set(under) != {()} or self._exact.assumed:
             raise Rejected("an expression in a sum of squares is not a polynomial")
-        return {term: c / under[()] for term, c in over.items()}
+        whole = under[()]
+        return over if whole == 1 else {term: c / whole for term, c in over.items()}
 
     def packed(self, poly: Sum) -> Packed:
         """Return a polynomial in atoms as a polynomial in the symbols."""
@@ -152,12 +154,13 @@ class _Ring:
                 at, scale, offset = self._atoms[atom]
                 one = 1 << (at * _FIELD)
                 if not offset:
-                    product = {m + exponent * one: x * scale**exponent for m, x in product.items()}
+                    size = scale**exponent
+                    product = {m + exponent * one: x if size == 1 else x * size for m, x in product.items()}
                     continue
                 for _ in range(exponent):
                     product = _product(product, {one: scale, 0: offset})
             for m, x in product.items():
-                total[m] = total.get(m, Fraction(0)) + x
+                total[m] = total[m] + x if m in total else x
         return {m: x for m, x in total.items() if x}
 
     def target(self) -> Packed:
@@ -328,7 +331,7 @@ def _less(a: Packed, b: Packed) -> Packed:
     go_on()
     total = dict(a)
     for m, x in b.items():
-        total[m] = total.get(m, Fraction(0)) - x
+        total[m] = total[m] - x if m in total else -x
         if total[m].denominator.bit_length() > 4 * _BITS:
             raise Rejected("an integer in a sum of squares has too many digits")
     return {m: x for m, x in total.items() if x}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.lyapunov.dynamics import Dynamics, Range, exact
 from surctl.verification.claim import Claim, Variable
-from surctl.verification.formula import Node, number, parse, power, text_of, to_casadi, variable
+from surctl.verification.formula import Node, number, parse, power, reads_back, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 
 __all__ = ["Bound", "DynamicClaim", "Inequality", "Power", "Safety", "Stability"]
@@ -279,16 +279,16 @@ def _inequality(
     touching: Mapping[str, Fraction] | None = None,
 ) -> Inequality:
     names = tuple(v.name for v in variables)
-    # parse the written text, so that the expressions are those that a reader of the certificate obtains
-    left, right, *rows = (_reread(text_of(node), names) for node in (left, right, *constraints))
+    left, right, *rows = (_reread(node, names) for node in (left, right, *constraints))
     lower, upper = _ends(variables)
     exact = Statement(names, lower, upper, left, right, tuple(rows), touching or {})
     return Inequality(name, exact, tuple(variables))
 
 
 @lru_cache(256)
-def _reread(text: str, names: tuple[str, ...]) -> Node:
-    return parse(text, {name: variable(name) for name in names})
+def _reread(node: Node, names: tuple[str, ...]) -> Node:
+    """Return the expression that a reader of the certificate obtains from the written text."""
+    return node if reads_back(node, names) else parse(text_of(node), {name: variable(name) for name in names})
 
 
 def _ends(variables: Sequence[Range]) -> NDArray[np.float64]:

@@ -37,6 +37,7 @@ _SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio tha
 _SIMPLE = 1.0  # largest processor time of a proof of an inequality that should take milliseconds [s]
 _HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality, and for one that is not the last
 _STEP, _NEAR = 1e-3, (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the box: second differences; samples on lines
+_ALONG = np.array([t for near in _NEAR for t in (near, -near)])
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
 _REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
 
@@ -271,7 +272,8 @@ def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
     low, high = d.box
     unit = _sobol(len(d.states))
     wide = low[:, None] + (high - low)[:, None] * unit
-    x = np.hstack([d.equilibrium[:, None] + (wide - d.equilibrium[:, None]) * near for near in (1.0, 0.1, 0.01)])
+    centre = d.equilibrium[:, None]
+    x = np.hstack([centre + (wide - centre) * near for near in (1.0, 0.1, 0.01)])
     both = claim.function, d.change(claim.function)
     corners = d.corners()
 
@@ -285,7 +287,7 @@ def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
 
     x = np.hstack([x, *_axes(d, read)])
     values, loss = read(x)
-    inside = (values < claim.level) & np.isfinite(values) & np.isfinite(loss) & np.any(x != d.equilibrium[:, None], 0)
+    inside = (values < claim.level) & np.isfinite(values) & np.isfinite(loss) & np.any(x != centre, 0)
     if not np.any(inside):
         raise InputError("lies above the level in the whole box", key=f"{d.name}.function", remedy="raise the level")
     return x[:, inside], values[inside], loss[inside]
@@ -298,22 +300,21 @@ def _axes(d: Dynamics, functions: Callable[[Array], Sequence[Array]]) -> list[Ar
     the lines on which only a higher order counts.
     """
     n = len(d.states)
-    scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+    (low, high), middle, axes = d.box, d.equilibrium, np.eye(n)
+    scales, centre = np.maximum(high - middle, middle - low), middle[:, None]
     i, j = np.triu_indices(n)
-    steps = _STEP * (np.eye(n)[:, i] + np.eye(n)[:, j])
-    centre = d.equilibrium[:, None]
-    ahead, behind = (functions(centre + scales[:, None] * side) for side in (steps, -steps))
+    steps = scales[:, None] * (_STEP * (axes[:, i] + axes[:, j]))
+    ahead, behind = np.split(np.asarray(functions(np.hstack([centre + steps, centre - steps]))), 2, axis=1)
     states = []
     for q in (a + b for a, b in zip(ahead, behind, strict=True)):
         bend = np.zeros((n, n))
         bend[i, j] = q
         own = np.diag(bend) / 4
-        bend = bend + bend.T - (own[:, None] + own) * (1 - np.eye(n)) - 2 * np.diag(np.diag(bend))
-        bend[np.diag_indices(n)] = 2 * own
-        lines = np.eye(n)
-        if np.all(np.isfinite(bend)):
-            lines = np.hstack([lines, np.linalg.eigh(bend)[1]])
-        states.append(np.hstack([centre + scales[:, None] * lines * t for near in _NEAR for t in (near, -near)]))
+        bend = bend + bend.T - (own[:, None] + own)
+        np.fill_diagonal(bend, 2 * own)
+        lines = np.hstack([axes, np.linalg.eigh(bend)[1]]) if np.all(np.isfinite(bend)) else axes
+        along = (scales[:, None] * lines)[:, None, :] * _ALONG[:, None]
+        states.append((centre[:, None] + along).reshape(n, -1))
     return states
 
 
@@ -337,8 +338,8 @@ def short(value: float, *, digits: int = 3, up: bool = False) -> float:
     """Return a positive number of few digits, not above `value` (not below it if `up`); 1 for 0."""
     if value == 0:
         return 1.0
-    size = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
-    count = np.ceil(value / size) if up else np.floor(value / size)
+    size = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
+    count = math.ceil(value / size) if up else math.floor(value / size)
     return float(f"{count * size:.6g}")
 
 

@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-__all__ = ["Monomial", "Number", "Polynomial", "joined"]
+__all__ = ["ONE", "Monomial", "Number", "Polynomial", "joined"]
 
 Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
 Number = Fraction | float
 """A coefficient; integers count as fractions."""
-_ONE = Fraction(1)
+ONE = Fraction(1)
+"""The coefficient of a variable; no multiplication is needed with this very object."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Polynomial:
     @staticmethod
     def variable(index: int) -> Polynomial:
         """Return the polynomial x_index."""
-        return Polynomial({((index, 1),): _ONE})
+        return Polynomial({((index, 1),): ONE})
 
     @staticmethod
     def variables(count: int) -> tuple[Polynomial, ...]:
@@ -54,7 +55,7 @@ class Polynomial:
     @staticmethod
     def monomial(monomial: Monomial) -> Polynomial:
         """Return the polynomial with this monomial alone, with the coefficient 1."""
-        return Polynomial({monomial: _ONE})
+        return Polynomial({monomial: ONE})
 
     @property
     def degree(self) -> int:
@@ -95,7 +96,8 @@ class Polynomial:
         for m, c in self.terms.items():
             for n, d in other.terms.items():
                 product = joined(m, n)
-                value = c * d  # a sum of a fraction and the integer 0 is slow
+                value = d if c is ONE else c if d is ONE else c * d
+                # a sum of a fraction and the integer 0 is slow
                 total[product] = total[product] + value if product in total else value
         return Polynomial({m: c for m, c in total.items() if c})
 

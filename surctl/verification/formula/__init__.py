@@ -7,7 +7,7 @@ from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, is_name, p
 from surctl.verification.formula.reader import from_casadi
 from surctl.verification.formula.statement import Statement
 from surctl.verification.formula.symbolic import to_casadi
-from surctl.verification.formula.text import text_of
+from surctl.verification.formula.text import reads_back, text_of
 
 __all__ = [
     "FUNCTIONS",
@@ -22,6 +22,7 @@ __all__ = [
     "parse",
     "parse_relation",
     "power",
+    "reads_back",
     "rebuilt",
     "substitute",
     "text_of",

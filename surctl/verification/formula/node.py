@@ -29,7 +29,10 @@ DEEPEST = 300
 """The largest depth to which operations may be nested."""
 
 
-@dataclass(frozen=True, eq=False)
+_NONE = Fraction(0)  # the value of a node that has none
+
+
+@dataclass(frozen=True, eq=False, init=False)
 class Node:
     """A node of an expression tree: an operation, a number or a name; nodes with equal content are equal.
 
@@ -42,22 +45,32 @@ class Node:
     """
 
     op: str
-    args: tuple[Node, ...] = ()
-    value: Fraction = Fraction(0)
-    name: str = ""
-    depth: int = field(init=False)
-    _hash: int = field(init=False, repr=False)
+    args: tuple[Node, ...]
+    value: Fraction
+    name: str
+    depth: int
+    _hash: int = field(repr=False)
 
-    def __post_init__(self) -> None:
-        """Raise InputError if the expression is nested too deeply for the recursive functions that process it."""
-        depth = 1 + max([a.depth for a in self.args], default=0)
-        if depth > DEEPEST:
+    def __init__(self, op: str, args: tuple[Node, ...] = (), value: Fraction = _NONE, name: str = "") -> None:
+        # a proof makes hundreds of nodes: one loop, and no slow hash of a fraction
+        depth = 0
+        key: list[str | int] = [op, name]
+        for a in args:
+            key.append(a._hash)
+            if a.depth > depth:
+                depth = a.depth
+        if depth >= DEEPEST:
+            # recursive functions process the expression
             raise InputError(
                 f"is nested more than {DEEPEST} levels deep", key="expression", remedy="write it with less nesting"
             )
-        object.__setattr__(self, "depth", depth)
-        key = self.op, self.args, self.value.numerator, self.value.denominator, self.name  # a fraction's hash is slow
-        object.__setattr__(self, "_hash", hash(key))
+        if value is not _NONE:
+            key += value.as_integer_ratio()
+        else:
+            key += (0, 1)
+        own = self.__dict__  # the class is frozen
+        own["op"], own["args"], own["value"], own["name"] = op, args, value, name
+        own["depth"], own["_hash"] = depth + 1, hash(tuple(key))
 
     def __hash__(self) -> int:
         return self._hash
@@ -67,7 +80,8 @@ class Node:
             return True
         if not isinstance(other, Node) or self._hash != other._hash:
             return False
-        return (self.op, self.value, self.name, self.args) == (other.op, other.value, other.name, other.args)
+        same = self.op == other.op and self.name == other.name and self.args == other.args
+        return same and (self.value is other.value or self.value == other.value)
 
     def __add__(self, other: Node) -> Node:
         return Node("add", (self, other))

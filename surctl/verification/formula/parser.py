@@ -18,13 +18,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 from surctl.errors import InputError, nearest
 from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered
 
-__all__ = ["FUNCTIONS", "IDENTIFIER", "LONGEST", "decimal", "is_name", "parse", "parse_relation"]
+__all__ = ["FUNCTIONS", "IDENTIFIER", "LARGEST_POWER", "LONGEST", "decimal", "is_name", "parse", "parse_relation"]
 
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
@@ -38,7 +38,9 @@ LONGEST = 60_000
 _TOKEN = re.compile(
     r"\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^(),])|(\S))"
 )
-_LARGEST_POWER, _LARGEST_EXPONENT, _MOST_DIGITS = 64, 320, 400
+LARGEST_POWER = 64
+"""The largest exponent."""
+_LARGEST_EXPONENT, _MOST_DIGITS = 320, 400
 _LONGEST = 30  # most digits of numerator and denominator of an exponent
 
 
@@ -108,8 +110,7 @@ def _constant(root: Node) -> Fraction | None:
     return values[root]
 
 
-@dataclass(frozen=True)
-class _Token:
+class _Token(NamedTuple):
     kind: str
     text: str
     column: int
@@ -201,8 +202,8 @@ class _Parser:
         token = self._next
         tree = self._signed_constant()
         value = _constant(tree)
-        if value is None or abs(value) > _LARGEST_POWER or max(map(len, map(str, value.as_integer_ratio()))) > _LONGEST:
-            remedy = f"write a constant of at most {_LARGEST_POWER}, such as 2, -1.5 or (3/2)"
+        if value is None or abs(value) > LARGEST_POWER or max(map(len, map(str, value.as_integer_ratio()))) > _LONGEST:
+            remedy = f"write a constant of at most {LARGEST_POWER}, such as 2, -1.5 or (3/2)"
             raise self._mistake("is not an exponent", token, remedy)
         if self._next.text == "^":
             raise self._mistake("has no defined order here", self._next, "write parentheses")

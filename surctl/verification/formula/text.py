@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from fractions import Fraction
 from functools import lru_cache
 
 from surctl.errors import InputError
 from surctl.verification.formula.node import Node, ordered
-from surctl.verification.formula.parser import LONGEST
+from surctl.verification.formula.parser import FUNCTIONS, LARGEST_POWER, LONGEST
 
-__all__ = ["decimal_text", "text_of"]
+__all__ = ["decimal_text", "reads_back", "text_of"]
+
+_SHALLOW = 50  # depth up to which no text is nested too deeply for the parser
+_LARGEST = 10**16  # integers below it are written as such
+_BESIDE = 10  # most characters of an operation beside its operands: a name, commas, blanks and parentheses
 
 
 @lru_cache(128)
@@ -28,14 +33,53 @@ def text_of(root: Node) -> str:
     return texts[root][0]
 
 
+def reads_back(root: Node, names: Collection[str]) -> bool:
+    """Return whether the parser certainly restores the very same expression from the text of an expression.
+
+    Otherwise it may refuse the text, or restore another expression with the same values, such as 1 divided by 3 for
+    the number 1/3.
+
+    Args:
+        root: the expression.
+        names: the names that the parser knows.
+    """
+    if root.depth > _SHALLOW:
+        return False
+    lengths: dict[Node, int] = {}
+    for node in ordered(root):
+        op, length = node.op, _BESIDE
+        if op == "num":
+            text = decimal_text(node.value)
+            if "/" in text or "e-3" in text:  # the parser has a least exponent
+                return False
+            length += len(text)
+        elif op == "var":
+            if node.name not in names or node.name in FUNCTIONS or node.name == "pi":
+                return False
+            length += len(node.name)
+        elif op == "neg" and node.args[0].op == "num":
+            return False  # the parser reads a negative number
+        elif op in ("pow", "powr"):
+            exponent = node.value
+            if op == "powr" or exponent.denominator != 1 or abs(exponent.numerator) > LARGEST_POWER:
+                return False
+        for a in node.args:
+            length += lengths[a]
+        lengths[node] = length
+    return lengths[root] <= LONGEST
+
+
 def decimal_text(value: Fraction) -> str:
     """Return the text of a number: a decimal if the number has an exact decimal, otherwise a fraction p/q."""
-    if value.denominator == 1 and abs(value.numerator) < 10**16:
-        return str(value.numerator)
-    short = repr(float(value))
-    if Fraction(short) == value:
-        return short
-    return f"{value.numerator}/{value.denominator}"
+    over, under = value.as_integer_ratio()
+    return str(over) if under == 1 and -_LARGEST < over < _LARGEST else _decimal_text(over, under)
+
+
+@lru_cache(256)
+def _decimal_text(over: int, under: int) -> str:
+    short = repr(over / under)
+    read = Fraction(short)
+    return short if (read.numerator, read.denominator) == (over, under) else f"{over}/{under}"
 
 
 def _one(node: Node, args: list[tuple[str, int]]) -> tuple[str, int]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fractions import Fraction
 
+from surctl.sos.polynomial import ONE
+
 __all__ = ["Monomial", "Poly", "TooLarge", "added", "constant", "key_of", "leading", "multiplied", "scaled", "single"]
 
 Monomial = tuple[tuple[int, int], ...]
@@ -13,7 +15,6 @@ Poly = dict[Monomial, Fraction]
 """A polynomial: the coefficient of each monomial; no coefficient is 0."""
 
 _MOST = 400
-_ONE = Fraction(1)
 _KEY = frozenset
 
 
@@ -28,7 +29,7 @@ def constant(value: Fraction | int) -> Poly:
 
 def single(atom: int, exponent: int = 1) -> Poly:
     """Return the polynomial atom^exponent of one atom."""
-    return {((atom, exponent),): _ONE}
+    return {((atom, exponent),): ONE}
 
 
 def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor: Fraction | int = 1) -> Poly:
@@ -47,6 +48,8 @@ def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor
 
 def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
     """Return the product factor · a."""
+    if factor == -1:
+        return {m: -c for m, c in a.items()}
     return {m: c * factor for m, c in a.items()} if factor else {}
 
 
@@ -58,7 +61,7 @@ def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -
     for m, c in a.items():
         for n, d in b.items():
             product = _joined(m, n)
-            value = c * d
+            value = d if c is ONE else c if d is ONE else c * d
             if product in total:
                 value += total[product]
             if value:

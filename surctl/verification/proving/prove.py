@@ -240,7 +240,8 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
     if case.choice and (outside := _outside(case, written, constraints, root)) is not None:
         return outside
     everywhere = written.total or all(fine[0] for fine in written.run(root).defined)
-    polynomial = not any(n.op in FUNCTIONS for n in ordered(case.margin, *case.constraints))
+    chosen = ordered(case.margin, *case.constraints) if case.choice else written.nodes
+    polynomial = not any(n.op in FUNCTIONS for n in chosen)
     if attempt.simply:
         return _simple(attempt, constraints, root, seconds, everywhere=everywhere, polynomial=polynomial)
     best: tuple[Form, SearchResult, float] | None = None

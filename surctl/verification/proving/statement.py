@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from surctl.verification.claim import Claim
-from surctl.verification.formula import Node, Statement, from_casadi, number, parse, rebuilt, text_of, variable
+from surctl.verification.formula import Node, Statement, from_casadi, number, ordered, parse, rebuilt, text_of, variable
 from surctl.verification.formula.node import BRANCHING
 
 __all__ = ["Case", "Statement", "cases_of", "statement_of"]
@@ -87,6 +87,8 @@ def cases_of(parts: Sequence[Node]) -> list[Case]:
 
 def _branches(parts: Iterable[Node]) -> list[Node]:
     met: dict[Node, None] = {}
+    if not any(node.op in BRANCHING for node in ordered(*parts)):
+        return []
     visited: set[Node] = set()
     stack = list(reversed(list(parts)))
     while stack:

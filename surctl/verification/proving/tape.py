@@ -43,13 +43,31 @@ class Tape:
 
     Attributes:
         names: names of the variables, in the order of the first axis of the box arrays (n, B).
-        steps: every distinct node of the expressions, with the indices of its operands.
-        roots: for each expression, the index of its last step.
+        expressions: the expressions.
     """
 
     names: tuple[str, ...]
-    steps: tuple[tuple[Node, tuple[int, ...]], ...]
-    roots: tuple[int, ...]
+    expressions: tuple[Node, ...]
+
+    @cached_property
+    def nodes(self) -> Sequence[Node]:
+        """Every distinct node of the expressions; the operands of a node come before the node."""
+        return ordered(*self.expressions)
+
+    @cached_property
+    def _places(self) -> dict[Node, int]:
+        return {node: k for k, node in enumerate(self.nodes)}
+
+    @cached_property
+    def steps(self) -> tuple[tuple[Node, tuple[int, ...]], ...]:
+        """The nodes, each with the indices of its operands."""
+        at = self._places
+        return tuple((node, tuple(at[a] for a in node.args)) for node in self.nodes)
+
+    @cached_property
+    def roots(self) -> tuple[int, ...]:
+        """For each expression, the index of its last step."""
+        return tuple(self._places[r] for r in self.expressions)
 
     @cached_property
     def total(self) -> bool:
@@ -58,7 +76,7 @@ class Tape:
             node.op in _TOTAL
             or (node.op == "pow" and node.value >= 0)
             or (node.op == "div" and node.args[1].op == "num" and node.args[1].value != 0)
-            for node, _ in self.steps
+            for node in self.nodes
         )
 
     def run(self, box: Ends, *, order: int = 0) -> Read:
@@ -83,14 +101,14 @@ class Tape:
 
         The bound is the one of `run`, without the cost of small arrays.
         """
-        values: list[tuple[float, float]] = []
-        known = {name: (float(a), float(b)) for name, a, b in zip(self.names, lower, upper, strict=True)}
-        for node, args in self.steps:
-            ends = applied(node, [values[a] for a in args], known)
+        values: dict[Node, tuple[float, float]] = {}
+        known = dict(zip(self.names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True))
+        for node in self.nodes:
+            ends = applied(node, [values[a] for a in node.args], known)
             if ends is None:
                 return inf
-            values.append(ends)
-        return values[self.roots[0]][1]
+            values[node] = ends
+        return values[self.expressions[0]][1]
 
     def trouble(self, box: Ends) -> str:
         """Describe the first operation that is undefined somewhere on a box (n, 1); empty if all are defined."""
@@ -155,10 +173,7 @@ class Tape:
 
 def build_tape(names: Sequence[str], roots: Sequence[Node]) -> Tape:
     """Return the instruction list of several expressions; shared subexpressions are computed only once."""
-    nodes = list(ordered(*roots))
-    at = {node: k for k, node in enumerate(nodes)}
-    steps = tuple((node, tuple(at[a] for a in node.args)) for node in nodes)
-    return Tape(tuple(names), steps, tuple(at[r] for r in roots))
+    return Tape(tuple(names), tuple(roots))
 
 
 _UNARY: Mapping[str, Callable[[Jet], Jet]] = MappingProxyType(
