@@ -1,7 +1,7 @@
 """Study 33: every scenario with the four echo models; and the echo model against brute-force rays.
 
     python analysis/33_echoes/run.py [--quick] [--write] [--seeds N] [--first N] [--echoes NAME] [--surface-model NAME]
-        [--pitch DEGREES] [--floor] [--search-limit SECONDS]
+        [--pitch DEGREES] [--floor] [--search-limit SECONDS] [--law NAME]
 
 Prints Markdown; --write writes the README from it. The exit status is 1 if a limit does not hold, and 2 for a bad
 option.
@@ -29,8 +29,8 @@ SEEDS = 200
 STOPPED = [STOPS.index(reason) for reason in ("dead end", "standstill")]
 HEAD = [
     "| scenario | echoes | arrived | collided | stopped | late | time of those that arrived, mean / median / slowest "
-    "[s] | least clearance [m] |",
-    "|---|---|---|---|---|---|---|---|",
+    "[s] | least clearance [m] | thrust varies, surge / sway [N/s] |",
+    "|---|---|---|---|---|---|---|---|---|",
 ]
 
 
@@ -46,11 +46,17 @@ def equipped(
 
 
 def case_of(
-    name: str, echoes: str, surfaces: SurfaceModel, pitch: float, floor: bool, search: float | None = None
+    name: str,
+    echoes: str,
+    surfaces: SurfaceModel,
+    pitch: float,
+    floor: bool,
+    search: float | None = None,
+    law: str = "guarded",
 ) -> Case:
     """Return a scenario of the library with its own vehicle, with sonars, an echo model and what the law assumes."""
     scenario = equipped(load_scenario(name), echoes, surfaces, pitch, floor, search)
-    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), sensing="sonar")
+    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), law=law, sensing="sonar")
 
 
 def row(case: Case, echoes: str, first: int, seeds: int, *, quick: bool) -> tuple[str, list[int]]:
@@ -68,8 +74,9 @@ def row(case: Case, echoes: str, first: int, seeds: int, *, quick: bool) -> tupl
     times = runs.column("time_s")[reached]
     took = f"{times.mean():.1f} / {np.median(times):.1f} / {times.max():.1f}" if arrived else "-"
     least = runs.column("min_clearance_m").min()
+    varies = " / ".join(f"{runs.column(f'variation_{axis}_n_per_s').mean():.1f}" for axis in ("surge", "sway"))
     print(name, echoes, counts, took, file=sys.stderr, flush=True)
-    return f"| `{name}` | {echoes} | {' | '.join(map(str, counts))} | {took} | {least:.3f} |", counts
+    return f"| `{name}` | {echoes} | {' | '.join(map(str, counts))} | {took} | {least:.3f} | {varies} |", counts
 
 
 def study(options: argparse.Namespace) -> tuple[str, bool]:
@@ -79,15 +86,22 @@ def study(options: argparse.Namespace) -> tuple[str, bool]:
     names = ["pool-behind"] if quick else scenario_names()
     models = [only] if only else ["specular"] if quick else list(ECHOES)
     law = "The law as it is"
-    if options.surface_model != "diffuse" or options.pitch or options.floor or options.search_limit:
+    if (
+        options.surface_model != "diffuse"
+        or options.pitch
+        or options.floor
+        or options.search_limit
+        or options.law != "guarded"
+    ):
         floor = ", with the floor assumed" if options.floor else ""
         search = f", search limit {options.search_limit:g} s" if options.search_limit else ""
-        law = f"Surface model `{options.surface_model}`, pitch {options.pitch:g}°{floor}{search}"
+        law = f"Law `{options.law}`, surface model `{options.surface_model}`, pitch {options.pitch:g}°{floor}{search}"
     out = [f"## {law}: seeds {first}-{first + seeds - 1} of each", "", *HEAD]
     totals: dict[str, NDArray[np.int64]] = {}
     for echoes in models:
         for name in names:
-            case = case_of(name, echoes, options.surface_model, options.pitch, options.floor, options.search_limit)
+            assumed = (options.surface_model, options.pitch, options.floor, options.search_limit)
+            case = case_of(name, echoes, *assumed, law=options.law)
             line, counts = row(case, echoes, first, seeds, quick=quick)
             out.append(line)
             totals[echoes] = totals.get(echoes, np.zeros(4, dtype=int)) + counts
@@ -120,6 +134,7 @@ def main() -> int:
     parser.add_argument("--pitch", type=float, default=0.0, help="pitch of the sonars [deg] (default 0)")
     parser.add_argument("--floor", action="store_true", help="the law assumes the floor of the site")
     parser.add_argument("--search-limit", type=float, help="search limit of the law [s] (default none)")
+    parser.add_argument("--law", choices=["guarded", "calm"], default="guarded", help="law (default guarded)")
     options = parser.parse_args()
     text, held = study(options)
     print(text)

@@ -30,7 +30,7 @@ from surctl.verification.region import (
     turning_claim,
 )
 from surctl.verification.region.conic import minimise, symmetric_basis
-from surctl.verification.region.loop import steady_cruise
+from surctl.verification.region.loop import force_gain, steady_cruise
 from surctl.verification.region.ratio import level_ratios
 from surctl.verification.region.turning_loop import steady_turning, vertices
 from surctl.verification.region.turning_shells import violated, worst_rate
@@ -226,6 +226,18 @@ def test_the_steady_cruise_is_that_of_the_checker() -> None:
     own, exact = steady_cruise(claim), trim(read_claim(claim.document(offset=0.1, ultimate_bound=(0.1, 0.1))))
     assert np.allclose(own.omega, [float(w) for w in exact.omega], rtol=1e-12)
     assert float(exact.total) <= own.total * 1.005 and own.total <= 1.02 * float(exact.total)
+
+
+def test_the_commanded_velocity_leads_back_to_the_robots_place_on_the_path() -> None:
+    claim, steer, catch, aside = claimed(), 0.2, 0.3, 0.05
+    ahead, gain = claim.gains["lookahead"], claim.model[0] * claim.gains["k_v"]
+    desired, force = force_gain(claim, 2.0, steer, catch, aside)
+    x, y, u_x, u_y = 0.1, -0.04, 0.02, -0.03  # ahead of its place, and to the right of the path
+    wished = [-catch * x, catch * x * aside / ahead - steer * y / ahead]
+    xi = np.array([x, y, u_x, u_y, *np.zeros(claim.size - 4)])
+    assert desired @ xi == pytest.approx(wished)
+    # the velocity loop, and the drag fed forward, with slope 2 N s/m
+    assert force @ xi == pytest.approx([gain * (w - u) + 2.0 * w for w, u in zip(wished, (u_x, u_y), strict=True)])
 
 
 def test_the_conic_solver_finds_the_largest_eigenvalue() -> None:
