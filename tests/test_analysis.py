@@ -142,7 +142,7 @@ def test_the_study_of_echoes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     monkeypatch.setattr(sys, "argv", ["run.py", "--quick", "--seeds", "4"])
     assert study["main"]() == 0
     printed = capsys.readouterr().out
-    rows = [row for row in table(printed) if len(row) == 8][1:]
+    rows = [row for row in table(printed) if len(row) == 9][1:]
     assert [row[:7] for row in rows] == [["`pool-behind`", "specular", "1", "1", "1", "1", "20.0 / 20.0 / 20.0"]]
     assert "does not hold" not in printed
 

@@ -207,7 +207,7 @@ def alone(name: str, limit: float, *, polynomial: bool, turns: int) -> str:
             began = time.process_time()
             drake_whole(claim, limit)
             drakes.append(time.process_time() - began)
-        except ImportError:
+        except (ImportError, RuntimeError):  # not installed, or a division by a polynomial
             polynomial = False
     return f"{min(own):.3g} s" + (f" ({min(own) / min(drakes):.1f} x Drake, whole)" if drakes else "")
 
