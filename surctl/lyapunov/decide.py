@@ -338,8 +338,8 @@ def short(value: float, *, digits: int = 3, up: bool = False) -> float:
     """Return a positive number of few digits, not above `value` (not below it if `up`); 1 for 0."""
     if value == 0:
         return 1.0
-    size = 10.0 ** (math.floor(math.log10(value)) - digits + 1)
-    count = math.ceil(value / size) if up else math.floor(value / size)
+    size = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
+    count = np.ceil(value / size) if up else np.floor(value / size)
     return float(f"{count * size:.6g}")
 
 

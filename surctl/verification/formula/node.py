@@ -48,8 +48,8 @@ class Node:
     args: tuple[Node, ...]
     value: Fraction
     name: str
-    depth: int
-    _hash: int = field(repr=False)
+    depth: int = field(init=False)
+    _hash: int = field(init=False, repr=False)
 
     def __init__(self, op: str, args: tuple[Node, ...] = (), value: Fraction = _NONE, name: str = "") -> None:
         # a proof makes hundreds of nodes: one loop, and no slow hash of a fraction
@@ -59,15 +59,11 @@ class Node:
             key.append(a._hash)
             if a.depth > depth:
                 depth = a.depth
-        if depth >= DEEPEST:
-            # recursive functions process the expression
+        if depth >= DEEPEST:  # recursive functions process the expression
             raise InputError(
                 f"is nested more than {DEEPEST} levels deep", key="expression", remedy="write it with less nesting"
             )
-        if value is not _NONE:
-            key += value.as_integer_ratio()
-        else:
-            key += (0, 1)
+        key += (0, 1) if value is _NONE else value.as_integer_ratio()
         own = self.__dict__  # the class is frozen
         own["op"], own["args"], own["value"], own["name"] = op, args, value, name
         own["depth"], own["_hash"] = depth + 1, hash(tuple(key))
