@@ -743,3 +743,14 @@ def test_the_comparison_of_stability_proofs_with_peers() -> None:
     [row] = [row for row in table(done.stdout) if row[0] == "`haddad-chellaboina`"]
     assert done.returncode == 0 and row[2].endswith(": proved"), done.stdout + done.stderr
     assert run(peers, "no-such-system").returncode == 2
+
+
+def test_a_drawn_run_with_a_drifting_cylinder_in_the_blind_range_does_not_touch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Before retreats yielded, and blind firings near the start kept their marks, this run touched by 1.3 mm."""
+    monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
+    study = runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
+    sys.modules.pop("run")  # each study has a module of this name
+    record = study["plan_of"]("pool-static", "ideal", 0.05, 0).run(406).simulate().record
+    assert record.clearance.min() > 0.005

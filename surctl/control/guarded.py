@@ -17,7 +17,7 @@ import casadi as ca
 from surctl.control.calm import BRAKE, BRAKE_AT_START, EVADE, HARD, beside_margin, eased, pushed
 from surctl.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.control.echoes import Perception
-from surctl.control.ports import SECTORS
+from surctl.control.ports import LAUNCHED, SECTORS
 from surctl.control.reference import DesiredMotion
 from surctl.control.stopping import Bounds, Stop, braked
 from surctl.guidance import (
@@ -44,7 +44,6 @@ _CRAWL = 0.01  # [m/s] commanded speed below which the robot counts as stopped
 _GROPING = 0.5  # share of the cruise speed allowed in the direction of an untrusted sonar
 _NO_BOUND = 10.0  # [m/s] a speed bound that never binds
 _ONE_ENCOUNTER = 1e3  # [m] so large that two blocking contacts always belong to one encounter
-_LAUNCHED = 0.3  # [m] distance from the start, within which obstacles may be in the sonars' blind range, unmeasured
 _STALLED = 15.0  # [s] without progress, after which slower courses are excluded: creeping would look like progress
 _BACK_OFF = 0.05  # [m/s] largest speed away from a map mark; about half of the marks near the hull are false
 _MOVES = 0.05  # [m/s] speed above which a contact counts as moving; for slower contacts the braking distance suffices
@@ -84,7 +83,7 @@ def guarded_law(
     movers = min(marks, len(perceived.known)) if moving else 0
     sectors, cones = _movers(perceived.known[:movers], desired, eta, p, stop)
     over_ground = planar_rotation(eta[3]) @ nu[:2]
-    away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > _LAUNCHED**2
+    away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > LAUNCHED**2
     mark_margin: Margin | None = None
     if scan is not None and calm is not None:
         mark_margin = partial(beside_margin, course=desired.velocity, now=over_ground, full=ca.logic_not(away), p=p)
@@ -150,7 +149,8 @@ def guarded_law(
         if calm is not None:
             brake = partial(brake, brake=ca.if_else(away, BRAKE, BRAKE_AT_START), hard=HARD)
         velocity = brake(velocity, over_ground, bounds[:marks])
-        velocity = brake(velocity, over_ground, [*bounds[marks:], *firm])
+        yields = ca.logic_not(chased) if scan.smooth else None
+        velocity = brake(velocity, over_ground, [*bounds[marks:], *firm], yields=yields)
         # the walls' normals are at right angles, so one projection after the other is exact
         for sector in sectors[-len(perceived.walls) :]:
             velocity -= ca.fmax(ca.dot(velocity, sector.normal) - sector.bound, 0) * sector.normal

@@ -18,7 +18,7 @@ import casadi as ca
 
 from surctl.control.beams import SILENT, Around, beams, corrected, expected, floor_range, honest, least_of, slotted
 from surctl.control.faces import FACE_PORTS, Firing, face_after, with_face
-from surctl.control.ports import PARAMETERS, SECTORS, after_gap
+from surctl.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
 from surctl.errors import InputError
 from surctl.ir import (
     Block,
@@ -264,6 +264,8 @@ class _Builder:
             prefix="sonar_",
         )
         floor = floor_range(self.equipment, around.eta[2])
+        # near the start an object within the blind range was never measured: its marks stay where they are
+        starting = ca.sumsqr(around.eta[:2] - known["waypoints"][0, :].T) <= LAUNCHED**2
         firings, silent, fired = [], [], []
         for i in range(array.size):
             reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
@@ -278,12 +280,13 @@ class _Builder:
             blind = reading <= shortest
             usable = ca.logic_and(arrived, around.placed)
             clear = ca.fmax(least_of(recent) - _READING - _DIAGONAL * edge, 0)
+            cleared = ca.if_else(starting, 0, clear) if local_map.smooth else clear
             fired.append(Firing(apexes[i], axes[i], halves[i], usable, reading, least_of(recent), echo, blind))
             firing = {
                 "apex": apexes[i],
                 "axis": axes[i],
                 "half": ca.DM([cos(halves[i]), sin(halves[i])]),
-                "clear": ca.if_else(blind, -ca.fmax(clear, 1e-3), clear),
+                "clear": ca.if_else(blind, -ca.fmax(cleared, 1e-3), clear),
                 "near": ca.fmax(reading - _READING - 0.5 * edge, 0),
                 "far": ca.if_else(echo, reading + _READING + 0.5 * edge, -1),
                 "cutoff": reading + _EXPLAINS * edge + 0.01,

@@ -21,6 +21,7 @@ from surctl.vehicle.linearise import ahead_limit
 __all__ = [
     "CONTACT_SLOTS",
     "INPUTS",
+    "LAUNCHED",
     "PARAMETERS",
     "SECTORS",
     "YAW_SHARE",
@@ -40,6 +41,9 @@ _WIDER_SIDE = 0.1  # [m] offset of the site's middle from the path's first segme
 
 SECTORS = 16
 """Number of direction sectors; in each, a law with a map knows the nearest occupied and the nearest unknown cell."""
+
+LAUNCHED = 0.3
+"""Distance [m] from the start, within which obstacles may be in the sonars' blind range, unmeasured."""
 
 _AGES = ("age", "since", "silent")  # ends of the names of the times in the state that grow without a step
 _LASTING = ("mover_latest", "sonar_distrust")  # messages, which have an age; and what was found wrong with a sonar

@@ -26,6 +26,8 @@ BRAKE = 4.0
 HARD = 0.02
 """Excess over a speed bound [m/s] at which all thrust is used for braking."""
 
+_FIRST = 10.0  # [m/s] larger than any excess: bounds that the robot violates by closing in come before retreats
+
 Bounds: TypeAlias = Sequence[tuple[ca.SX, ca.SX]]
 """Speed bounds: pairs of a unit normal (2, 1) in {E} and the largest speed along it [m/s]."""
 
@@ -76,6 +78,7 @@ def braked(
     calm: ca.SX | float = 1.0,
     brake: ca.SX | float = BRAKE,
     hard: float = HARD,
+    yields: ca.SX | None = None,
 ) -> ca.SX:
     """Return a velocity command that brakes harder than the velocity loop alone, if the robot exceeds a speed bound.
 
@@ -91,12 +94,29 @@ def braked(
             otherwise 1.
         brake: see `BRAKE`.
         hard: see `HARD` [m/s].
+        yields: 1 if a retreat (a negative bound) yields to the other bounds: the robot brakes first for what it closes
+            in on, and no retreat from one contact leads towards another one faster than this one's bound.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.control.stopping import braked
+        >>> left, right, rest = ca.DM([0, 1]), ca.DM([0, -1]), ca.DM([0, 0])
+        >>> between = [(left, ca.DM(-0.05)), (right, ca.DM(0.02))]  # back off from the left, at most 0.02 to the right
+        >>> [round(float(braked(ca.DM([0, -0.05]), rest, between, yields=ca.DM(k))[1]), 3) for k in (0, 1)]
+        [-0.22, -0.02]
     """
-    excess, normal = _worst(now, bounds)
+    excess, normal = _worst(now, bounds) if yields is None else _first(now, bounds, yields)
     straight = now + ca.dot(velocity - now, normal) * normal
     beyond, other = _worst(straight, bounds)
     velocity += calm * ca.fmin(excess / hard, 1) * (straight - beyond * other - velocity)
-    return velocity - brake * excess * normal
+    velocity -= brake * excess * normal
+    if yields is None:
+        return velocity
+
+    def within(velocity: ca.SX, row: ca.SX) -> ca.SX:
+        return velocity - yields * ca.fmax(ca.dot(velocity, row[:2]) - ca.fmax(row[2], 0), 0) * row[:2]
+
+    return fold("within", within, velocity, tabulated(bounds, 3))
 
 
 def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:
@@ -106,4 +126,17 @@ def _worst(velocity: ca.SX, bounds: Bounds) -> tuple[ca.SX, ca.SX]:
         return [ca.fmax(excess, over), ca.if_else(over > excess, row[:2], normal)]
 
     excess, normal = fold("overspeed", further, [ca.SX(0), ca.SX.zeros(2)], tabulated(bounds, 3))
+    return excess, normal
+
+
+def _first(velocity: ca.SX, bounds: Bounds, yields: ca.SX) -> tuple[ca.SX, ca.SX]:
+    # as `_worst`, but retreats come last if they yield
+    def further(rank: ca.SX, excess: ca.SX, normal: ca.SX, row: ca.SX) -> list[ca.SX]:
+        closing = ca.dot(velocity, row[:2])
+        over = closing - row[2]
+        ranked = over + ca.if_else(ca.logic_and(yields, closing > ca.fmax(row[2], 0)), _FIRST, 0)
+        more = ranked > rank
+        return [ca.fmax(rank, ranked), ca.if_else(more, over, excess), ca.if_else(more, row[:2], normal)]
+
+    _, excess, normal = fold("first_bound", further, [ca.SX(0), ca.SX(0), ca.SX.zeros(2)], tabulated(bounds, 3))
     return excess, normal

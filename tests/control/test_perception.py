@@ -422,3 +422,23 @@ def test_an_echo_from_the_range_of_the_floor_marks_nothing(distance, marked):
     disc = Disc((2.0 + HULL + distance + 0.2, 2.0), 0.2)
     robot = Robot(LATE_OVER_A_FLOOR, shapes=[disc], spin=0.0)
     assert bool(len(marks(robot.steps(2.0)))) == marked
+
+
+@pytest.mark.parametrize(
+    ("surface", "x", "stays"), [("smooth", 0.5, True), ("smooth", 2.0, False), ("diffuse", 0.5, False)]
+)
+def test_near_the_start_marks_of_what_was_never_measured_stay_ahead_of_the_robot(surface, x, stays):
+    """A disc within the blind range: as the robot comes nearer, every reading is the same."""
+    robot = Robot(replace(TRUTH, surface_model=surface), at=(x, 2.0, -0.15, 0.0), spin=0.0)
+    robot.shapes.append(Disc((x + HULL + 0.15 + 0.2, 2.0), 0.2))
+
+    def nearest_ahead():
+        values, places, rows = around(robot)
+        return places[values[np.abs(rows - 2.0).argmin()] > 0].min()
+
+    robot.steps(2.0)
+    first = nearest_ahead()
+    for _ in range(10):
+        robot.eta[0] += 0.01
+        robot.steps(0.4)
+    assert nearest_ahead() == first if stays else nearest_ahead() > first

@@ -8,6 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from surctl.control import PARAMETERS, build_law, law_parameters, load_gains
 from surctl.control.stopping import BARRIERS, BRAKE, HARD, Barrier, braked
@@ -47,11 +49,12 @@ def test_that_with_inertia_is_the_closed_form_at_the_worst_of_the_ranges() -> No
     assert bound("inertia")(0.5) < bound("simple")(0.5)
 
 
-def braking(now: Any, wanted: Any, bounds: Any, *, calm: float = 1.0) -> np.ndarray:
+def braking(now: Any, wanted: Any, bounds: Any, *, calm: float = 1.0, yields: float | None = None) -> np.ndarray:
     """`braked` in numbers; the bounds as rows of normal and speed."""
     rows = [(ca.DM(row[:2]), ca.DM(row[2])) for row in bounds]
     v, w = ca.SX.sym("v", 2), ca.SX.sym("w", 2)
-    return np.array(ca.Function("braked", [v, w], [braked(w, v, rows, calm=calm)])(now, wanted)).ravel()
+    found = braked(w, v, rows, calm=calm, yields=None if yields is None else ca.SX(yields))
+    return np.array(ca.Function("braked", [v, w], [found])(now, wanted)).ravel()
 
 
 WALL, BESIDE, FREE = (1.0, 0.0, 0.05), (0.0, 1.0, 0.08), (-1.0, 0.0, 1.0)
@@ -87,3 +90,42 @@ def test_only_the_guarded_law_has_a_choice(key: str) -> None:
     assert caught.value.key == key
     with pytest.raises(InputError, match="law paper has no such option"):
         build_law("paper", **{key: {"barrier": "inertia", "movers": "barrier"}[key]})
+
+
+CLOSE_LEFT, RIGHT = (0.0, 1.0, -0.05), (0.0, -1.0, 0.02)
+
+
+def test_a_retreat_that_yields_leads_no_faster_towards_another_bound() -> None:
+    """At rest between two contacts: away from the left one, which is too close, and not into the right one."""
+    for yields in (None, 0.0):
+        assert braking((0.0, 0.0), (0.0, -0.05), [CLOSE_LEFT, RIGHT], yields=yields)[1] < -0.2
+    assert braking((0.0, 0.0), (0.1, -0.05), [CLOSE_LEFT, RIGHT], yields=1.0)[1] == pytest.approx(-0.02)
+
+
+def test_it_brakes_first_for_what_it_closes_in_on() -> None:
+    """0.02 m/s too fast to the right. A retreat from a contact ahead is missed by more, but the robot recedes there."""
+    ahead = (1.0, 0.0, -0.1)
+    now = (-0.01, -0.04)
+    asked = braking(now, (0.0, -0.02), [ahead, RIGHT], yields=1.0)
+    assert asked[1] == pytest.approx(-0.02 + BRAKE * 0.02)  # braking is along the bound that it closes in on
+    assert braking(now, (0.0, -0.02), [ahead, RIGHT], yields=0.0)[1] < 0.0
+
+
+@cache
+def between() -> ca.Function:
+    n, near, now, wanted = (ca.SX.sym(name, 2) for name in ("n", "near", "now", "wanted"))
+    return ca.Function(
+        "between", [n, near, now, wanted], [braked(wanted, now, [(n, near[0]), (-n, near[1])], yields=ca.SX(1))]
+    )
+
+
+@given(
+    angle=st.floats(0.0, 2 * np.pi),
+    near=st.tuples(st.floats(-0.05, 0.2), st.floats(-0.05, 0.2)),
+    now=st.tuples(st.floats(-0.25, 0.25), st.floats(-0.25, 0.25)),
+    wanted=st.tuples(st.floats(-0.25, 0.25), st.floats(-0.25, 0.25)),
+)
+def test_between_two_opposite_contacts_no_command_exceeds_a_bound(angle, near, now, wanted) -> None:
+    n = np.array([np.cos(angle), np.sin(angle)])
+    asked = np.array(between()(n, near, now, wanted)).ravel()
+    assert n @ asked <= max(near[0], 0.0) + 1e-12 and -n @ asked <= max(near[1], 0.0) + 1e-12
