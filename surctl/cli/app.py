@@ -21,7 +21,7 @@ from surctl.cli.lint import lint
 from surctl.cli.listing import listing
 from surctl.cli.mission import scenario
 from surctl.cli.new import new
-from surctl.cli.output import Stopped, interrupted
+from surctl.cli.output import Stopped, interrupted, noting_interrupts
 from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
@@ -79,6 +79,12 @@ def main() -> None:
     warnings.showwarning = lambda message, *_: _print_message(str(message))
     warnings.filterwarnings("always", category=OldName)  # one line for each warning, whatever the warning filters are
     prepare_stdout()
+    with noting_interrupts():
+        status = _status()
+    sys.exit(status)
+
+
+def _status() -> int:
     try:
         status = app(current_arguments(sys.argv[1:]), prog_name="surctl", standalone_mode=False)
         sys.stdout.flush()
@@ -107,7 +113,7 @@ def main() -> None:
             raise
         _print_message("stopped before a result was finished")
         status = 130
-    sys.exit(status if isinstance(status, int) else 0)
+    return status if isinstance(status, int) else 0
 
 
 def _print_message(text: str) -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import math
 import shlex
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import click
 
@@ -25,6 +28,7 @@ __all__ = [
     "finish",
     "finite",
     "interrupted",
+    "noting_interrupts",
     "out_folder",
     "printable",
     "progress",
@@ -118,10 +122,38 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
 
 
 def interrupted(error: BaseException | None) -> bool:
-    """Return whether an exception is due to Ctrl-C: CasADi answers it inside a conversion to NumPy by its own."""
+    """Return whether an exception is due to Ctrl-C, which a library may have replaced (see `noting_interrupts`)."""
+    if isinstance(error, Stopped):  # already reported, by an inner part of the command
+        return False
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
-    return error is not None
+    return error is not None or bool(_interrupts)
+
+
+_interrupts: list[int] = []  # a lock, as of threading.Event, could wait for itself in a signal handler
+
+
+@contextmanager
+def noting_interrupts() -> Iterator[None]:
+    """Note every Ctrl-C inside the `with` statement, for `interrupted`.
+
+    CasADi replaces KeyboardInterrupt inside a conversion by an exception that names neither a cause nor a context.
+    """
+
+    def note(number: int, frame: FrameType | None) -> NoReturn:
+        _interrupts.append(number)
+        signal.default_int_handler(number, frame)
+
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield  # Ctrl-C is ignored, or is another program's
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        _interrupts.clear()
 
 
 def refusal_line(refused: Inapplicable) -> str:

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import signal
+from typing import Any
+
+import casadi
 import pytest
 
-from surctl.cli.output import Stopped, interrupted, stoppable
+from surctl.cli.output import Stopped, interrupted, noting_interrupts, stoppable
 
 
 def converted(cause: type[BaseException]) -> Exception:
@@ -29,3 +34,36 @@ def test_ctrl_c_inside_a_conversion_is_ctrl_c() -> None:
 def test_the_inner_message_stays() -> None:
     with pytest.raises(Stopped, match="inner"), stoppable("outer"), stoppable("inner"):
         raise KeyboardInterrupt
+
+
+class Pressed:
+    """An argument during whose conversion Ctrl-C is pressed."""
+
+    def __getattr__(self, name: str) -> Any:
+        os.kill(os.getpid(), signal.SIGINT)
+        raise AttributeError(name)
+
+
+def test_ctrl_c_that_casadi_replaces_by_an_exception_without_a_cause() -> None:
+    x = casadi.SX.sym("x")
+    function: Any = casadi.Function("f", [x], [x])
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(Stopped, match="saved"), noting_interrupts(), stoppable("saved"):
+            function(Pressed())
+        with pytest.raises(Stopped, match="inner"), noting_interrupts(), stoppable("outer"), stoppable("inner"):
+            function(Pressed())
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        with pytest.raises(ValueError), noting_interrupts(), stoppable("saved"):
+            raise ValueError
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_an_interrupt_that_a_shell_has_ignored_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with noting_interrupts():
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
