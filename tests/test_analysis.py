@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from surctl.control import load_gains
-from surctl.simulation import METRICS, STOPS, BatchResult, Case
+from surctl.simulation import METRICS, STOPS, BatchResult, Case, simulate
 from surctl.simulation.campaign import RunTable
 from surctl.vehicle import FITTED, load_vehicle
 from surctl.verification.region import REGION_CLAIMS, RegionProof
@@ -754,3 +754,13 @@ def test_a_drawn_run_with_a_drifting_cylinder_in_the_blind_range_does_not_touch(
     sys.modules.pop("run")  # each study has a module of this name
     record = study["plan_of"]("pool-static", "ideal", 0.05, 0).run(406).simulate().record
     assert record.clearance.min() > 0.005
+
+
+def test_a_robot_that_goes_back_along_a_box_keeps_its_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the course back passed straight back, the robot turned round the box's other end: 90.4 s."""
+    monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
+    case = runpy.run_path(str(ANALYSIS / "33_echoes" / "run.py"))["case_of"](
+        "tank-static", "ideal", "smooth", -18.0, True
+    )
+    run = simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=153)
+    assert run.metrics.reached and run.metrics.time_s < 70.0

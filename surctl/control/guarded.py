@@ -45,6 +45,7 @@ _GROPING = 0.5  # share of the cruise speed allowed in the direction of an untru
 _NO_BOUND = 10.0  # [m/s] a speed bound that never binds
 _ONE_ENCOUNTER = 1e3  # [m] so large that two blocking contacts always belong to one encounter
 _STALLED = 15.0  # [s] without progress, after which slower courses are excluded: creeping would look like progress
+_RETURNS = 2.0  # [s] without progress, after which the robot returns and may change the side: see `choose_velocity`
 _BACK_OFF = 0.05  # [m/s] largest speed away from a map mark; about half of the marks near the hull are false
 _MOVES = 0.05  # [m/s] speed above which a contact counts as moving; for slower contacts the braking distance suffices
 _PASSING = 0.1  # [m] clearance beyond the margin with which a moving contact is passed
@@ -110,6 +111,7 @@ def guarded_law(
         now=over_ground,
         acceleration=p["brake"] * weakest_acceleration(p),
         slower=slower,
+        keeps=x["stalled"] < _RETURNS if scan is not None and scan.smooth else None,
     )
     velocity, stopped, memory = choice.velocity, ca.SX(0), {}
     bounds = [(sector.normal, sector.bound) for sector in sectors]

@@ -31,6 +31,7 @@ _WORTH_IT = 0.1  # share of the speed that a detour around unknown space must ga
 _WAIT = 0.5  # cost of being slower than desired, in addition to the share of the speed that is lost
 _FAN = tuple(radians(12.0 * k) for k in range(1, 9))  # [rad] off the desired course: candidates at a lower speed
 _LEADS_BACK = 1.6  # cost above which slower courses are tried: about 120° off the desired course, or the other side
+_STRAIGHT_BACK = cos(radians(15.0))  # cosine to straight back above which a course may keep the side
 _SLOWER = 1.0  # cost of a slower course per share of the speed that is lost
 _SLOWEST = 0.5  # share of the speed below which a slower course leads up to a contact and not past it
 _ANY = 1e3  # [m/s²] acceleration of a robot that can turn its velocity at once
@@ -72,6 +73,7 @@ def choose_velocity(
     now: ca.SX | None = None,
     acceleration: ca.SX | None = None,
     slower: ca.SX | None = None,
+    keeps: ca.SX | None = None,
 ) -> Choice:
     """Return the velocity on the free course nearest to the desired velocity.
 
@@ -103,6 +105,9 @@ def choose_velocity(
             contact; default: 0.
         acceleration: available acceleration [m/s²] to turn the velocity; default: unlimited.
         slower: 1 if courses at reduced speed between contacts at rest are allowed; default: not allowed.
+        keeps: 1 if a course within 15° of straight back counts as on the side of the previous step. Back along an
+            obstacle, a course that keeps off its nearest point passes straight back for a moment, which would end the
+            encounter on this side; default: every course is left or right of the desired course.
 
     Example:
         >>> import casadi as ca
@@ -131,7 +136,7 @@ def choose_velocity(
     missed = around.excess(speed * ahead)
     blocked = missed > TOLERANCE
     best = _Best(ahead, missed, ca.SX(0), _missed_cost(missed), speed)
-    search = _Search(around, ahead, speed, latched)
+    search = _Search(around, ahead, speed, latched, keeps)
     at_first = best
     waits = ca.logic_and(around.waits(), retreat <= 0)
     best = search.edges(_Best(*only_if("waiting", waits, lambda: search.waiting(at_first), at_first)))
@@ -167,6 +172,7 @@ class _Search:
     ahead: ca.SX
     speed: ca.SX
     latched: ca.SX
+    keeps: ca.SX | None
 
     def waiting(self, best: _Best) -> _Best:
         """Try two candidates: the desired course at the speed that the sectors allow, and zero velocity."""
@@ -205,6 +211,9 @@ class _Search:
         course, ahead = edge(normal, bound, self.speed, sign), self.ahead
         missed = self.around.excess(self.speed * course)
         left = ca.if_else(ahead[0] * course[1] - ahead[1] * course[0] >= 0, 1, -1)
+        if self.keeps is not None:
+            back = ca.logic_and(self.keeps, ca.dot(course, ahead) < -_STRAIGHT_BACK)
+            left = ca.if_else(ca.logic_and(back, ca.fabs(self.latched) > 0.5), self.latched, left)
         cost = 1 - ca.dot(course, ahead) + dearer + _missed_cost(missed)
         cost = self.around.passing(self.speed * course, cost)
         cost += ca.if_else(self.latched * left < -0.5, _TURN_BACK, 0)

@@ -28,16 +28,16 @@ class _Chosen(NamedTuple):
 
 
 @cache
-def _choice(count: int, *, fan: bool) -> ca.Function:
+def _choice(count: int, *, fan: bool, back: bool) -> ca.Function:
     wish, side, blocker = ca.SX.sym("desired", 2), ca.SX.sym("side"), ca.SX.sym("blocker", 2)
     normals, bounds, points = ca.SX.sym("n", 2, count), ca.SX.sym("b", count), ca.SX.sym("p", 2, count)
     sectors = [Sector(normals[:, k], bounds[k], points[:, k]) for k in range(count)]
-    slower = ca.SX.sym("slower")
+    slower, keeps = ca.SX.sym("slower"), ca.SX.sym("keeps")
     known = {"side": side, "blocker": blocker, "cruise": ca.SX(CRUISE), "cap": ca.SX(CAP)}
-    c = choose_velocity(wish, sectors, **known, slower=slower if fan else None)
+    c = choose_velocity(wish, sectors, **known, slower=slower if fan else None, keeps=keeps if back else None)
     return ca.Function(
         "choice",
-        [wish, normals, bounds, points, side, blocker, slower],
+        [wish, normals, bounds, points, side, blocker, slower, keeps],
         [c.velocity, c.side, c.blocked, c.violation, c.blocker],
     )
 
@@ -51,12 +51,22 @@ def _choose(
     side: float = 0.0,
     blocker: ArrayLike = (50.0, 50.0),
     slower: float | None = None,
+    keeps: float | None = None,
 ) -> _Chosen:
     b = np.atleast_1d(np.asarray(bearings, dtype=float))
     normals = np.vstack([np.cos(b), np.sin(b)])
     where = normals if points is None else np.asarray(points, dtype=float).T
-    numbers = (np.asarray(wish), normals, np.atleast_1d(bounds), where, side, np.asarray(blocker), slower or 0.0)
-    found = _choice(b.size, fan=slower is not None)(*numbers)
+    numbers = (
+        np.asarray(wish),
+        normals,
+        np.atleast_1d(bounds),
+        where,
+        side,
+        np.asarray(blocker),
+        slower or 0.0,
+        keeps or 0.0,
+    )
+    found = _choice(b.size, fan=slower is not None, back=keeps is not None)(*numbers)
     velocity, chosen_side, blocked, violation, now = (np.asarray(m).reshape(-1) for m in found)
     return _Chosen(velocity, int(chosen_side[0]), bool(blocked[0]), float(violation[0]), now)
 
@@ -151,6 +161,30 @@ def test_the_latch_gives_way_only_when_nothing_on_its_side_is_free() -> None:
     )
     assert (right.side, right.violation) == (-1, 0)
     np.testing.assert_allclose(right.velocity, [0.02, -np.sqrt(CRUISE**2 - 0.02**2)], atol=1e-9)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(("past", "keeps", "stays"), [(8, None, False), (8, 0, False), (8, 1, True), (20, 1, False)])
+def test_the_side_is_kept_on_a_course_just_past_straight_back(
+    side: int, past: float, keeps: float | None, stays: bool
+) -> None:
+    """A face beside the robot leans towards it: the way back along it lies `past` degrees beyond straight back."""
+    beside = side * (np.pi / 2 + np.radians(past))
+    places = [[1.0, 0.0], _unit(beside)]
+    found = _choose([CRUISE, 0.0], [0.0, beside], [0.02, 0.0], points=places, side=side, blocker=[1, 0], keeps=keeps)
+    course = beside + side * np.pi / 2 if stays else -side * np.arccos(0.02 / CRUISE)  # back, or past the contact ahead
+    assert (found.side, found.violation) == (side if stays else -side, 0)
+    np.testing.assert_allclose(found.velocity, CRUISE * _unit(course), atol=1e-9)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_without_a_side_to_keep_a_course_just_past_straight_back_has_its_own(side: int) -> None:
+    """Only the way back is free, 188 to 193 degrees off; the contact ahead is a new one."""
+    beside = side * np.radians([98, -77])
+    places = [[1.0, 0.0], _unit(beside[0]), _unit(beside[1])]
+    found = _choose([CRUISE, 0.0], [0.0, *beside], [0.02, 0.0, 0.0], points=places, side=side, keeps=1)
+    assert (found.side, found.violation) == (-side, 0)
+    np.testing.assert_allclose(found.velocity, CRUISE * _unit(side * np.radians(193)), atol=1e-9)
 
 
 def test_the_blocker_is_the_contact_that_blocks_the_wish_most() -> None:
