@@ -111,7 +111,8 @@ def guarded_law(
         now=over_ground,
         acceleration=p["brake"] * weakest_acceleration(p),
         slower=slower,
-        keeps=x["stalled"] < _RETURNS if scan is not None and scan.smooth else None,
+        # with smoothed commands more runs touch (study 33)
+        keeps=x["stalled"] < _RETURNS if scan is not None and scan.smooth and calm is None else None,
     )
     velocity, stopped, memory = choice.velocity, ca.SX(0), {}
     bounds = [(sector.normal, sector.bound) for sector in sectors]
