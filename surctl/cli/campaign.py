@@ -243,9 +243,10 @@ def _claim(case: Case) -> SafetyClaim | Inapplicable:
 
     from surctl.errors import NotApplicable
     from surctl.simulation import safety_claim, turn_rate
+    from surctl.simulation.detection import detection_range
     from surctl.verification import Inapplicable
 
-    sees = case.scenario.sensors.equipment.array.maximum if case.sensing == "sonar" else inf
+    sees = detection_range(case.scenario) if case.sensing == "sonar" else inf
     believed = case.model or case.vehicle
     turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar")
     kind: dict[str, Any] = {"barrier": case.barrier, "movers": case.movers}

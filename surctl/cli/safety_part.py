@@ -32,13 +32,14 @@ def safety_part(
     from surctl.control import BARRIER_NAMES, MOVERS
     from surctl.errors import InputError, NotApplicable, nearest
     from surctl.simulation import load_scenario, safety_claim, turn_rate
+    from surctl.simulation.detection import detection_range
     from surctl.verification import Inapplicable
 
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
     mission = replace(load_scenario(scenario), cruise=speeds[0], cap=speeds[1])
-    sight = mission.sensors.equipment.array.maximum
+    sight = detection_range(mission)
     kind: dict[str, Any] = {"barrier": barrier, "movers": movers}
     turning = turn_rate(mission, vehicle, gains, sonar=True)
     try:

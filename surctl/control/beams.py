@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import groupby
 from math import radians, sin
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import casadi as ca
 
@@ -18,12 +18,13 @@ from surctl.vehicle import planar_rotation
 
 __all__ = [
     "SILENT",
+    "TOLERANCE",
     "Around",
     "Expected",
     "beams",
     "corrected",
     "expected",
-    "floor_range",
+    "floor_reach",
     "honest",
     "least_of",
     "slotted",
@@ -31,6 +32,9 @@ __all__ = [
 
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""
+
+TOLERANCE = 0.10
+"""Distance [m] below an expected range from which an echo counts as that of the known object."""
 
 SURE, POSSIBLE = radians(3.0), radians(27.0)
 """Angles of incidence up to which a smooth wall surely answers, and beyond which it surely does not.
@@ -92,14 +96,14 @@ class Expected(NamedTuple):
         sure, possible = (ca.if_else(placed, one, nothing) for one in (self.sure, self.possible))
         return Expected(walls, self.things, sure, possible)
 
-    def unexplained(self, reading: ca.SX, sensor: int, *, tolerance: float) -> ca.SX:
+    def unexplained(self, reading: ca.SX, sensor: int) -> ca.SX:
         """Return whether no wall and no known obstacle explains an echo at the range `reading` [m]."""
-        nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - tolerance
+        nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - TOLERANCE
         if self.possible is self.walls:
             return nearer
         # the nearest point of the walls may answer too, if a wall is less smooth than assumed
         off = ca.fabs(reading - self.walls[sensor])
-        return ca.logic_and(nearer, off > tolerance)
+        return ca.logic_and(nearer, off > TOLERANCE)
 
 
 def expected(
@@ -148,10 +152,27 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
     return ca.if_else(echo, (samples - array.bias) / array.scale, samples)
 
 
-def floor_range(equipment: Equipment, z: ca.SX) -> ca.SX | None:
-    """Return the range [m] at which the steepest direction of a beam meets the floor; None if no floor is assumed."""
+Height = TypeVar("Height", float, ca.SX)
+
+
+def floor_reach(equipment: Equipment, z: Height) -> Height | None:
+    """Return the range [m] from which a law takes echoes for those of the assumed floor; None if it assumes none.
+
+    The floor answers from the range at which the steepest direction of a beam meets it.
+
+    Args:
+        equipment: the sensors that the law assumes.
+        z: height of the robot [m], below 0 in the water; a number or a CasADi symbol.
+
+    Example:
+        >>> from math import radians
+        >>> from surctl.control.beams import floor_reach
+        >>> from surctl.sensing import Equipment, SonarArray
+        >>> round(floor_reach(Equipment(array=SonarArray(pitch=-radians(18)), floor=5.0), -0.15), 2)
+        5.79
+    """
     depth = equipment.floor
-    return None if depth is None else (z + depth) / sin(equipment.array.steepest(-1))
+    return None if depth is None else (z + depth) / sin(equipment.array.steepest(-1)) - TOLERANCE
 
 
 def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:

@@ -16,7 +16,7 @@ from math import ceil, cos, sin
 
 import casadi as ca
 
-from surctl.control.beams import SILENT, Around, beams, corrected, expected, floor_range, honest, least_of, slotted
+from surctl.control.beams import SILENT, Around, beams, corrected, expected, floor_reach, honest, least_of, slotted
 from surctl.control.faces import FACE_PORTS, Firing, face_after, with_face
 from surctl.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
 from surctl.errors import InputError
@@ -48,7 +48,6 @@ LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step be
 PERCEPTION = "perception"
 """Name of the block of a `PerceptionStage`."""
 
-_TOLERANCE = 0.10  # [m] tolerance below the expected range for an echo of a known object
 _READING = 0.03  # [m] largest error of one plausible firing: four standard deviations
 _DIAGONAL = 0.71  # [cells] half a cell's diagonal
 _AROUND_A_MARK = 0.8  # [cells] radius of the contact for a mark: half a diagonal plus an allowance for drift
@@ -263,7 +262,7 @@ class _Builder:
             turn=around.nu[3],
             prefix="sonar_",
         )
-        floor = floor_range(self.equipment, around.eta[2])
+        floor = floor_reach(self.equipment, around.eta[2])
         # near the start an object within the blind range was never measured: its marks stay where they are
         starting = ca.sumsqr(around.eta[:2] - known["waypoints"][0, :].T) <= LAUNCHED**2
         firings, silent, fired = [], [], []
@@ -273,9 +272,9 @@ class _Builder:
                 inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
             )
             silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
-            strange = ranges.unexplained(reading, i, tolerance=_TOLERANCE)
+            strange = ranges.unexplained(reading, i)
             if floor is not None:
-                strange = ca.logic_and(strange, reading < floor - _TOLERANCE)
+                strange = ca.logic_and(strange, reading < floor)
             echo = ca.logic_and(reading < array.maximum - SILENT, strange)
             blind = reading <= shortest
             usable = ca.logic_and(arrived, around.placed)

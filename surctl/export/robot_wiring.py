@@ -12,7 +12,7 @@ import numpy as np
 from surctl.export.contract import Exportable
 from surctl.export.origin import Origin
 from surctl.export.wiring import UNKNOWN, step_line
-from surctl.sensing import Equipment, SonarArray
+from surctl.sensing import INCIDENCE_LIMITS, Equipment, SonarArray
 from surctl.sensing.localisation.own_state import LONGEST_AGE, LONGEST_LATENCY
 from surctl.vehicle import Actuators
 
@@ -81,11 +81,13 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"{k}: ({x + 0.0:.3g}, {y + 0.0:.3g}) m, axis {degrees(a):.4g}°"
         for k, ((x, y), a) in enumerate(zip(np.round(places, 6), array.azimuths, strict=True))
     )
+    within = INCIDENCE_LIMITS[equipment.surface_model]
     echo = (
         "every face in the beam answers, however oblique, with the range of its nearest point in the beam. Faces that "
         "answer only near their normal (smooth walls: within about 30°) are not covered: the robot collides with them"
-        if array.incidence_limit is None
-        else f"a face answers within {degrees(array.incidence_limit):.3g}° of its normal, and is silent otherwise"
+        if within is None
+        else f"a face answers within {degrees(within):.3g}° of its normal, and is silent otherwise. A corner that "
+        "points at the hull may be heard too late or not at all, and is not covered"
     )
     walls = (
         "a known wall may be silent where a beam meets it obliquely, so a reading counts as a fault only beyond a wall "
@@ -97,11 +99,11 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         if equipment.surface_model != "diffuse"
         else "a known wall always answers, so a reading beyond the wall counts as a fault"
     )
-    floor = "Water surface and floor are not in the model: "
+    floor = "The law knows neither water surface nor floor: "
     if equipment.floor is not None:
         floor = (
             f"An echo from the range of a floor {equipment.floor:g} m deep, or from beyond, marks no obstacle. The "
-            "water surface is not in the model: "
+            "law does not know the water surface: "
         )
     search = (
         []
@@ -120,7 +122,8 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"Origin of the ranges: the sonar's place on the hull (x forward, y left of the hull's centre; axis "
         f"counter-clockwise from forward), by row: {apex}. A module that measures from elsewhere: convert its ranges. "
         "Ranges from the centre are too long by these distances, and the robot then passes too close or collides.",
-        f"Echoes: {echo}. Surface model `{equipment.surface_model}`: {walls}. {floor}mount the sonars, or drop echoes, "
+        f"Echoes that the law is designed for: {echo}. Surface model `{equipment.surface_model}`: {walls}. {floor}"
+        "mount the sonars, or drop echoes, "
         "so that they give none; an echo of theirs counts as an obstacle.",
         f"Ranges: {array.blind:g} to {array.maximum:g} m; nearer than {array.blind:g} m reads {array.lowest:.4g} m; "
         f"beam {degrees(array.beam_angle):.4g}° wide{tilt}. No echo reads {array.maximum:g} m.",
@@ -128,7 +131,7 @@ def _sonars(equipment: Equipment, origin: Origin) -> list[str]:
         f"fires every {array.cycle:.4g} s. A sonar that answers less often than every 0.3 s counts as unhealthy.",
         f"In the simulated run, each sample of an echo is {array.scale:.4g} r + bias + noise, limited to "
         f"{array.lowest:.4g} to {array.maximum:g} m, then rounded to the conversion step; r is the horizontal distance "
-        "from the sonar to the nearest point of any face in the beam.",
+        "from the sonar to the nearest point in the beam that answers.",
         f"Conversion step {step}, noise {1000 * array.noise_sd:.3g} mm (standard deviation of each sample, independent "
         f"also within a firing), bias {1000 * array.bias:.3g} mm, {samples}. A row that repeats exactly "
         "from firing to firing is taken as a stuck sensor. A quiet module in front of a robot at rest repeats "

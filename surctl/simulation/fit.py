@@ -12,6 +12,7 @@ from surctl.errors import InputError
 from surctl.sensing import SonarArray
 from surctl.sensing.mapping.local_map import MIDDLE, LocalMap
 from surctl.simulation.clearance import clearance_findings
+from surctl.simulation.detection import detection_range
 from surctl.simulation.echo_fit import echo_findings
 from surctl.simulation.finding import Finding
 from surctl.simulation.mission_fit import mission_findings
@@ -24,6 +25,8 @@ from surctl.simulation.world import build_world
 from surctl.vehicle import Vehicle
 
 __all__ = ["Finding", "findings"]
+
+_SAME_FLOOR = 0.1  # [m] difference between the floor that the law assumes and the site's depth
 
 
 def findings(scenario: Scenario, vehicle: Vehicle, *, gains: Gains | None = None) -> list[Finding]:
@@ -64,7 +67,7 @@ def _sonars(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]
         text = f"the hull of {vehicle.name} splits the beam of sensor {split[0]}; the map supports one cone per sensor"
         return [Finding("error", "sonar.mounts_m", text)]
     turning = min(gains["spin"], vehicle.steady_yaw(YAW_SHARE, scenario.cruise))
-    listed = [*_unseen(array, turning), *_short(scenario, array, vehicle, gains)]
+    listed = [*_unseen(array, turning), *_short(scenario, vehicle, gains), *_floor(scenario)]
     return [*listed, *echo_findings(scenario, vehicle, array)]
 
 
@@ -108,20 +111,41 @@ def _widest_gap(array: SonarArray) -> float:
     return widest
 
 
-def _short(scenario: Scenario, array: SonarArray, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+def _floor(scenario: Scenario) -> list[Finding]:
+    floor, depth = scenario.sensors.equipment.floor, scenario.site[2]
+    if floor is None or abs(floor - depth) <= _SAME_FLOOR:
+        return []
+    how = (
+        "echoes of the floor mark obstacles"
+        if floor > depth
+        else "echoes from the range of that floor, or from beyond, mark no obstacle"
+    )
+    text = f"the law assumes a floor {floor:g} m deep, but the site is {depth:g} m deep: {how}"
+    return [Finding("warning", "sonar.floor_m", text)]
+
+
+def _short(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     # stopping distance v²/(2a) + v t from the largest speed v along the path
     deceleration = gains["brake"] * float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     speed = scenario.fastest
     braking = speed**2 / (2 * deceleration) + speed * gains["reaction"]
-    if array.maximum >= braking:
+    reach = detection_range(scenario)
+    if reach >= braking:
         return []
+    if reach < scenario.sensors.equipment.array.maximum:
+        text = (
+            f"from {reach:.2g} m the law takes every echo for that of the floor, but from the cruise speed of "
+            f"{speed:g} m/s {vehicle.name} needs {braking:.2f} m to stop: it may collide with what it does not mark; "
+            "stay higher above the floor, or point the beams less downwards"
+        )
+        return [Finding("error", "sonar.floor_m", text)]
     ahead = gains["brake"] * vehicle["Fu_max"] / vehicle["m11"]
     stop = speed**2 / (2 * ahead) + speed * gains["reaction"]
     text = (
-        f"the sonars reach {array.maximum:g} m; from the cruise speed of {speed:g} m/s {vehicle.name} stops "
+        f"the sonars reach {reach:g} m; from the cruise speed of {speed:g} m/s {vehicle.name} stops "
         f"within {stop:.2f} m by surge thrust, "
     )
-    if stop <= array.maximum:
+    if stop <= reach:
         text += (
             f"but the law plans with the weaker of surge and sway, {min(vehicle.thrust_limit[:2]):g} N, and needs "
             f"{braking:.2f} m: with sonars the law stays below the cruise speed"

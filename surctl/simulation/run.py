@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -136,7 +137,7 @@ def depth_changes(run: Run) -> list[DepthChange]:
     dead_end = run.telemetry("trapped").ravel() > 0.5
     changes, last = list[DepthChange](), run.scenario.depth
     turns = (np.flatnonzero(np.diff(reference) != 0) + 1).tolist()
-    for k, until in zip(turns, [*turns[1:], len(reference) + 1], strict=True):
+    for k, until in pairwise([*turns, len(reference) + 1]):
         # the law drops an unreachable depth in the next step; after it gives up, it stays at its present depth
         if until - k < 2 or dead_end[k]:
             continue

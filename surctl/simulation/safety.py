@@ -20,6 +20,7 @@ from surctl.guidance.braking import (
 from surctl.guidance.sideways import beside
 from surctl.sensing import INCIDENCE_LIMITS
 from surctl.simulation.column import BAND, FOOTPRINT
+from surctl.simulation.detection import unanswered
 from surctl.simulation.margin import Bound, mass_difference, munk, turned
 from surctl.simulation.scenario import Scenario
 from surctl.simulation.toml_text import toml_text
@@ -50,8 +51,10 @@ class SafetyClaim:
         statement: the claim in words.
         assumptions: the assumptions of the claim, with their numbers.
         derived: numbers that follow from the assumptions.
-        holds: whether detection range and margin are enough at every speed up to the speed cap.
+        holds: whether detection range and margin are enough at every speed up to the speed cap, and no obstacle of the
+            scenario contradicts what the claim assumes of surfaces.
         echoes: what the claim assumes of surfaces, if the law has sonars; else empty.
+        contradicted: which obstacles of the scenario answer otherwise; empty if none does.
     """
 
     scenario: str
@@ -63,6 +66,7 @@ class SafetyClaim:
     derived: tuple[Figure, ...]
     holds: bool
     echoes: str = ""
+    contradicted: str = ""
 
     def __getitem__(self, name: str) -> float:
         """Return the value of an assumption or a derived number of the claim; KeyError if the name is unknown."""
@@ -89,7 +93,8 @@ class SafetyClaim:
             for what, figures in (("assumes", self.assumptions), ("gives", self.derived))
             for f in figures
         ]
-        end = "holds" if self.holds else f"DOES NOT HOLD at every speed up to the cap: {self.shortfall}"
+        speeds = "" if self.contradicted else " at every speed up to the cap"
+        end = "holds" if self.holds else f"DOES NOT HOLD{speeds}: {self.shortfall}"
         return [head, *rows, *([f"  assumes  {self.echoes}"] if self.echoes else []), f"  {end}"]
 
     @property
@@ -113,6 +118,8 @@ class SafetyClaim:
         if self["range needed"] > self["detection range"]:
             what = f"obstacles must be detected at {self['range needed']:.3g} m, and the sensors reach"
             parts.append(f"{what} {self['detection range']:.3g} m; lower the speed cap")
+        if self.contradicted:
+            parts.append(f"the scenario contradicts what it assumes of surfaces: {self.contradicted}")
         return "; ".join(parts)
 
 
@@ -273,8 +280,12 @@ def safety_claim(
     )
     what = "an obstacle at rest" if movers == "predict" else f"an obstacle that approaches at up to {covered:.3g} m/s"
     statement = f"the hull never touches {what} (one obstacle at a time, barrier {barrier})"
-    holds, echoes = not short and sight <= detection, _echoes(scenario, vehicle, sight) if isfinite(detection) else ""
-    return SafetyClaim(scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, holds, echoes)
+    sonar = isfinite(detection)
+    echoes, contradicted = (_echoes(scenario, vehicle, sight), unanswered(scenario)) if sonar else ("", "")
+    holds = not short and sight <= detection and not contradicted
+    return SafetyClaim(
+        scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, holds, echoes, contradicted
+    )
 
 
 def _echoes(scenario: Scenario, vehicle: Vehicle, sight: float) -> str:

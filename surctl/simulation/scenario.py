@@ -124,6 +124,12 @@ class Scenario:
         """The four walls of the site, cached because a run needs the walls at every step."""
         return site_walls(self.site[1], self.site[0])
 
+    @property
+    def deepest(self) -> float:
+        """Lowest z [m] to which the path and `depths` take the robot."""
+        lowest = self.depth if self.path.rises is None else self.depth + float(np.min(self.path.rises))
+        return lowest if self.depths is None else min(lowest, self.depths[0])
+
     @cached_property
     def surfaces(self) -> Surfaces | None:
         """How each surface answers a sonar; None if all answer alike, as the `incidence_limit` of the sonars says."""
@@ -297,6 +303,7 @@ def _check(scenario: Scenario) -> None:
         )
     try:
         _ = scenario.surfaces
+        scenario.sensors.check_floor(scenario.deepest)
     except InputError as error:
         raise error.inside(source) from None
     _check_depths(scenario)

@@ -158,6 +158,17 @@ class Sensors:
         array = replace(self.equipment.array, incidence_limit=limit)
         return replace(self, equipment=replace(self.equipment, array=array), echoes="" if simple else echoes)
 
+    def check_floor(self, deepest: float) -> None:
+        """Raise InputError if the floor that the law assumes is not below z = `deepest` [m]."""
+        floor = self.equipment.floor
+        if floor is not None and floor <= -deepest:
+            raise InputError(
+                f"is not below the robot, which goes down to z = {deepest:g} m",
+                key="sonar.floor_m",
+                value=floor,
+                remedy=f"give the depth of the floor below the water surface, above {-deepest:g} m",
+            )
+
     @property
     def echo_model(self) -> str:
         """Name of the echo model, or the largest angle of incidence at which surfaces answer."""

@@ -34,6 +34,16 @@ def test_the_wiring_states_the_pitch_of_the_sonars() -> None:
         assert words in " ".join(_sonars(Equipment(array=SonarArray(pitch=pitch)), origin))
 
 
+@pytest.mark.parametrize("within", [None, 0.3])
+def test_the_wiring_states_the_echoes_that_the_law_assumes_and_not_those_of_a_run(within: float | None) -> None:
+    origin = origin_of(build_law("closed_form"), load_vehicle("sur400"))
+    array = SonarArray(incidence_limit=within)
+    rough = " ".join(_sonars(Equipment(array=array), origin))
+    smooth = " ".join(_sonars(Equipment(array=array, surface_model="smooth"), origin))
+    assert "every face in the beam answers, however oblique" in rough and "within 22.5°" not in rough
+    assert "a face answers within 22.5° of its normal" in smooth and "however oblique" not in smooth
+
+
 def test_the_wiring_and_the_manifest_state_the_search_limit() -> None:
     law, vehicle = build_law("closed_form"), load_vehicle("sur400")
     for limit, entries in ((None, {}), (60.0, {"search_limit_s": 60.0})):

@@ -129,3 +129,8 @@ def test_the_compiled_loop_flies_the_same(scene: str) -> None:
     need_compiler()
     (row,) = simulate_batch(_case((SCENES | BLOCKED)[scene]), seeds=[0]).table
     np.testing.assert_allclose(row, _run(scene).metrics.row(), rtol=0, atol=1e-6)
+
+
+def test_a_run_that_needs_no_other_depth_has_no_change() -> None:
+    run = _flown(_case(()))
+    assert run.metrics.reached and depth_changes(run) == [] == run.to_dict()["depth_changes"]

@@ -19,7 +19,9 @@ from surctl.guidance.braking import (
     range_needed,
     stopping_distance_with_drag,
 )
-from surctl.simulation import SafetyClaim, findings, load_scenario, safety_claim
+from surctl.sensing import SurfaceModel
+from surctl.simulation import SafetyClaim, Scenario, findings, load_scenario, safety_claim
+from surctl.simulation.detection import detection_range
 from surctl.vehicle import load_vehicle
 from tests.guidance.test_braking import fly
 
@@ -158,3 +160,47 @@ def test_the_claim_names_what_it_assumes_of_surfaces(surfaces: Any, words: str) 
     told = safety_claim(scenario, VEHICLE, GAINS, detection=4.5)
     assert words in told.echoes and told.to_dict()["echoes"] == told.echoes
     assert f"  assumes  {told.echoes}" in told.lines() and not claim().echoes
+
+
+@pytest.mark.parametrize(
+    ("surfaces", "echoes", "first", "what"),
+    [
+        ("diffuse", "ideal", None, ""),
+        ("diffuse", "webots", None, "OS1, OS2, OS3 and OS4 are silent beyond 22.5 deg of the normal"),
+        ("smooth", "webots", None, ""),
+        ("smooth", "specular", None, "OS1, OS2, OS3 and OS4 are silent beyond 5 deg of the normal"),
+        ("specular", "specular", None, ""),
+        ("smooth", "webots", "silent", "OS1 is silent"),
+    ],
+)
+def test_a_claim_does_not_hold_where_obstacles_answer_otherwise_than_it_assumes(
+    surfaces: SurfaceModel, echoes: str, first: str | None, what: str
+) -> None:
+    sensors = SCENARIO.sensors.hearing(echoes)
+    sensors = replace(sensors, equipment=replace(sensors.equipment, surface_model=surfaces))
+    one, *others = SCENARIO.obstacles
+    scenario = replace(SCENARIO, sensors=sensors, obstacles=(one.model_copy(update={"reflector": first}), *others))
+    told = safety_claim(scenario, VEHICLE, GAINS, spread=0.2, detection=detection_range(scenario))
+    assert told.contradicted == what and told.holds == (not what)
+    assert what in told.shortfall and told.lines()[-1].endswith(told.shortfall if what else "holds")
+    exact = safety_claim(scenario, VEHICLE, GAINS, spread=0.2)  # with true positions no echo is needed
+    assert exact.holds and exact.contradicted == ""
+
+
+def test_an_assumed_floor_ends_the_detection_range() -> None:
+    """30 degrees of half a beam below the horizontal: the floor 2 m below answers from 4 m, less 0.1 m of tolerance."""
+
+    def over(floor: float | None, opening: float = 60.0) -> Scenario:
+        sensors = replace(SCENARIO.sensors.equipment, floor=floor)
+        sensors = replace(sensors, array=replace(sensors.array, beam_angle=np.radians(opening)))
+        return replace(SCENARIO, sensors=replace(SCENARIO.sensors, equipment=sensors))
+
+    assert detection_range(over(None)) == SCENARIO.sensors.equipment.array.maximum == 4.5
+    assert detection_range(over(2.15)) == pytest.approx(3.9)
+    assert detection_range(replace(over(2.15), depths=(-1.15, 0.0))) == pytest.approx(1.9)
+    assert detection_range(over(5.0)) == 4.5
+    keys = [(f.level, f.key) for f in findings(over(0.4), VEHICLE, gains=GAINS)]
+    assert ("error", "sonar.floor_m") in keys and ("warning", "sonar.floor_m") in keys
+    [told] = [f for f in findings(over(9.0), VEHICLE, gains=GAINS) if f.key == "sonar.floor_m"]
+    assert told.text.endswith("the site is 5 m deep: echoes of the floor mark obstacles")
+    assert not [f for f in findings(over(5.05), VEHICLE, gains=GAINS) if f.key == "sonar.floor_m"]

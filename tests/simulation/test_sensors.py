@@ -108,3 +108,10 @@ def test_everyone_fires_once_a_cycle_in_the_array_s_order(count: int, period: fl
 def test_a_wrong_angle_is_stated_in_degrees(tmp_path: Path, key: str, value: float, limit: str) -> None:
     with pytest.raises(InputError, match=rf"{key} = {value}: .*{limit}.* give degrees"):
         _loaded(tmp_path, f"[sonar]\n{key} = {value}\n")
+
+
+@pytest.mark.parametrize("floor", [0.1, 0.15])
+def test_a_floor_that_is_not_below_the_robot_is_refused(tmp_path: Path, floor: float) -> None:
+    with pytest.raises(InputError, match=r"goes down to z = -0\.15 m; give the depth .* above 0\.15 m") as caught:
+        _loaded(tmp_path, f"[sonar]\nfloor_m = {floor}\n")
+    assert caught.value.key == "sonar.floor_m" and str(tmp_path) in str(caught.value)
