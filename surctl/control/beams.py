@@ -24,7 +24,7 @@ __all__ = [
     "beams",
     "corrected",
     "expected",
-    "floor_reach",
+    "floor_range",
     "honest",
     "least_of",
     "slotted",
@@ -155,7 +155,7 @@ def corrected(array: SonarArray, samples: ca.SX) -> ca.SX:
 Height = TypeVar("Height", float, ca.SX)
 
 
-def floor_reach(equipment: Equipment, z: Height) -> Height | None:
+def floor_range(equipment: Equipment, z: Height) -> Height | None:
     """Return the range [m] from which a law takes echoes for those of the assumed floor; None if it assumes none.
 
     The floor answers from the range at which the steepest direction of a beam meets it.
@@ -166,9 +166,9 @@ def floor_reach(equipment: Equipment, z: Height) -> Height | None:
 
     Example:
         >>> from math import radians
-        >>> from surctl.control.beams import floor_reach
+        >>> from surctl.control.beams import floor_range
         >>> from surctl.sensing import Equipment, SonarArray
-        >>> round(floor_reach(Equipment(array=SonarArray(pitch=-radians(18)), floor=5.0), -0.15), 2)
+        >>> round(floor_range(Equipment(array=SonarArray(pitch=-radians(18)), floor=5.0), -0.15), 2)
         5.79
     """
     depth = equipment.floor

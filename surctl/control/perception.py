@@ -16,7 +16,7 @@ from math import ceil, cos, sin
 
 import casadi as ca
 
-from surctl.control.beams import SILENT, Around, beams, corrected, expected, floor_reach, honest, least_of, slotted
+from surctl.control.beams import SILENT, Around, beams, corrected, expected, floor_range, honest, least_of, slotted
 from surctl.control.faces import FACE_PORTS, Firing, face_after, with_face
 from surctl.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
 from surctl.errors import InputError
@@ -262,7 +262,7 @@ class _Builder:
             turn=around.nu[3],
             prefix="sonar_",
         )
-        floor = floor_reach(self.equipment, around.eta[2])
+        floor = floor_range(self.equipment, around.eta[2])
         # near the start an object within the blind range was never measured: its marks stay where they are
         starting = ca.sumsqr(around.eta[:2] - known["waypoints"][0, :].T) <= LAUNCHED**2
         firings, silent, fired = [], [], []

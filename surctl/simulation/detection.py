@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import degrees
 from typing import TYPE_CHECKING
 
-from surctl.control.beams import floor_reach
+from surctl.control.beams import floor_range
 from surctl.sensing import INCIDENCE_LIMITS, Reflector
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ def detection_range(scenario: Scenario) -> float:
         4.5
     """
     equipment = scenario.sensors.equipment
-    reach = floor_reach(equipment, scenario.deepest)
-    return equipment.array.maximum if reach is None else max(min(equipment.array.maximum, reach), 0.0)
+    floor = floor_range(equipment, scenario.deepest)
+    return equipment.array.maximum if floor is None else max(min(equipment.array.maximum, floor), 0.0)
 
 
 def unanswered(scenario: Scenario) -> str:
@@ -47,9 +47,9 @@ def unanswered(scenario: Scenario) -> str:
     equipment, surfaces = scenario.sensors.equipment, scenario.surfaces
     within = INCIDENCE_LIMITS[equipment.surface_model]
     usual = Reflector(equipment.array.incidence_limit)
-    answers = (usual,) * len(scenario.obstacles) if surfaces is None else surfaces.obstacles
-    told: dict[str, list[str]] = {}
-    for obstacle, reflector in zip(scenario.obstacles, answers, strict=True):
+    kinds = (usual,) * len(scenario.obstacles) if surfaces is None else surfaces.obstacles
+    groups: dict[str, list[str]] = {}
+    for obstacle, reflector in zip(scenario.obstacles, kinds, strict=True):
         limit = reflector.incidence_limit
         if limit == 0.0:
             how = "silent"
@@ -59,8 +59,8 @@ def unanswered(scenario: Scenario) -> str:
             how = f"silent beyond {degrees(limit):.3g} deg of the normal"
         else:
             continue
-        told.setdefault(how, []).append(" ".join(obstacle.name.split()))
-    parts = [f"{_listed(names)} {'is' if len(names) == 1 else 'are'} {how}" for how, names in told.items()]
+        groups.setdefault(how, []).append(" ".join(obstacle.name.split()))
+    parts = [f"{_listed(names)} {'is' if len(names) == 1 else 'are'} {how}" for how, names in groups.items()]
     return "; ".join(parts)
 
 

@@ -129,12 +129,12 @@ def _short(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     deceleration = gains["brake"] * float(np.min(vehicle.thrust_limit[:2]) / np.max(vehicle.mass[:2]))
     speed = scenario.fastest
     braking = speed**2 / (2 * deceleration) + speed * gains["reaction"]
-    reach = detection_range(scenario)
-    if reach >= braking:
+    detected = detection_range(scenario)
+    if detected >= braking:
         return []
-    if reach < scenario.sensors.equipment.array.maximum:
+    if detected < scenario.sensors.equipment.array.maximum:
         text = (
-            f"from {reach:.2g} m the law takes every echo for that of the floor, but from the cruise speed of "
+            f"from {detected:.2g} m the law takes every echo for that of the floor, but from the cruise speed of "
             f"{speed:g} m/s {vehicle.name} needs {braking:.2f} m to stop: it may collide with what it does not mark; "
             "stay higher above the floor, or point the beams less downwards"
         )
@@ -142,10 +142,10 @@ def _short(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
     ahead = gains["brake"] * vehicle["Fu_max"] / vehicle["m11"]
     stop = speed**2 / (2 * ahead) + speed * gains["reaction"]
     text = (
-        f"the sonars reach {reach:g} m; from the cruise speed of {speed:g} m/s {vehicle.name} stops "
+        f"the sonars reach {detected:g} m; from the cruise speed of {speed:g} m/s {vehicle.name} stops "
         f"within {stop:.2f} m by surge thrust, "
     )
-    if stop <= reach:
+    if stop <= detected:
         text += (
             f"but the law plans with the weaker of surge and sway, {min(vehicle.thrust_limit[:2]):g} N, and needs "
             f"{braking:.2f} m: with sonars the law stays below the cruise speed"
