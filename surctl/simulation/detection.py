@@ -50,10 +50,10 @@ def unanswered(scenario: Scenario) -> str:
     kinds = (usual,) * len(scenario.obstacles) if surfaces is None else surfaces.obstacles
     groups: dict[str, list[str]] = {}
     for obstacle, reflector in zip(scenario.obstacles, kinds, strict=True):
-        limit = reflector.incidence_limit
-        if limit == 0.0:
+        limit, weak = reflector.incidence_limit, reflector.cylinder_range if obstacle.shape != "box" else None
+        if 0.0 in (limit, weak):
             how = "silent"
-        elif obstacle.shape != "box" and reflector.cylinder_range is not None:
+        elif weak is not None:
             how = "detected with a probability"
         elif limit is not None and (within is None or limit < within - _ANGLE):
             how = f"silent beyond {degrees(limit):.3g} deg of the normal"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from math import ceil, degrees, inf, isfinite
+from math import ceil, degrees, floor, inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -108,9 +108,9 @@ class SafetyClaim:
         """Text that states which numbers are insufficient, by how much, and what to change; empty for a valid claim."""
         parts = []
         if self["margin needed"] > self["margin"]:
-            slow = self["covered speed"]
+            slow = floor(self["covered speed"] * 1e3 + 1e-9) / 1e3
             remedy = f"set margin = {self.least_margin:g} in the gain file" if isfinite(self.least_margin) else ""
-            slower = f"lower the speed cap to {slow:.3g} m/s or less" if slow > 0 else ""
+            slower = f"lower the speed cap to {slow:g} m/s or less" if slow > 0 else ""
             what = (
                 f"braking needs a margin of {self['margin needed']:.3g} m, and the gain margin is {self['margin']:g} m"
             )
@@ -196,7 +196,8 @@ def safety_claim(
     bound = Bound(brakes, watch, vehicle, gains, barrier, scenario.cap)
     covered = bound.limit(detection) if movers == "barrier" else 0.0
     needed = bound.margins(covered)
-    short = [speed for speed, margin in needed.items() if margin > gains["margin"]]
+    short = min((speed for speed, margin in needed.items() if margin > gains["margin"]), default=inf)
+    safe = scenario.cap if short == inf else max((speed for speed in needed if speed < short), default=0.0)
     sight = range_needed(brakes, watch, scenario.cap, obstacle=covered, stopping=stopping_distance_with_drag)
     assumptions: tuple[Figure, ...] = (
         Figure(
@@ -261,7 +262,7 @@ def safety_claim(
             "margin that the vehicle needs beyond the law's bound, at the worst speed",
         ),
         Figure("margin", gains["margin"], "m", "margin in the gains"),
-        Figure("covered speed", min(short, default=scenario.cap), "m/s", "own speed up to which that margin is enough"),
+        Figure("covered speed", max(safe, 0.0), "m/s", "own speed up to which that margin is enough"),
         Figure(
             "covered difference",
             replace(bound, brakes=level).difference(covered, turning),
@@ -282,7 +283,7 @@ def safety_claim(
     statement = f"the hull never touches {what} (one obstacle at a time, barrier {barrier})"
     sonar = isfinite(detection)
     echoes, contradicted = (_echoes(scenario, vehicle, sight), unanswered(scenario)) if sonar else ("", "")
-    holds = not short and sight <= detection and not contradicted
+    holds = short == inf and sight <= detection and not contradicted
     return SafetyClaim(
         scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, holds, echoes, contradicted
     )

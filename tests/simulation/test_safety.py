@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from typing import Any
@@ -21,7 +22,8 @@ from surctl.guidance.braking import (
 )
 from surctl.sensing import SurfaceModel
 from surctl.simulation import SafetyClaim, Scenario, findings, load_scenario, safety_claim
-from surctl.simulation.detection import detection_range
+from surctl.simulation.detection import detection_range, unanswered
+from surctl.simulation.reflectors import Reflectors, ReflectorTable
 from surctl.vehicle import load_vehicle
 from tests.guidance.test_braking import fly
 
@@ -46,6 +48,11 @@ def test_the_shipped_margin_is_enough_for_twenty_per_cent_but_not_for_the_whole_
     assert safety_claim(SCENARIO, VEHICLE, more).holds
     less = GAINS.with_values({"margin": wide["margin needed"] - 1e-3})
     assert not safety_claim(SCENARIO, VEHICLE, less).holds
+
+
+def test_the_cap_that_is_proposed_is_one_that_holds() -> None:
+    [proposed] = re.findall(r"lower the speed cap to (\S+) m/s or less", claim().shortfall)
+    assert safety_claim(replace(SCENARIO, cap=float(proposed), cruise=0.01), VEHICLE, GAINS).holds
 
 
 def shipped(margin: float, excess: float) -> Any:
@@ -185,6 +192,15 @@ def test_a_claim_does_not_hold_where_obstacles_answer_otherwise_than_it_assumes(
     assert what in told.shortfall and told.lines()[-1].endswith(told.shortfall if what else "holds")
     exact = safety_claim(scenario, VEHICLE, GAINS, spread=0.2)  # with true positions no echo is needed
     assert exact.holds and exact.contradicted == ""
+
+
+@pytest.mark.parametrize(("kind", "what"), [("specular", "detected with a probability"), ("quiet", "silent")])
+def test_a_cylinder_that_answers_with_a_probability_contradicts_every_surface_model(kind: str, what: str) -> None:
+    pool = load_scenario("pool-static")
+    kinds = {"quiet": ReflectorTable(cylinder_range_m=0.0)}
+    first, *others = pool.obstacles
+    told = replace(pool, obstacles=(first.model_copy(update={"reflector": kind}), *others))
+    assert unanswered(replace(told, reflectors=Reflectors(kinds=kinds))) == f"Obstacle1 is {what}"
 
 
 def test_an_assumed_floor_ends_the_detection_range() -> None:
