@@ -14,10 +14,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError, model_validator
+from pydantic import BaseModel, StrictFloat, ValidationError, model_validator
 
 from surctl.errors import InputError, nearest
 from surctl.renamed import current_table
+from surctl.strict import Strict
 from surctl.units import converted_by_suffix, in_unit, number_and_unit
 
 if TYPE_CHECKING:
@@ -36,12 +37,6 @@ __all__ = [
     "validate",
     "write_file",
 ]
-
-
-class Strict(BaseModel):
-    """Base class of the models of all files: immutable, only finite numbers, no unknown keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Quantity(Strict):

@@ -279,6 +279,7 @@ def safety_claim(
 
 def _echoes(scenario: Scenario, vehicle: Vehicle, sight: float) -> str:
     # what must be true of surfaces for obstacles to be detected at the distance `sight` [m]
+    scenario.sensors.on(vehicle["radius"])  # refuses mounts that this hull cannot have, whatever surfaces answer
     surfaces = scenario.sensors.equipment.surface_model
     within, model = INCIDENCE_LIMITS[surfaces], f"surface_model {surfaces}"
     if within is None:

@@ -8,7 +8,7 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import acos, atan2, ceil, cos, hypot, isfinite, pi, remainder, sin
+from math import acos, atan2, ceil, cos, degrees, hypot, isfinite, pi, remainder, sin
 
 from surctl.errors import InputError
 from surctl.sensing.sonar.mounting import inside_hull, open_cones
@@ -202,9 +202,9 @@ class SonarArray:
         )
         if not cones:
             raise InputError(
-                f"sensor {sensor} looks into the hull",
-                key="array.mounts, azimuths",
-                value=(self.mounts[sensor], self.azimuths[sensor]),
+                f"sensor {sensor} looks into the hull at its azimuth of {degrees(self.azimuths[sensor]):.4g} degrees",
+                key="array.mounts",
+                value=self.mounts[sensor],
                 remedy="turn its azimuth outward, or mount it elsewhere",
             )
         return cones
@@ -290,13 +290,19 @@ def _check_conversion(array: SonarArray) -> None:
         value=(array.minimum, array.maximum),
         remedy="give m, shortest range first",
     )
-    whole = isinstance(array.bits, int) and isinstance(array.samples, int)
     _require(
-        whole and 1 <= array.bits <= 24 and array.samples >= 1,
-        "must be whole numbers: bits from 1 to 24, samples at least 1",
-        key="bits, samples",
-        value=(array.bits, array.samples),
-        remedy="give for example the 8 bits and 5 samples of the paper",
+        isinstance(array.bits, int) and 1 <= array.bits <= 24,
+        "must be a whole number from 1 to 24",
+        key="bits",
+        value=array.bits,
+        remedy="give for example the 8 bits of the paper",
+    )
+    _require(
+        isinstance(array.samples, int) and array.samples >= 1,
+        "must be a whole number, at least 1",
+        key="samples",
+        value=array.samples,
+        remedy="give for example the 5 samples of the paper",
     )
     if array.step is not None:
         _require(
@@ -309,12 +315,13 @@ def _check_conversion(array: SonarArray) -> None:
             remedy="give m, for example 0.01 for whole centimetres, and a maximum that is a multiple of it",
         )
     _require(
-        isfinite(array.noise_sd) and array.noise_sd >= 0 and isfinite(array.bias),
-        "must be finite, and noise_sd must be at least 0",
-        key="noise_sd, bias",
-        value=(array.noise_sd, array.bias),
+        isfinite(array.noise_sd) and array.noise_sd >= 0,
+        "must be finite and at least 0",
+        key="noise_sd",
+        value=array.noise_sd,
         remedy="give m",
     )
+    _require(isfinite(array.bias), "must be finite", key="bias", value=array.bias, remedy="give m")
 
 
 def _check_sound(array: SonarArray) -> None:
