@@ -232,9 +232,9 @@ def verify(
     }  # fmt: skip
     if alone:
         result = {"claims": result["claims"]}
-    for name, found in conditions.items():
-        lines += found.lines()
-        result.setdefault("stacks", {})[name] = found.to_dict()
+    for name, judged in conditions.items():
+        lines += judged.lines()
+        result.setdefault("stacks", {})[name] = judged.to_dict()
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
