@@ -137,14 +137,14 @@ class Sensors:
         """
         if self.equipment.array.mounts is None:
             return self.equipment
-        try:
-            return _in_table("sonar", lambda: replace(self.equipment, array=self.array_on(hull_radius)))
-        except InputError as error:
-            raise error.inside(self.source or None) from None
+        return replace(self.equipment, array=self.array_on(hull_radius))
 
     def array_on(self, hull_radius: float) -> SonarArray:
-        """Return the sonars on a hull of the given radius [m]."""
-        return replace(self.equipment.array, hull_radius=hull_radius)
+        """Return the sonars on a hull of the given radius [m]; InputError as for `on`."""
+        try:
+            return _in_table("sonar", lambda: replace(self.equipment.array, hull_radius=hull_radius))
+        except InputError as error:
+            raise error.inside(self.source or None) from None
 
     def hearing(self, echoes: str) -> Sensors:
         """Return the sensors with an echo model by name (a key of `ECHOES`).

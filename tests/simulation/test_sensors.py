@@ -136,6 +136,8 @@ def test_mounts_that_a_hull_cannot_have_are_named_with_their_file(
     sensors = _loaded(tmp_path, f'[sonar]\nmounts_m = {mounts}\nsurface_model = "{surfaces}"')
     with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):
         sensors.on(0.27)
+    with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):
+        sensors.array_on(0.27)
     mission = load_scenario(str(tmp_path / "scenario.toml"))
     boat = load_vehicle("sur540-flooded").with_values({"radius": 0.27})
     with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):
