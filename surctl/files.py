@@ -14,10 +14,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, StrictFloat, ValidationError, model_validator
+from pydantic import BaseModel, StrictFloat, ValidationError, model_validator
 
 from surctl.errors import InputError, nearest
 from surctl.renamed import current_table
+from surctl.strict import Strict
 from surctl.units import converted_by_suffix, in_unit, number_and_unit
 
 if TYPE_CHECKING:
@@ -36,12 +37,6 @@ __all__ = [
     "validate",
     "write_file",
 ]
-
-
-class Strict(BaseModel):
-    """Base class of the models of all files: immutable, only finite numbers, no unknown keys."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Quantity(Strict):
@@ -141,10 +136,11 @@ def load_model(path: Path, model: type[M]) -> M:
 
 
 _LISTED = 3  # further wrong keys that a message names
+_MEMBERS = ("Quantity", "WallTable", "str")  # types in unions of the models, which pydantic puts into paths like keys
 
 
 def _key_of(place: tuple[int | str, ...]) -> str | None:
-    return ".".join(str(part) for part in place if part not in ("Quantity", "str")) or None
+    return ".".join(str(part) for part in place if part not in _MEMBERS) or None
 
 
 def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
@@ -165,13 +161,14 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
     try:
         return model.model_validate(current_table(table, file=file))
     except ValidationError as error:
+        problems = error.errors(include_url=False)
+        texts = {p["loc"][:-1] for p in problems if p["loc"][-1:] == ("str",)}
         # for a union "quantity or text", only the problem with the quantity helps the user
-        problems = [p for p in error.errors(include_url=False) if p["loc"][-1:] != ("str",)]
+        problems = [p for p in problems if p["loc"][-1:] != ("str",)]
         # pydantic also reports a list as too short when some of its members are invalid
         problems = [p for p in problems if p["type"] != "too_short" or not _inside(p["loc"], problems)]
         # a wrong kind of file explains all other problems; an unknown key explains a missing key beside it
         first = min(problems, key=lambda p: (p["loc"] != ("kind",), p["type"] != "extra_forbidden"))
-        # pydantic inserts the member types of a union into the path as if they were keys
         key = _key_of(first["loc"])
         # the parts of a union report the same key more than once
         others = list(dict.fromkeys(k for p in problems if (k := _key_of(p["loc"])) is not None and k != key))
@@ -185,6 +182,8 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
             value = None
         elif first["type"] == "model_type" and first["ctx"]["class_name"] == "Quantity":
             problem, remedy = "must be a value with its unit", 'write { value = ..., unit = "..." }'
+        elif first["type"] == "model_type" and first["loc"][:-1] in texts:
+            problem, remedy = "must be a text or a table", 'write "NAME", or { key = "NAME" }'
         elif first["type"] in ("model_type", "dict_type"):
             problem, remedy = "must be a table", "write [name] above its keys, or { key = value }"
         elif first["type"] in ("tuple_type", "list_type"):

@@ -181,3 +181,26 @@ def test_a_file_is_written_whole_or_left_as_it_was(tmp_path: Path) -> None:
     assert target.read_bytes() == b"k = 1\n" and [p.name for p in target.parent.iterdir()] == ["gains.toml"]
     with pytest.raises(InputError, match="cannot be written"):
         write_file(target / "below", "")
+
+
+class _Numbers(Strict):
+    one: float | None = None
+    more: tuple[float, ...] = ()
+    named: dict[str, float] = Field(default_factory=dict)
+    count: int = 0
+    switch: bool | float = False
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "place"),
+    [
+        ("one", True, "one"),
+        ("count", False, "count"),
+        ("more", [1.0, True], "more.1"),
+        ("named", {"a": True}, "named.a"),
+    ],
+)
+def test_a_boolean_is_no_number(key: str, value: object, place: str) -> None:
+    with pytest.raises(InputError, match=rf"f\.toml: {place} = (True|False): must be a number; write it in digits"):
+        validate({key: value}, _Numbers, file="f.toml")
+    assert validate({"switch": True, "one": 1}, _Numbers, file="f.toml").switch is True

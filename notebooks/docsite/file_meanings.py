@@ -150,7 +150,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "beam_deg": "opening angle (default 75)",
         "pitch_deg": "angle of the beams' axes above the horizontal",
         "incidence_limit_deg": "largest angle to the normal at which a surface answers; default: every surface answers",
-        "echoes": "echo model: every surface answers, or within 22.5° of the normal",
+        "echoes": "echo model: `ideal`, `webots` (within 22.5° of the normal), `specular`, or `diffuse`",
         "surface_model": "what the law assumes of surfaces (default `diffuse`)",
         "floor_m": "depth of a floor below the robot: echoes from its range or beyond mark no obstacle; default: no floor",
         "search_limit_s": "time without progress along the path after which the laws guarded and calm give up; default: no limit",

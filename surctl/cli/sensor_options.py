@@ -257,6 +257,11 @@ def _widened(array: SonarArray, beam: float) -> SonarArray:
     try:
         return replace(array, beam_angle=radians(beam))
     except InputError as error:
+        if error.key == "array.pitch":
+            pitch = abs(degrees(array.pitch))
+            problem = f"is too narrow for the pitch of {pitch:g} degrees: the beam must contain the horizontal plane"
+            remedy = f"give more than {2 * pitch:g} degrees"
+            raise InputError(problem, key="--beam", value=beam, remedy=remedy) from None
         now = f"the scenario has {degrees(array.beam_angle):g} degrees"
         raise InputError(error.problem, key="--beam", value=beam, remedy=error.remedy or now) from None
 

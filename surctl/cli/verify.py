@@ -138,6 +138,7 @@ def verify(
     from surctl.verification import Inapplicable, check_held, decide, write_claim
     from surctl.verification.region import write_region
 
+    conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
     named_things = (vehicle, gains, cruise, cap, scenario, law, *stacks)
     alone = bool(claims) and all(map(_is_claim_file, claims)) and all(word is None for word in named_things)
@@ -231,10 +232,9 @@ def verify(
     }  # fmt: skip
     if alone:
         result = {"claims": result["claims"]}
-    for name in stacks:
-        conditions = _stack(name)
-        lines += conditions.lines()
-        result.setdefault("stacks", {})[name] = conditions.to_dict()
+    for name, judged in conditions.items():
+        lines += judged.lines()
+        result.setdefault("stacks", {})[name] = judged.to_dict()
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]

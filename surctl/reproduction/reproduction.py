@@ -118,7 +118,8 @@ def reproduce(
         done: function that is called with each comparison as soon as it is computed.
 
     Raises:
-        InputError: an id is unknown (the error suggests the nearest known id), or the number of seeds is less than 1.
+        InputError: an id is unknown (the error suggests the nearest known id), the number of seeds is less than 1, or
+            `independent` or `webots` has no effect on any of the comparisons.
         ToolMissing: MuJoCo is requested, but it is not installed.
 
     Example:
@@ -133,6 +134,16 @@ def reproduce(
     for name in names:
         if name not in known:
             raise InputError("no such row", key="row", value=name, remedy=nearest(name, known))
+    for option, chosen, rows_with in (
+        ("independent", independent, "a scenario, such as tank-static"),
+        ("webots", webots, "a scenario with sonars, such as tank-static-sonar"),
+    ):
+        if chosen and names and not any(option in known[name].options for name in names):
+            raise InputError(
+                f"has no effect on {', '.join(names)}",
+                key=f"--{option}",
+                remedy=f"drop this option, or name the row of {rows_with}",
+            )
     if independent:
         from surctl.engine.library import mujoco_library
 

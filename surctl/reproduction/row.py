@@ -86,6 +86,7 @@ class Item:
             decide.
         compute: function that computes all numbers of the comparison.
         command: a command of the program that computes the same numbers.
+        options: options of `reproduce` that add a result to the comparison: `independent`, `webots`.
     """
 
     id: str
@@ -95,6 +96,7 @@ class Item:
     expected: Word | None
     compute: Callable[[], Result]
     command: str
+    options: tuple[str, ...] = ()
 
     def row(self) -> Row:
         """Compute the comparison; return it with the duration of the computation."""

@@ -39,19 +39,24 @@ _LIMITS: tuple[tuple[str, Factors], ...] = (
 
 def scenario_items(simulations: Simulations) -> list[Item]:
     """Return two comparisons for each scenario: with true positions, and with sonar perception."""
-    return [
-        Item(
-            f"{name}{ending}",
-            "scenarios",
-            f"{simulations.scenario(name).title}, {words}",
-            simulations.scenario(name).paper.result,
-            None,
-            partial(_arrivals, simulations, name, sensing),
-            f"surctl reproduce {name}{ending} --seeds {simulations.seeds}",
-        )
-        for sensing, ending, words in _SENSINGS
-        for name in scenario_names()
-    ]
+    items = []
+    for sensing, ending, words in _SENSINGS:
+        options = ("independent", "webots") if sensing == "sonar" else ("independent",)
+        also = "".join(f" --{option}" for option in options if getattr(simulations, option))
+        items += [
+            Item(
+                f"{name}{ending}",
+                "scenarios",
+                f"{simulations.scenario(name).title}, {words}",
+                simulations.scenario(name).paper.result,
+                None,
+                partial(_arrivals, simulations, name, sensing),
+                f"surctl reproduce {name}{ending} --seeds {simulations.seeds}{also}",
+                options,
+            )
+            for name in scenario_names()
+        ]
+    return items
 
 
 def hull_items(simulations: Simulations) -> list[Item]:

@@ -13,6 +13,7 @@ from pydantic import Field
 from surctl.errors import InputError, nearest
 from surctl.files import Strict
 from surctl.sensing import REFLECTORS, Reflector, Surfaces
+from surctl.simulation.toml_text import key_text
 
 if TYPE_CHECKING:
     from surctl.sensing import SonarArray
@@ -97,8 +98,9 @@ class Reflectors:
         if name in self.kinds:
             return self.kinds[name].reflector()
         if name not in REFLECTORS:
-            known = [*REFLECTORS, *self.kinds]
-            remedy = f"{nearest(name, known)}, or define [reflectors.{name}]"
+            remedy = nearest(name, [*REFLECTORS, *self.kinds])
+            if name:
+                remedy += f", or define [reflectors.{key_text(name)}]"
             raise InputError("is not a known reflector", key=key, value=name, remedy=remedy)
         return REFLECTORS[name]
 
@@ -114,8 +116,12 @@ class Reflectors:
             depth: depth of the water [m].
 
         Raises:
-            InputError: a name is unknown.
+            InputError: a name is unknown, or the file defines a kind by the name of a built-in one.
         """
+        for name in self.kinds:
+            if name in REFLECTORS:
+                remedy = "choose another name, because echo models refer to the built-in kind"
+                raise InputError("is the name of a built-in reflector", key=f"reflectors.{name}", remedy=remedy)
         model = ECHOES.get(echoes)
         usual = Reflector(array.incidence_limit) if model is None else REFLECTORS[model.upright]
         flat = REFLECTORS["silent" if model is None else model.level]
@@ -123,16 +129,18 @@ class Reflectors:
         def chosen(name: str | None, key: str, otherwise: Reflector = usual) -> Reflector:
             return otherwise if name is None else self.named(name, key=key)
 
+        alike = len(set(self.walls)) == 1  # the file may name the reflector of all walls at once
+        keys = ["site.walls" if alike else f"site.walls.{wall}" for wall in _WALLS]
         surfaces = Surfaces(
             tuple(chosen(o.reflector, f"obstacles.{o.name}.reflector") for o in obstacles),
-            tuple(chosen(name, f"site.walls.{wall}") for name, wall in zip(self.walls, _WALLS, strict=True)),
+            tuple(chosen(name, key) for name, key in zip(self.walls, keys, strict=True)),
             chosen(self.surface, "site.surface", flat),
             chosen(self.floor, "site.floor", flat),
             depth,
         )
         upright, level = {*surfaces.obstacles, *surfaces.walls}, {surfaces.surface, surfaces.floor}
-        alike = model is None and upright == {usual} and level == {REFLECTORS["silent"]}
-        return None if alike else surfaces
+        usually = model is None and upright == {usual} and level == {REFLECTORS["silent"]}
+        return None if usually else surfaces
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return the tables `site` and `reflectors` of a scenario file, without keys at their default."""

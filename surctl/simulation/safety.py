@@ -291,11 +291,12 @@ def safety_claim(
 
 def _echoes(scenario: Scenario, vehicle: Vehicle, sight: float) -> str:
     # what must be true of surfaces for obstacles to be detected at the distance `sight` [m]
+    array = scenario.sensors.array_on(vehicle["radius"])  # refuses mounts that this hull cannot have
     surfaces = scenario.sensors.equipment.surface_model
     within, model = INCIDENCE_LIMITS[surfaces], f"surface_model {surfaces}"
     if within is None:
         return f"every face of an obstacle in a beam answers, at any angle of incidence ({model})"
-    at = scenario.sensors.array_on(vehicle["radius"]).corner_range(within)
+    at = array.corner_range(within)
     text = f"faces answer within {degrees(within):.3g} deg of their normal ({model})"
     if at >= sight:
         return text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from pathlib import Path as FilePath
@@ -219,7 +219,7 @@ def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
     model = validate(table, _ScenarioFile, file=source)
     route, path = _route(model, source)
     try:
-        sensors = sensors_from_tables(model.sonar, model.base_station, model.own_state)
+        sensors = replace(sensors_from_tables(model.sonar, model.base_station, model.own_state), source=source)
     except InputError as error:
         raise error.inside(source) from None
     scenario = Scenario(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import degrees, gcd, pi
@@ -117,12 +117,14 @@ class Sensors:
         chances: probabilities of random sonar faults at each firing.
         echoes: name of an echo model of `ECHOES` other than `ideal` and `webots`, which the `incidence_limit` of the
             array describes; empty: surfaces answer as this limit says.
+        source: file of the scenario, for messages.
     """
 
     equipment: Equipment = field(default_factory=Equipment)
     faults: tuple[Fault, ...] = ()
     chances: FaultChances = field(default_factory=FaultChances)
     echoes: str = ""
+    source: str = field(default="", repr=False, compare=False)
 
     def on(self, hull_radius: float) -> Equipment:
         """Return the equipment on a hull of the given radius [m].
@@ -130,16 +132,19 @@ class Sensors:
         The radius matters only if the mounting points of the sonars are stated.
 
         Raises:
-            InputError: a mounting point is inside the hull, or the hull hides the sonar's beam; the error names table
-                and key.
+            InputError: a mounting point is inside the hull, or the hull hides the sonar's beam; the error names
+                file, table and key.
         """
         if self.equipment.array.mounts is None:
             return self.equipment
-        return _in_table("sonar", lambda: replace(self.equipment, array=self.array_on(hull_radius)))
+        return replace(self.equipment, array=self.array_on(hull_radius))
 
     def array_on(self, hull_radius: float) -> SonarArray:
-        """Return the sonars on a hull of the given radius [m]."""
-        return replace(self.equipment.array, hull_radius=hull_radius)
+        """Return the sonars on a hull of the given radius [m]; InputError as for `on`."""
+        try:
+            return _in_table("sonar", lambda: replace(self.equipment.array, hull_radius=hull_radius))
+        except InputError as error:
+            raise error.inside(self.source or None) from None
 
     def hearing(self, echoes: str) -> Sensors:
         """Return the sensors with an echo model by name (a key of `ECHOES`).
@@ -216,7 +221,7 @@ def sensors_from_tables(sonar: SonarTable, station: StationTable, own: OwnStateT
         InputError: the sonar array is invalid, cannot have these faults, or does not fit the steps of the closed loop.
             The InputError names the table and the key of the scenario file.
     """
-    array = _in_table("sonar", lambda: _array(sonar))
+    array = _in_table("sonar", lambda: _array(sonar), stated=sonar.model_fields_set)
     base_station = BaseStation(
         position_sd=station.position_sd_m,
         velocity_sd=station.velocity_sd_m_per_s,
@@ -251,13 +256,19 @@ def _simple(echoes: str) -> tuple[bool, float | None]:
     return simple, reflector.incidence_limit if simple else None
 
 
-def _in_table(table: str, make: Callable[[], T]) -> T:
+def _in_table(table: str, make: Callable[[], T], *, stated: Set[str] = frozenset()) -> T:
+    """Return what `make` returns; its errors name the keys of the file's table, of which `stated` are in the file."""
     try:
         return make()
     except InputError as error:
-        # an error may name several fields: take the first
-        name = (error.key or "").removeprefix("array.").removeprefix("delivery.").partition(",")[0]
         problem, value, remedy = error.problem, error.value, error.remedy
+        name, *others = (error.key or "").removeprefix("array.").removeprefix("delivery.").split(", ")
+        if others:  # an error may name several fields: take the first one in the file, and state the others
+            values = dict(zip((name, *others), value, strict=True))  # type: ignore[call-overload]
+            name = next((one for one in values if _KEYS[one] in stated), name)
+            value = values.pop(name)
+            problem += "".join(f", and {_KEYS[one]} is {other:g}" for one, other in values.items())
+        remedy = None if remedy is None else remedy.replace("or None ", "or leave the key out ")  # TOML has no None
         if name in _ANGLES.values():  # the file has degrees, the sonars have radians
             problem, remedy = (
                 problem.replace("0 and pi", "0 and 180").replace("180/2", "90"),

@@ -7,7 +7,13 @@ from typing import Any
 
 from surctl.files import quoted
 
-__all__ = ["toml_text"]
+__all__ = ["key_text", "toml_text"]
+
+
+def key_text(name: str) -> str:
+    """Return a name as a key of a TOML file, quoted if it is no bare key."""
+    plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
+    return name if plain else quoted(name)
 
 
 def toml_text(table: Mapping[str, Any]) -> str:
@@ -24,10 +30,10 @@ def toml_text(table: Mapping[str, Any]) -> str:
 
 def _lines(table: Mapping[str, Any], path: tuple[str, ...]) -> list[str]:
     inside = {name: value for name, value in table.items() if isinstance(value, Mapping) or _tables(value)}
-    lines = [f"{_key(name)} = {_value(value)}" for name, value in table.items() if name not in inside]
+    lines = [f"{key_text(name)} = {_value(value)}" for name, value in table.items() if name not in inside]
     for name, value in inside.items():
         where = (*path, name)
-        head = ".".join(_key(part) for part in where)
+        head = ".".join(key_text(part) for part in where)
         if isinstance(value, Mapping):
             lines += ["", f"[{head}]", *_lines(value, where)]
         else:
@@ -40,18 +46,13 @@ def _tables(value: object) -> bool:
     return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(v, Mapping) for v in value)
 
 
-def _key(name: str) -> str:
-    plain = name.isascii() and name.replace("_", "").replace("-", "").isalnum()
-    return name if plain else quoted(name)
-
-
 def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
         return quoted(value)
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(name)} = {_value(one)}" for name, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{key_text(name)} = {_value(one)}" for name, one in value.items()) + " }"
     if isinstance(value, Sequence):
         return "[" + ", ".join(_value(one) for one in value) + "]"
     return repr(int(value)) if isinstance(value, int) else repr(float(value))

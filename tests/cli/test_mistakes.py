@@ -141,6 +141,8 @@ WORDS = {
         ["--window", "finite"],
     ),
     "negative seed": (["simulate", "tank-static", "--seed", "-1"], ["--seed"]),
+    "no row with sonars": (["reproduce", "E5", "tank-static", "--webots"], ["--webots", "tank-static-sonar"]),
+    "no row with a simulation": (["reproduce", "E5", "--independent"], ["--independent", "no effect on E5"]),
     "unknown claim": (["verify", "v1-print"], ["claim", "'v1-printed'"]),
     "too fast a cruise": (["verify", "--cruise", "9"], ["--cruise = 9.0", "thrust"]),
     "one of several is too fast": (["verify", "--cruise", "0.1,9"], ["--cruise = 9.0", "thrust"]),
@@ -201,6 +203,13 @@ def test_bad_words(tmp_path, case):
     for word in expected:
         assert word in done.complaint
     assert done.out == ""
+
+
+def test_an_unknown_stack_is_refused_before_claims_are_decided(tmp_path, monkeypatch):
+    monkeypatch.setattr("surctl.verification.decide", lambda *_, **__: pytest.fail("a claim is decided"))
+    done = surctl_here("verify", "v1-printed", "--stack", "calm", cwd=tmp_path)
+    assert done.status == 2
+    assert "stack = 'calm': is not a shipped stack; known: guarded, paper" in done.complaint
 
 
 def test_no_compiler(tmp_path, monkeypatch):

@@ -104,6 +104,10 @@ MISTAKES = {
     "a beam of nothing": (["--beam", "0"], ["--beam", "0.0", "180"]),
     "a beam all round": (["--beam", "180"], ["--beam", "180.0", "0 and 180"]),
     "a beam of nan": (["--beam", "nan"], ["--beam", "nan", "180"]),
+    "a beam too narrow for the pitch": (
+        ["{pitched}", "--beam", "30"],
+        ["--beam = 30.0", "too narrow for the pitch of 18 degrees", "give more than 36 degrees"],
+    ),
     "a beam of a word": (["--beam", "wide"], ["--beam", "'wide'"]),
     "an unknown own state": (["--own-state", "true"], ["--own-state", "'true'", "'truth'"]),
     "a beam for the printed stack": (["--law", "paper", "--beam", "30"], ["--beam", "30.0", "guarded"]),
@@ -113,7 +117,9 @@ MISTAKES = {
 @pytest.mark.parametrize("case", MISTAKES)
 def test_a_mistake_is_one_line(tmp_path, case) -> None:
     words, expected = MISTAKES[case]
-    done = surctl_here(*SONAR, *words, cwd=tmp_path)
+    pitched = tmp_path / "pitched.toml"
+    pitched.write_text((LIBRARY / "pool-static.toml").read_text() + "\n[sonar]\npitch_deg = -18\n")
+    done = surctl_here(*SONAR, *(word.format(pitched=pitched) for word in words), cwd=tmp_path)
     assert done.status == 2, done
     for word in expected:
         assert word in done.complaint

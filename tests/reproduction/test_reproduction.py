@@ -69,6 +69,13 @@ def test_a_quick_row_is_computed_by_a_quick_command() -> None:
     assert {item.command for item in quick} == {f"surctl reproduce {item.id} --quick" for item in quick}
 
 
+def test_the_command_of_a_row_has_the_options_that_apply_to_it() -> None:
+    commands = {item.id: item.command for item in items(replace(Simulations(2), independent=True, webots=True))}
+    assert commands["pool-static"] == "surctl reproduce pool-static --seeds 2 --independent"
+    assert commands["pool-static-sonar"] == "surctl reproduce pool-static-sonar --seeds 2 --independent --webots"
+    assert commands["E5"] == "surctl reproduce E5"
+
+
 def test_a_percentage_that_is_recomputed_otherwise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [item.row() for item in table_items()]
     assert all(row.as_expected for row in rows)

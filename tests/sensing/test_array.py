@@ -210,9 +210,10 @@ def test_windows_must_hold_the_echo():
         ({"beam_angle": 3.2}, "array.beam_angle"),
         ({"minimum": 5.0}, "array.minimum, maximum"),
         ({"minimum": math.nan}, "array.minimum, maximum"),
-        ({"bits": 0}, "array.bits, samples"),
-        ({"samples": 0}, "array.bits, samples"),
-        ({"noise_sd": -0.1}, "array.noise_sd, bias"),
+        ({"bits": 0}, "array.bits"),
+        ({"samples": 0}, "array.samples"),
+        ({"noise_sd": -0.1}, "array.noise_sd"),
+        ({"bias": math.inf}, "array.bias"),
         ({"hull_radius": math.inf}, "array.hull_radius"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -81,6 +82,28 @@ def test_mistakes_name_their_key(changed: dict, key: str) -> None:
     with pytest.raises(InputError) as error:
         pool(**changed)
     assert error.value.key == key and error.value.file == "pool.toml"
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"site": {"walls": {"x2": "webots"}}}, "site.walls.x2: unknown key; did you mean"),
+        ({"site": {"walls": 3}}, "site.walls = 3: must be a text or a table; write"),
+        ({"site": {"walls": ["webots"]}}, "site.walls = ['webots']: must be a text or a table; write"),
+        ({"site": {"walls": "mirror"}}, "site.walls = 'mirror': is not a known reflector; known: diffuse, ideal,"),
+        ({"obstacle": "mirror"}, ", webots, or define [reflectors.mirror]"),
+        ({"site": {"floor": "a b"}}, ', webots, or define [reflectors."a b"]'),
+        ({"reflectors": {"webots": {}}}, "reflectors.webots: is the name of a built-in reflector; choose another name"),
+    ],
+)
+def test_mistakes_and_remedies_are_written_as_in_a_file(changed: dict, message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)):
+        pool(**changed)
+
+
+def test_a_reflector_without_a_name_has_no_table() -> None:
+    with pytest.raises(InputError, match=r"site.surface = '': is not a known reflector; known: [a-z, -]+, webots$"):
+        pool(site={"surface": ""})
 
 
 def test_lint_says_what_is_unhearable() -> None:

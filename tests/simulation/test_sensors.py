@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.sensing import SonarArray
-from surctl.simulation import LIBRARY, load_scenario
+from surctl.simulation import LIBRARY, load_scenario, safety_claim
 from surctl.simulation.sensors import FIRING, firing_plan
+from surctl.vehicle import load_vehicle
 
 POOL = (LIBRARY / "pool-behind.toml").read_text(encoding="utf-8")
 
@@ -81,6 +83,16 @@ def test_own_state_may_be_the_truth(tmp_path: Path) -> None:
         ("[own_state]\nlatency_s = 0.03", "own_state.latency_s"),
         ("[base_station]\ngaps_s = [[5.0, 3.0]]", "base_station.gaps_s"),
         ("[base_station]\nloss = 2", "base_station.loss"),
+        ("[sonar]\nsamples = 0", "sonar.samples"),
+        ("[sonar]\nbits = 0\nsamples = 5", "sonar.bits"),
+        ("[sonar]\nmaximum_m = 0.1", "sonar.maximum_m"),
+        ("[sonar]\nminimum_m = 5", "sonar.minimum_m"),
+        ("[sonar]\nnoise_sd_m = -1", "sonar.noise_sd_m"),
+        ("[sonar]\nfloor_m = true", "sonar.floor_m"),
+        ("[sonar]\npitch_deg = true", "sonar.pitch_deg"),
+        ("[sonar]\nbits = true", "sonar.bits"),
+        ("[sonar]\nazimuths_deg = [0, true]", "sonar.azimuths_deg.1"),
+        ("[reflectors.x]\nincidence_limit_deg = true", "reflectors.x.incidence_limit_deg"),
     ],
 )
 def test_a_mistake_is_named_as_the_file_has_it(table: str, key: str, tmp_path: Path) -> None:
@@ -115,3 +127,32 @@ def test_a_floor_that_is_not_below_the_robot_is_refused(tmp_path: Path, floor: f
     with pytest.raises(InputError, match=r"goes down to z = -0\.15 m; give the depth .* above 0\.15 m") as caught:
         _loaded(tmp_path, f"[sonar]\nfloor_m = {floor}\n")
     assert caught.value.key == "sonar.floor_m" and str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("mounts", "message"),
+    [
+        ("[[0.1, 0], [0, 0.27], [-0.27, 0], [0, -0.27]]", r"mounts_m = \(0.1, 0.0\): sensor 0 lies inside the hull"),
+        ("[[0.27, 0], [0, 0.27], [0.27, 0], [0, -0.27]]", r"mounts_m = \(0.27, 0.0\): sensor 2 .* of 180 degrees"),
+    ],
+)
+@pytest.mark.parametrize("surfaces", ["smooth", "diffuse"])
+def test_mounts_that_a_hull_cannot_have_are_named_with_their_file(
+    tmp_path: Path, mounts: str, message: str, surfaces: str
+) -> None:
+    sensors = _loaded(tmp_path, f'[sonar]\nmounts_m = {mounts}\nsurface_model = "{surfaces}"')
+    with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):
+        sensors.on(0.27)
+    with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):
+        sensors.array_on(0.27)
+    mission = load_scenario(str(tmp_path / "scenario.toml"))
+    boat = load_vehicle("sur540-flooded").with_values({"radius": 0.27})
+    with pytest.raises(InputError, match=rf"scenario\.toml: sonar\.{message}"):
+        safety_claim(mission, boat, load_gains("default"), detection=4.5)
+
+
+@pytest.mark.parametrize("line", ["mounts_m = [[0.3, 0.0]]", "incidence_limit_deg = 95"])
+def test_a_remedy_is_toml(tmp_path: Path, line: str) -> None:
+    with pytest.raises(InputError, match="or leave the key out") as caught:
+        _loaded(tmp_path, f"[sonar]\n{line}")
+    assert "None" not in str(caught.value)

@@ -8,7 +8,7 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import acos, atan2, ceil, cos, hypot, isfinite, pi, remainder, sin
+from math import acos, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin
 
 from surctl.errors import InputError
 from surctl.sensing.sonar.mounting import inside_hull, open_cones
@@ -202,9 +202,9 @@ class SonarArray:
         )
         if not cones:
             raise InputError(
-                f"sensor {sensor} looks into the hull",
-                key="array.mounts, azimuths",
-                value=(self.mounts[sensor], self.azimuths[sensor]),
+                f"sensor {sensor} looks into the hull at its azimuth of {degrees(self.azimuths[sensor]):.4g} degrees",
+                key="array.mounts",
+                value=self.mounts[sensor],
                 remedy="turn its azimuth outward, or mount it elsewhere",
             )
         return cones
@@ -290,14 +290,15 @@ def _check_conversion(array: SonarArray) -> None:
         value=(array.minimum, array.maximum),
         remedy="give m, shortest range first",
     )
-    whole = isinstance(array.bits, int) and isinstance(array.samples, int)
-    _require(
-        whole and 1 <= array.bits <= 24 and array.samples >= 1,
-        "must be whole numbers: bits from 1 to 24, samples at least 1",
-        key="bits, samples",
-        value=(array.bits, array.samples),
-        remedy="give for example the 8 bits and 5 samples of the paper",
-    )
+    for key, most, usual in (("bits", 24, 8), ("samples", inf, 5)):
+        count = getattr(array, key)
+        _require(
+            isinstance(count, int) and 1 <= count <= most,
+            "must be a whole number, at least 1" + (f" and at most {most}" if most < inf else ""),
+            key=key,
+            value=count,
+            remedy=f"give for example the {usual} {key} of the paper",
+        )
     if array.step is not None:
         _require(
             isfinite(array.step)
@@ -308,13 +309,11 @@ def _check_conversion(array: SonarArray) -> None:
             value=array.step,
             remedy="give m, for example 0.01 for whole centimetres, and a maximum that is a multiple of it",
         )
+    noise = array.noise_sd
     _require(
-        isfinite(array.noise_sd) and array.noise_sd >= 0 and isfinite(array.bias),
-        "must be finite, and noise_sd must be at least 0",
-        key="noise_sd, bias",
-        value=(array.noise_sd, array.bias),
-        remedy="give m",
+        isfinite(noise) and noise >= 0, "must be finite and at least 0", key="noise_sd", value=noise, remedy="give m"
     )
+    _require(isfinite(array.bias), "must be finite", key="bias", value=array.bias, remedy="give m")
 
 
 def _check_sound(array: SonarArray) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field
 
@@ -27,6 +27,8 @@ from surctl.vehicle import Vehicle, parameter_spec
 from surctl.vehicle.parameters import vehicle_from_table
 
 __all__ = ["Replay", "load_replay", "replay_of"]
+
+T = TypeVar("T")
 
 _FIRST, _ALWAYS = "crab_angle_deg", "wasted_share"  # first of the metrics added later, and one that is always finite
 _FIGURES = tuple(name for name in METRICS if name not in ("reached", "collided", "stopped"))
@@ -151,9 +153,9 @@ def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
     unknown = [name for name in file.figures if name not in _FIGURES]
     if unknown:
         raise InputError("no such metric", file=path, key=f"figures.{unknown[0]}", remedy="remove it")
-    scenario = scenario_from_table(file.scenario, source=str(path))
-    vehicle = vehicle_from_table(file.vehicle, source=str(path))
-    model = None if file.model is None else vehicle_from_table(file.model, source=str(path))
+    scenario = _in_file(path, "scenario", scenario_from_table, file.scenario)
+    vehicle = _in_file(path, "vehicle", vehicle_from_table, file.vehicle)
+    model = None if file.model is None else _in_file(path, "model", vehicle_from_table, file.model)
     for name in file.draw:
         if name not in vehicle.parameters:
             raise InputError("no such vehicle parameter", file=path, key=f"draw.{name}", remedy="remove it")
@@ -174,6 +176,14 @@ def load_replay(path: Path | str, *, trust: bool = False) -> Replay:
     )
     run = SampledRun(case, file.seed, file.draw)
     return Replay(run, file.stopped_because, file.figures, file.campaign, file.broken_assumptions, file.version)
+
+
+def _in_file(path: Path, key: str, load: Callable[..., T], table: Mapping[str, Any]) -> T:
+    # errors name the key from the beginning of the file, which holds the table under `key`
+    try:
+        return load(table, source=str(path))
+    except InputError as error:
+        raise error.inside(path, f"{key}.{error.key}" if error.key else key) from None
 
 
 def _gains(table: _GainTable, law: str, path: Path) -> Gains:

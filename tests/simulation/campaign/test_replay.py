@@ -74,6 +74,7 @@ def test_another_run_is_told_apart(text, tmp_path):
         (r"radius_m = [\d.]+", "radius_m = -0.3", "radius_m = -0.3"),
         (r"\[vehicle.hull.radius\]\nvalue = [\d.]+", "[vehicle.hull.radius]\nvalue = 0.0", "hull.radius = 0.0"),
         (r"\[scenario\]", "[scenery]", "scenery: unknown key"),
+        (r"\[scenario.sonar\]", '[scenario.sonar]\nechoes = "loud"', "scenario.sonar.echoes = 'loud'"),
         (r"(?s).*", "kind = 'run'", "is missing"),
         (r"(?s).*", "]", "not valid TOML"),
     ],
