@@ -15,7 +15,7 @@ from math import asin, degrees, floor, pi, radians, sin
 
 from surctl.sensing import Reflector, SonarArray, Surfaces, level_range
 from surctl.simulation.column import BAND
-from surctl.simulation.face_echo import face_answers
+from surctl.simulation.face_echo import has_echo
 from surctl.simulation.finding import Finding
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.reflectors import ECHOES
@@ -99,7 +99,7 @@ def _unheard_faces(scenario: Scenario, array: SonarArray) -> Iterator[tuple[_Sur
         if box is None or not surface.box or limit is None:
             continue
         for side, normal in _SIDES.items():
-            if not face_answers(box, normal, scenario=scenario, array=array, limit=limit):
+            if not has_echo(box, normal, scenario=scenario, array=array, limit=limit):
                 yield surface, side
 
 
@@ -239,7 +239,7 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
         if not within:
             remedy = "a narrower beam makes it silent"
         if side == -1:
-            known_text = f"sonar.floor_m = {surfaces.depth:g} tells the law of it"
+            known_text = f"sonar.floor_m = {surfaces.depth:g} makes it known to the law"
             excluded = within and distance(1, tilted) is not None
             remedy = known_text if excluded or not within else f"{known_text}, and {remedy}"
         elif within and known is None and distance(-1, tilted) is not None:

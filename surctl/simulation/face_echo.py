@@ -14,7 +14,7 @@ from surctl.simulation.column import BAND
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.scenario import Scenario
 
-__all__ = ["face_answers"]
+__all__ = ["has_echo"]
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]
@@ -25,7 +25,7 @@ _BEST = 48  # places from which the search goes on
 _ROUNDS = 12  # times that it halves its steps
 
 
-def face_answers(box: Obstacle, normal: Point, *, scenario: Scenario, array: SonarArray, limit: float) -> bool:
+def has_echo(box: Obstacle, normal: Point, *, scenario: Scenario, array: SonarArray, limit: float) -> bool:
     """Return whether the hull fits at a place at which a sonar receives an echo of a face.
 
     The function searches over the point of the face, the angle of incidence, the range, and the direction of the ray in
@@ -44,11 +44,11 @@ def face_answers(box: Obstacle, normal: Point, *, scenario: Scenario, array: Son
         return False
     low, high = scenario.depth_range
     depths = (low,) if low == high else (low, 0.5 * (low + high), high)
-    reach = array.hull_radius + BAND
+    extent = array.hull_radius + BAND
     return any(
-        _Face(box, normal, scenario=scenario, array=array, limit=limit, part=part, z=z).answers()
+        _Face(box, normal, scenario=scenario, array=array, limit=limit, part=part, z=z).has_place()
         for z in depths
-        if box.heights.crosses(z, reach)
+        if box.heights.crosses(z, extent)
         for part in _parts(array)
     )
 
@@ -87,14 +87,17 @@ class _Face:
         # the face lies a little outside the box
         self._middle = (box.centre_m[0] + nx * (0.5 * length + 1e-6), box.centre_m[1] + ny * (0.5 * width + 1e-6))
         self._along = (abs(ny) * length, abs(nx) * width)
-        reach = self._maximum + part[0] + self._hull
+        farthest = self._maximum + part[0] + self._hull
         near = [o for o in scenario.obstacles if o.still and o.heights.crosses(z, self._hull + BAND)]
-        self._near = [o for o in near if o.apart(box) <= reach]
+        self._near = [o for o in near if o.apart(box) <= farthest and self._ahead(o) > -part[0] - self._hull]
+        # at most how far the hull's centre moves [m] while a number goes from 0 to 1
+        moved = (max(self._along), 2 * limit * (self._maximum + part[0]), 2 * self._maximum)
+        self._travel = np.array([*moved, part[0] * (part[2] - part[1])])
         gaps = [max(o.heights.gap(z), 0.0) for o in self._near]
         # horizontal distance that the hull, a sphere, keeps from an obstacle above or below its centre
         self._needed = [sqrt(max(self._hull**2 - gap**2, 0.0)) for gap in gaps]
 
-    def answers(self) -> bool:
+    def has_place(self) -> bool:
         """Return whether the search finds a place."""
         ahead = _grid(_COARSE[0], 1, 2 * _COARSE[2], 1)
         if np.min(self._overlap(ahead)) <= _OVERLAP:
@@ -106,10 +109,19 @@ class _Face:
         for _ in range(_ROUNDS):
             if np.min(overlap) <= _OVERLAP:
                 return True
+            # what is left of the search cannot move a hull out of the obstacle
+            if np.min(overlap) > 2 * float(steps @ self._travel):
+                return False
             best = points[np.argsort(overlap, kind="stable")[:_BEST]]
             points = np.clip((best[:, None] + offsets * steps).reshape(-1, 4), 0.0, 1.0)
             overlap, steps = self._overlap(points), 0.5 * steps
         return bool(np.min(overlap) <= _OVERLAP)
+
+    def _ahead(self, obstacle: Obstacle) -> float:
+        # [m] from the plane of the face to the end of the obstacle, positive on the side of the water
+        (nx, ny), own = self._normal, obstacle.size_m or (2 * obstacle.rounding,) * 2
+        middle = sum(n * (obstacle.centre_m[k] - self._middle[k]) for k, n in enumerate((nx, ny)))
+        return middle + 0.5 * (abs(nx) * own[0] + abs(ny) * own[1])
 
     def _overlap(self, points: Array) -> Array:
         # [m] by which the hull at each place overlaps obstacles or walls

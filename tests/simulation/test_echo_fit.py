@@ -159,7 +159,9 @@ def _level(*, depth: float = 1.0, site: dict[str, str] | None = None, **sonar: o
 def test_a_floor_that_the_law_knows_is_not_reported_and_the_remedies_do_not_exclude_each_other() -> None:
     tilted: dict[str, Any] = {"echoes": "diffuse", "pitch_deg": -18.0}
     (floor,) = _level(**tilted).values()
-    assert "hears the floor at 1.03 m" in floor and floor.endswith("not heard; sonar.floor_m = 1 tells the law of it")
+    assert "hears the floor at 1.03 m" in floor and floor.endswith(
+        "not heard; sonar.floor_m = 1 makes it known to the law"
+    )
     assert not _level(**tilted, floor_m=1.0)
     assert _level(**tilted, floor_m=1.5)  # the law expects the echo later
 
@@ -167,10 +169,10 @@ def test_a_floor_that_the_law_knows_is_not_reported_and_the_remedies_do_not_excl
     assert both["site.surface"].endswith(
         "sonar.pitch_deg below -17.5 makes it silent; then give sonar.floor_m = 1, because the floor answers"
     )
-    assert both["site.floor"].endswith("not heard; sonar.floor_m = 1 tells the law of it")
+    assert both["site.floor"].endswith("not heard; sonar.floor_m = 1 makes it known to the law")
     silent = _level(site={"floor": "diffuse"})
     assert silent["site.floor"].endswith(
-        "sonar.floor_m = 1 tells the law of it, and sonar.pitch_deg above 17.5 makes it silent"
+        "sonar.floor_m = 1 makes it known to the law, and sonar.pitch_deg above 17.5 makes it silent"
     )
 
 
