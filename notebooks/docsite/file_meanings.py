@@ -153,7 +153,7 @@ MEANINGS: Mapping[str, Mapping[str, str]] = {
         "echoes": "echo model: `ideal`, `webots` (within 22.5° of the normal), `specular`, or `diffuse`",
         "surface_model": "what the law assumes of surfaces (default `diffuse`)",
         "floor_m": "depth of a floor: echoes from its range or beyond mark no obstacle; default: no floor",
-        "search_limit_s": "time without progress along the path after which guarded and calm give up; default: no limit",
+        "search_limit_s": "time without progress along the path, after which guarded and calm give up; default: none",
         "minimum_m": "blind range (default 0.2)",
         "blind_time_s": "time after a ping without reception; replaces `minimum_m`",
         "maximum_m": "longest range (default 4.5)",

@@ -11,8 +11,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import asin, degrees, floor, pi, radians, sin
+from math import asin, degrees, floor, pi, radians
 
+from surctl.control.beams import floor_range
 from surctl.sensing import Reflector, SonarArray, Surfaces, level_range
 from surctl.simulation.column import BAND
 from surctl.simulation.face_echo import has_echo
@@ -36,7 +37,6 @@ _CLEARED = {
 }
 _OBLIQUE = pi / 3  # [rad] with a larger limit, the missions arrive as if all surfaces answered (chosen)
 _SURE = radians(3.0)  # [rad] within which known walls answer, as all laws assume but those for diffuse surfaces
-_FLOOR = 0.10  # [m] by which an echo may come before that of the floor that the law knows (see `control.perception`)
 
 
 @dataclass(frozen=True)
@@ -221,6 +221,7 @@ def _corners(scenario: Scenario, vehicle: Vehicle, array: SonarArray, met: Seque
 def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterator[Finding]:
     # echoes of water surface and floor, which the law takes for obstacles
     depth, known = scenario.depth, scenario.sensors.equipment.floor
+    from_floor = floor_range(scenario.sensors.equipment, depth)
     gaps = {1: -depth, -1: surfaces.depth + depth}
 
     def distance(side: int, pitch: float) -> float | None:
@@ -230,7 +231,7 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
 
     for side, name, what in ((1, "surface", "water surface"), (-1, "floor", "floor")):
         at = distance(side, array.pitch)
-        if at is None or (side == -1 and _covered(known, array, depth, at)):
+        if at is None or (side == -1 and from_floor is not None and from_floor <= at):
             continue
         pitch = _silencing(array, surfaces.surface if side == 1 else surfaces.floor, side=side, gap=gaps[side])
         remedy = f"sonar.pitch_deg {'below' if side == 1 else 'above'} {pitch:.3g} makes it silent"
@@ -249,11 +250,6 @@ def _level(scenario: Scenario, array: SonarArray, surfaces: Surfaces) -> Iterato
             f"obstacle: what is farther away is not heard; {remedy}"
         )
         yield Finding("warning", f"site.{name}", text)
-
-
-def _covered(known: float | None, array: SonarArray, depth: float, at: float) -> bool:
-    # whether the law expects the echo of the floor at this distance [m]
-    return known is not None and (known + depth) / sin(array.steepest(-1)) - _FLOOR <= at
 
 
 def _silencing(array: SonarArray, reflector: Reflector, *, side: int, gap: float) -> float:

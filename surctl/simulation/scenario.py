@@ -127,7 +127,7 @@ class Scenario:
     @property
     def deepest(self) -> float:
         """Lowest z [m] to which the path and `depths` take the robot."""
-        lowest = self.depth if self.path.rises is None else self.depth + float(np.min(self.path.rises))
+        lowest = self.depth_range[0]
         return lowest if self.depths is None else min(lowest, self.depths[0])
 
     @cached_property
