@@ -173,6 +173,37 @@ def test_the_study_of_drawn_runs_tells_what_a_touch_violates(
         assert f"seed 9 collides by 4.0 mm; violated: {what}" in printed
 
 
+def test_the_study_of_drawn_runs_draws_reflectors_for_shares_of_the_runs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
+    study = runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
+    sys.modules.pop("run")  # each study has a module of this name
+    plans: list[tuple[int, int, set[str], set[str]]] = []
+
+    def ran(plan: Any, *, runs: int, **_: Any) -> SimpleNamespace:
+        scenario = plan.case.scenario
+        drawn = {o.reflector for o in scenario.obstacles}
+        plans.append((plan.first, runs, drawn, set(scenario.reflectors.walls)))
+        figures = np.array([[{"collided": 1.0, "min_clearance_m": -0.001}.get(name, 0.0) for name in METRICS]] * runs)
+        return SimpleNamespace(table=RunTable(np.arange(runs), figures, {}, (("echoes",),) * runs))
+
+    monkeypatch.setitem(study["main"].__globals__, "run_campaign", ran)
+    words = ["drawn.py", "--runs", "5", "--first", "7", "--scenario", "tank-static", "--reflectors", "2"]
+    monkeypatch.setattr(sys, "argv", words)
+    assert study["main"]() == 1
+    assert [plan[:2] for plan in plans] == [(7, 3), (10, 2)]
+    assert all(plan[2] | plan[3] <= {"ideal", "webots", "diffuse"} for plan in plans)
+    assert len(set.union(*(plan[2] for plan in plans))) > 1
+    printed = capsys.readouterr().out
+    assert "| `tank-static` | 2 draws | 0% | 5 | 0 | 5 | 5 |" in printed
+    assert "seed 11 of draw 1 collides by 1.0 mm; violated: nothing" in printed
+    monkeypatch.setattr(sys, "argv", ["drawn.py", "--reflectors", "2"])
+    with pytest.raises(SystemExit) as refused:
+        study["main"]()
+    assert refused.value.code == 2 and "needs --scenario" in capsys.readouterr().err
+
+
 def test_the_study_of_published_vehicles() -> None:
     need_compiler()
     done = run(ANALYSIS / "31_craft" / "run.py", "--quick")
