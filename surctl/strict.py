@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal, cast, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import PydanticCustomError
@@ -24,9 +24,10 @@ class Strict(BaseModel):
     @classmethod
     def _no_boolean(cls, value: object, info: ValidationInfo) -> object:
         # pydantic reads true as the number 1
+        if not _only_numbers(cls, info.field_name or ""):
+            return value
         places = list(_booleans(value))
-        field = cls.model_fields.get(info.field_name or "")
-        if not places or field is None or not _only_numbers(cast(Hashable, field.annotation)):
+        if not places:
             return value
         kind = PydanticCustomError("number", "must be a number; write it in digits")
         wrong: list[InitErrorDetails] = [{"type": kind, "loc": place, "input": inner} for place, inner in places]
@@ -50,8 +51,12 @@ def _booleans(value: object, place: tuple[int | str, ...] = ()) -> Iterator[tupl
 
 
 @cache
-def _only_numbers(annotation: Hashable) -> bool:
-    """Return whether a type accepts numbers, but neither booleans nor models, which look after their own fields."""
+def _only_numbers(model: type[BaseModel], name: str) -> bool:
+    """Return whether a field accepts numbers, but neither booleans nor models, which look after their own fields."""
+    field = model.model_fields.get(name)
+    if field is None:
+        return False
+    annotation: Any = field.annotation
     parts = {annotation, *_parts(annotation)}
     if any(isinstance(part, type) and issubclass(part, BaseModel) for part in parts):
         return False

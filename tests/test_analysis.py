@@ -147,12 +147,18 @@ def test_the_study_of_echoes(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     assert "does not hold" not in printed
 
 
-def test_the_study_of_drawn_runs_tells_what_a_touch_violates(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def drawn_study(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The names of study 33's script of drawn runs."""
     monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
     study = runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
     sys.modules.pop("run")  # each study has a module of this name
+    return study
+
+
+def test_the_study_of_drawn_runs_tells_what_a_touch_violates(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = drawn_study(monkeypatch)
     plan = study["plan_of"]("tank-slalom", "webots", 0.05, 7)
     assert (plan.first, plan.case.scenario.sensors.chances.dropout) == (7, 0.05)
     assert plan.case.scenario.sensors.equipment.surface_model == "smooth"
@@ -176,9 +182,7 @@ def test_the_study_of_drawn_runs_tells_what_a_touch_violates(
 def test_the_study_of_drawn_runs_draws_reflectors_for_shares_of_the_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
-    study = runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
-    sys.modules.pop("run")  # each study has a module of this name
+    study = drawn_study(monkeypatch)
     plans: list[tuple[int, int, set[str], set[str]]] = []
 
     def ran(plan: Any, *, runs: int, **_: Any) -> SimpleNamespace:
@@ -780,9 +784,7 @@ def test_a_drawn_run_with_a_drifting_cylinder_in_the_blind_range_does_not_touch(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Before retreats yielded, and blind firings near the start kept their marks, this run touched by 1.3 mm."""
-    monkeypatch.syspath_prepend(str(ANALYSIS / "33_echoes"))
-    study = runpy.run_path(str(ANALYSIS / "33_echoes" / "drawn.py"))
-    sys.modules.pop("run")  # each study has a module of this name
+    study = drawn_study(monkeypatch)
     record = study["plan_of"]("pool-static", "ideal", 0.05, 0).run(406).simulate().record
     assert record.clearance.min() > 0.005
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import as_json, finish, printable
 
 if TYPE_CHECKING:
     from surctl.control import Gains
@@ -140,4 +140,4 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     vehicle_option = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
     words_next = _NEXT[kind] if plan is None or plan.axes else ("tune {}",)
     then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in words_next] if works else []
-    finish(result, lines, as_json=as_json, passed=works, then=then)
+    finish(result, printable(lines), as_json=as_json, passed=works, then=then)

@@ -6,12 +6,13 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from surctl.control.beams import floor_range
-from surctl.sensing import INCIDENCE_LIMITS, Reflector
+from surctl.sensing import INCIDENCE_LIMITS, Reflector, SonarArray
+from surctl.simulation.finding import escaped
 
 if TYPE_CHECKING:
     from surctl.simulation.scenario import Scenario
 
-__all__ = ["detection_range", "unanswered"]
+__all__ = ["detection_range", "obstacle_reflectors", "unanswered"]
 
 _NAMED = 4  # obstacles that a text names; others are counted
 _ANGLE = 1e-9  # [rad] rounding of an angle in degrees
@@ -33,6 +34,12 @@ def detection_range(scenario: Scenario) -> float:
     return equipment.array.maximum if floor is None else max(min(equipment.array.maximum, floor), 0.0)
 
 
+def obstacle_reflectors(scenario: Scenario, array: SonarArray) -> tuple[Reflector, ...]:
+    """Return the reflector of each obstacle; without an echo model, as the `incidence_limit` of `array` says."""
+    surfaces = scenario.surfaces
+    return (Reflector(array.incidence_limit),) * len(scenario.obstacles) if surfaces is None else surfaces.obstacles
+
+
 def unanswered(scenario: Scenario) -> str:
     """Return which obstacles answer otherwise than the law's surface model says, as text; empty if none does.
 
@@ -44,22 +51,20 @@ def unanswered(scenario: Scenario) -> str:
         >>> unanswered(replace(pool, sensors=pool.sensors.hearing("webots")))
         'Obstacle1, Obstacle2, Obstacle3 and Obstacle4 are silent beyond 22.5 deg of the normal'
     """
-    equipment, surfaces = scenario.sensors.equipment, scenario.surfaces
+    equipment = scenario.sensors.equipment
     within = INCIDENCE_LIMITS[equipment.surface_model]
-    usual = Reflector(equipment.array.incidence_limit)
-    kinds = (usual,) * len(scenario.obstacles) if surfaces is None else surfaces.obstacles
     groups: dict[str, list[str]] = {}
-    for obstacle, reflector in zip(scenario.obstacles, kinds, strict=True):
-        limit, weak = reflector.incidence_limit, reflector.cylinder_range if obstacle.shape != "box" else None
-        if 0.0 in (limit, weak):
+    for obstacle, reflector in zip(scenario.obstacles, obstacle_reflectors(scenario, equipment.array), strict=True):
+        limit, curved = reflector.incidence_limit, obstacle.size_m is None
+        if reflector.silent(curved=curved):
             how = "silent"
-        elif weak is not None:
+        elif limit == 0 or (curved and reflector.cylinder_range is not None):
             how = "detected with a probability"
         elif limit is not None and (within is None or limit < within - _ANGLE):
             how = f"silent beyond {degrees(limit):.3g} deg of the normal"
         else:
             continue
-        groups.setdefault(how, []).append(" ".join(obstacle.name.split()))
+        groups.setdefault(how, []).append(escaped(obstacle.name))
     parts = [f"{_listed(names)} {'is' if len(names) == 1 else 'are'} {how}" for how, names in groups.items()]
     return "; ".join(parts)
 

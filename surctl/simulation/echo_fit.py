@@ -8,7 +8,6 @@ the path have no findings.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import asin, degrees, floor, pi, radians
@@ -16,8 +15,9 @@ from math import asin, degrees, floor, pi, radians
 from surctl.control.beams import floor_range
 from surctl.sensing import Reflector, SonarArray, Surfaces, level_range
 from surctl.simulation.column import BAND
+from surctl.simulation.detection import obstacle_reflectors
 from surctl.simulation.face_echo import has_echo
-from surctl.simulation.finding import Finding
+from surctl.simulation.finding import Finding, escaped
 from surctl.simulation.obstacle import Obstacle
 from surctl.simulation.reflectors import ECHOES
 from surctl.simulation.scenario import Scenario
@@ -52,9 +52,7 @@ class _Surface:
 
     @property
     def name(self) -> str:
-        # control characters of a name would split the line of a finding
-        name = "" if self.obstacle is None else self.obstacle.name
-        return "".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in name)
+        return "" if self.obstacle is None else escaped(self.obstacle.name)
 
     @property
     def box(self) -> bool:
@@ -63,9 +61,7 @@ class _Surface:
     @property
     def silent(self) -> bool:
         # whether no part of the obstacle ever answers
-        if self.box:
-            return self.limit == 0 and self.reflector.edge_range == 0
-        return self.reflector.cylinder_range == 0 or (self.limit == 0 and self.reflector.cylinder_range is None)
+        return self.reflector.silent(curved=not self.box)
 
 
 def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> list[Finding]:
@@ -105,12 +101,11 @@ def _unheard_faces(scenario: Scenario, array: SonarArray) -> Iterator[tuple[_Sur
 
 def _met(scenario: Scenario, array: SonarArray) -> list[_Surface]:
     # the obstacles that the sonars' fan meets at some depth of the path
-    surfaces, (low, high) = scenario.surfaces, scenario.depth_range
-    usual = [Reflector(array.incidence_limit)] * len(scenario.obstacles)
+    low, high = scenario.depth_range
     model, extent = _model_key(scenario), array.hull_radius + BAND + 0.5 * (high - low)
     return [
         _Surface(model if obstacle.reflector is None else "reflector", reflector, obstacle)
-        for obstacle, reflector in zip(scenario.obstacles, surfaces.obstacles if surfaces else usual, strict=True)
+        for obstacle, reflector in zip(scenario.obstacles, obstacle_reflectors(scenario, array), strict=True)
         if obstacle.heights.crosses(low + 0.5 * (high - low), extent)
     ]
 

@@ -205,6 +205,13 @@ def test_bad_words(tmp_path, case):
     assert done.out == ""
 
 
+def test_a_finding_stays_on_one_line_whatever_the_name_of_an_obstacle(tmp_path):
+    (tmp_path / "m.toml").write_text(SCENARIO.replace('name = "Obstacle1"', 'name = "a\\nb"'))
+    done = surctl_here("lint", "m.toml", "--vehicle", "sur540-flooded", cwd=tmp_path)
+    assert done.status == 1 and "error: obstacles.a\\nb: at the start" in done.out
+    assert all(line.startswith(("error: ", "warning: ", "info: ")) for line in done.out.splitlines())
+
+
 def test_an_unknown_stack_is_refused_before_claims_are_decided(tmp_path, monkeypatch):
     monkeypatch.setattr("surctl.verification.decide", lambda *_, **__: pytest.fail("a claim is decided"))
     done = surctl_here("verify", "v1-printed", "--stack", "calm", cwd=tmp_path)

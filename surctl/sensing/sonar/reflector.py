@@ -59,6 +59,12 @@ class Reflector:
             return _SILENT
         return -1.0 if self.incidence_limit is None else cos(self.incidence_limit)
 
+    def silent(self, *, curved: bool) -> bool:
+        """Return whether no part of a face with its edges, or of a `curved` surface, ever answers."""
+        if curved and self.cylinder_range is not None:
+            return self.cylinder_range == 0
+        return self.incidence_limit == 0 and (curved or self.edge_range == 0)
+
     @property
     def weak(self) -> bool:
         """Whether some parts of such a surface answer with a probability."""
