@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
+import stat
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -12,7 +14,19 @@ from typing import Any
 
 from surctl.errors import InputError
 
-__all__ = ["FORMAT", "LARGEST", "VERSION", "Rejected", "canonical", "listed", "number", "read", "record", "seal"]
+__all__ = [
+    "FORMAT",
+    "LARGEST",
+    "VERSION",
+    "Rejected",
+    "canonical",
+    "listed",
+    "number",
+    "read",
+    "read_bytes",
+    "record",
+    "seal",
+]
 
 FORMAT, VERSION = "surctl-certificate", 2
 LARGEST = 8_000_000
@@ -82,12 +96,7 @@ def read(path: Path) -> dict[str, Any]:
         InputError: the file cannot be read or is not a certificate.
         Rejected: the certificate was altered or damaged.
     """
-    try:
-        if path.stat().st_size > LARGEST:
-            raise InputError(f"is larger than {LARGEST} bytes", file=path, remedy="give a certificate file")
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check the path") from None
+    raw = read_bytes(path, LARGEST, remedy="give a certificate file")
     try:
         document = json.loads(raw.decode("utf-8"), parse_constant=_refuse, object_pairs_hook=_once)
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
@@ -96,6 +105,31 @@ def read(path: Path) -> dict[str, Any]:
         raise InputError(f"is not a file of format {FORMAT!r}", file=path, remedy="give a certificate file")
     verify_frame(document)
     return document
+
+
+def read_bytes(path: Path, largest: int, *, remedy: str) -> bytes:
+    """Return the content of a regular file, which is opened and read once.
+
+    Args:
+        path: the file; a link is followed.
+        largest: largest size of the file [bytes].
+        remedy: what the user can do, for error messages.
+
+    Raises:
+        InputError: the file cannot be read, is not a regular file, or is larger than `largest`.
+    """
+    try:
+        # without O_NONBLOCK, opening a FIFO waits for a writer
+        at = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        with os.fdopen(at, "rb") as file:
+            if not stat.S_ISREG(os.fstat(at).st_mode):
+                raise InputError("is not a regular file", file=path, remedy=remedy)
+            body = file.read(largest + 1)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy=remedy) from None
+    if len(body) > largest:
+        raise InputError(f"is larger than {largest} bytes", file=path, remedy=remedy)
+    return body
 
 
 def verify_frame(document: Mapping[str, Any]) -> None:
