@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,20 +59,19 @@ class MotionLog:
             then roll, pitch [rad], and the angular velocities p, q of the hull [rad/s].
         thrust: (n, 4) commanded thrust in {B} [N, N m]; each command is constant until the next sample.
         source: name of the file.
+        notes: what of the file is not used.
     """
 
     time: NDArray[np.float64]
     motion: NDArray[np.float64]
     thrust: NDArray[np.float64]
     source: str = ""
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.time) < _LEAST:
             raise InputError(f"has {len(self.time)} rows", file=self.source, remedy=f"give at least {_LEAST}")
-        back = np.flatnonzero(~(np.diff(self.time) > 0))
-        if len(back):
-            at = float(self.time[back[0] + 1])
-            raise InputError("does not increase", file=self.source, key="t_s", value=at, remedy="sort the rows by time")
+        check_increasing(self.time, "t_s", lambda row: self.source and f"{self.source}, row {row + 1}")
         if not np.isfinite(self.thrust).all():
             row, column = np.argwhere(~np.isfinite(self.thrust))[0]
             raise InputError(
@@ -127,6 +126,7 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
         row = int(np.flatnonzero(~np.isfinite(time))[0])
         key = (columns["t_s"] or ("t_s", ""))[0]
         raise InputError("is not a time", file=table.at(row), key=key, remedy="fill it in or remove the row")
+    check_increasing(time, (columns["t_s"] or ("t_s", ""))[0], table.at)
     tilts = any(columns[c] is not None for c in LOG_TILT)
     motion = np.column_stack([_numbers(table, c, columns) for c in (*LOG_MOTION, *(LOG_TILT if tilts else ()))])
     heading = motion[:, 3]
@@ -166,6 +166,36 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
         np.vstack([log.motion for log in logs]),
         np.vstack([log.thrust for log in logs]),
         ", ".join(log.source for log in logs),
+        tuple(f"{log.source}: {note}" for log in logs for note in log.notes),
+    )
+
+
+def check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], str]) -> None:
+    """Check that times (n,) increase from row to row.
+
+    Args:
+        time: the times [s].
+        key: name of their column.
+        at: names the place of a row, from 0.
+
+    Raises:
+        InputError: two rows have the same time, or the time decreases; the message names the row.
+    """
+    wrong = np.flatnonzero(~(np.diff(time) > 0))
+    if not len(wrong):
+        return
+    row, same = int(wrong[0]) + 1, time[wrong] == time[wrong + 1]
+    value = float(time[row])
+    if not same[0]:
+        remedy = "sort the rows by time, or split the log there and give both parts"
+        raise InputError("is before the time of the previous row", file=at(row), key=key, value=value, remedy=remedy)
+    more = f", as in {np.count_nonzero(same) - 1} more rows" if np.count_nonzero(same) > 1 else ""
+    raise InputError(
+        f"is the time of the previous row too{more}",
+        file=at(row),
+        key=key,
+        value=value,
+        remedy="write the time with more digits, or remove one of the two rows",
     )
 
 

@@ -158,7 +158,10 @@ def test_a_log_as_a_file(tmp_path: Path) -> None:
     ("changed", "fragment"),
     [
         ({"Fu_N": ["nan"] * 60}, "Fu_N: has no number at 0 s"),
-        ({"t_s": ["0"] * 60}, "t_s = 0.0: does not increase"),
+        (
+            {"t_s": ["0"] * 60},
+            "log.csv:3: t_s = 0.0: is the time of the previous row too, as in 58 more rows; write",
+        ),
         ({"t_s": [""] * 60}, "t_s: is not a time"),
         (dict.fromkeys(LOG_MOTION, ["nan"] * 60), "contains no motion"),
         ({"x_m": ["3,5"] * 59 + ["fast"]}, "cells"),

@@ -154,7 +154,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         zeroed,
         ill_excited(model, full.spread, estimates, full.rest),
         {c: float(full.noise[k]) for k, c in enumerate(model.columns) if present[:, k].any()},
-        (*velocity_notes(log), *notes, *notes_of(model, full.left)),
+        (*log.notes, *velocity_notes(log), *notes, *notes_of(model, full.left)),
         len(model.sections),
     )
 

@@ -2,69 +2,64 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from io import StringIO
+from collections.abc import Collection
 from pathlib import Path
+from typing import Any
 
 from surctl.errors import InputError
 from surctl.recorded import shown
-from surctl.vehicle.logs.recording import Recording, Rows, flattened, optional_module, recording_of
+from surctl.vehicle.logs.recording import (
+    Recording,
+    Rows,
+    Stream,
+    bare_names,
+    flattened,
+    optional_module,
+    recording_of,
+)
 
 __all__ = ["read_ardupilot"]
 
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    # the indexer of pymavlink is in C and prints a line for each byte that begins no message, past `sys.stderr`
-    with redirect_stderr(StringIO()):
-        try:
-            saved = os.dup(2)
-        except OSError:  # the process has no standard error
-            yield
-            return
-        try:
-            with Path(os.devnull).open("w") as sink:
-                os.dup2(sink.fileno(), 2)
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
+_NO_MOTION = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
 
 def read_ardupilot(path: Path, topics: Collection[str] | None) -> Recording:
     """Read messages by type, such as ATT or RCOU; further instances of a type have names such as XKF1[1].
 
-    The time is that of the autopilot (TimeUS) in a dataflash log, and the time of reception in a telemetry log.
+    In a telemetry log, types that several systems or components sent have names such as ATTITUDE@1.1. The time is that
+    of the autopilot (TimeUS) in a dataflash log, and the time of reception in a telemetry log.
 
     Raises:
         InputError: pymavlink is not installed, or the file is not such a log.
     """
     mavutil = optional_module("pymavlink.mavutil", path=path, extra="ardupilot")
-    rows: dict[str, Rows] = {}
-    first: dict[str, float] = {}
-    kinds = None if topics is None else sorted({topic.partition("[")[0] for topic in topics})
+    rows: dict[Stream, Rows] = {}
+    kinds = bare_names(topics)
+    bad = 0
     try:
-        with redirect_stdout(StringIO()), _quiet():  # pymavlink prints its remarks
-            log = mavutil.mavlink_connection(str(path), notimestamps=False)
-            while (message := log.recv_match(type=kinds)) is not None:
-                kind = message.get_type()
-                if kind in ("BAD_DATA", "FMT", "FMTU", "UNIT", "MULT", "PARM"):
-                    continue
-                values = message.to_dict()
-                values.pop("mavpackettype", None)
-                time = values["TimeUS"] * 1e-6 if "TimeUS" in values else float(message._timestamp)
-                instance_field = getattr(getattr(message, "fmt", None), "instance_field", None)
-                name = kind
-                if instance_field is not None:
-                    number = values[instance_field]
-                    if number != first.setdefault(kind, number):
-                        name = f"{kind}[{number}]"
-                rows.setdefault(name, Rows()).append(time, flattened(values))
-            log.close()
+        log = mavutil.mavlink_connection(str(path), notimestamps=False)
+        while (message := log.recv_match(type=kinds and [*kinds, "BAD_DATA"])) is not None:
+            kind = message.get_type()
+            bad += kind == "BAD_DATA"
+            if kind == "BAD_DATA" or kind in _NO_MOTION:
+                continue
+            values = message.to_dict()
+            values.pop("mavpackettype", None)
+            time = values["TimeUS"] * 1e-6 if "TimeUS" in values else float(message._timestamp)
+            rows.setdefault(_stream(message, values), Rows()).append(time, flattened(values))
+        log.close()
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
             f"cannot be read as a log of ArduPilot ({error})", file=shown(path), remedy="give a .BIN or .tlog file"
         ) from None
-    return recording_of(path, rows)
+    notes = [f"{bad} parts of {path.name} are no messages: not used"] if bad else []
+    return recording_of(path, {stream: one.topic() for stream, one in rows.items()}, notes)
+
+
+def _stream(message: Any, values: dict[str, Any]) -> Stream:
+    # messages of MAVLink have the field of the instance and the sender themselves, those of a dataflash log in a format
+    logged = getattr(message, "fmt", None)
+    instance_field = getattr(message if logged is None else logged, "instance_field", None)
+    instance = None if instance_field is None else values[instance_field]
+    source = f"{message.get_srcSystem()}.{message.get_srcComponent()}" if logged is None else ""
+    return Stream(message.get_type(), instance, source)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.units import in_unit
 from surctl.vehicle.frames import swap_body
-from surctl.vehicle.logs.log_map import LogMap, Source
+from surctl.vehicle.logs.log_map import LogMap, Source, Thrust
 from surctl.vehicle.logs.recording import Recording, Topic, step_back
 from surctl.vehicle.motion_log import MotionLog, swapped
 
@@ -99,7 +99,7 @@ def joined(recording: Recording, log_map: LogMap, *, map_name: str) -> MotionLog
     known = np.isfinite(thrust).all(axis=1)
     if len(time) and not known.any():
         raise InputError(
-            f"has no command at any of the {len(time)} common times",
+            "; ".join([f"has no command at any of the {len(time)} common times", *sources.notes]),
             file=recording.source,
             key=f"thrust ({log_map.thrust.topic or 'table'})",
             remedy="correct thrust.fields, or give the longest time for which a command counts in thrust.hold_s",
@@ -107,7 +107,8 @@ def joined(recording: Recording, log_map: LogMap, *, map_name: str) -> MotionLog
     time, motion, thrust = time[known], motion[known], thrust[known]
     if log_map.log.frame == "ned":
         motion, thrust = swapped(motion), swap_body(thrust)
-    return MotionLog(time, motion, thrust, recording.source)
+    topics = [part.topic for _, part in log_map.sources()]
+    return MotionLog(time, motion, thrust, recording.source, (*recording.remarks(topics), *sources.notes))
 
 
 def _angles(sources: _Sources, log_map: LogMap, time: Array) -> Array | None:
@@ -148,6 +149,7 @@ class _Sources:
     # the parts of the map, read from the recording
     def __init__(self, recording: Recording, log_map: LogMap, map_name: str) -> None:
         self.recording, self.map, self.map_name = recording, log_map, map_name
+        self.notes: list[str] = []
         for key, names in (("stamp", log_map.log.stamp), ("shift_s", log_map.log.shift_s)):
             for topic in names:
                 if topic not in {part.topic for _, part in log_map.sources()}:
@@ -239,22 +241,36 @@ class _Sources:
         """Return the thrust (n, 4) at some times; NaN where no command counts."""
         part = self.map.thrust
         at, values = self.time("thrust", part), self.fields("thrust", part)
+        stated = np.isfinite(at) & np.isfinite(values).all(axis=1)
+        at, values = at[stated], values[stated]
         order = np.argsort(at, kind="stable")
         at, values = at[order], values[order]
         if part.matrix is not None:
             plain = part.command is not None or part.unit == "1"
-            force = 1.0 if plain else self.factor("thrust", part.unit, "N")
-            values = part.body_force(values * force)
+            values = values * (1.0 if plain else self.factor("thrust", part.unit, "N"))
+            self._count_outside(part, values)
+            values = part.body_force(values)
         else:
             force, moment = self.factor("thrust", part.unit, "N"), self.factor("thrust", part.moment_unit, "N m")
             values = values * np.array([force, force, force, moment])
-        known = np.isfinite(values).all(axis=1)
-        at, values = at[known], values[known]
         place = np.searchsorted(at, time + 1e-9, side="right") - 1
         counts = (place >= 0) & (time - at[np.maximum(place, 0)] <= self._hold(at)) if len(at) else place >= 0
         result = np.full((len(time), 4), np.nan)
         result[counts] = values[place[counts]]
         return result
+
+    def _count_outside(self, part: Thrust, commands: Array) -> None:
+        if part.command is None:
+            return
+        low, high = part.command[0], part.command[-1]
+        outside = (commands < low) | (commands > high)
+        if outside.any():
+            values = np.unique(commands[outside])
+            listed = ", ".join(f"{v:g}" for v in values[:3]) + ", …" * (len(values) > 3)
+            self.notes.append(
+                f"{np.count_nonzero(outside.any(axis=1))} of {len(commands)} commands lie outside the table "
+                f"thrust.command, {low:g} to {high:g} ({listed}): the thrust there is not known"
+            )
 
 
 def _interpolated(time: Array, values: Array, at: Array) -> Array:

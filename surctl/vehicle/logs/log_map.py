@@ -76,7 +76,7 @@ class Thrust(Source):
         unit: unit of the forces; of commands, the texts pwm or 1 for plain numbers, or N for forces of thrusters. Plain
             numbers need a curve, or a matrix in N and N m per command.
         moment_unit: unit of Fr.
-        command: commands of the curve, increasing.
+        command: commands of the curve, increasing; at a command outside them the thrust is not known.
         force_N: force of a thruster for each command [N].
         matrix: rows surge, sway, heave [1] and yaw [m], one column per thruster.
         hold_s: longest time for which a command counts [s]; default: one second or ten periods.
@@ -111,8 +111,13 @@ class Thrust(Source):
         return self
 
     def body_force(self, commands: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the thrust (n, 4) [N, N m] of thruster commands (n, thrusters); the curve ends are held."""
-        force = commands if self.command is None else np.interp(commands, self.command, self.force_N or [])
+        """Return the thrust (n, 4) [N, N m] of thruster commands (n, thrusters); NaN where one is outside the curve.
+
+        Commands such as 0 and 65535 mean that there is no pulse, not full thrust.
+        """
+        force = commands
+        if self.command is not None:
+            force = np.interp(commands, self.command, self.force_N or [], left=np.nan, right=np.nan)
         return np.asarray(force @ np.array(self.matrix).T)
 
 

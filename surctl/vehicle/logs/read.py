@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import os
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 from surctl.errors import InputError
@@ -27,6 +31,23 @@ READERS: dict[str, Reader] = {
     ".ulg": read_ulog,
 }
 """Readers by the suffix of the file; a folder is a bag of ROS 2, any other file a table."""
+
+
+@contextmanager
+def _quiet() -> Iterator[StringIO]:
+    """Catch what a reader prints; its C code, which prints past `sys.stderr`, prints nothing."""
+    printed = StringIO()
+    with ExitStack() as stack:
+        stack.enter_context(redirect_stdout(printed))
+        stack.enter_context(redirect_stderr(printed))
+        sink = stack.enter_context(Path(os.devnull).open("w"))
+        for number in (1, 2):
+            with suppress(OSError):  # the process has no such stream
+                saved = os.dup(number)
+                stack.callback(os.close, saved)
+                stack.callback(os.dup2, saved, number)
+                os.dup2(sink.fileno(), number)
+        yield printed
 
 
 def read_recording(
@@ -54,7 +75,11 @@ def read_recording(
         raise InputError("no such file", file=shown(path), remedy="check the path")
     reader = read_bag if path.is_dir() else READERS.get(path.suffix.lower())
     if reader is not None:
-        recording = reader(path, topics)
+        with _quiet() as printed:
+            recording = reader(path, topics)
+        if remarks := [line.strip() for line in printed.getvalue().splitlines() if line.strip()]:
+            note = f"the reader of {path.name} gave {len(remarks)} warnings; the first: {shown(remarks[0])[:200]}"
+            recording = replace(recording, notes=(*recording.notes, note))
         if topics is None and not recording.topics:
             raise InputError("has no messages with numbers", file=shown(path), remedy="check the file")
         return recording
@@ -104,7 +129,7 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
     log_map = load_log_map(map_path)
     topics = {part.topic for _, part in log_map.sources()}
     recording = read_recording(path, topics, log_map=log_map, map_name=shown(map_path))
-    if not topics <= recording.topics.keys():
+    if not topics <= recording.topics.keys() | recording.also.keys():
         recording = read_recording(path, log_map=log_map)  # for a message that names all topics
     return joined(recording, log_map, map_name=shown(map_path))
 

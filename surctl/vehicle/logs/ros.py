@@ -10,7 +10,15 @@ from typing import Any
 
 from surctl.errors import InputError
 from surctl.recorded import shown
-from surctl.vehicle.logs.recording import Recording, Rows, flattened, optional_module, recording_of
+from surctl.vehicle.logs.recording import (
+    Recording,
+    Rows,
+    Stream,
+    flattened,
+    matches,
+    optional_module,
+    recording_of,
+)
 
 __all__ = ["read_bag", "read_mcap"]
 
@@ -18,7 +26,8 @@ __all__ = ["read_bag", "read_mcap"]
 def read_bag(path: Path, topics: Collection[str] | None) -> Recording:
     """Read a bag of ROS 1, or of ROS 2 in a folder with metadata.yaml (a file inside it may be named).
 
-    The time is that of the recorder. Custom messages need their definitions in the bag.
+    The time is that of the recorder. Custom messages need their definitions in the bag. A topic that several nodes
+    published, or that has several types, has names such as `/odom@/filter`.
 
     Raises:
         InputError: rosbags is not installed, or the bag cannot be read.
@@ -34,46 +43,53 @@ def read_bag(path: Path, topics: Collection[str] | None) -> Recording:
                 file=shown(path),
                 remedy="give the folder of the bag: ros2 bag reindex",
             )
-    rows: dict[str, Rows] = {}
+    rows: dict[Stream, Rows] = {}
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
         with highlevel.AnyReader([bag], default_typestore=store) as reader:
-            chosen = [c for c in reader.connections if topics is None or c.topic in topics]
+            chosen = [c for c in reader.connections if matches(c.topic, topics)]
+            types = {(c.topic, c.msgtype) for c in reader.connections}
+            several = {name for name in {c.topic for c in chosen} if sum(topic == name for topic, _ in types) > 1}
             for connection, stamp, raw in reader.messages(connections=chosen) if chosen else ():
                 message = reader.deserialize(raw, connection.msgtype)
-                rows.setdefault(connection.topic, Rows()).append(stamp * 1e-9, flattened(message))
+                node = getattr(connection.ext, "callerid", None) or ""
+                source = f"{node}:{connection.msgtype}" if connection.topic in several else node
+                rows.setdefault(Stream(connection.topic, None, source), Rows()).append(stamp * 1e-9, flattened(message))
     except Exception as error:  # rosbags passes on errors of its own and of every library that it reads with
         raise InputError(
             f"cannot be read as a bag ({_line(error)})", file=shown(path), remedy="check it with: ros2 bag info"
         ) from None
-    return recording_of(path, rows)
+    return recording_of(path, {stream: one.topic() for stream, one in rows.items()})
 
 
 def read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
     """Read an MCAP file with messages in JSON, ROS 1 or ROS 2 (CDR); the time is that of the recorder.
 
+    A topic with several channels has names such as `/odom@3`, with the number of the channel.
+
     Raises:
         InputError: a package is not installed, the file cannot be read, or its messages have another encoding.
     """
     reader_of = optional_module("mcap.reader", path=path, extra="ros").make_reader
-    rows: dict[str, Rows] = {}
+    rows: dict[Stream, Rows] = {}
     decoders: dict[int, Callable[[bytes], Any]] = {}
     try:
         with path.open("rb") as file:
             for schema, channel, message in reader_of(file).iter_messages(log_time_order=False):
-                if topics is not None and channel.topic not in topics:
+                if not matches(channel.topic, topics):
                     continue
                 if channel.id not in decoders:
                     decoders[channel.id] = _decoder(path, schema, channel)
                 decoded = decoders[channel.id](message.data)
-                rows.setdefault(channel.topic, Rows()).append(message.log_time * 1e-9, flattened(decoded))
+                stream = Stream(channel.topic, None, str(channel.id))
+                rows.setdefault(stream, Rows()).append(message.log_time * 1e-9, flattened(decoded))
     except InputError:
         raise
     except Exception as error:  # mcap raises errors of its decompressors too
         raise InputError(
             f"cannot be read as an MCAP file ({_line(error)})", file=shown(path), remedy="check it with: mcap doctor"
         ) from None
-    return recording_of(path, rows)
+    return recording_of(path, {stream: one.topic() for stream, one in rows.items()})
 
 
 def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:

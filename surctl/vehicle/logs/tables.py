@@ -10,7 +10,7 @@ import numpy as np
 from surctl.errors import InputError, nearest
 from surctl.recorded import Recorded, read_recorded, read_unnamed
 from surctl.units import in_unit
-from surctl.vehicle.logs.recording import Recording, Topic, step_back
+from surctl.vehicle.logs.recording import Recording, topic_of
 
 __all__ = ["read_table"]
 
@@ -43,10 +43,9 @@ def read_table(
     seconds = table.numbers(time) * in_unit(1.0, unit, "s")
     fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
     known = np.isfinite(seconds)
-    order = np.flatnonzero(known)[np.argsort(seconds[known], kind="stable")]
-    if len(order) == 1:
+    if np.count_nonzero(known) == 1:
         raise InputError("has only one row with a time", file=table.name, key=time, remedy="give a longer log")
-    if not len(order):
+    if not known.any():
         raise InputError(
             f"has no timestamps in {table.name}",
             file=map_name or table.name,
@@ -54,9 +53,7 @@ def read_table(
             value=time,
             remedy="name the column of the time",
         )
-    back = step_back(seconds[known])
-    order = order[np.append(np.diff(seconds[order]) > 0, True)]
-    return Recording(table.name, {"": Topic(seconds[order], {k: v[order] for k, v in fields.items()}, back)})
+    return Recording(table.name, {"": topic_of(seconds[known], {k: v[known] for k, v in fields.items()})})
 
 
 def _numbers(table: Recorded, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Collection
 from pathlib import Path
 
@@ -9,9 +10,19 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.recorded import shown
-from surctl.vehicle.logs.recording import Recording, Topic, optional_module, step_back
+from surctl.vehicle.logs.recording import (
+    Recording,
+    Stream,
+    bare_names,
+    matches,
+    optional_module,
+    recording_of,
+    topic_of,
+)
 
 __all__ = ["read_ulog"]
+
+_HEADER = 16  # bytes
 
 
 def read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
@@ -23,18 +34,34 @@ def read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
         InputError: pyulog is not installed, or the file is not such a log.
     """
     pyulog = optional_module("pyulog", path=path, extra="px4")
-    names = None if topics is None else sorted({topic.partition("[")[0] for topic in topics})
     try:
+        raw = path.read_bytes()
         with path.open("rb") as file:
-            log = pyulog.ULog(file, names)
+            log = pyulog.ULog(file, bare_names(topics))
     except Exception as error:  # pyulog raises errors of struct and of types, and Exception itself
         raise InputError(f"cannot be read as a ULog ({error})", file=shown(path), remedy="give a .ulg file") from None
-    held = {}
+    streams = {}
     for data in log.data_list:
-        time = np.asarray(data.data["timestamp"], dtype=float) * 1e-6
-        order = np.argsort(time, kind="stable")
-        order = order[np.append(np.diff(time[order]) > 0, True)]
-        fields = {k: np.asarray(v, dtype=float)[order] for k, v in data.data.items() if k != "timestamp"}
-        name = data.name if data.multi_id == 0 else f"{data.name}[{data.multi_id}]"
-        held[name] = Topic(time[order], fields, step_back(time))
-    return Recording(shown(path), held)
+        if matches(data.name, topics):
+            fields = {k: np.asarray(v, dtype=float) for k, v in data.data.items() if k != "timestamp"}
+            source = str(data.msg_id) if Stream(data.name, data.multi_id) in streams else ""
+            time = np.asarray(data.data["timestamp"], dtype=float) * 1e-6
+            streams[Stream(data.name, data.multi_id, source)] = topic_of(time, fields)
+    unknown, count = _unknown(raw) if log.file_corruption else (0, 0)
+    notes = [f"{count - unknown} of {count} messages could be read: {path.name} does not say what the others are"]
+    return recording_of(path, streams, notes if unknown else ())
+
+
+def _unknown(raw: bytes) -> tuple[int, int]:
+    """Return the number of data messages that have no subscription, and of all data messages."""
+    at, known, unknown, count = _HEADER, set[bytes](), 0, 0
+    while at + 3 <= len(raw):
+        size, kind = struct.unpack_from("<Hc", raw, at)
+        body = raw[at + 3 : at + 3 + size]
+        if kind == b"A":
+            known.add(body[1:3])
+        elif kind == b"D":
+            count += 1
+            unknown += body[:2] not in known
+        at += 3 + size
+    return unknown, count
