@@ -19,6 +19,7 @@ from surctl.recorded_arrays import ARRAY_FILES, read_arrays
 __all__ = ["NO_HEADER", "Recorded", "read_recorded", "read_unnamed", "shown", "xml_root"]
 
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+(\.\d*)?")
+_SEPARATOR = re.compile(r"\"?sep=[,;\t]\"?,*[ \t]*(\n|$)", re.IGNORECASE)
 _MISSING = {"", "na", "n/a", "null", "none"}  # cells that mean "no number", in addition to nan
 _NO_TABLE, _TABLE = "is not a table: its first line has one cell", "give a CSV file with a header and rows"
 
@@ -97,23 +98,24 @@ def _number_remedy(cell: str) -> str:
     return "write a decimal point" if "," in cell else "write a number, or leave the cell empty"
 
 
-def xml_root(text: str, *, file: object, remedy: str) -> ElementTree.Element:
-    """Return the root of an XML text, with the namespaces removed from all names.
+def xml_root(raw: bytes, *, file: object, remedy: str) -> ElementTree.Element:
+    """Return the root of an XML file, with the namespaces removed from all names; the file declares its encoding.
 
     Raises:
-        InputError: the text declares a document type, which may expand without bound, or is not XML; the message names
-            the file and, for a text that is not XML, the remedy.
+        InputError: the file declares a document type, which may expand without bound, or is not XML; the message names
+            the file and, for a file that is not XML, the remedy.
 
     Example:
         >>> from surctl.recorded import xml_root
-        >>> xml_root('<gpx xmlns="http://www.topografix.com/GPX/1/1"/>', file="way.gpx", remedy="correct it").tag
+        >>> xml_root(b'<gpx xmlns="http://www.topografix.com/GPX/1/1"/>', file="way.gpx", remedy="correct it").tag
         'gpx'
     """
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+    plain = raw.replace(b"\0", b"")  # the letters of UTF-16 too
+    if b"<!DOCTYPE" in plain or b"<!ENTITY" in plain:
         raise InputError("declares a document type", file=shown(file), remedy="remove the DOCTYPE")
     try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+        root = ElementTree.fromstring(raw)
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # the latter two: an encoding that is not known
         raise InputError(f"is not XML ({error})", file=shown(file), remedy=remedy) from None
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]
@@ -135,7 +137,8 @@ def shown(path: object) -> str:
 def read_recorded(path: Path) -> Recorded:
     """Read a comma-separated file with a header; blank lines, and lines with # above the header, are skipped.
 
-    In a file that ends in .mat or .nc, each vector is a column (see `recorded_arrays`), and row k counts as line k.
+    A first line `sep=,`, as Excel reads it, is skipped too. In a file that ends in .mat or .nc, each vector is a column
+    (see `recorded_arrays`), and row k counts as line k.
 
     Raises:
         InputError: the file does not exist, is not UTF-8 text or has no header or no rows; or a row has a different
@@ -215,7 +218,7 @@ def read_unnamed(path: Path, columns: Sequence[str], *, skip: int = 0) -> Record
     lines: list[int] = []
     for number, line in enumerate(_text(path, strict=False).split("\n"), start=1):
         plain = line.strip()
-        if number <= skip or not plain or plain[0] in "#%":
+        if number <= skip or not plain or plain[0] in "#%" or (number == 1 and _SEPARATOR.match(plain)):
             continue
         cells = [cell.strip() for cell in re.split(r"\s*[;,]\s*|\s+", plain)]
         if len(cells) != len(columns):
@@ -255,9 +258,9 @@ def _text(path: Path, *, strict: bool = True) -> str:
 
 
 def _comments(text: str) -> tuple[tuple[str, ...], str]:
-    """Split a text into its leading comment lines (without their #) and the rest."""
-    about = []
-    while text.startswith("#"):
+    """Split a text into its leading comment lines (without their #), with Excel's line `sep=,`, and the rest."""
+    about: list[str] = []
+    while text.startswith("#") or (not about and _SEPARATOR.match(text)):
         line, _, text = text.partition("\n")
         about.append(line.lstrip("#").strip())
     return tuple(about), text

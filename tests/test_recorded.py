@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.recorded import read_recorded, shown
+from surctl.recorded import read_recorded, read_unnamed, shown
 
 
 def written(folder: Path, content: bytes | str, name: str = "a.csv") -> Path:
@@ -177,3 +177,19 @@ def test_comments_above_the_header_are_kept_apart(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table.numbers("a"), [1.0, 3.0])
     with pytest.raises(InputError, match=r"log\.csv:5: b = 'x'"):
         table.numbers("b")
+
+
+@pytest.mark.parametrize("mark", ["sep=,", '"sep=,"', "SEP=,", "sep=,,"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_first_line_that_names_the_separator_is_no_header(mark: str, end: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes((end.join([mark, "t_s,x_m", "0,1.5", "1,fast"]) + end).encode())
+    table = read_recorded(path)
+    assert table.columns == {"t_s": ["0", "1"], "x_m": ["1.5", "fast"]}
+    with pytest.raises(InputError, match=r"a.csv:4: x_m = 'fast'"):
+        table.numbers("x_m")
+    path.write_bytes(end.join(["sep=;", "t_s;x_m", "0;1,5"]).encode())
+    with pytest.raises(InputError, match=r"a.csv:2: is separated by semicolons"):
+        read_recorded(path)
+    path.write_bytes(end.join([mark, "0,1.5"]).encode())
+    assert read_unnamed(path, ["t", "x"]).columns == {"t": ["0"], "x": ["1.5"]}

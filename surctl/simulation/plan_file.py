@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from math import cos, isfinite, radians, sin, sqrt
+from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.files import quoted
 from surctl.recorded import shown, xml_root
+from surctl.simulation.plan_items import Places, geofence, home_position, metres_per_degree, unused, waypoint
 from surctl.simulation.route import MAX_POINTS
 from surctl.simulation.scenario import scenario_from_table
 
 __all__ = ["Mission", "mission_scenario", "read_mission"]
 
-_AXIS, _FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
 _WAYPOINTS = frozenset({16, 17, 18, 19, 82})  # commands of MAVLink that go to a position
 _SPEED = 178
+_FORWARD = (0, 1)  # types of a change of speed: through the air (or water), over ground
 _FARTHEST = 100_000.0  # m, beyond which the plane of the scenario no longer fits
 _LEAST = 0.05  # m, shorter legs are one point
 
@@ -38,6 +39,7 @@ class Mission:
         speed: speed through the mission [m/s]; None if the file gives none.
         origin: latitude and longitude of the origin [°].
         notes: what of the file was not used.
+        zones: (k, 3) centre x, y and radius [m] of circles that the path must not enter.
     """
 
     points: NDArray[np.float64]
@@ -45,16 +47,19 @@ class Mission:
     speed: float | None
     origin: tuple[float, float]
     notes: tuple[str, ...]
+    zones: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def read_mission(path: Path) -> Mission:
     """Read the waypoints of a QGroundControl plan or a GPX file; the first waypoint is the origin.
 
-    Of a plan, the function takes the waypoints, those of surveys included, and the first change of speed; of a GPX file
-    the first route, else the first track, else the waypoints.
+    Of a plan, the function takes the waypoints, those of surveys included, the first change of speed, and the circles
+    of the geofence that exclude; the home position is at the surface. Of a GPX file it takes the first route, else the
+    first track, else the waypoints. Everything else that changes the motion, such as hold times, is in the notes.
 
     Raises:
-        InputError: the file cannot be read, or has fewer than two waypoints.
+        InputError: the file cannot be read, has fewer than two waypoints, or has waypoints in a frame without meaning
+            for a mission, or in metres from a home position that it does not give.
 
     Example:
         >>> from pathlib import Path
@@ -66,12 +71,13 @@ def read_mission(path: Path) -> Mission:
         ([[0.0, 0.0], [0.0, 111.5]], [-2.0, -2.0])
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        raw = path.read_bytes()
     except FileNotFoundError:
         raise InputError("no such file", file=shown(path), remedy="check the path") from None
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"cannot be read ({error})", file=shown(path), remedy="give a .plan or .gpx file") from None
-    places, speed, notes = _gpx(text, path) if path.suffix.lower() == ".gpx" else _plan(text, path)
+    content = _gpx(raw, path) if path.suffix.lower() == ".gpx" else _plan(raw, path)
+    places, notes = content.places, tuple(content.notes)
     if len(places) > MAX_POINTS:
         remedy = f"give at most {MAX_POINTS:,} waypoints"
         raise InputError(f"has {len(places):,} waypoints", file=shown(path), remedy=remedy)
@@ -100,7 +106,9 @@ def read_mission(path: Path) -> Mission:
         at = f"one is {np.max(distances) / 1000:.0f} km from the first"
         remedy = "check the waypoints; a plane fits up to 100 km"
         raise InputError(f"has waypoints too far apart: {at}", file=shown(path), remedy=remedy)
-    return Mission(np.array(points), np.array(heights), speed, (places[0][0], places[0][1]), notes)
+    zones = [[*_plane(latitude, longitude, places[0]), radius] for latitude, longitude, radius in content.zones]
+    origin = (places[0][0], places[0][1])
+    return Mission(np.array(points), np.array(heights), content.speed, origin, notes, np.reshape(zones, (-1, 3)))
 
 
 def mission_scenario(
@@ -133,14 +141,17 @@ def mission_scenario(
     if depth is None:
         if not len(heights) or float(heights.min()) >= 0:
             raise InputError(
-                "is not below the surface", key="--depth", remedy="give the depth of the path: -0.1 for a boat"
+                "; ".join(["is not below the surface", *notes]) if not len(heights) else "is not below the surface",
+                key="--depth",
+                remedy="give the depth of the path: -0.1 for a boat",
             )
         depth = float(heights.min())
         if float(np.ptp(heights)) > _LEAST:
             notes.append(
                 f"heights from {heights.min():g} to {heights.max():g} m: the path keeps the lowest, {depth:g} m"
             )
-    shifted = mission.points - mission.points.min(axis=0) + margin
+    corner = mission.points.min(axis=0) - margin
+    shifted = mission.points - corner
     length, width = shifted.max(axis=0) + margin
     duration = float(np.sum(np.hypot(*np.diff(shifted, axis=0).T))) / cruise
     points = ", ".join(f"[{x!r}, {y!r}]" for x, y in np.round(shifted, 3).tolist())
@@ -164,33 +175,65 @@ def mission_scenario(
         f"width_m = {float(np.ceil(width))!r}",
         f"depth_m = {float(np.ceil(-2 * depth + 1))!r}",
     ]
+    obstacles, of_zones = _obstacles(mission.zones - np.array([*corner, 0.0]), shifted, (length, width))
+    lines += obstacles
+    notes += of_zones
     text = "\n".join(lines) + "\n"
     scenario_from_table(tomllib.loads(text), source=name)  # a file that `lint` refuses is not written
     return text, tuple(notes)
 
 
-Places = list[tuple[float, float, float]]
+def _obstacles(
+    zones: NDArray[np.float64], points: NDArray[np.float64], site: tuple[float, float]
+) -> tuple[list[str], list[str]]:
+    """Return lines of a scenario with the circles (k, 3) as cylinders, and notes about those that cannot be ones."""
+    lines: list[str] = []
+    notes: list[str] = []
+    used: list[NDArray[np.float64]] = []
+    for number, (x, y, radius) in enumerate(zones.tolist(), start=1):
+        where = f"exclusion circle {number}, of radius {radius:g} m"
+        if min(np.hypot(*(points[k] - (x, y))) for k in (0, -1)) <= radius:
+            problem = "the path begins or ends inside it"
+            raise InputError(problem, key=where, remedy="move the waypoint or the circle, and save the plan again")
+        if not (0 <= x <= site[0] and 0 <= y <= site[1]):
+            notes.append(f"not used: {where} (its centre lies outside the site; a larger --margin includes it)")
+        elif any(np.hypot(x - other[0], y - other[1]) < radius + other[2] for other in used):
+            notes.append(f"not used: {where} (it overlaps an earlier one)")
+        else:
+            used.append(np.array([x, y, radius]))
+            body = [f'name = "exclusion-{number}"', 'shape = "cylinder"']
+            lines += ["", "[[obstacles]]", *body, f"centre_m = [{x:.3f}, {y:.3f}]", f"radius_m = {radius!r}"]
+    if lines:
+        notes.append(f"{len(used)} exclusion circles are cylinders in the water, so sonars see them too")
+    return lines, notes
+
+
+@dataclass
+class _Content:
+    # of a file, in degrees and metres; the zones are circles
+    places: Places
+    speed: float | None
+    notes: list[str]
+    zones: Places = field(default_factory=list)
 
 
 def _plane(latitude: float, longitude: float, origin: tuple[float, float, float]) -> NDArray[np.float64]:
-    # x east and y north, with the radii of curvature of the ellipsoid at the origin
-    eccentricity = _FLATTENING * (2 - _FLATTENING)
-    root = sqrt(1 - eccentricity * sin(radians(origin[0])) ** 2)
-    north = _AXIS * (1 - eccentricity) / root**3
-    east = _AXIS / root * cos(radians(origin[0]))
+    # x east and y north
+    east, north = metres_per_degree(origin[0])
     turn = (longitude - origin[1] + 180) % 360 - 180
-    return np.array([east * radians(turn), north * radians(latitude - origin[0])])
+    return np.array([east * turn, north * (latitude - origin[0])])
 
 
-def _plan(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
+def _plan(raw: bytes, path: Path) -> _Content:
     try:
-        table = json.loads(text)
+        table = json.loads(raw)
         items = table["mission"]["items"]
         assert isinstance(items, list)
-    except (json.JSONDecodeError, KeyError, TypeError, AssertionError, RecursionError):
+    except (ValueError, KeyError, TypeError, AssertionError, RecursionError):
         raise InputError("is not a QGroundControl plan", file=shown(path), remedy="give a .plan or .gpx file") from None
+    home = home_position(table["mission"].get("plannedHomePosition"))
     places: Places = []
-    speeds: list[tuple[str, float]] = []
+    speeds: list[tuple[str, float, bool]] = []
     skipped: dict[str, list[str]] = {}
     for number, item in _items(items):
         try:
@@ -201,12 +244,18 @@ def _plan(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]
                 continue
             command, params = int(item["command"]), list(item.get("params", ()))
             if command in _WAYPOINTS:
-                latitude, longitude, height = (float(v) for v in params[4:7])
-                places.append((latitude, longitude, height))
-            elif command == _SPEED:
-                speeds.append((number, float(params[1])))
+                place, unknown = waypoint(int(item["frame"]), [float(v) for v in params[4:7]], home)
+                places.append(place)
+                for text in (*unknown, *unused(command, params, item)):
+                    skipped.setdefault(text, []).append(number)
+            elif command == _SPEED and params[0] in _FORWARD:
+                speeds.append((number, float(params[1]), bool(places)))
             else:
                 skipped.setdefault(f"command {command}", []).append(number)
+        except InputError as error:
+            raise InputError(
+                error.problem, file=shown(path), key=f"item {number}", value=error.value, remedy=error.remedy
+            ) from None
         except (KeyError, TypeError, ValueError, IndexError):
             remedy = "correct this item in QGroundControl and save the plan again"
             raise InputError(
@@ -214,18 +263,21 @@ def _plan(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]
             ) from None
     notes = [f"not used: item {', '.join(numbers)} ({what})" for what, numbers in skipped.items()]
     speed, of_speeds = _speed(speeds, table["mission"].get("cruiseSpeed"))
-    return places, speed, (*notes, *of_speeds)
+    zones, of_fence = geofence(table.get("geoFence"), path)
+    return _Content(places, speed, [*notes, *of_speeds, *of_fence], zones)
 
 
-def _speed(changes: list[tuple[str, float]], cruise: object) -> tuple[float | None, list[str]]:
+def _speed(changes: list[tuple[str, float, bool]], cruise: object) -> tuple[float | None, list[str]]:
     """Return the first change of speed of a plan, else its cruise speed [m/s], and notes of what is not used."""
     notes: list[str] = []
     speed: float | None = None
-    for number, value in changes:
+    for number, value, moving in changes:
         if not (isfinite(value) and value > 0):
             notes.append(f"not used: item {number} (speed {value:g} m/s)")
         elif speed is None:
             speed = value
+            if moving:
+                notes.append(f"item {number} (speed {value:g} m/s, on the way) holds from the first waypoint")
         elif value != speed:
             notes.append(f"not used: item {number} (speed {value:g} m/s; the first one, {speed:g} m/s, holds)")
     if speed is None and cruise is not None:
@@ -248,13 +300,13 @@ def _items(items: list[Any]) -> Iterator[tuple[str, Any]]:
             yield str(k), item
 
 
-def _gpx(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
-    root = xml_root(text, file=path, remedy="give a .plan or .gpx file")
+def _gpx(raw: bytes, path: Path) -> _Content:
+    root = xml_root(raw, file=path, remedy="give a .plan or .gpx file")
     groups = [list(rte.iter("rtept")) for rte in root.iter("rte")] + [
         list(trk.iter("trkpt")) for trk in root.iter("trk")
     ]
     groups = [group for group in groups if group] or [list(root.iter("wpt"))]
-    notes = (f"{len(groups) - 1} more routes or tracks are not used",) if len(groups) > 1 else ()
+    notes = [f"{len(groups) - 1} more routes or tracks are not used"] if len(groups) > 1 else []
     places: Places = []
     for k, point in enumerate(groups[0], start=1):
         latitude, longitude, height = point.get("lat"), point.get("lon"), point.findtext("ele")
@@ -268,4 +320,4 @@ def _gpx(text: str, path: Path) -> tuple[Places, float | None, tuple[str, ...]]:
                 value=(latitude, longitude, height),
                 remedy="give lat and lon in degrees; ele in metres or none",
             ) from None
-    return places, None, notes
+    return _Content(places, None, notes)

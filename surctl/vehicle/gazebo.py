@@ -12,6 +12,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -40,7 +41,8 @@ class _Body:
     inertia_z: float | None = None
     added: Array = field(default_factory=lambda: np.zeros((6, 6)))
     linear: Array = field(default_factory=lambda: np.zeros((6, 6)))
-    quadratic: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    quadratic: Array = field(default_factory=lambda: np.zeros((6, 6, 6)))  # force on i by |velocity k| velocity j
+    unused: list[str] = field(default_factory=list)
     volume: float | None = None
     density: float = 1000.0
     neutral: bool = False
@@ -106,6 +108,7 @@ def gazebo_vehicle(
         parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in from_user else said)
     free = undamped({key: parameter.value for key, parameter in parameters.items()})
     note = f"; no drag found in {', '.join(free)}" if free else ""
+    note += f"; not used: {', '.join(body.unused)}" if body.unused else ""
     return Vehicle(name, f"from {path.name}; roll and pitch are omitted{note}", parameters)
 
 
@@ -117,7 +120,7 @@ def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict
     mass, inertia = float(body.mass or 0.0), float(body.inertia_z or 0.0)
     rigid = np.diag([mass, mass, mass, 0.0, 0.0, inertia])
     total = (rigid + (body.added + body.added.T) / 2)[np.ix_(_AXES, _AXES)]
-    linear, quadratic = (m[np.ix_(_AXES, _AXES)] for m in (body.linear, body.quadratic))
+    linear, quadratic = body.linear[np.ix_(_AXES, _AXES)], body.quadratic[np.ix_(_AXES, _AXES, _AXES)]
     values = {f"m{k + 1}{k + 1}": float(total[k, k]) for k in range(4)}
     for k, axis in enumerate(_AXES):
         if total[k, k] < rigid[axis, axis]:
@@ -125,14 +128,20 @@ def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict
             key, value = f"{link}, axis {_RATES[axis]}", float(total[k, k] - rigid[axis, axis])
             raise InputError("would be an added mass below 0", file=shown(path), key=key, value=value, remedy=remedy)
     for k, (one, two) in enumerate((("Xu", "Xuu"), ("Yv", "Yvv"), ("Zw", "Zww"), ("Nr", "Nrr"))):
-        for key, value in ((one, float(linear[k, k])), (two, float(quadratic[k, k]))):
+        for key, value in ((one, float(linear[k, k])), (two, float(quadratic[k, k, k]))):
             if value < 0:
                 remedy = "give the hydrodynamic derivative, which is negative for a force against the motion"
                 raise InputError(
                     "would be a drag below 0", file=shown(path), key=f"{link}.{key}", value=value, remedy=remedy
                 )
             values[key] = value
-    cross = {"m24": float(total[1, 3]), "Yr": float(linear[1, 3]), "Nv": float(linear[3, 1])}
+    cross: dict[str, float] = {}
+    for i, j in product(range(4), repeat=2):
+        force, velocity = "XYZN"[i], "uvwr"[j]
+        if i != j:
+            cross[f"{force}{velocity}"] = float(linear[i, j])
+            cross[f"m{min(i, j) + 1}{max(i, j) + 1}"] = float(total[i, j])
+        cross |= {f"{force}{'uvwr'[k]}{velocity}": float(quadratic[i, j, k]) for k in range(4) if not i == j == k}
     if body.volume is not None and not body.neutral:
         cross["Z0"] = _GRAVITY * (body.density * body.volume - mass)
     return values, {k: v for k, v in cross.items() if abs(v) > (_LEAST if k == "Z0" else 0.0)}
@@ -140,14 +149,14 @@ def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict
 
 def _root(path: Path) -> ElementTree.Element:
     try:
-        text = path.read_text(encoding="utf-8")
+        raw = path.read_bytes()
     except FileNotFoundError:
         raise InputError("no such file", file=shown(path), remedy="check the path") from None
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(
             f"cannot be read ({error})", file=shown(path), remedy="give an SDF, URDF or xacro file"
         ) from None
-    root = xml_root(text, file=path, remedy="correct that line")
+    root = xml_root(raw, file=path, remedy="correct that line")
     _replace_properties(root)
     return root
 
@@ -209,7 +218,7 @@ def _chosen(bodies: Mapping[str, _Body], link: str | None, path: Path) -> str:
 
 
 def _gz_hydrodynamics(plugin: ElementTree.Element, body: _Body, path: Path) -> None:
-    # xDotU, xU, xUabsU (also xUU), for all pairs of axes
+    # xDotU, xU, xUabsV (also xUU), for all axes
     for entry in plugin:
         match = re.fullmatch(r"([xyzkmn])(Dot)?([UVWPQR])(abs)?([UVWPQR])?", entry.tag)
         if match is None:
@@ -222,16 +231,23 @@ def _gz_hydrodynamics(plugin: ElementTree.Element, body: _Body, path: Path) -> N
             body.added[i, j] = value
         elif match[5] is None:
             body.linear[i, j] = value
-        elif match[3] == match[5]:
-            body.quadratic[i, j] = value
+        elif match[4] or match[3] == match[5]:  # xUabsV: |v| u; before gz-sim 7, xUU is |u| u
+            body.quadratic[i, j, _RATES.index(match[5].lower())] = value
+        elif value:
+            body.unused.append(f"{entry.tag} = {-value:g}")
 
 
 def _uuv(link: ElementTree.Element, model: ElementTree.Element, body: _Body, path: Path) -> None:
-    for name, target, sign in (
-        ("added_mass", body.added, 1.0),
-        ("linear_damping", body.linear, -1.0),
-        ("quadratic_damping", body.quadratic, -1.0),
-    ):
+    squares = np.einsum("ijj->ij", body.quadratic)  # a view
+    targets = {
+        "added_mass": (body.added, 1.0),
+        "linear_damping": (body.linear, -1.0),
+        "quadratic_damping": (squares, -1.0),
+    }
+    for other in model:
+        if other.tag not in (*targets, "type") and re.search(r"[1-9]", other.text or ""):
+            body.unused.append(f"{other.tag} = {' '.join((other.text or '').split())[:40]}")
+    for name, (target, sign) in targets.items():
         entry = model.find(name)
         if entry is None:
             continue

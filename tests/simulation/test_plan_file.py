@@ -125,3 +125,147 @@ def test_a_depth_above_the_surface_writes_nothing(tmp_path: Path, depth: str, st
     options = ["from-plan", str(tmp_path / "a.plan"), "--depth", depth, "--out", str(tmp_path / "a.toml")]
     result = CliRunner().invoke(scenario, options)
     assert (result.exit_code == 0, (tmp_path / "a.toml").exists()) == (status == 0, status == 0)
+
+
+HOME = (63.0, 10.0, 71.5)  # a lake above the sea
+EAST, NORTH = 50672.9, 111461.7  # m per degree there, by the series of the ellipsoid
+
+
+def _written(point: tuple[float, float, float], frame: int) -> list[float]:
+    # east, north and height above the surface, as a waypoint in a frame
+    x, y, z = point
+    if frame in (1, 4):
+        return [y, x, -z] if frame == 1 else [x, y, z]
+    return [HOME[0] + y / NORTH, HOME[1] + x / EAST, z + (HOME[2] if frame in (0, 5) else 0.0)]
+
+
+def _file(path: Path, items: list[Any], *, home: Any = HOME, **more: Any) -> Path:
+    path.write_text(json.dumps({"mission": {"items": items, "plannedHomePosition": home}, **more}))
+    return path
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_waypoints_of_any_frame_are_the_same_mission(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-200, 200, (5, 2)), rng.uniform(-9, -1, 5)])
+    frames = [3, *rng.choice([0, 1, 3, 4, 5, 6], 4).tolist()]
+    items = [
+        {"type": "SimpleItem", "command": 16, "frame": f, "params": [0, 0, 0, None, *_written(tuple(p), f)]}
+        for p, f in zip(points.tolist(), frames, strict=True)
+    ]
+    mission = read_mission(_file(tmp_path / "a.plan", items))
+    np.testing.assert_allclose(mission.points, points[:, :2] - points[0, :2], atol=0.02)
+    np.testing.assert_allclose(mission.heights, points[:, 2], atol=1e-9)
+    assert mission.notes == ()
+    without = _file(tmp_path / "b.plan", items, home=None)
+    if {1, 4} & set(frames):
+        with pytest.raises(InputError, match=r"item \d = 'frame [14]': is in metres from a home position.*; save the"):
+            read_mission(without)
+    else:
+        assert np.isnan(read_mission(without).heights).tolist() == [f in (0, 5) for f in frames]
+
+
+@pytest.mark.parametrize(
+    ("command", "params", "text"),
+    [
+        (16, (30, 0, 0, None), "hold 30 s"),
+        (16, (0, 2, 7, None), "pass at 7 m"),
+        (16, (0, 2, 0, -90), "yaw -90°"),
+        (17, (0, 0, 12, None), "radius 12 m"),
+        (17, (0, 0, 0, None), "loiter without end"),
+        (18, (3, 0, 0, None), "3 turns"),
+        (18, (0, 0, -4, None), "radius -4 m"),
+        (19, (60, 0, 0, None), "hold 60 s"),
+        (82, (5, 0, 0, None), "hold 5 s"),
+    ],
+)
+@pytest.mark.parametrize("frame", [3, 10, 11])
+def test_what_a_path_has_not_is_said_of_its_item(
+    command: int, params: tuple[Any, ...], text: str, frame: int, tmp_path: Path
+) -> None:
+    first, last = (_item(16, 0, 0, 0, None, 63.0, 10.0 + 1e-3 * k, -2) for k in (0, 2))
+    middle = {**_item(command, *params, 63.0, 10.001, -2), "frame": frame}
+    mission = read_mission(_file(tmp_path / "a.plan", [first, middle, last]))
+    assert f"not used: item 2 ({text})" in mission.notes
+    assert ("not used: item 2 (height -2 m above the terrain)" in mission.notes) == (frame != 3)
+    assert np.isnan(mission.heights).tolist() == [False, frame != 3, False]
+
+
+@pytest.mark.parametrize("frame", [2, 7, 8, 9, 12, 20, 21, 99])
+def test_a_frame_without_meaning_for_a_mission_is_refused(frame: int, tmp_path: Path) -> None:
+    items = [ITEMS[1], {**ITEMS[1], "frame": frame}]
+    with pytest.raises(InputError, match=rf"item 2 = 'frame {frame}': is no frame of a waypoint; give latitude"):
+        read_mission(_file(tmp_path / "a.plan", items))
+
+
+def test_speeds_and_stops_of_a_plan_are_said(tmp_path: Path) -> None:
+    items = [ITEMS[1], _item(178, 2, 3.0, -1), _item(178, 1, 0.5, -1), {**SURVEY, "autoContinue": False}]
+    items[0] = {**items[0], "autoContinue": False}
+    mission = read_mission(_file(tmp_path / "a.plan", items))
+    assert mission.speed == 0.5 and mission.notes == (
+        "not used: item 1 (waits for the operator)",
+        "not used: item 2 (command 178)",  # a speed of climbing
+        "item 3 (speed 0.5 m/s, on the way) holds from the first waypoint",
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_exclusion_circles_are_obstacles_and_all_other_fences_are_said(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    centres, radii = np.column_stack([[20, 50, 80], rng.uniform(-20, 20, 3)]), rng.uniform(1, 9, 3)
+    points = [_written((x, 0.0, -2.0), 3) for x in (0.0, 100.0)]
+    circles: list[dict[str, Any]] = [
+        {"circle": {"center": _written((x, y, 0), 3)[:2], "radius": r}, "inclusion": False}
+        for (x, y), r in zip(centres.tolist(), radii.tolist(), strict=True)
+    ]
+    other = [{**circles[0], "inclusion": True}, {**circles[0], "inclusion": False}]
+    polygons = [{"polygon": [[63, 10], [63, 10.1], [63.1, 10]], "inclusion": bool(k)} for k in (0, 1)]
+    fence = {"circles": [*circles, *other], "polygons": polygons}
+    items = [_item(16, 0, 0, 0, None, *point) for point in points]
+    mission = read_mission(_file(tmp_path / "a.plan", items, geoFence=fence))
+    text, notes = mission_scenario(mission, "a", vehicle="sur400", cruise=0.2, margin=25.0)
+    (tmp_path / "a.toml").write_text(text)
+    scenario = load_scenario(str(tmp_path / "a.toml"))
+    start = scenario.path.waypoints[0]
+    np.testing.assert_allclose([np.array(o.centre_m) - start for o in scenario.obstacles], centres, atol=0.03)
+    np.testing.assert_allclose([float(o.radius_m or 0) for o in scenario.obstacles], radii)
+    assert notes == (
+        f"not used: inclusion circle 4, of radius {radii[0]:g} m",
+        "not used: exclusion polygon 1, with 3 corners",
+        "not used: inclusion polygon 2, with 3 corners",
+        f"not used: exclusion circle 4, of radius {radii[0]:g} m (it overlaps an earlier one)",
+        "3 exclusion circles are cylinders in the water, so sonars see them too",
+    )
+    mission = read_mission(_file(tmp_path / "a.plan", [items[0], items[1]], geoFence={"circles": [circles[0]] * 2}))
+    _, notes = mission_scenario(mission, "a", vehicle="sur400", cruise=0.2, margin=25.0)
+    assert sum("overlaps" in note for note in notes) == 1
+    circles[0]["circle"]["center"] = points[0][:2]
+    with pytest.raises(InputError, match=r"exclusion circle 1, of radius .*: the path begins or ends inside it"):
+        mission_scenario(
+            read_mission(_file(tmp_path / "a.plan", items, geoFence=fence)), "a", vehicle="sur400", cruise=0.2
+        )
+    with pytest.raises(InputError, match="geoFence: cannot be read"):
+        read_mission(_file(tmp_path / "a.plan", items, geoFence={"circles": [3]}))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "iso-8859-1", "windows-1252", "utf-16", "utf-16-le"])
+def test_a_gpx_file_of_any_encoding_is_read_and_its_document_type_is_refused(encoding: str, tmp_path: Path) -> None:
+    declared = encoding.replace("-sig", "").replace("-le", "")
+    points = "".join(f'<rtept lat="63" lon="{lon}"><name>Bøye</name></rtept>' for lon in (10.0, 10.001))
+    head = f'<?xml version="1.0" encoding="{declared}"?>'
+    mark = "\ufeff" if encoding == "utf-16-le" else ""
+    path = tmp_path / "a.gpx"
+    path.write_bytes((mark + head + f"<gpx><rte>{points}</rte></gpx>").encode(encoding))
+    assert len(read_mission(path).points) == 2
+    bomb = '<!DOCTYPE a [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]><gpx><wpt lat="&b;"/></gpx>'
+    path.write_bytes((mark + head + bomb).encode(encoding))
+    with pytest.raises(InputError, match=r"a.gpx: declares a document type; remove the DOCTYPE"):
+        read_mission(path)
+
+
+def test_an_encoding_that_is_not_known_is_one_line(tmp_path: Path) -> None:
+    for name in ("klingon", "shift_jis", "utf-16"):  # the bytes are not UTF-16
+        (tmp_path / "a.gpx").write_bytes(f'<?xml version="1.0" encoding="{name}"?><gpx/>'.encode())
+        with pytest.raises(InputError, match=r"a.gpx: is not XML") as caught:
+            read_mission(tmp_path / "a.gpx")
+        assert "\n" not in str(caught.value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -105,3 +106,52 @@ def test_the_link_is_chosen(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"--link = 'bas'.*did you mean 'base'"):
         gazebo_vehicle(tmp_path / "model.sdf", "auv", link="bas", **GIVEN)
     assert gazebo_vehicle(tmp_path / "model.sdf", "auv", link="arm", **GIVEN)["m11"] == 15.5
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_coupling_of_a_model_is_taken_or_named(seed: int, tmp_path: Path) -> None:
+    """Drawn coefficients: the drag of the vehicle at drawn velocities is that of the model's own sum."""
+    rng = np.random.default_rng(seed)
+    axes, forces = "UVWR", "xyzn"
+    linear = {(i, j): -rng.uniform(0.1, 9) for i in range(4) for j in range(4) if i == j or rng.random() < 0.3}
+    quadratic = {
+        (i, j, k): -rng.uniform(0.1, 9)
+        for i in range(4) for j in range(4) for k in range(4)
+        if i == j == k or rng.random() < 0.2
+    }  # fmt: skip
+    entries = "".join(f"<{forces[i]}{axes[j]}>{v!r}</{forces[i]}{axes[j]}>" for (i, j), v in linear.items())
+    for (i, j, k), v in quadratic.items():
+        name = f"{forces[i]}{axes[j]}abs{axes[k]}"
+        entries += f"<{name}>{v!r}</{name}>"
+    plugin = SDF[SDF.index("<xU>") : SDF.index("</plugin>")]
+    (tmp_path / "model.sdf").write_text(SDF.replace(plugin, entries + "<xUV>-2</xUV><yWU>0</yWU>"))
+    auv = gazebo_vehicle(tmp_path / "model.sdf", "auv", **GIVEN)
+    assert auv.note.endswith("; not used: xUV = -2")
+    letters, signs = "uvwr", "XYZN"
+    for nu in rng.normal(size=(5, 4)):
+        force = np.zeros(4)
+        for (i, j), v in linear.items():
+            force[i] += v * nu[j]
+        for (i, j, k), v in quadratic.items():
+            force[i] += v * abs(nu[k]) * nu[j]
+        own = np.zeros(4)
+        for name, parameter in auv.parameters.items():
+            if name[0] in signs and set(name[1:]) <= set(letters):
+                factor = np.prod([nu[letters.index(c)] if n == len(name) - 2 else abs(nu[letters.index(c)])
+                                  for n, c in enumerate(name[1:])])  # fmt: skip
+                own[signs.index(name[0])] -= parameter.value * factor
+        np.testing.assert_allclose(own, force, rtol=1e-12)
+
+
+@pytest.mark.parametrize("encoding", ["iso-8859-1", "utf-16"])
+def test_a_model_of_another_encoding_is_read(encoding: str, tmp_path: Path) -> None:
+    text = SDF.replace('"1.0"?>', f'"1.0" encoding="{encoding}"?><!-- Bøye -->', 1)
+    (tmp_path / "model.sdf").write_bytes(text.encode(encoding))
+    assert gazebo_vehicle(tmp_path / "model.sdf", "auv", **GIVEN)["m11"] == 15.5
+
+
+def test_what_uuv_simulator_adds_is_named(tmp_path: Path) -> None:
+    more = "<linear_damping_forward_speed>-8 0 0 0 0 0</linear_damping_forward_speed><offset>0.0</offset>"
+    (tmp_path / "robot.urdf").write_text(UUV.replace("</hydrodynamic_model>", more + "</hydrodynamic_model>"))
+    note = gazebo_vehicle(tmp_path / "robot.urdf", "auv", **GIVEN).note
+    assert note.endswith("not used: linear_damping_forward_speed = -8 0 0 0 0 0")
