@@ -243,8 +243,8 @@ def from_log(
     no names of columns. --topics prints what such a log contains.
 
     A parameter that the log does not determine keeps its value from --start, the others are fitted with it, and the
-    file says so. The last part of the log is predicted by a fit to the rest, beside a prediction that holds the last
-    velocity.
+    file says so. If a mass or a drag comes out below 0, nothing is written, and the status is 1. The last part of the
+    log is predicted by a fit to the rest, beside a prediction that holds the last velocity.
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
@@ -258,7 +258,8 @@ def from_log(
         named = load_log_map(map_file) if map_file else None
         recording = read_recording(logs[0], log_map=named, map_name=str(map_file or ""))
         fields = {topic: list(held.fields) for topic, held in recording.topics.items()}
-        finish({"topics": fields}, topic_lines(recording), as_json=as_json, passed=True)
+        lines = [*topic_lines(recording), *(f"  note: {note}" for note in recording.notes)]
+        finish({"topics": fields, "notes": list(recording.notes)}, lines, as_json=as_json, passed=True)
     robot = load_vehicle(start)
     measured = in_sequence([_read_log(log, map_file, frame) for log in logs])
     fit = identify(measured, robot, name=name)
@@ -298,6 +299,10 @@ def from_log(
 
         title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
         lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
+    if fit.refusal:
+        finish(
+            result | {"refusal": fit.refusal}, [*lines, f"not written: {fit.refusal}"], as_json=as_json, passed=False
+        )
     _write(fit.vehicle, out, force, lines, result, as_json=as_json)
 
 

@@ -242,3 +242,18 @@ def test_what_cannot_be_fitted_is_refused(case: str) -> None:
     (x, y), words = REFUSED[case]
     with pytest.raises(InputError, match=words):
         calibrate(x, y)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_sensor_that_does_not_follow_the_distance_is_no_calibration(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x = np.sort(rng.uniform(0.3, 4.0, int(rng.integers(6, 60))))
+    stuck = float(rng.uniform(1.0, 3.0))
+    for y in (
+        np.full(len(x), stuck),  # exactly: the scale is rounding, of either sign
+        stuck + 0.2 * rng.standard_normal(len(x)) * (x.std() > 0) - 0.02 * (x - x.mean()),
+        x.max() + x.min() - x,  # the scale is -1
+    ):
+        with pytest.raises(InputError, match=r"measured: does not rise with the true distance: the scale, .*stuck"):
+            calibrate(x, np.abs(y))
+    assert calibrate(x, 0.9 * x + 0.1 + 0.001 * rng.standard_normal(len(x))).scale.low > 0

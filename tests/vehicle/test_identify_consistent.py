@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.signal import lfilter
 
+from surctl.cli.vehicle import vehicle as vehicle_command
 from surctl.errors import InputError
 from surctl.vehicle import (
     MotionLog,
@@ -22,6 +25,7 @@ from surctl.vehicle import (
 )
 from surctl.vehicle.identification.intervals import spread_of
 from surctl.vehicle.identification.model import sections_of
+from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST
 from surctl.vehicle.parameters import Parameter, vehicle_from_table
 from tests.vehicle.test_identify import START, TRUE, made_log
 
@@ -74,6 +78,8 @@ def test_a_negative_drag_is_fixed_at_0_and_said() -> None:
     pushed = log.thrust + np.outer(np.nan_to_num(log.motion[:, 4]), [-25.0, 0, 0, 0])  # thrust that hides the drag
     wrong = MotionLog(log.time, log.motion, pushed, "log.csv")
     found = identify(wrong, START, name="fitted")
+    value, half = found.estimates["Xu"]
+    assert f"Xu = {value:.3g} ± {half:.2g} N s/m would be below 0; check the signs" in found.refusal
     assert "Xu" in found.zeroed and found.vehicle["Xu"] == 0.0
     assert any("drag below 0: the model is wrong (Xu" in note for note in found.notes)
     assert (
@@ -164,3 +170,17 @@ def test_a_coupled_vehicle_is_fitted_with_its_coupling() -> None:
 
 def test_the_default_vehicle_is_unchanged() -> None:
     assert load_vehicle("sur540-flooded").digest() == START.digest()
+
+
+def test_a_fit_without_physical_meaning_is_not_written(tmp_path: Path) -> None:
+    log = made_log(TRUE, seed=2, rows=150)
+    pushed = log.thrust + np.outer(np.nan_to_num(log.motion[:, 4]), [-25.0, 0, 0, 0])
+    (tmp_path / "start.toml").write_text(write_vehicle(START))
+    for thrust, status in ((pushed, 1), (log.thrust, 0)):
+        rows = np.column_stack([log.time, log.motion, thrust])
+        names = ",".join(("t_s", *LOG_MOTION, *LOG_THRUST))
+        np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=names, comments="")
+        words = ["--start", str(tmp_path / "start.toml"), "--held-out", "0", "--out", str(tmp_path / "fit.toml")]
+        result = CliRunner().invoke(vehicle_command, ["from-log", str(tmp_path / "log.csv"), *words])
+        assert (result.exit_code, (tmp_path / "fit.toml").exists()) == (status, status == 0), result.output
+        assert ("not written: the log contradicts the model: Xu = -" in result.output) == (status == 1)

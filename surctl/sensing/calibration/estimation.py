@@ -132,7 +132,7 @@ class Calibration:
     @property
     def other_medium(self) -> bool:
         """Whether the scale shows that the sensor assumed sound in air but measured in water, or the reverse."""
-        return self.scale.value > 0 and _other_medium(self.scale.value)
+        return _other_medium(self.scale.value)
 
     @property
     def rms(self) -> float:
@@ -184,9 +184,10 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
 
     Raises:
         InputError: if there are fewer readings than `LEAST_ROWS` or fewer distinct distances than `LEAST_DISTANCES`, or
-            if a number is negative or not finite. InputError is also raised if the median ratio of measured to true
-            distance lies outside 1/3 to 3, because then the units may differ; a ratio that suggests a sensor for air
-            used in water, or the reverse, is accepted.
+            if a number is negative or not finite; or if the 95 % interval of the scale reaches down to 0, as of a stuck
+            sensor. InputError is also raised if the median ratio of measured to true distance lies outside 1/3 to 3,
+            because then the units may differ; a ratio that suggests a sensor for air used in water, or the reverse, is
+            accepted.
 
     Example:
         >>> import numpy as np
@@ -204,6 +205,11 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     everything = _fitted(x, y)
     inlier, too_many = _without_outliers(x, y, everything)
     fit = everything if inlier.all() else _fitted(x[inlier], y[inlier])
+    if fit.scale.low <= _EXACT:
+        low, high = (f"{v:.3g}" for v in fit.scale.to_list()[1:])
+        problem = f"does not rise with the true distance: the scale, {low} to {high}, must be greater than 0"
+        remedy = "check whether the sensor is stuck, and the order of the columns; or give more readings"
+        raise InputError(problem, key="measured", remedy=remedy)
     relative = np.interp(x, x[inlier], fit.relative)
     studentised = _studentised(x, y, relative, inlier)
     error = y - x

@@ -54,6 +54,17 @@ class Identified:
         """Constant force (4,) on the vehicle along its axes [N] and constant yaw moment [N m]."""
         return np.array([self.fitted_value(k) for k in CONSTANT_FORCE])
 
+    @property
+    def refusal(self) -> str:
+        """Why the fit has no physical meaning, with the remedy; empty if it has one."""
+        below = [
+            f"{key} = {value:.3g} ± {half:.2g} {spec.unit}"
+            for key, (value, half) in self.estimates.items()
+            if (spec := parameter_spec(key)) is not None and not spec.signed and value + half < 0
+        ]
+        remedy = "check the signs and scales of thrust and motion"
+        return f"the log contradicts the model: {', '.join(below)} would be below 0; {remedy}" if below else ""
+
     def fitted_value(self, name: str) -> float:
         """Return the value of a parameter in the vehicle; 0 for a constant force that it does not have."""
         return self.vehicle[name] if name in self.vehicle.parameters else 0.0
