@@ -18,6 +18,7 @@ from surctl.ir import Layout, Port
 from surctl.system.controller import Action, Controller
 from surctl.system.loop import System
 from surctl.system.plant import Plant
+from surctl.system.realisation import state_space
 
 __all__ = ["controller_from_control", "from_control", "plant_from_control", "system_from_control"]
 
@@ -216,7 +217,7 @@ def _sampled(system: Any, dt: float | None) -> tuple[float, Any]:
     if not linear:
         remedy = "write its update for discrete time, with dt"
         raise InputError("is nonlinear and in continuous time", key=_name(system), remedy=remedy)
-    whole = control.ss(system)
+    whole = state_space(system)
     sampled = control.ss(whole.A, whole.B, whole.C, whole.D, dt) if not whole.nstates else None
     if sampled is None:
         sampled = control.sample_system(whole, dt, method="tustin")
@@ -276,10 +277,8 @@ def _flat(returned: Any) -> list[ca.SX]:
 
 
 def _matrices(system: Any) -> tuple[Array, ...]:
-    import control  # takes seconds to import
-
     try:
-        whole = control.ss(system)
+        whole = state_space(system)
     except (TypeError, ValueError) as error:
         problem = f"has no state space ({' '.join(str(error).split())})"
         remedy = "give a proper system with real numbers, such as a derivative with a filter"
@@ -290,7 +289,7 @@ def _matrices(system: Any) -> tuple[Array, ...]:
 def _layouts(system: Any) -> tuple[Layout, Layout, Layout]:
     import control  # takes seconds to import
 
-    states = control.ss(system).state_labels if isinstance(system, control.TransferFunction) else system.state_labels
+    states = state_space(system).state_labels if isinstance(system, control.TransferFunction) else system.state_labels
     return tuple(_layout(labels) for labels in (states, system.input_labels, system.output_labels))  # type: ignore[return-value]
 
 

@@ -19,6 +19,7 @@ from surctl.system import (
     system_from_control,
     to_control,
 )
+from surctl.system.realisation import state_space
 
 PLANT = control.ss(
     [[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.5]], [[1.0, 0.0]], 0, inputs=["torque [N m]"], outputs=["angle [rad]"],
@@ -116,3 +117,39 @@ def test_mistakes_are_one_line() -> None:
         with pytest.raises(InputError) as raised:
             call()
         assert problem in str(raised.value) and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_matrix_of_transfer_functions_has_a_minimal_state_space(seed: int) -> None:
+    """Drawn residues at shared poles: the response is theirs, and the order is the sum of their ranks (Gilbert)."""
+    rng = np.random.default_rng(seed)
+    p, m = rng.integers(1, 4, 2)
+    dt = 0.1 if seed % 2 else 0
+    poles = [1.0, -0.3, 0.2] if dt else [0.0, -0.5, -3.0]
+    ranks = rng.integers(0, min(p, m) + 1, 3)
+    residues = [rng.normal(size=(p, r)) @ rng.normal(size=(r, m)) for r in ranks]
+    through = rng.normal(size=(p, m)) * (rng.random((p, m)) < 0.5)
+    num, den = np.empty((2, p, m), dtype=object)
+    for i, j in np.ndindex(p, m):
+        used = [k for k in range(3) if abs(residues[k][i, j]) > 0]
+        den[i, j] = 3.0 * np.atleast_1d(np.poly([poles[k] for k in used]))
+        parts = [3.0 * residues[k][i, j] * np.atleast_1d(np.poly([poles[n] for n in used if n != k])) for k in used]
+        num[i, j] = np.sum([np.pad(q, (len(den[i, j]) - len(q), 0)) for q in parts], axis=0) + through[i, j] * den[i, j]
+    system = control.tf(num.tolist(), den.tolist(), dt)
+    own = state_space(system)
+    omega = np.geomspace(0.01, 30, 40)
+    at = np.exp(1j * omega * dt) if dt else 1j * omega
+    np.testing.assert_allclose(own(at), system(at), rtol=1e-7, atol=1e-9)
+    assert own.nstates == sum(ranks)
+
+
+def test_two_inputs_and_two_outputs_without_slycot() -> None:
+    s = control.tf("s")
+    matrix = control.combine_tf([[1 / s, 1 / (s * (s + 1))], [2 / s, 3 / (s + 2)]])
+    plant = plant_from_control(matrix)
+    assert plant.state.size == 4 and plant.inputs.size == plant.measurements.size == 2
+    gains = control.tf([[[0.4], [0.1]], [[0.0], [0.2]]], [[[1.0], [1.0]], [[1.0], [1.0]]], 0.05)
+    loop = system_from_control(plant, gains)
+    assert np.isfinite(linearise(loop).poles()).all()
+    with pytest.raises(InputError, match="has no state space"):
+        plant_from_control(control.combine_tf([[s, 1 / s]]))
