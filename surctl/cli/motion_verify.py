@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish, progress, stoppable
+from surctl.cli.output import finish, progress, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.lyapunov import Solution
@@ -99,8 +99,6 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     """Write the certificate, if there is one, and the picture of a region; return the files."""
     from surctl.files import write_file
     from surctl.lyapunov import Safety
-    from surctl.report.motion_plots import plot_motion
-    from surctl.report.pictures import save_figure
 
     if solution.decision is None or not solution.document:
         return []
@@ -109,6 +107,10 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     text = json.dumps(solution.document, ensure_ascii=False, separators=(",", ":"))
     files = [write_file(out / f"{name}.json", text + "\n")]
     if not isinstance(claim, Safety):
-        figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
-        files.append(save_figure(figure, out, (name,)))
+        with saving("plot"):
+            from surctl.report.motion_plots import plot_motion
+            from surctl.report.pictures import save_figure
+
+            figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+            files.append(save_figure(figure, out, (name,)))
     return files

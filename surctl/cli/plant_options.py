@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.animate_option import NamedFile
-from surctl.cli.output import together
+from surctl.cli.output import saving, together
 
 if TYPE_CHECKING:
     from surctl.control import Law
@@ -173,8 +173,9 @@ class PlantOptions:
         lines = [f"  {run.plant}: contacts {touched}{tilt}"]
         result["plant_options"] = options.of(run.vehicle).to_dict()
         if self.film is not None:
-            from surctl.report import save_film
+            with saving("film"):
+                from surctl.report import save_film
 
-            result["film"] = str(save_film(run, self.film, options=options))
-            lines.append(f"  {result['film']}")
+                result["film"] = str(save_film(run, self.film, options=options))
+                lines.append(f"  {result['film']}")
         return lines

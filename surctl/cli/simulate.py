@@ -223,10 +223,10 @@ def simulate(
                     if run.metrics.stopped_because == "time limit" and (why := time_limit_reason(run)):
                         results[-1]["stop_reason"] = why
                         lines.append(f"  time limit: {why}")
-                    lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
                     if save is not None and out is not None:
                         results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
                         lines.append(f"  {results[-1]['file']}")
+                    lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
                     if report is not None:
                         results[-1]["link"] = report.to_dict()
                         lines.append(f"  {report.line()}")

@@ -12,7 +12,7 @@ import click
 
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.next_export import export_command
-from surctl.cli.output import as_json, finish, finite, progress, same_command, stoppable
+from surctl.cli.output import as_json, finish, finite, progress, same_command, saving, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_tune import tune_own_system
@@ -270,9 +270,11 @@ def tune(
     result["not_judged"] = [goal.name for goal in unjudged]
     result["caps"] = caps = _caps(cases, {**plan.gains.values, **tuning.result.gains})
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
-    from surctl.report import save_tuning  # loads matplotlib only now
+    pictures = list[Path]()
+    with saving("plots"):
+        from surctl.report import save_tuning  # loads matplotlib only now
 
-    pictures = save_tuning(tuning, out)
+        pictures = save_tuning(tuning, out)
     lines = [*summary(tuning), *derived, *omitted, *caps, "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = pairs[0]

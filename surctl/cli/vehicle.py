@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish
+from surctl.cli.output import FiniteRange, as_json, finish, saving
 from surctl.cli.thrusters import thrusters
 
 if TYPE_CHECKING:
@@ -259,6 +260,8 @@ def from_log(
         recording = read_recording(logs[0], log_map=named, map_name=str(map_file or ""))
         fields = {topic: list(held.fields) for topic, held in recording.topics.items()}
         finish({"topics": fields}, topic_lines(recording), as_json=as_json, passed=True)
+    if picture is not None and share == 0:
+        raise click.UsageError("--picture needs a prediction: --held-out above 0")
     robot = load_vehicle(start)
     measured = in_sequence([_read_log(log, map_file, frame) for log in logs])
     fit = identify(measured, robot, name=name)
@@ -291,14 +294,21 @@ def from_log(
         "parameters": _numbers(fit.vehicle),
     }
     lines = [*_fit_lines(fit), *_prediction_lines(predictions, share)]
-    if picture is not None:
-        if not predictions:
-            raise click.UsageError("--picture needs a prediction: a longer log, and --held-out above 0")
-        from surctl.report import save_prediction
 
-        title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
-        lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
-    _write(fit.vehicle, out, force, lines, result, as_json=as_json)
+    def plot() -> None:
+        from surctl.errors import InputError
+
+        if picture is None:
+            return
+        with saving("plot"):
+            from surctl.report import save_prediction
+
+            if not predictions:
+                raise InputError("needs a prediction", key="--picture", remedy="give a longer log")
+            title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
+            lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
+
+    _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=plot)
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
@@ -378,12 +388,20 @@ def _numbers(robot: Vehicle) -> dict[str, Any]:
 
 
 def _write(
-    robot: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool
+    robot: Vehicle,
+    out: Path | None,
+    force: bool,
+    lines: list[str],
+    result: dict[str, Any],
+    *,
+    as_json: bool,
+    plot: Callable[[], None] = lambda: None,
 ) -> None:
     from surctl.cli.new import path_of, write_new
     from surctl.vehicle import write_vehicle
 
     target = write_new(out or path_of(robot.name, ".toml"), write_vehicle(robot), force=force)
+    plot()
     shown = shlex.quote(str(target))
     then = [f"surctl lint {shown}", f"surctl tune --vehicle {shown} --out tuned"]
     finish({**result, "file": str(target)}, [*lines, f"wrote {target}"], as_json=as_json, passed=True, then=then)
