@@ -10,6 +10,7 @@ import warnings
 import click
 
 from surctl import __version__
+from surctl.cli.activity import signs_of_life
 from surctl.cli.calibrate import calibrate
 from surctl.cli.check import check
 from surctl.cli.completion import completion
@@ -81,7 +82,7 @@ def main() -> None:
     warnings.filterwarnings("always", category=OldName)  # one line for each warning, whatever the warning filters are
     os.environ["MPLBACKEND"] = "agg"  # an inherited one (of Jupyter, say) may not be installed; no window is opened
     open_closed_streams()
-    with noting_interrupts(), guarded_stdout():
+    with noting_interrupts(), guarded_stdout(), signs_of_life():
         status = _status()
     sys.exit(status)
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from surctl.cli.output import progress, refusal_line
+from surctl.cli.activity import progress
+from surctl.cli.output import refusal_line
 
 if TYPE_CHECKING:
     from surctl.control import Gains

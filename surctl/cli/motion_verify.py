@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish, progress, saving, stoppable
+from surctl.cli.activity import progress, timed
+from surctl.cli.output import finish, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.lyapunov import Solution
@@ -70,8 +71,10 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     failures: list[str] = []
     files: list[Path] = []
     for word, problem in problems.items():
-        progress(f"{problem.dynamics.name}: at most {time_limit:g} s of processor time (--time-limit)")
-        with stoppable("the finished claims are above", lines, as_json=as_json):
+        with (
+            timed(problem.dynamics.name, time_limit),
+            stoppable("the finished claims are above", lines, as_json=as_json),
+        ):
             try:
                 solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
             except InputError as error:

@@ -34,7 +34,6 @@ __all__ = [
     "out_folder",
     "print_message",
     "printable",
-    "progress",
     "refusal_line",
     "same_command",
     "saving",
@@ -197,13 +196,6 @@ def same_command(**changed: int) -> str:
         words.append(word)
     words += [word for name, value in changed.items() for word in (f"--{name}", str(value))]
     return shlex.join(["surctl", *words])
-
-
-def progress(text: str) -> None:
-    """Print one line of progress on stderr."""
-    with suppress(OSError):  # a log that cannot be written does not stop the computation
-        sys.stderr.write(f"  {text}\n")
-        sys.stderr.flush()
 
 
 def print_message(text: str) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.activity import doing
 from surctl.cli.animate_option import NamedFile
 from surctl.cli.output import saving, together
 
@@ -159,6 +160,9 @@ class PlantOptions:
                 stepper=stepper,
                 thruster_faults=faults,
                 physics=physics,
+                watch=lambda time: doing(
+                    f"{case.scenario.name}: {f'{time:.1f} s simulated' if time else 'building the law'}"
+                ),
             )
             yield run, None if stepper is None else stepper.report()
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, out_folder, progress, saving, stoppable
+from surctl.cli.activity import progress
+from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.reproduction import Row

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option, trust_option
-from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
+from surctl.cli.output import as_json, finish, out_folder, stoppable
 from surctl.cli.plant_options import PlantOptions, plant_options
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.law_option import law_words, trust_option
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, saving, stoppable
+from surctl.cli.output import as_json, finish, refusal_line, same_command, saving, stoppable
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_study import study_system
 from surctl.cli.vehicle_choice import at_hand

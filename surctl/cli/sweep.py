@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.gains_choice import choose_shared
 from surctl.cli.law_option import choose_law, law_option, law_words
-from surctl.cli.output import as_json, finish, progress, same_command, saving, stoppable
+from surctl.cli.output import as_json, finish, same_command, saving, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_sweep import sweep_system

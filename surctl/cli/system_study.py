@@ -7,7 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish, progress, saving
+from surctl.cli.activity import progress
+from surctl.cli.output import finish, saving
 from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
 from surctl.cli.system_simulate import cost_data, cost_lines, end_text
 

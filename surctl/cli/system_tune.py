@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surctl.cli.output import finish, progress
+from surctl.cli.activity import progress
+from surctl.cli.output import finish
 from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
 from surctl.cli.system_simulate import cost_data
 

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.next_export import export_command
-from surctl.cli.output import as_json, finish, finite, progress, same_command, saving, stoppable
+from surctl.cli.output import as_json, finish, finite, same_command, saving, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_tune import tune_own_system

@@ -58,6 +58,7 @@ def simulate(
     stepper: Stepper | None = None,
     thruster_faults: Sequence[ThrusterFault] = (),
     physics: PhysicsMaker = OwnPhysics,
+    watch: Callable[[float], object] = lambda _: None,
 ) -> Run:
     """Simulate one scenario and return the run.
 
@@ -76,6 +77,7 @@ def simulate(
             law's state x, inputs u and parameters p it returns a control step.
         thruster_faults: failures of thrusters, which the law knows as soon as they begin.
         physics: makes what moves the hull and measures distances; default: surctl's own plant.
+        watch: function that receives the simulated time [s] before each control step.
 
     Raises:
         InputError: `sensing` is unknown or does not fit the law, or the hull starts inside an obstacle.
@@ -118,7 +120,7 @@ def simulate(
     gains = gains.with_own(law_source(law.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)
     loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters, physics, seed)
-    reason, record = loop.run(), loop.record()
+    reason, record = loop.run(watch), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
     plant = loop.physics
     return Run(
@@ -185,11 +187,12 @@ class Loop:
         self.follower = world.scenario.follower()
         self.rows: list[tuple[object, ...]] = []
 
-    def run(self) -> str:
-        """Simulate the run to its end and return the reason why it ended."""
+    def run(self, watch: Callable[[float], object] = lambda _: None) -> str:
+        """Simulate the run to its end and return the reason why it ended; `watch` receives each time [s]."""
         scenario, dt, stopped, standing, gone = self.world.scenario, self.law.dt, 0, 0, 0
         for index in range(int(np.ceil(scenario.time_limit / dt))):
             time = index * dt
+            watch(time)
             bodies = self.world.bodies(time)
             noise = self._draw()
             self._listen(bodies, noise, 0)
