@@ -148,6 +148,10 @@ class PlantOptions:
                 from surctl.engine.viewer import watched
 
                 physics = watched(physics)
+
+        def watch(time: float) -> None:
+            doing(f"{case.scenario.name}: {f'{time:.1f} s simulated' if time else 'building the law'}")
+
         for seed in seeds:
             stepper = linked(seed=seed)
             run = simulate(
@@ -160,9 +164,7 @@ class PlantOptions:
                 stepper=stepper,
                 thruster_faults=faults,
                 physics=physics,
-                watch=lambda time: doing(
-                    f"{case.scenario.name}: {f'{time:.1f} s simulated' if time else 'building the law'}"
-                ),
+                watch=watch,
             )
             yield run, None if stepper is None else stepper.report()
 
