@@ -225,14 +225,18 @@ class Loop:
             self._advance(time, step, noise)
         return LINK_LOST if gone else "time limit"
 
+    def inputs_from(self, state: Vector, index: int) -> Vector:
+        """Return the law's inputs (nu,) in a given state of the plant, only for sensing `truth`."""
+        self.state = self.physics.state = state
+        return self._inputs(self.world.bodies(index * self.law.dt), self._draw(), index)
+
     def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
         """Return the law's control step in a given state, and the next plant state with the additional thrust `added`.
 
         The method is only for sensing `truth`, where the sensors have no state, and for paths that are not fed.
         """
-        self.state = self.physics.state = state
         time, noise = index * self.law.dt, self._draw()
-        step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
+        step = self.stepper(law_state, self.inputs_from(state, index), self.p)
         self._advance(time, step._replace(tau=step.tau + added), noise)
         return step, self.state
 

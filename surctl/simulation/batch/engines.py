@@ -20,7 +20,7 @@ from surctl.simulation.batch.pack import Packed, pack, structure_of
 from surctl.simulation.batch.stored import stored_loop
 from surctl.simulation.metrics import METRICS, STOPS
 
-__all__ = ["ENGINES", "BatchResult", "Engine", "SlowerEngine", "compiled_loop", "simulate_batch"]
+__all__ = ["ENGINES", "BatchResult", "Engine", "SlowerEngine", "broadcast", "compiled_loop", "simulate_batch"]
 
 Engine = Literal["auto", "c", "vm"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
@@ -92,7 +92,7 @@ def simulate_batch(
         raise InputError("is not known", key="engine", value=engine, remedy=nearest(str(engine), ENGINES))
     if threads < 1:
         raise InputError("must be at least 1", key="threads", value=threads)
-    columns, run_seeds = _broadcast(values or {}, seeds)
+    columns, run_seeds = broadcast(values or {}, seeds)
     check_values(case, columns)
     loop = build_loop(structure_of(case, columns))
     if len(run_seeds) == 0:
@@ -140,7 +140,8 @@ def _through_machine(loop: Loop, packed: Packed) -> Columns:
     return state
 
 
-def _broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[str, Columns], NDArray[np.int64]]:
+def broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[str, Columns], NDArray[np.int64]]:
+    """Return values and seeds as arrays (n,) for n runs; raise InputError if they do not match."""
     try:
         arrays = {name: np.asarray(value, dtype=float) for name, value in values.items()}
     except (TypeError, ValueError):
