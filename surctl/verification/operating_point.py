@@ -103,7 +103,7 @@ def steadiest(eta: Array, nu: Array, tau: Array, *, law: Law, scenario: Scenario
     limits = np.maximum(p[law.gains.slice("thrust_limit")], 1e-12)
     signals = np.column_stack([nu / _VELOCITY, np.unwrap(eta[:, 3]) / _HEADING, tau / (_THRUST * limits)])
     if len(signals) <= steps:
-        raise InputError(f"ended after {len(signals) * law.dt:g} s", key=scenario.name, remedy=_REMEDY)
+        raise InputError(f"ended after {(len(signals) - 1) * law.dt:g} s", key=scenario.name, remedy=_REMEDY)
     within = partial(_over_windows, steps + 1)
     ranges = within(maximum_filter1d, signals) - within(minimum_filter1d, signals)  # 1 at the largest steady range
     most = np.abs(tau) >= _FULL * limits  # nothing controls an axis whose thrust is at its limit
