@@ -40,6 +40,7 @@ __all__ = ["study"]
     help="Number of processes of the sweep (default 2).",
 )
 @click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; a large one gets scaled missions.")
+@click.option("--gains", metavar="FILE", help="Gains to study, name or file, in place of the study's sweep.")
 @click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo's scene.")
 @seconds_option
 @trust_option
@@ -49,6 +50,7 @@ def study(
     out: Path,
     workers: int,
     vehicle: str | None,
+    gains: str | None,
     film: bool,
     seconds: float | None,
     trust: bool,
@@ -76,8 +78,10 @@ def study(
     from surctl.study import conduct, load_plan
 
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
+    chosen += [f"--gains {gains}"] if gains else []
     command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
     plan = load_plan(file, vehicle=vehicle, trust=trust)
+    plan = plan if gains is None else plan.with_gains(gains)
     if film:
         from surctl.engine.pictures import check_pictures
 

@@ -114,9 +114,11 @@ __all__ = ["tune"]
     help="Output folder (default surctl-out); resumes there.",
 )
 @click.option("--page", is_flag=True, help="Open a page with sliders instead.")
-@click.option("--law", metavar="NAME", help="Law of --page: NAME or FILE.py:FUNCTION.")
+@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Gain set of --page (default: the study's).")
+@click.option(
+    "--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: the study's)."
+)
 @click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
 @trust_option
@@ -182,8 +184,8 @@ def tune(
             scenario=scenario, gains=gains_file, law=law, cruise=cruise, port=port, browser=not no_browser, trust=trust,
         )  # fmt: skip
         return
-    if scenario or gains_file or law or port or no_browser:
-        raise click.UsageError(_needs_page(scenario, gains_file, law))
+    if scenario or port or no_browser:
+        raise click.UsageError(_needs_page(scenario))
     from surctl.control import default_law, write_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
@@ -209,6 +211,8 @@ def tune(
     from surctl.vehicle import load_vehicle
 
     plan = load_plan(file, trust=trust)
+    plan = plan if law is None else plan.with_law(law)
+    plan = plan if gains_file is None else plan.with_gains(gains_file)
     if vehicles:
         plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
     if plan.unheard:
@@ -297,16 +301,11 @@ def tune(
     finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
 
 
-def _needs_page(scenario: str | None, gains: str | None, law: str | None) -> str:
+def _needs_page(scenario: str | None) -> str:
     """Return the error for options that need --page; the message says how a study file sets their values."""
     if scenario:
         own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
         return f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}"
-    if gains:
-        own = f'write gains = "{gains}" in a study file and give the file: surctl tune STUDY.toml'
-        return f"--gains selects the gain set of --page; to start the search from a gain set, {own}"
-    if law:
-        return f'--law selects the law of --page; to tune it, write law = "{law}" in a study file and give the file'
     return "--port and --no-browser need --page"
 
 

@@ -137,7 +137,7 @@ def conduct(
         saving: returns a context for the named part of the report, which may suppress the errors of that part.
 
     Raises:
-        InputError: the plan has no sweep, the folder cannot be written, there is no compiler, or the law cannot use the
+        InputError: the folder cannot be written, there is no compiler, or the law cannot use the
             sonars of a scenario. All these errors are raised before the long computations start.
 
     Example:
@@ -163,7 +163,6 @@ def conduct(
     from surctl.report import Check, ReportData, runs_section, write_page
     from surctl.report.document import Section
 
-    plan.check_sweep()
     find_compiler()
     prepare_folder(out)
     plan = plan.written(out / "missions")
@@ -304,7 +303,7 @@ def _export_summary(
 def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTable:
     return sweep(
         plan.sweep_cases,
-        grid(plan.axes),
+        grid(plan.grid),
         seeds=plan.sweep_seeds,
         cruise=plan.cruise,
         executor=LocalExecutor(workers),

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from numbers import Real
 from typing import Any, ClassVar, Literal, TypeAlias
 
@@ -103,7 +103,7 @@ class Judgement:
     unit: str
     limit: float
     normalised: float
-    view: LoopView | None = None
+    view: LoopView | None = field(default=None, repr=False)
     where: str = ""
 
     @property
@@ -129,9 +129,9 @@ class LoopGoal(ABC):
     points: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            key = f"goals.{self.name}.{field.name}"
+        for one in fields(self):
+            value = getattr(self, one.name)
+            key = f"goals.{self.name}.{one.name}"
             bound = field.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
             number = field.type == "float" and not isinstance(value, Real)
             if bound or number:

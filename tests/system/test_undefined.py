@@ -22,9 +22,7 @@ SINGULAR: dict[str, Callable[[ca.SX, ca.SX], ca.SX]] = {
 
 
 def system(*, plant: Callable[..., ca.SX], law: Callable[..., ca.SX]) -> System:
-    cart = Plant(
-        "cart", STATES, FORCE, lambda x, f, d, p: {"pos": x["vel"], "vel": f["f"] + plant(x["pos"], x["vel"])}
-    )
+    cart = Plant("cart", STATES, FORCE, lambda x, f, d, p: {"pos": x["vel"], "vel": f["f"] + plant(x["pos"], x["vel"])})
     pd = Controller("pd", 0.01, STATES, FORCE, lambda x, u, p: -u["pos"] - u["vel"] + law(u["pos"], u["vel"]))
     return System(cart, pd)
 
