@@ -23,9 +23,10 @@ LIBRARY = Path(__file__).parent / "library"
 class GainSpec:
     """Unit and meaning of a gain, and its bounds.
 
-    If `zero_allowed` is False, the gain must be greater than 0; a default or a range that begins at 0 sets it. A gain file may omit a gain that has a `default`.
-    `range` is the range in which sweeps and tuning vary the gain, unless the gain file states another range. A number
-    with `from_vehicle` is no gain: it follows from vehicle and cruise speed (`law_parameters`), so no file states it.
+    If `zero_allowed` is False, the gain must be greater than 0; a default of 0, or a range that begins at 0, sets it.
+    A gain file may omit a gain that has a `default`. `range` is the range in which sweeps and tuning vary the gain,
+    unless the gain file states another range. A number with `from_vehicle` is no gain: it follows from vehicle and
+    cruise speed (`law_parameters`), so no file states it.
 
     Example:
         >>> from surctl.control import GainSpec

@@ -132,11 +132,11 @@ class LoopGoal(ABC):
         for one in fields(self):
             value = getattr(self, one.name)
             key = f"goals.{self.name}.{one.name}"
-            bound = field.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
-            number = field.type == "float" and not isinstance(value, Real)
+            bound = one.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
+            number = one.type == "float" and not isinstance(value, Real)
             if bound or number:
                 raise InputError("is not a number", key=key, value=value, remedy="correct it")
-            unset = value == field.default if isinstance(value, Real) else True
+            unset = value == one.default if isinstance(value, Real) else True
             if not unset and not (np.isfinite(value) and value > 0):
                 raise InputError("must be finite and greater than 0", key=key, value=value, remedy="correct it")
 
