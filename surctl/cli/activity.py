@@ -69,13 +69,13 @@ def signs_of_life(patience: float = 10.0) -> Iterator[None]:
     began = activity.shown
 
     def watch() -> None:
-        wait, seen = patience, began
+        wait, latest = patience, began
         while not activity.over.wait(patience / 10):
-            if activity.shown != seen:
-                wait, seen = patience, activity.shown
-            if time.monotonic() - seen >= wait:
+            if activity.shown != latest:
+                wait, latest = patience, activity.shown
+            if time.monotonic() - latest >= wait:
                 activity.print(f"{activity.text or 'still working'} ({time.monotonic() - began:.0f} s so far)")
-                wait, seen = min(2 * wait, _LONGEST), activity.shown
+                wait, latest = min(2 * wait, _LONGEST), activity.shown
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()

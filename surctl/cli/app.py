@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import sys
 import warnings
@@ -81,6 +82,7 @@ def main() -> None:
     warnings.showwarning = lambda message, *_: print_message(str(message))
     warnings.filterwarnings("always", category=OldName)  # one line for each warning, whatever the warning filters are
     os.environ["MPLBACKEND"] = "agg"  # an inherited one (of Jupyter, say) may not be installed; no window is opened
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports a folder for its own cache in several lines
     open_closed_streams()
     with noting_interrupts(), guarded_stdout(), signs_of_life():
         status = _status()

@@ -75,7 +75,9 @@ def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
 
     name = file_name(f"{own.system.plant.name}-{own.system.controller.name}")
     origin = own.origin | {"values": json.dumps({n: v.tolist() for n, v in assigned(own.settings).items()})}
-    files = [save_record(record, out / f"{name}.{kind}", about=origin)]
+    files = list[Path]()
+    with saving("record"):
+        files.append(save_record(record, out / f"{name}.{kind}", about=origin))
     with saving("plot"):
         from surctl.report.system_plot import save_record_plot
 

@@ -208,6 +208,7 @@ def tune(
         tuning_dict,
     )
     from surctl.tuning import tune as run_tuning
+    from surctl.tuning.journal import BEST
     from surctl.vehicle import load_vehicle
 
     plan = load_plan(file, trust=trust)
@@ -260,7 +261,7 @@ def tune(
         seed=seed,
         threads=workers,
     )
-    with stoppable(f"the finished trials are in {out}; to continue: {same_command()}"):
+    with stoppable(f"the finished trials are in {out}, the best gains in {out / BEST}; to continue: {same_command()}"):
         tuning = run_tuning(
             request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
         )
@@ -268,6 +269,7 @@ def tune(
     if not tuning.accepted:
         warning = f"HARD GOALS NOT MET ({', '.join(tuning.unmet)}): best gains found, but do not use them on a vehicle"
     gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning))
+    (out / BEST).unlink(missing_ok=True)
     result = tuning_dict(tuning)
     result["left_out"] = [
         {"scenario": leg.scenario.name, "vehicle": leg.vehicle.name, "reason": leg.left_out} for leg in plan.left_out

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from surctl.control import Law
 from surctl.errors import InputError
@@ -99,6 +98,8 @@ def steadiest(eta: Array, nu: Array, tau: Array, *, law: Law, scenario: Scenario
     Raises:
         InputError: as for `steady_motion`.
     """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     steps = round(_WINDOW / law.dt)
     limits = np.maximum(p[law.gains.slice("thrust_limit")], 1e-12)
     signals = np.column_stack([nu / _VELOCITY, np.unwrap(eta[:, 3]) / _HEADING, tau / (_THRUST * limits)])
