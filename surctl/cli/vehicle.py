@@ -296,19 +296,16 @@ def from_log(
     lines = [*_fit_lines(fit), *_prediction_lines(predictions, share)]
 
     def plot() -> None:
-        from surctl.errors import InputError
-
-        if picture is None:
-            return
         with saving("plot"):
+            from surctl.errors import InputError
             from surctl.report import save_prediction
 
-            if not predictions:
+            if not predictions or picture is None:
                 raise InputError("needs a prediction", key="--picture", remedy="give a longer log")
             title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
             lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
 
-    _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=plot)
+    _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=plot if picture else lambda: None)
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
@@ -388,15 +385,9 @@ def _numbers(robot: Vehicle) -> dict[str, Any]:
 
 
 def _write(
-    robot: Vehicle,
-    out: Path | None,
-    force: bool,
-    lines: list[str],
-    result: dict[str, Any],
-    *,
-    as_json: bool,
+    robot: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool,
     plot: Callable[[], None] = lambda: None,
-) -> None:
+) -> None:  # fmt: skip
     from surctl.cli.new import path_of, write_new
     from surctl.vehicle import write_vehicle
 

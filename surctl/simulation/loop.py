@@ -110,12 +110,8 @@ def simulate(
             remedy="build the law with sonar=" + str(sonar),
         )
     if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
-        raise InputError(
-            f"is not a multiple of the sonar's firing period of {FIRING:g} s",
-            key="dt",
-            value=law.dt,
-            remedy="use 0.05",
-        )
+        problem = f"is not a multiple of the sonar's firing period of {FIRING:g} s"
+        raise InputError(problem, key="dt", value=law.dt, remedy="use 0.05")
     world = build_world(scenario, vehicle, seed=seed)
     gains = gains.with_own(law_source(law.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)
