@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import gc
+import logging
 import os
 import sys
 import warnings
-from contextlib import suppress
 
 import click
 
 from surctl import __version__
+from surctl.cli.activity import signs_of_life
 from surctl.cli.calibrate import calibrate
 from surctl.cli.check import check
 from surctl.cli.completion import completion
@@ -21,11 +22,11 @@ from surctl.cli.lint import lint
 from surctl.cli.listing import listing
 from surctl.cli.mission import scenario
 from surctl.cli.new import new
-from surctl.cli.output import Stopped, interrupted, noting_interrupts
+from surctl.cli.output import LOST, Stopped, interrupted, noting_interrupts, print_message
 from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
-from surctl.cli.streams import discard_stdout, failed_write, prepare_stdout
+from surctl.cli.streams import OutputLost, discard_stdout, failed_write, guarded_stdout, open_closed_streams
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
@@ -44,7 +45,8 @@ def app() -> None:
 
     Examples: surctl new vehicle my-robot; surctl study my-robot.toml; surctl simulate tank-static --out plots
 
-    Exit status: 0 finished with the expected result, 1 finished with another result, 2 wrong input.
+    Exit status: 0 finished with the expected result, 1 finished with another result, 2 wrong input, 3 some output
+    could not be written.
     """
 
 
@@ -60,7 +62,8 @@ def main() -> None:
     """Run the command line on `sys.argv` and exit with its status.
 
     Raises:
-        SystemExit: always. Status 0: success, 1: a claim, goal or run failed, 2: wrong input, 130: stopped by the user.
+        SystemExit: always. Status 0: success, 1: a claim, goal or run failed, 2: wrong input, 3: some output could not
+            be written, 130: stopped by the user.
 
     Examples:
         >>> import sys
@@ -76,10 +79,12 @@ def main() -> None:
     # set before NumPy is loaded: with small matrices, OpenBLAS's threads only wait for each other
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(50_000, 20, 20)  # the search for cycles takes a tenth of the time of a short command
-    warnings.showwarning = lambda message, *_: _print_message(str(message))
+    warnings.showwarning = lambda message, *_: print_message(str(message))
     warnings.filterwarnings("always", category=OldName)  # one line for each warning, whatever the warning filters are
-    prepare_stdout()
-    with noting_interrupts():
+    os.environ["MPLBACKEND"] = "agg"  # an inherited one (of Jupyter, say) may not be installed; no window is opened
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports a folder for its own cache in several lines
+    open_closed_streams()
+    with noting_interrupts(), guarded_stdout(), signs_of_life():
         status = _status()
     sys.exit(status)
 
@@ -93,29 +98,28 @@ def _status() -> int:
         status = 0
     except click.ClickException as error:
         context = getattr(error, "ctx", None)
-        _print_message(f"{error.format_message()}; see {context.command_path if context else 'surctl'} --help")
+        print_message(f"{error.format_message()}; see {context.command_path if context else 'surctl'} --help")
         status = 2
     except SurctlError as error:
-        _print_message(str(error))
+        print_message(str(error))
         status = error.exit_status
     except Stopped as stop:
-        _print_message(f"stopped; {stop}")
+        print_message(f"stopped; {stop}")
         status = 130
-    except OSError as error:
-        lost = failed_write(error)
-        if lost is None:
-            raise
-        _print_message(lost)
+    except OutputLost as lost:
+        if str(lost):
+            print_message(str(lost))
         discard_stdout()
-        status = 1
+        status = LOST
+    except OSError as error:
+        lost_file = failed_write(error)
+        if lost_file is None:
+            raise
+        print_message(lost_file)
+        status = LOST
     except (Exception, KeyboardInterrupt) as error:
         if not (isinstance(error, click.Abort) or interrupted(error)):
             raise
-        _print_message("stopped before a result was finished")
+        print_message("stopped before a result was finished")
         status = 130
     return status if isinstance(status, int) else 0
-
-
-def _print_message(text: str) -> None:
-    with suppress(OSError):  # if stderr cannot be written, the exit status still reports the error
-        sys.stderr.write("surctl: " + " ".join(text.split()) + "\n")

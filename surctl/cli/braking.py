@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from surctl.cli.output import progress, refusal_line
+from surctl.cli.activity import timed
+from surctl.cli.output import refusal_line
 
 if TYPE_CHECKING:
     from surctl.control import Gains
@@ -57,8 +58,8 @@ def prove_all(
         except NotApplicable as reason:
             refused.append(Inapplicable.of(name, reason))
     for claim in claims:
-        progress(claim.name)
-        proof = prove_braking(claim)
+        with timed(claim.name):
+            proof = prove_braking(claim)
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
             out.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import as_json, finish, out_folder
+from surctl.cli.output import as_json, finish, out_folder, saving
 
 if TYPE_CHECKING:
     from surctl.sensing import Estimate, SensorCalibration
@@ -43,14 +43,16 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
     if any(len(one.calibration.outliers) for one in results):
         lines += [OUTLIER_RULE, ""]
     if out is not None:
-        from surctl.report import save_calibrations
-
         stems = file_stems(results)
         rows = write_file(out / "calibration.csv", calibration_rows(results))
         fragments = [
             write_file(out / f"sonar{stem}.toml", sonar_fragment(one)) for one, stem in zip(results, stems, strict=True)
         ]
-        pictures = save_calibrations(results, out)
+        pictures = list[Path]()
+        with saving("plots"):
+            from surctl.report import save_calibrations
+
+            pictures = save_calibrations(results, out)
         lines += [f"sonar {path}" for path in fragments] + [f"rows  {rows}"] + [f"plot  {path}" for path in pictures]
         data["files"] = [str(path) for path in (*fragments, rows, *pictures)]
     finish(data, lines[:-1] if not lines[-1] else lines, as_json=as_json, passed=True)

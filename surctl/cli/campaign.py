@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.gains_choice import choose_gains
-from surctl.cli.output import finish, progress, same_command, stoppable, together
+from surctl.cli.output import finish, same_command, stoppable, together
 from surctl.cli.single_run import activity_line, further_output, linear_warning, run_line
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import progress, together
+from surctl.cli.activity import progress
+from surctl.cli.output import together
 
 if TYPE_CHECKING:
     import numpy as np

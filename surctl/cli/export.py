@@ -9,10 +9,11 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from surctl.cli.activity import progress
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option
 from surctl.cli.next_export import MISSION
-from surctl.cli.output import as_json, finish, progress
+from surctl.cli.output import as_json, finish
 from surctl.cli.priority_options import priority_options
 from surctl.cli.scene_export import export_scene
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.activity import progress, waiting
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option
-from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress
+from surctl.cli.output import FiniteRange, Stopped, as_json, finish
 
 if TYPE_CHECKING:
     from surctl.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
@@ -165,6 +166,7 @@ def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]
     from surctl.bridge import Ended, SessionRecord, run_session
     from surctl.errors import SurctlError
 
+    waiting()
     with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
         files = [str(path) for path in record.files]
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
@@ -79,14 +79,37 @@ def _goal_findings(plan: Plan) -> list[Finding]:
     return [Finding("error" if goal.kind == "hard" else "warning", f"goals.{goal.name}", why) for goal in left]
 
 
+class _Linted(NamedTuple):
+    data: dict[str, Any]
+    lines: list[str]
+    works: bool
+    then: list[str]
+
+
 @click.command
-@click.argument("file")
+@click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @click.option("--vehicle", metavar="FILE", help="Vehicle for a scenario: name or file (default: the scenario's).")
 @as_json
-def lint(file: str, vehicle: str | None, as_json: bool) -> None:
-    """Check a file and print which entries cannot work, and why. Exit status: 1 if an entry cannot work.
+def lint(files: tuple[str, ...], vehicle: str | None, as_json: bool) -> None:
+    """Check files and print which entries cannot work, and why. Exit status: 1 if an entry cannot work.
 
-    Examples: surctl lint my-vehicle.toml; surctl lint pool-static --vehicle sur540-flooded
+    Examples: surctl lint my-vehicle.toml my-mission.toml; surctl lint pool-static --vehicle sur540-flooded
+    """
+    done = [_linted(file, vehicle) for file in files]
+    if len(done) == 1:
+        one = done[0]
+        finish(one.data, one.lines, as_json=as_json, passed=one.works, then=one.then)
+    lines = [
+        line for file, one in zip(files, done, strict=True) for line in (f"{file}:", *(f"  {s}" for s in one.lines))
+    ]
+    finish({"files": [one.data for one in done]}, lines, as_json=as_json, passed=all(one.works for one in done))
+
+
+def _linted(file: str, vehicle: str | None) -> _Linted:
+    """Return the findings of one file, and the commands to suggest next.
+
+    Raises:
+        InputError: the file cannot be read, or is of no known kind.
     """
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import load_gains
@@ -113,7 +136,6 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
         "lyapunov": lambda file: load_problem(Path(file)),
         "region": lambda file: load_region(Path(file)),
     }
-    plan = None
     if kind == "scenario":
         scenario = load_scenario(path)
         robot = load_vehicle(choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word)
@@ -138,6 +160,5 @@ def lint(file: str, vehicle: str | None, as_json: bool) -> None:
     result = {"file": path, "kind": kind, "findings": [f.to_dict() for f in problems]}
     works = all(f.level != "error" for f in problems)
     vehicle_option = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
-    words_next = _NEXT[kind] if plan is None or plan.axes else ("tune {}",)
-    then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in words_next] if works else []
-    finish(result, printable(lines), as_json=as_json, passed=works, then=then)
+    then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
+    return _Linted(result, printable(lines), works, then)

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish, progress, stoppable
+from surctl.cli.activity import progress, timed
+from surctl.cli.output import finish, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.lyapunov import Solution
@@ -70,8 +71,10 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     failures: list[str] = []
     files: list[Path] = []
     for word, problem in problems.items():
-        progress(f"{problem.dynamics.name}: at most {time_limit:g} s of processor time (--time-limit)")
-        with stoppable("the finished claims are above", lines, as_json=as_json):
+        with (
+            timed(problem.dynamics.name, time_limit),
+            stoppable("the finished claims are above", lines, as_json=as_json),
+        ):
             try:
                 solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
             except InputError as error:
@@ -99,8 +102,6 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     """Write the certificate, if there is one, and the picture of a region; return the files."""
     from surctl.files import write_file
     from surctl.lyapunov import Safety
-    from surctl.report.motion_plots import plot_motion
-    from surctl.report.pictures import save_figure
 
     if solution.decision is None or not solution.document:
         return []
@@ -109,6 +110,10 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     text = json.dumps(solution.document, ensure_ascii=False, separators=(",", ":"))
     files = [write_file(out / f"{name}.json", text + "\n")]
     if not isinstance(claim, Safety):
-        figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
-        files.append(save_figure(figure, out, (name,)))
+        with saving("plot"):
+            from surctl.report.motion_plots import plot_motion
+            from surctl.report.pictures import save_figure
+
+            figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+            files.append(save_figure(figure, out, (name,)))
     return files

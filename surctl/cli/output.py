@@ -17,11 +17,13 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 import click
 
 from surctl.cli.streams import is_utf8
+from surctl.errors import SurctlError
 
 if TYPE_CHECKING:
     from surctl.verification.verdict import Inapplicable
 
 __all__ = [
+    "LOST",
     "FiniteRange",
     "Stopped",
     "as_json",
@@ -30,15 +32,20 @@ __all__ = [
     "interrupted",
     "noting_interrupts",
     "out_folder",
+    "print_message",
     "printable",
-    "progress",
     "refusal_line",
     "same_command",
+    "saving",
     "stoppable",
     "together",
 ]
 
 C = TypeVar("C", bound=Callable[..., Any])
+
+LOST = 3
+"""Exit status of a command whose result is as expected, but some of whose output could not be written."""
+_LOST_FILES = "surctl.lost_files"  # key of the command's context
 
 
 class FiniteRange(click.FloatRange):
@@ -100,7 +107,24 @@ def finish(
     text = "\n".join(lines)
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
-    click.get_current_context().exit(0 if passed else 1)
+    context = click.get_current_context()
+    context.exit(1 if not passed else LOST if context.meta.get(_LOST_FILES) else 0)
+
+
+@contextmanager
+def saving(what: str) -> Iterator[None]:
+    """Print one line on stderr if the files inside the `with` statement cannot be drawn or written.
+
+    The command continues, since its results do not depend on these files; `finish` exits with status `LOST`.
+    """
+    try:
+        yield
+    except Exception as error:
+        if interrupted(error) or isinstance(error, click.Abort):
+            raise
+        reason = str(error) if isinstance(error, SurctlError) else f"{type(error).__name__}: {error}"
+        print_message(f"{what} not saved: {reason}")
+        click.get_current_context().meta[_LOST_FILES] = True
 
 
 class Stopped(click.Abort):
@@ -174,8 +198,7 @@ def same_command(**changed: int) -> str:
     return shlex.join(["surctl", *words])
 
 
-def progress(text: str) -> None:
-    """Print one line of progress on stderr."""
-    with suppress(OSError):  # a log that cannot be written does not stop the computation
-        sys.stderr.write(f"  {text}\n")
-        sys.stderr.flush()
+def print_message(text: str) -> None:
+    """Print one line on stderr that names this program."""
+    with suppress(OSError):  # if stderr cannot be written, the exit status still reports the error
+        sys.stderr.write("surctl: " + " ".join(text.split()) + "\n")

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.activity import doing
 from surctl.cli.animate_option import NamedFile
-from surctl.cli.output import together
+from surctl.cli.output import saving, together
 
 if TYPE_CHECKING:
     from surctl.control import Law
@@ -147,6 +148,10 @@ class PlantOptions:
                 from surctl.engine.viewer import watched
 
                 physics = watched(physics)
+
+        def watch(time: float) -> None:
+            doing(f"{case.scenario.name}: {f'{time:.1f} s simulated' if time else 'building the law'}")
+
         for seed in seeds:
             stepper = linked(seed=seed)
             run = simulate(
@@ -159,6 +164,7 @@ class PlantOptions:
                 stepper=stepper,
                 thruster_faults=faults,
                 physics=physics,
+                watch=watch,
             )
             yield run, None if stepper is None else stepper.report()
 
@@ -173,8 +179,9 @@ class PlantOptions:
         lines = [f"  {run.plant}: contacts {touched}{tilt}"]
         result["plant_options"] = options.of(run.vehicle).to_dict()
         if self.film is not None:
-            from surctl.report import save_film
+            with saving("film"):
+                from surctl.report import save_film
 
-            result["film"] = str(save_film(run, self.film, options=options))
-            lines.append(f"  {result['film']}")
+                result["film"] = str(save_film(run, self.film, options=options))
+                lines.append(f"  {result['film']}")
         return lines

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from surctl.cli.output import progress, refusal_line
+from surctl.cli.activity import timed
+from surctl.cli.output import refusal_line
 
 if TYPE_CHECKING:
     from surctl.control import Gains
@@ -122,8 +123,8 @@ def prove_regions(
         if word in refused:
             continue
         name = statement.name
-        progress(name)
-        proof = prove_statement(statement, robot, values, seed=seed, cruise=cruise, cap=cap)
+        with timed(name):
+            proof = prove_statement(statement, robot, values, seed=seed, cruise=cruise, cap=cap)
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
             out.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
+from surctl.cli.activity import progress
+from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.reproduction import Row
@@ -63,8 +64,6 @@ def reproduce(
     lines.append(f"{good} of {len(done.rows)} rows as expected, {sum(row.seconds for row in done.rows):.1f} s")
     result = done.to_dict()
     if out is not None:
-        from surctl.reproduction.page import write_reproduction
-
         words = [
             "surctl reproduce",
             *rows,
@@ -73,9 +72,12 @@ def reproduce(
             *["--webots"] * webots,
         ]
         words += [f"--seeds {seeds}"] if seeds else []
-        page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
-        lines.append(f"page {page}")
-        result["page"] = str(page)
+        with saving("page"):
+            from surctl.reproduction.page import write_reproduction
+
+            page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
+            lines.append(f"page {page}")
+            result["page"] = str(page)
     finish(result, lines, as_json=as_json, passed=done.passed)
 
 

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.animate_option import animate_option, check_animate
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
 from surctl.cli.controller_options import ControllerOptions, controller_options
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option, trust_option
-from surctl.cli.output import as_json, finish, out_folder, progress, stoppable
+from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
 from surctl.cli.plant_options import PlantOptions, plant_options
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes
@@ -223,10 +224,11 @@ def simulate(
                     if run.metrics.stopped_because == "time limit" and (why := time_limit_reason(run)):
                         results[-1]["stop_reason"] = why
                         lines.append(f"  time limit: {why}")
-                    lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
                     if save is not None and out is not None:
-                        results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
-                        lines.append(f"  {results[-1]['file']}")
+                        with saving("record"):
+                            results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
+                            lines.append(f"  {results[-1]['file']}")
+                    lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
                     if report is not None:
                         results[-1]["link"] = report.to_dict()
                         lines.append(f"  {report.line()}")

@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from surctl.simulation import Run
     from surctl.vehicle import Vehicle
 
+from surctl.cli.output import saving
+
 __all__ = ["activity_line", "failure", "further_output", "linear_part", "linear_warning", "run_line"]
 
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
@@ -155,16 +157,16 @@ def further_output(
         result["explanations"] = [asdict(one) for one in explanations]
         lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
     if out is not None:
-        from surctl.report import save_run
+        with saving("plots"):
+            from surctl.report import save_priority, save_run
 
-        lines.append(f"  {save_run(run, out)}")
-        if explained:
-            from surctl.report import save_priority
-
-            lines.append(f"  {save_priority(run, out)}")
+            lines.append(f"  {save_run(run, out)}")
+            if explained:
+                lines.append(f"  {save_priority(run, out)}")
     if animate is not None:
-        from surctl.report import save_animation
+        with saving("animation"):
+            from surctl.report import save_animation
 
-        result["animation"] = str(save_animation(run, animate))
-        lines.append(f"  {result['animation']}")
+            result["animation"] = str(save_animation(run, animate))
+            lines.append(f"  {result['animation']}")
     return lines

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish
+from surctl.cli.output import FiniteRange, as_json, finish, saving
 
 __all__ = ["sonar_replay"]
 
@@ -87,9 +87,11 @@ def sonar_replay(
     prepare_folder(out)
     replayed = replay_readings(recording.readings)
     rows = write_file(out / "filtered.csv", filtered_rows(replayed))
-    from surctl.report import save_sonar_replay
+    files = [rows]
+    with saving("plot"):
+        from surctl.report import save_sonar_replay
 
-    picture = save_sonar_replay(replayed, out, title=recording.name)
+        files.append(save_sonar_replay(replayed, out, title=recording.name))
     summaries = [replayed.summary(sensor) for sensor in replayed.sensors]
     span = recording.readings.time[-1] - recording.readings.time[0]
     lines = [
@@ -102,7 +104,7 @@ def sonar_replay(
         for s in summaries
     ]
     lines += [f"note: {text}" for text in recording.notes]
-    lines += ["", f"table {rows}", f"plot  {picture}"]
+    lines += ["", f"table {rows}", *(f"plot  {picture}" for picture in files[1:])]
     data = {
         "file": recording.name,
         "rows": recording.rows,
@@ -116,7 +118,7 @@ def sonar_replay(
         "restarts": len(recording.readings.first) - 1,
         "sensors": [s.to_dict() for s in summaries],
         "notes": recording.notes,
-        "files": [str(rows), str(picture)],
+        "files": [str(path) for path in files],
     }
     finish(data, lines, as_json=as_json, passed=True)
 

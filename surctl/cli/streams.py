@@ -1,4 +1,4 @@
-"""Handling of standard output: any encoding, a full disk, or a reader that closes it."""
+"""Handling of the standard streams: closed ones, any encoding, a full disk, or a reader that ends first."""
 
 from __future__ import annotations
 
@@ -7,23 +7,81 @@ import errno
 import io
 import os
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TextIO, cast
 
-__all__ = ["discard_stdout", "failed_write", "is_utf8", "prepare_stdout"]
+__all__ = ["OutputLost", "discard_stdout", "failed_write", "guarded_stdout", "is_utf8", "open_closed_streams"]
 
 _ESCAPE = "surctl-escape"
 _LOSES_TEXT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
-def prepare_stdout() -> None:
-    r"""Set up stdout to write characters that its encoding lacks as \uXXXX instead of failing.
+class OutputLost(Exception):
+    """Standard output cannot be written; the message is empty if only its reader has ended, as `head` does."""
+
+
+def open_closed_streams() -> None:
+    """Connect closed standard streams (`>&-`, a service, pythonw) to the null device.
+
+    Otherwise the next file that the process opens takes the descriptor, and a compiler's messages go into that file.
+    """
+    number = 0
+    while number < 3:
+        number = os.open(os.devnull, os.O_RDWR)
+        if number < 3:
+            os.set_inheritable(number, True)
+    os.close(number)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  # open until the end
+
+
+@contextmanager
+def guarded_stdout() -> Iterator[None]:
+    r"""Inside the `with` statement, stdout writes \uXXXX for characters that its encoding lacks.
 
     An error handler that the user has set (PYTHONIOENCODING=ascii:ignore) stays active.
+
+    Raises:
+        OutputLost: stdout cannot be written.
     """
     codecs.register_error(_ESCAPE, _escaped)
     stream = sys.stdout
     if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
         stream.reconfigure(errors=_ESCAPE)
+    sys.stdout = cast("TextIO", _Guarded(stream))
+    try:
+        yield
+    finally:
+        sys.stdout = stream
+
+
+class _Guarded:
+    """A text stream whose failures cannot be taken for those of another file."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with _reported():
+            return self._stream.write(text)
+
+    def flush(self) -> None:
+        with _reported():
+            self._stream.flush()
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputLost("" if error.errno == errno.EPIPE else _lost_text(error)) from None
 
 
 def is_utf8() -> bool:
@@ -33,12 +91,15 @@ def is_utf8() -> bool:
 
 
 def failed_write(error: OSError) -> str | None:
-    """Return the message if the error means that output to stdout or a file was lost; None for any other error."""
+    """Return the message if the error means that output to a file was lost; None for any other error."""
     if error.errno not in _LOSES_TEXT:
         return None
-    where = f"{error.filename}: " if error.filename else ""
-    reason = os.strerror(error.errno).lower()
-    return f"{where}the output cannot be written ({reason}); free disk space, or write to another place"
+    return (f"{error.filename}: " if error.filename else "") + _lost_text(error)
+
+
+def _lost_text(error: OSError) -> str:
+    reason = os.strerror(error.errno or errno.EIO).lower()
+    return f"the output cannot be written ({reason}); free disk space, or write to another place"
 
 
 def discard_stdout() -> None:

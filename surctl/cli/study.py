@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.law_option import law_words, trust_option
-from surctl.cli.output import as_json, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.output import as_json, finish, refusal_line, same_command, saving, stoppable
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_study import study_system
 from surctl.cli.vehicle_choice import at_hand
@@ -39,6 +40,7 @@ __all__ = ["study"]
     help="Number of processes of the sweep (default 2).",
 )
 @click.option("--vehicle", metavar="FILE", help="Vehicle of the built-in study; a large one gets scaled missions.")
+@click.option("--gains", metavar="FILE", help="Gains to study, name or file, in place of the study's sweep.")
 @click.option("--film", is_flag=True, help="Also show the report's animated run in MuJoCo's scene.")
 @seconds_option
 @trust_option
@@ -48,6 +50,7 @@ def study(
     out: Path,
     workers: int,
     vehicle: str | None,
+    gains: str | None,
     film: bool,
     seconds: float | None,
     trust: bool,
@@ -75,14 +78,16 @@ def study(
     from surctl.study import conduct, load_plan
 
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
+    chosen += [f"--gains {gains}"] if gains else []
     command = " ".join(["surctl study", *chosen, f"--out {out}", *["--film"] * film])
     plan = load_plan(file, vehicle=vehicle, trust=trust)
+    plan = plan if gains is None else plan.with_gains(gains)
     if film:
         from surctl.engine.pictures import check_pictures
 
         check_pictures()
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
-        result = conduct(plan, out, workers=workers, progress=progress, command=command, film=film)
+        result = conduct(plan, out, workers=workers, progress=progress, command=command, film=film, saving=saving)
     lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
     lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
     marks = {True: "ok  ", False: "FAIL", None: "    "}
@@ -94,7 +99,8 @@ def study(
     for m in loops.margins if loops.stable else ():
         lines.append(_margin_line(m))
     lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
-    lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}", f"report {result.report}"]
+    lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}"]
+    lines += [f"report {result.report}"] if result.report else []
     tuning = ["surctl", "tune", *([file] if file else []), *(["--trust"] if trust else [])]
     about = at_hand(result.plan.deciding[0].scenario, plan.vehicle, str(result.gain_file))
     # a search about missions that the study has made for the vehicle has no study file

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.gains_choice import choose_shared
 from surctl.cli.law_option import choose_law, law_option, law_words
-from surctl.cli.output import as_json, finish, progress, same_command, stoppable
+from surctl.cli.output import as_json, finish, same_command, saving, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_sweep import sweep_system
@@ -208,12 +209,13 @@ def sweep(
     gains_path = None if picked is None else write_file(out / "gains.toml", write_gains(table.gains))
     pictures = _pictures(table, sobol, out)
     if locus is not None:
-        from surctl.report import save_locus
+        with saving("root locus"):
+            from surctl.report import save_locus
 
-        at = {} if picked is None else table.at(picked)
-        axis = next(axis for axis in table.axes if axis.name == locus)
-        poles = _locus(cases, table.gains, locus, axis.values, at)
-        pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
+            at = {} if picked is None else table.at(picked)
+            axis = next(axis for axis in table.axes if axis.name == locus)
+            poles = _locus(cases, table.gains, locus, axis.values, at)
+            pictures.append(save_locus(poles, out, unit=axis.unit, picked=at.get(locus)))
     lines = [*why, *_vehicles(cases, vehicles), *tuned.lines, *_lines(table, sobol)]
     where = "No point is feasible, so no gain file was written." if picked is None else table.gains.provenance
     lines += ["", where, *moved, *([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
@@ -261,13 +263,13 @@ def _executor(workers: int | None, dask: str | None) -> Executor:
 
 
 def _pictures(table: SweepTable, sobol: Sensitivity | None, out: Path) -> list[Path]:
-    from surctl.report import save_heat_map, save_parallel, save_sensitivity
+    pictures = list[Path]()
+    with saving("plots"):
+        from surctl.report import save_heat_map, save_parallel, save_sensitivity
 
-    if sobol is not None:
-        return [save_sensitivity(sobol, out)]
-    pictures = [save_parallel(table, out)]
-    if table.is_grid and len(table.axes) > 1:
-        pictures.append(save_heat_map(table, "score", out))
+        pictures.append(save_parallel(table, out) if sobol is None else save_sensitivity(sobol, out))
+        if sobol is None and table.is_grid and len(table.axes) > 1:
+            pictures.append(save_heat_map(table, "score", out))
     return pictures
 
 

@@ -8,7 +8,8 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from surctl.cli.output import finish, progress
+from surctl.cli.activity import progress
+from surctl.cli.output import finish
 from surctl.cli.system_option import assigned, load_system
 from surctl.cli.system_simulate import cost_data, cost_lines, end_text
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish
+from surctl.cli.output import finish, saving
 from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
 
 if TYPE_CHECKING:
@@ -71,13 +71,18 @@ def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
     from surctl.files import file_name
-    from surctl.report.system_plot import save_record_plot
     from surctl.system import save_record
 
     name = file_name(f"{own.system.plant.name}-{own.system.controller.name}")
     origin = own.origin | {"values": json.dumps({n: v.tolist() for n, v in assigned(own.settings).items()})}
-    file = save_record(record, out / f"{name}.{kind}", about=origin)
-    return [save_record_plot(record, out, name=name), file]
+    files = list[Path]()
+    with saving("record"):
+        files.append(save_record(record, out / f"{name}.{kind}", about=origin))
+    with saving("plot"):
+        from surctl.report.system_plot import save_record_plot
+
+        files.insert(0, save_record_plot(record, out, name=name))
+    return files
 
 
 def _sweep(own: OwnSystem, seconds: float) -> str:

@@ -7,7 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish, progress
+from surctl.cli.activity import progress
+from surctl.cli.output import finish, saving
 from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
 from surctl.cli.system_simulate import cost_data, cost_lines, end_text
 
@@ -91,12 +92,14 @@ def study_system(
         },
         version=__version__,
     )  # fmt: skip
-    report = write_file(out / "report.html", render_system_page(study))
+    report: Path | None = None
+    with saving("report"):
+        report = write_file(out / "report.html", render_system_page(study))
     marks = {True: "ok  ", False: "FAIL", None: "    "}
     lines = [f"study {own.title}: {'passed' if study.passed else 'NOT passed'}"]
     lines += [f"{marks[check.good]} {check.text}" for check in study.checks]
     lines += [end_text(own, record), *cost_lines(own.system, record.figures), *study.best]
-    lines += ["", f"code   {out / 'export'} ({len(files)} files)", f"report {report}"]
+    lines += ["", f"code   {out / 'export'} ({len(files)} files)", *([f"report {report}"] if report else [])]
     data: dict[str, Any] = {
         **own.names,
         "passed": study.passed,
@@ -107,7 +110,7 @@ def study_system(
         "region": None if solution is None else solution.to_dict(),
         "best": best,
         "sil": sil.to_dict(),
-        "report": str(report),
+        "report": None if report is None else str(report),
     }
     then = [study.commands["run"]]
     if best:

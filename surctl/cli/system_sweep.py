@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish
+from surctl.cli.output import finish, saving
 from surctl.cli.system_option import OwnSystem, command_line, load_system
 
 if TYPE_CHECKING:
@@ -78,16 +78,18 @@ def _pictures(own: OwnSystem, design: Design, runs: Runs, out: Path) -> list[Pat
     swept = [(name, np.unique(design.points[:, k])) for k, name in enumerate(design.names) if design.shape[k] > 1]
     if len(swept) != 2:
         return []
-    from surctl.report.cost_map import plot_cost_map
-    from surctl.report.pictures import save_figure
     from surctl.system.values import unit_of
 
     axes = {f"{name} [{unit_of(own.system, name)}]": values for name, values in swept}
-    files = []
-    for name, cost in own.system.costs.items():
-        table = runs[name].reshape([len(values) for _, values in swept])
-        figure = plot_cost_map(axes, table, f"{name} [{cost.unit}]").figure.figure
-        files.append(save_figure(figure, out, ("sweep", *(axis for axis, _ in swept), name)))
+    files = list[Path]()
+    with saving("heat maps"):
+        from surctl.report.cost_map import plot_cost_map
+        from surctl.report.pictures import save_figure
+
+        for name, cost in own.system.costs.items():
+            table = runs[name].reshape([len(values) for _, values in swept])
+            figure = plot_cost_map(axes, table, f"{name} [{cost.unit}]").figure.figure
+            files.append(save_figure(figure, out, ("sweep", *(axis for axis, _ in swept), name)))
     return files
 
 

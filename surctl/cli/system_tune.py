@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from surctl.cli.output import finish, progress
+from surctl.cli.activity import doing, progress
+from surctl.cli.output import finish, stoppable
 from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
 from surctl.cli.system_simulate import cost_data
 
@@ -44,14 +45,21 @@ def tune_own_system(
     check_tuning(own.system, space, cases, goals=about_loop)
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
+    file = out / "gains.csv"
+
+    def note(tried: int, best: Mapping[str, float]) -> None:
+        doing(f"{tried} of {trials} gain sets")
+        write_csv(file, {name: [value] for name, value in best.items()})
+
     try:
-        result = tune_system(
-            own.system, duration, space,
-            cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,
-        )  # fmt: skip
+        with stoppable(f"the best gains so far are in {file}, without a check of their disk margin"):
+            result = tune_system(
+                own.system, duration, space,
+                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points, progress=note,
+            )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
-    table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+    table = write_csv(file, {name: [value] for name, value in result.gains.items()})
     runs = f", runs of {duration:g} s" if own.system.costs else ""
     lines = [
         f"{own.title}: {result.trials} gain sets{runs}",

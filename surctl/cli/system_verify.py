@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from surctl.cli.output import finish, progress
+from surctl.cli.activity import progress, timed
+from surctl.cli.output import finish
 from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
 
 if TYPE_CHECKING:
@@ -51,8 +52,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     data = {**own.names, "values": {name: value.ravel().tolist() for name, value in values.items()}, **linear.data}
     passed, certificates = stable, list[str]()
     if problem is not None:
-        progress(f"region of attraction: at most {time_limit:g} s of processor time (--time-limit)")
-        solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+        with timed("region of attraction", time_limit):
+            solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
         lines += ["region of attraction of the control law in continuous time:", *solution.lines()]
         data["region"] = solution.to_dict()
         if out is not None:

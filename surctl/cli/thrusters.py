@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from surctl.cli.output import as_json, finish, out_folder
+from surctl.cli.output import as_json, finish, out_folder, saving
 
 __all__ = ["thrusters"]
 
@@ -96,8 +96,9 @@ def thrusters(
             lines.append(f"  {one:<6} {force:>8.2f} N, command {command:+.4f}{angle}")
         lines.append(f"  not controlled: roll {allocation.roll:.3g} N m, pitch {allocation.pitch:.3g} N m")
     if out is not None:
-        from surctl.report import save_attainable
+        with saving("plot"):
+            from surctl.report import save_attainable
 
-        result["file"] = str(save_attainable(vehicle, out, failed=failed))
-        lines.append(f"wrote {result['file']}")
+            result["file"] = str(save_attainable(vehicle, out, failed=failed))
+            lines.append(f"wrote {result['file']}")
     finish(result, lines, as_json=as_json, passed=True)

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 
 import click
 
+from surctl.cli.activity import progress
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.next_export import export_command
-from surctl.cli.output import as_json, finish, finite, progress, same_command, stoppable
+from surctl.cli.output import as_json, finish, finite, same_command, saving, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_tune import tune_own_system
@@ -113,9 +114,11 @@ __all__ = ["tune"]
     help="Output folder (default surctl-out); resumes there.",
 )
 @click.option("--page", is_flag=True, help="Open a page with sliders instead.")
-@click.option("--law", metavar="NAME", help="Law of --page: NAME or FILE.py:FUNCTION.")
+@click.option("--law", metavar="NAME", help="Law: NAME or FILE.py:FUNCTION (default: the study's).")
 @click.option("--scenario", metavar="FILE", help="Scenario of --page (default: the study's first).")
-@click.option("--gains", "gains_file", metavar="FILE", help="Gain set of --page (default: the study's).")
+@click.option(
+    "--gains", "gains_file", metavar="FILE", help="Gain set at the start: name or file (default: the study's)."
+)
 @click.option("--port", type=click.IntRange(1, 65535), metavar="N", help="Port of --page (default: a free port).")
 @click.option("--no-browser", is_flag=True, help="Print the address of --page, but do not open it.")
 @trust_option
@@ -181,8 +184,8 @@ def tune(
             scenario=scenario, gains=gains_file, law=law, cruise=cruise, port=port, browser=not no_browser, trust=trust,
         )  # fmt: skip
         return
-    if scenario or gains_file or law or port or no_browser:
-        raise click.UsageError(_needs_page(scenario, gains_file, law))
+    if scenario or port or no_browser:
+        raise click.UsageError(_needs_page(scenario))
     from surctl.control import default_law, write_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
@@ -205,9 +208,12 @@ def tune(
         tuning_dict,
     )
     from surctl.tuning import tune as run_tuning
+    from surctl.tuning.journal import BEST
     from surctl.vehicle import load_vehicle
 
     plan = load_plan(file, trust=trust)
+    plan = plan if law is None else plan.with_law(law)
+    plan = plan if gains_file is None else plan.with_gains(gains_file)
     if vehicles:
         plan = plan.by([load_vehicle(vehicle) for vehicle in vehicles])
     if plan.unheard:
@@ -255,7 +261,7 @@ def tune(
         seed=seed,
         threads=workers,
     )
-    with stoppable(f"the finished trials are in {out}; to continue: {same_command()}"):
+    with stoppable(f"the finished trials are in {out}, the best gains in {out / BEST}; to continue: {same_command()}"):
         tuning = run_tuning(
             request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
         )
@@ -263,6 +269,7 @@ def tune(
     if not tuning.accepted:
         warning = f"HARD GOALS NOT MET ({', '.join(tuning.unmet)}): best gains found, but do not use them on a vehicle"
     gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning))
+    (out / BEST).unlink(missing_ok=True)
     result = tuning_dict(tuning)
     result["left_out"] = [
         {"scenario": leg.scenario.name, "vehicle": leg.vehicle.name, "reason": leg.left_out} for leg in plan.left_out
@@ -270,9 +277,11 @@ def tune(
     result["not_judged"] = [goal.name for goal in unjudged]
     result["caps"] = caps = _caps(cases, {**plan.gains.values, **tuning.result.gains})
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
-    from surctl.report import save_tuning  # loads matplotlib only now
+    pictures = list[Path]()
+    with saving("plots"):
+        from surctl.report import save_tuning  # loads matplotlib only now
 
-    pictures = save_tuning(tuning, out)
+        pictures = save_tuning(tuning, out)
     lines = [*summary(tuning), *derived, *omitted, *caps, "", f"gains {gains_path}", f"all   {everything}"]
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = pairs[0]
@@ -294,16 +303,11 @@ def tune(
     finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
 
 
-def _needs_page(scenario: str | None, gains: str | None, law: str | None) -> str:
+def _needs_page(scenario: str | None) -> str:
     """Return the error for options that need --page; the message says how a study file sets their values."""
     if scenario:
         own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
         return f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}"
-    if gains:
-        own = f'write gains = "{gains}" in a study file and give the file: surctl tune STUDY.toml'
-        return f"--gains selects the gain set of --page; to start the search from a gain set, {own}"
-    if law:
-        return f'--law selects the law of --page; to tune it, write law = "{law}" in a study file and give the file'
     return "--port and --no-browser need --page"
 
 

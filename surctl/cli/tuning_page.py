@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.output import progress
+from surctl.cli.activity import progress, waiting
 
 if TYPE_CHECKING:
     from surctl.report.design_bench import DesignBench
@@ -120,6 +120,7 @@ def _serve(bench: DesignBench, *, port: int | None, browser: bool) -> None:
     from surctl.report.serve import serve
 
     def ready(address: str) -> None:
+        waiting()
         click.echo(f"{address}  (Ctrl-C stops the page)")
         sys.stdout.flush()
         if browser:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.output import FiniteRange, as_json, finish
+from surctl.cli.output import FiniteRange, as_json, finish, saving
 from surctl.cli.thrusters import thrusters
 
 if TYPE_CHECKING:
@@ -260,6 +261,8 @@ def from_log(
         fields = {topic: list(held.fields) for topic, held in recording.topics.items()}
         lines = [*topic_lines(recording), *(f"  note: {note}" for note in recording.notes)]
         finish({"topics": fields, "notes": list(recording.notes)}, lines, as_json=as_json, passed=True)
+    if picture is not None and share == 0:
+        raise click.UsageError("--picture needs a prediction: --held-out above 0")
     robot = load_vehicle(start)
     measured = in_sequence([_read_log(log, map_file, frame) for log in logs])
     fit = identify(measured, robot, name=name)
@@ -292,18 +295,23 @@ def from_log(
         "parameters": _numbers(fit.vehicle),
     }
     lines = [*_fit_lines(fit), *_prediction_lines(predictions, share)]
-    if picture is not None:
-        if not predictions:
-            raise click.UsageError("--picture needs a prediction: a longer log, and --held-out above 0")
-        from surctl.report import save_prediction
 
-        title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
-        lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
+    def plot() -> None:
+        with saving("plot"):
+            from surctl.errors import InputError
+            from surctl.report import save_prediction
+
+            if not predictions or picture is None:
+                raise InputError("needs a prediction", key="--picture", remedy="give a longer log")
+            title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
+            lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
+
     if fit.refusal:
-        finish(
-            result | {"refusal": fit.refusal}, [*lines, f"not written: {fit.refusal}"], as_json=as_json, passed=False
-        )
-    _write(fit.vehicle, out, force, lines, result, as_json=as_json)
+        if picture is not None:
+            plot()
+        refused = [*lines, f"not written: {fit.refusal}"]
+        finish(result | {"refusal": fit.refusal}, refused, as_json=as_json, passed=False)
+    _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=plot if picture else lambda: None)
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
@@ -383,12 +391,14 @@ def _numbers(robot: Vehicle) -> dict[str, Any]:
 
 
 def _write(
-    robot: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool
-) -> None:
+    robot: Vehicle, out: Path | None, force: bool, lines: list[str], result: dict[str, Any], *, as_json: bool,
+    plot: Callable[[], None] = lambda: None,
+) -> None:  # fmt: skip
     from surctl.cli.new import path_of, write_new
     from surctl.vehicle import write_vehicle
 
     target = write_new(out or path_of(robot.name, ".toml"), write_vehicle(robot), force=force)
+    plot()
     shown = shlex.quote(str(target))
     then = [f"surctl lint {shown}", f"surctl tune --vehicle {shown} --out tuned"]
     finish({**result, "file": str(target)}, [*lines, f"wrote {target}"], as_json=as_json, passed=True, then=then)

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from surctl.cli.activity import progress, timed
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words
 from surctl.cli.motion_verify import are_problems, verify_motion
-from surctl.cli.output import FiniteRange, as_json, finish, progress, refusal_line, same_command, stoppable
+from surctl.cli.output import FiniteRange, as_json, finish, refusal_line, same_command, saving, stoppable
 from surctl.cli.safety_part import safety_part
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system
@@ -199,8 +200,7 @@ def verify(
     where = "" if out is None else f", certificates in {out}"
     message = f"the finished claims are above{where}; for the other claims: surctl verify CLAIM"
     for claim in chosen:
-        progress(claim.name)
-        with stoppable(message, lines, as_json=as_json):
+        with timed(claim.name), stoppable(message, lines, as_json=as_json):
             verdicts.append(decide(claim, seed=seed, time_limit=time_limit or _SHORT, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
@@ -309,13 +309,16 @@ def _draw(
     cruise: Sequence[float] | None,
     dt: float,
 ) -> list[str]:
-    from surctl.report import save_margins, save_regions, save_verdicts
-
     progress("pictures")
     proved = {region["claim"]: region["certificate"] for region in regions if region["certificate"]}
-    pictures = [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt)
-    pictures += save_verdicts(verdicts, out)
-    return [str(path) for path in [*pictures, *save_regions(proved, out)]]
+    pictures = list[Path]()
+    with saving("plots"):
+        from surctl.report import save_margins, save_regions, save_verdicts
+
+        pictures += save_verdicts(verdicts, out)
+        pictures += save_regions(proved, out)
+        pictures += [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt)
+    return [str(path) for path in pictures]
 
 
 def _stack(name: str) -> StackConditions:

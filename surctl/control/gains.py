@@ -23,9 +23,10 @@ LIBRARY = Path(__file__).parent / "library"
 class GainSpec:
     """Unit and meaning of a gain, and its bounds.
 
-    If `zero_allowed` is False, the gain must be greater than 0. A gain file may omit a gain that has a `default`.
-    `range` is the range in which sweeps and tuning vary the gain, unless the gain file states another range. A number
-    with `from_vehicle` is no gain: it follows from vehicle and cruise speed (`law_parameters`), so no file states it.
+    If `zero_allowed` is False, the gain must be greater than 0; a default of 0, or a range that begins at 0, sets it.
+    A gain file may omit a gain that has a `default`. `range` is the range in which sweeps and tuning vary the gain,
+    unless the gain file states another range. A number with `from_vehicle` is no gain: it follows from vehicle and
+    cruise speed (`law_parameters`), so no file states it.
 
     Example:
         >>> from surctl.control import GainSpec
@@ -40,6 +41,12 @@ class GainSpec:
     default: float | None = None
     range: tuple[float, float] | None = None
     from_vehicle: bool = False
+
+    def __post_init__(self) -> None:
+        """Allow 0 if the default is 0, or the range begins there."""
+        low = self.range[0] if isinstance(self.range, tuple | list) and self.range else None
+        if 0 in (self.default, low):
+            object.__setattr__(self, "zero_allowed", True)
 
     def check_default(self, key: str) -> None:
         """Raise InputError unless the gain has a default within its bounds, and a range that contains the default."""

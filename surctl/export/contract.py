@@ -177,6 +177,10 @@ def checked_name(law: Exportable, name: str | None = None) -> str:
     for layout in (law.state, law.inputs, law.gains, law.outputs):
         for port in layout:
             identifier(port.name)
+            if port.name.startswith(f"{chosen.upper()}_"):
+                raise InputError(
+                    "may be a macro of the exported header", key="name", value=port.name, remedy="rename it"
+                )
     if "sample" in law.inputs:
         raise InputError("is the name of the sample number", key=f"{chosen}.inputs.sample", remedy="rename this input")
     if not command_size(law):

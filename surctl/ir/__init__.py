@@ -16,7 +16,7 @@ from surctl.ir.frames import stack_bytes, stack_from_report, stack_of
 from surctl.ir.fusing import fused
 from surctl.ir.lowering import lower, lower_named
 from surctl.ir.moves import rearranged
-from surctl.ir.native import Native, Workspace, compile_block, runnable
+from surctl.ir.native import Native, SlowerEngine, Workspace, compile_block, runnable, warn_slower
 from surctl.ir.ops import LIBM, OPERATIONS, Operation
 from surctl.ir.places import memory, reads
 from surctl.ir.ports import Layout, Port
@@ -49,6 +49,7 @@ __all__ = [
     "Real",
     "Recording",
     "Routine",
+    "SlowerEngine",
     "Step",
     "Wide",
     "Workspace",
@@ -94,6 +95,7 @@ __all__ = [
     "tabulated",
     "to_casadi",
     "tuned_flags",
+    "warn_slower",
     "with_constants",
     "without_libm",
     "write_block",

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from surctl.errors import InputError
+from surctl.ir.c_macros import is_macro
 from surctl.ir.moves import Move, move_lines, remaining
 from surctl.ir.ops import OPERATIONS
 from surctl.ir.program import Instruction, Program
@@ -51,7 +52,7 @@ def identifier(name: str) -> str:
 
     Raises:
         InputError: the name is not a C identifier (ASCII letters, digits and underscores, a letter first, at most 63
-            characters), or it is a keyword of C or C++, or the standard headers define it.
+            characters), it is a keyword of C or C++, or a header of the exported files defines it.
 
     Example:
         >>> from surctl.ir import identifier
@@ -71,6 +72,8 @@ def identifier(name: str) -> str:
         )
     if name in _WORDS:
         raise InputError("is a reserved word in C or C++", key="name", value=name, remedy="choose another name")
+    if is_macro(name):
+        raise InputError("is a macro in C, C++ or their headers", key="name", value=name, remedy="choose another name")
     return name
 
 

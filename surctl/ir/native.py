@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import itertools
 import tempfile
+import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -23,11 +24,21 @@ from surctl.ir.routine import Block
 from surctl.ir.sources import source_digest
 from surctl.ir.split import shortened
 
-__all__ = ["Native", "Workspace", "compile_block", "runnable"]
+__all__ = ["Native", "SlowerEngine", "Workspace", "compile_block", "runnable", "warn_slower"]
 
 Array: TypeAlias = NDArray[Any]  # of the block's dtype
 
 _SYMBOL = "surctl_block"
+
+
+class SlowerEngine(UserWarning):
+    """Warning that there is no C compiler, so that a computation takes about 100 times as long."""
+
+
+def warn_slower(missing: ToolMissing) -> None:
+    """Warn, once for each reason, that a computation starts without compiled code."""
+    # one place for all callers: Python shows a warning again only for another place
+    warnings.warn(f"{missing}; until then, simulations take up to 100 times as long", SlowerEngine, stacklevel=1)
 
 
 class Workspace:
@@ -157,6 +168,8 @@ def _identity(block: Block, real: Real) -> str:
 def runnable(block: Block, *, quick: bool = False) -> Callable[..., list[Array]]:
     """Return the compiled program or routine; without a compiler, return a slower function with equal results.
 
+    The slower function comes with a warning `SlowerEngine`.
+
     Args:
         block: program or routine.
         quick: whether to compile with `quick_flags`.
@@ -171,7 +184,8 @@ def runnable(block: Block, *, quick: bool = False) -> Callable[..., list[Array]]
     """
     try:
         return compile_block(block, flags=quick_flags() if quick else ())
-    except ToolMissing:
+    except ToolMissing as missing:
+        warn_slower(missing)
         return lambda *inputs: [np.asarray(y, dtype=np.float64) for y in replay(block, *inputs)]
 
 

@@ -58,6 +58,7 @@ def simulate(
     stepper: Stepper | None = None,
     thruster_faults: Sequence[ThrusterFault] = (),
     physics: PhysicsMaker = OwnPhysics,
+    watch: Callable[[float], object] = lambda _: None,
 ) -> Run:
     """Simulate one scenario and return the run.
 
@@ -76,6 +77,7 @@ def simulate(
             law's state x, inputs u and parameters p it returns a control step.
         thruster_faults: failures of thrusters, which the law knows as soon as they begin.
         physics: makes what moves the hull and measures distances; default: surctl's own plant.
+        watch: function that receives the simulated time [s] before each control step.
 
     Raises:
         InputError: `sensing` is unknown or does not fit the law, or the hull starts inside an obstacle.
@@ -108,17 +110,13 @@ def simulate(
             remedy="build the law with sonar=" + str(sonar),
         )
     if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
-        raise InputError(
-            f"is not a multiple of the sonar's firing period of {FIRING:g} s",
-            key="dt",
-            value=law.dt,
-            remedy="use 0.05",
-        )
+        problem = f"is not a multiple of the sonar's firing period of {FIRING:g} s"
+        raise InputError(problem, key="dt", value=law.dt, remedy="use 0.05")
     world = build_world(scenario, vehicle, seed=seed)
     gains = gains.with_own(law_source(law.ref).gains)
     p = law_numbers(scenario, gains, model or vehicle)
     loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters, physics, seed)
-    reason, record = loop.run(), loop.record()
+    reason, record = loop.run(watch), loop.record()
     metrics = measure(scenario, law, record, reason=reason, least=loop.least)
     plant = loop.physics
     return Run(
@@ -185,11 +183,12 @@ class Loop:
         self.follower = world.scenario.follower()
         self.rows: list[tuple[object, ...]] = []
 
-    def run(self) -> str:
-        """Simulate the run to its end and return the reason why it ended."""
+    def run(self, watch: Callable[[float], object] = lambda _: None) -> str:
+        """Simulate the run to its end and return the reason why it ended; `watch` receives each time [s]."""
         scenario, dt, stopped, standing, gone = self.world.scenario, self.law.dt, 0, 0, 0
         for index in range(int(np.ceil(scenario.time_limit / dt))):
             time = index * dt
+            watch(time)
             bodies = self.world.bodies(time)
             noise = self._draw()
             self._listen(bodies, noise, 0)
@@ -222,14 +221,18 @@ class Loop:
             self._advance(time, step, noise)
         return LINK_LOST if gone else "time limit"
 
+    def inputs_from(self, state: Vector, index: int) -> Vector:
+        """Return the law's inputs (nu,) in a given state of the plant, only for sensing `truth`."""
+        self.state = self.physics.state = state
+        return self._inputs(self.world.bodies(index * self.law.dt), self._draw(), index)
+
     def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
         """Return the law's control step in a given state, and the next plant state with the additional thrust `added`.
 
         The method is only for sensing `truth`, where the sensors have no state, and for paths that are not fed.
         """
-        self.state = self.physics.state = state
         time, noise = index * self.law.dt, self._draw()
-        step = self.stepper(law_state, self._inputs(self.world.bodies(time), noise, index), self.p)
+        step = self.stepper(law_state, self.inputs_from(state, index), self.p)
         self._advance(time, step._replace(tau=step.tau + added), noise)
         return step, self.state
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -51,6 +51,7 @@ class Study:
             true positions. These are the runs of the exported law in which the hull fits the site.
         loops: linear analysis of the control loops; empty if the law has no linear model.
         sil: software-in-the-loop (SIL) reports, one report for each replayed run.
+        report: the written page; None if it could not be drawn or written.
     """
 
     plan: Plan
@@ -64,7 +65,7 @@ class Study:
     files: tuple[ExportedFile, ...]
     sil: tuple[SilReport, ...]
     notes: tuple[Note, ...]
-    report: Path
+    report: Path | None
     gain_file: Path
     seconds: dict[str, float]
 
@@ -109,7 +110,7 @@ class Study:
                     for run, report in zip(self.replayed, self.sil, strict=True)
                 ],
             },
-            "report": str(self.report),
+            "report": None if self.report is None else str(self.report),
             "seconds": self.seconds,
         }
 
@@ -122,6 +123,7 @@ def conduct(
     progress: Progress = lambda _: None,
     command: str = "",
     film: bool = False,
+    saving: Callable[[str], AbstractContextManager[object]] = nullcontext,
 ) -> Study:
     """Conduct all parts of the study that the plan contains and return the finished study.
 
@@ -132,9 +134,10 @@ def conduct(
         progress: function that receives one line of text at each step of the work.
         command: the command line that the report shows.
         film: whether the report shows MuJoCo's pictures of the scene beside the plan view of the decisive run.
+        saving: returns a context for the named part of the report, which may suppress the errors of that part.
 
     Raises:
-        InputError: the plan has no sweep, the folder cannot be written, there is no compiler, or the law cannot use the
+        InputError: the folder cannot be written, there is no compiler, or the law cannot use the
             sonars of a scenario. All these errors are raised before the long computations start.
 
     Example:
@@ -158,8 +161,8 @@ def conduct(
         ('proved', 'reached', True)
     """
     from surctl.report import Check, ReportData, runs_section, write_page
+    from surctl.report.document import Section
 
-    plan.check_sweep()
     find_compiler()
     prepare_folder(out)
     plan = plan.written(out / "missions")
@@ -213,7 +216,9 @@ def conduct(
                 sweep=swept,
                 film=film,
             )
-            section = runs_section(data)
+            section, report = Section("runs", "Closed-loop runs", ()), None
+            with saving("plots of the runs"):
+                section = runs_section(data)
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
     notes = summary(
@@ -225,7 +230,7 @@ def conduct(
         sil,
     )
     notes += left_out([run for run in sonar_runs if run not in replayed])
-    with clock("report"):
+    with clock("report"), saving("report"):
         data = replace(
             data,
             export=_export_summary(plan, shipment, replayed, sil),
@@ -298,7 +303,7 @@ def _export_summary(
 def _sweep(plan: Plan, out: Path, workers: int, progress: Progress) -> SweepTable:
     return sweep(
         plan.sweep_cases,
-        grid(plan.axes),
+        grid(plan.grid),
         seeds=plan.sweep_seeds,
         cruise=plan.cruise,
         executor=LocalExecutor(workers),

@@ -85,8 +85,8 @@ class Plan:
     """A loaded and checked study; it has the built-in goals unless its file defines goals or names a goals file.
 
     `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
-    the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study can be tuned, but not
-    conducted. `named` is false if the study names no gains; they are then the default gains of its vehicles
+    the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study keeps its
+    gains. `named` is false if the study names no gains; they are then the default gains of its vehicles
     (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were. `unheard` is the
     reason why the study simulates no sonars, and exports the law that takes obstacle positions; empty if it does.
     """
@@ -150,12 +150,23 @@ class Plan:
         missions = write_missions([leg.scenario for leg in self.legs], folder)
         return replace(self, legs=tuple(replace(leg, scenario=m) for leg, m in zip(self.legs, missions, strict=True)))
 
-    def check_sweep(self) -> None:
-        """Raise InputError if the study file has no `[sweep]` table, from which `conduct` chooses the gains."""
-        if not self.axes:
-            remedy = 'add axes = [{ gain = "k_v", values = [1.0, 2.0] }] to it, or choose gains by surctl tune'
-            problem = "is missing; a study chooses its gains by a sweep"
-            raise InputError(problem, file=self.source, key="sweep", remedy=remedy)
+    @property
+    def grid(self) -> tuple[Axis, ...]:
+        """The axes of the sweep; without any, the gains of the plan as a single point."""
+        name = next(iter(self.gains.values))
+        return self.axes or (Axis(name, (self.gains[name],)),)
+
+    def with_gains(self, file: str) -> Plan:
+        """Return the plan with the gains of a file (name or path), and without a sweep."""
+        gains = load_gains(file, own=law_source(self.law).gains)
+        return replace(self, gains=gains, axes=(), named=True, derivation=None)
+
+    def with_law(self, law: str) -> Plan:
+        """Return the plan with another law; raise InputError if it does not suit a vehicle of the plan."""
+        law = law_ref(law)
+        for leg in self.legs:
+            check_forces(law, leg.vehicle)
+        return replace(self, law=law, gains=self.gains.with_own(law_source(law).gains))
 
     @property
     def sweep_cases(self) -> tuple[Case, ...]:

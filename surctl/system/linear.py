@@ -17,6 +17,7 @@ from surctl.system.linear_loop import LinearLoop, LoopNames
 from surctl.system.loop import System, once_per_system
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant_linear import plant_slopes
+from surctl.system.undefined import undefined_operation
 from surctl.system.values import RunNumbers, run_numbers
 
 __all__ = ["Linearisation", "Operating", "find_equilibrium", "linearise", "loop_names"]
@@ -27,6 +28,7 @@ _NEWTON = 50
 _EULER, _LONGEST = 1000, 1e6  # number of implicit steps, and their greatest length in control periods
 _NEAR = 1e-6  # from here on, Newton steps are taken
 _REST = 1e-9
+_SHOWN = 6  # largest number of states in a message
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
             Without such names, the search begins at zero and then, if necessary, at the default state.
 
     Raises:
-        InputError: the search finds no equilibrium; the message names the state that moves most.
+        InputError: the search finds no equilibrium; the message names the state that moves most, or the operation that
+            has no finite value or derivative where the search ends.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -90,6 +93,8 @@ def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Op
             if rests:
                 return functions.operating(point)
             ends.append(point)
+    for point in ends:
+        functions.check_finite(point)
     error = np.nan_to_num(functions.error(ends[0])[0], nan=np.inf)
     worst = _state_labels(system)[int(np.argmax(np.abs(error)))]
     constant = functions.constant_commands(ends[0])
@@ -207,6 +212,31 @@ class _Rest:
         slopes = np.array(self.functions["rest"].call([*self._split(point), *self.arguments])[3])
         return [name for name, row in zip(entry_labels(self.system.commands), slopes, strict=True) if not row.any()]
 
+    def check_finite(self, point: Array) -> None:
+        """Raise InputError if a rate, or its derivative by a state, is not finite at the point."""
+        error, slope = self.error(point)
+        rows = ~(np.isfinite(error) & np.isfinite(slope).all(axis=1))
+        if not rows.any():
+            return
+        labels, (x, z) = _state_labels(self.system), self._split(point)
+        row = int(np.argmax(rows))
+        what = f"the rate of `{labels[row]}`"
+        if np.isfinite(error[row]):
+            column = int(np.argmax(~np.isfinite(slope[row])))
+            what = f"the derivative of {what} by `{labels[column]}`"
+        measured, law = self.functions["measure"](x, self.disturbance, self.numbers.plant[0]), self.functions["control"]
+        u = self.functions["inputs"](measured, self.reference)
+        f = law.call([z, u, self.numbers.gains[0]])[0]
+        plant = undefined_operation(self.functions["rate"], [x, f, self.disturbance, self.numbers.plant[0]])
+        cause = plant or undefined_operation(law, [z, u, self.numbers.gains[0]])
+        where = f" of the {'plant' if plant else 'law'}" if cause else ""
+        raise InputError(
+            f"{what} is not finite where the search ends ({_place(labels, point)})"
+            + (f", because of {cause}{where}" if cause else ""),
+            key=self.system.plant.name,
+            remedy="write it smoothly there (sqrt(x**2 + 1e-12), say), or begin elsewhere with start.…",
+        )
+
     def operating(self, point: Array) -> Operating:
         x, z = self._split(point)
         f = np.array(self.functions["rest"].call([x, z, *self.arguments])[2]).reshape(-1)
@@ -245,6 +275,9 @@ def _functions(system: System) -> dict[str, ca.Function]:
     slopes = [ca.jacobian(out, by) for out in (after, command) for by in (Z, Y, R)]
     return {
         "measure": measure,
+        "inputs": inputs,
+        "rate": rate,
+        "control": law,
         "rest": ca.Function("rest", [X, Z, G, P, R, D], results),
         "law": ca.Function("slopes", [Z, Y, R, G], slopes),
         "plant": plant_slopes(plant),
@@ -279,6 +312,11 @@ def loop_names(system: System) -> LoopNames:
         for label, unit in zip(entry_labels(layout), entry_units(layout), strict=True)
     ]
     return replace(LoopNames(plant.name, controller.name, *labels), units=tuple(units))
+
+
+def _place(labels: list[str], point: Array) -> str:
+    shown = [f"{label} = {value + 0.0:.4g}" for label, value in zip(labels, point, strict=True)]
+    return ", ".join(shown[:_SHOWN] + ["…"] * (len(shown) > _SHOWN))
 
 
 def _state_labels(system: System) -> list[str]:

@@ -10,13 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from surctl.errors import InputError
+from surctl.files import write_file
 
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.storages import JournalStorage
     from optuna.trial import FrozenTrial
 
-__all__ = ["Journal", "quiet_optuna"]
+__all__ = ["BEST", "Journal", "quiet_optuna"]
+
+BEST = "best-so-far.toml"
+"""Name of the gain file that an unfinished tuning leaves beside its journal."""
 
 _OBJECTIVES = ["minimize", "minimize"]
 _HARMED = (ValueError, KeyError, TypeError, AttributeError)  # possible errors when a file is not a journal
@@ -60,6 +64,11 @@ class Journal:
         """Close the file and release its lock."""
         if self._file is not None:
             self._file.close()
+
+    def note_best(self, text: str) -> None:
+        """Write the text of the best gains so far to the file `BEST` beside the journal; InputError if it cannot."""
+        if self.path is not None:
+            write_file(self.path.with_name(BEST), text)
 
     def trials(self, name: str) -> list[FrozenTrial]:
         """Return the finished trials of a study, oldest first; InputError if the file cannot be used."""

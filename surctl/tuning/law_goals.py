@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -10,12 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.control import Gains
-from surctl.errors import InputError
+from surctl.errors import InputError, ToolMissing
+from surctl.ir import warn_slower
 from surctl.own_code import is_own
-from surctl.simulation import Case, law_numbers, simulate
+from surctl.simulation import Case, case_parameters, law_numbers, simulate
+from surctl.simulation.batch.traces import law_input, trace_batch
 from surctl.system import LinearLoop
 from surctl.tuning.goals import Goal
+from surctl.vehicle import Vehicle
 from surctl.verification import OperatingPoint, law_loop, steady_motion
+from surctl.verification.operating_point import operating_point, steadiest
 
 __all__ = ["case_loop", "judged_loops"]
 
@@ -55,7 +60,7 @@ def case_loop(
         ['surge', 'sway', 'heave', 'yaw']
     """
     law = (case if case.sensing == "truth" else replace(case, sensing="truth")).build()
-    vehicle = case.vehicle.with_values({name.removeprefix("plant."): value for name, value in plant.items()})
+    vehicle = _varied(case, plant)
     model, speed = case.model or case.vehicle, case.scenario.cruise if cruise is None else cruise
     if not is_own(case.law):
         return law_loop(law, vehicle, gains, cruise=speed, model=model).linear
@@ -69,27 +74,70 @@ def case_loop(
 
 
 def judged_loops(
-    goal: Goal, case: Case, cruise: float | None, plants: Sequence[Mapping[str, float]], sets: Sets
+    goal: Goal,
+    case: Case,
+    cruise: float | None,
+    plants: Sequence[Mapping[str, float]],
+    sets: Sets,
 ) -> NDArray[np.float64]:
     """Return the normalised values (n gain sets, plants) of a goal about the loop.
 
-    The value is NaN if the plant cannot hold the speed.
+    The value is NaN if the plant cannot hold the speed, or the run of a law of the user's own has no steady motion.
     """
     if goal.loop is None:
         raise InputError("is not about the loop", key=f"goals.{goal.name}", remedy="give its `loop`")
     count = len(next(iter(sets.values())))
-    table = np.full((count, len(plants)), np.nan)
-    known: dict[tuple[tuple[str, float], ...], int] = {}
-    for j, plant in enumerate(plants):
-        same = known.setdefault(tuple(sorted(plant.items())), j)
-        if same != j:
-            table[:, j] = table[:, same]
-            continue
-        for k in range(count):
-            gains = case.gains.with_values({name: float(values[k]) for name, values in sets.items()})
+    keys = [tuple(sorted(plant.items())) for plant in plants]
+    distinct = [dict(key) for key in dict.fromkeys(keys)]
+    table = np.full((count, len(distinct)), np.nan)
+    every = [
+        (case.gains.with_values({name: float(values[k]) for name, values in sets.items()}), plant)
+        for k in range(count)
+        for plant in distinct
+    ]
+    motions = _motions(case, every) if is_own(case.law) else [None] * len(every)
+    for place, ((gains, plant), motion) in enumerate(zip(every, motions, strict=True)):
+        if motion is not _UNSTEADY:
+            with suppress(InputError):
+                loop = case_loop(case, gains, cruise=cruise, plant=plant, motion=motion)
+                table.flat[place] = goal.loop.judge(loop).normalised
+    place_of = {key: j for j, key in enumerate(dict.fromkeys(keys))}
+    return table[:, [place_of[key] for key in keys]]
+
+
+def _motions(case: Case, runs: Sequence[tuple[Gains, Mapping[str, float]]]) -> list[OperatingPoint | None]:
+    """Return the steady motion of the run with each gain set and plant.
+
+    The runs are simulated by the compiled loop. None stands for a motion that `case_loop` has to find: without a
+    compiler, and on a path of more legs than the law holds.
+    """
+    case = replace(case, sensing="truth")
+    names = sorted({name for _, plant in runs for name in plant})
+    nominal = case_parameters(case)
+    values = {name: [plant.get(name, nominal[name].value) for _, plant in runs] for name in names}
+    values |= {name: [gains.values[name] for gains, _ in runs] for name in case.gains.values}
+    law, motions = case.build(), list[OperatingPoint | None]()
+    if case.scenario.path.fed:
+        return [None] * len(runs)
+    try:
+        for (gains, plant), trace in zip(runs, trace_batch(case, values), strict=True):
+            p = law_numbers(case.scenario, gains, case.model or case.vehicle)
+            eta, nu = trace.plant[:, :4], trace.plant[:, 4:8]
             try:
-                loop = case_loop(case, gains, cruise=cruise, plant=plant)
+                k = steadiest(eta, nu, trace.tau, law=law, scenario=case.scenario, p=p)
             except InputError:
+                motions.append(_UNSTEADY)
                 continue
-            table[k, j] = goal.loop.judge(loop).normalised
-    return table
+            u = law_input(law, case.scenario, _varied(case, plant), trace.plant[k], step=k, p=p)
+            motions.append(operating_point(case.scenario, k * law.dt, eta[k], nu[k], x=trace.law[k], u=u, p=p))
+    except ToolMissing as missing:
+        warn_slower(missing)
+        return [None] * len(runs)
+    return motions
+
+
+_UNSTEADY = OperatingPoint(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(4), 0.0, "none")
+
+
+def _varied(case: Case, plant: Mapping[str, float]) -> Vehicle:
+    return case.vehicle.with_values({name.removeprefix("plant."): value for name, value in plant.items()})

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from numbers import Real
 from typing import Any, ClassVar, Literal, TypeAlias
 
@@ -103,7 +103,7 @@ class Judgement:
     unit: str
     limit: float
     normalised: float
-    view: LoopView | None = None
+    view: LoopView | None = field(default=None, repr=False)
     where: str = ""
 
     @property
@@ -129,14 +129,14 @@ class LoopGoal(ABC):
     points: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            key = f"goals.{self.name}.{field.name}"
-            bound = field.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
-            number = field.type == "float" and not isinstance(value, Real)
+        for one in fields(self):
+            value = getattr(self, one.name)
+            key = f"goals.{self.name}.{one.name}"
+            bound = one.type == "Bound" and not isinstance(value, Real | Profile) and not callable(value)
+            number = one.type == "float" and not isinstance(value, Real)
             if bound or number:
                 raise InputError("is not a number", key=key, value=value, remedy="correct it")
-            unset = value == field.default if isinstance(value, Real) else True
+            unset = value == one.default if isinstance(value, Real) else True
             if not unset and not (np.isfinite(value) and value > 0):
                 raise InputError("must be finite and greater than 0", key=key, value=value, remedy="correct it")
 

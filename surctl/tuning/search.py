@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.control import write_gains
 from surctl.tuning.descent import descend
 from surctl.tuning.evaluation import row
 from surctl.tuning.journal import Journal, quiet_optuna
@@ -78,7 +79,10 @@ def search(
         shelf.append(name, finished[max(0, len(done) - k * BATCH) :])
         known += finished
         pools.append(pool)
-        clock.report(k + 1, joined(pools), start)
+        whole = joined(pools)
+        best = request.base.with_values(whole.gains(whole.best(start)), how="so-far")
+        shelf.note_best(write_gains(best, warning="the best gains of an unfinished tuning"))
+        clock.report(k + 1, whole, start)
     whole = joined(pools)
     return descend(request, whole, trials=trials, shelf=shelf, progress=progress)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -92,6 +92,7 @@ def tune_system(
     threads: int = 1,
     goals: Sequence[LoopGoal] = (),
     points: Mapping[str, Mapping[str, ArrayLike]] = NO_POINTS,
+    progress: Callable[[int, Mapping[str, float]], object] = lambda *_: None,
 ) -> SystemTuning:
     """Search gains that minimise a cost of a system, by scipy's differential evolution over compiled runs.
 
@@ -116,6 +117,8 @@ def tune_system(
         threads: number of threads that share the runs.
         goals: goals about the loop.
         points: operating points of the goals, by name, as in `operating_loops`.
+        progress: function that receives the number of gain sets so far and the best of them; their disk margin is
+            computed at the end.
 
     Raises:
         InputError: there is neither a cost nor a soft goal, no gain is named, a name is unknown or a range is not
@@ -153,7 +156,9 @@ def tune_system(
     def cost_of(points: Array) -> Array:
         """Return the penalised cost of each gain set, that is, of each column of `points`."""
         sets = np.clip(np.where(logarithmic[:, None], np.exp(points), points), low[:, None], high[:, None])
-        return search.penalised(sets.T)
+        values = search.penalised(sets.T)
+        progress(*search.best)
+        return values
 
     size = max(5, min(_POPULATION * len(names), trials))
     differential_evolution(
@@ -226,6 +231,7 @@ class _Search:
         self.sets: list[Array] = []
         self.figures: list[Array] = []
         self.scores: list[Array] = []  # largest normalised soft goal, excess of the hard ones
+        self.least, self.leading = np.inf, dict[str, float]()
         self.lasted = np.zeros(0)  # share of the duration, of the sets simulated last
 
     def costs(self, sets: Array) -> Array:
@@ -264,7 +270,16 @@ class _Search:
         excess = np.minimum(self.excess(figures).sum(axis=1) + np.minimum(scores[:, 1], _MOST), _MOST)
         excess[self.lasted < 1] = _MOST * (2 - self.lasted[self.lasted < 1])
         value = self.value(figures, scores)
-        return np.where((excess > 0) | ~np.isfinite(value), _WORSE * (1 + excess), np.minimum(value, _WORSE))
+        penalised = np.where((excess > 0) | ~np.isfinite(value), _WORSE * (1 + excess), np.minimum(value, _WORSE))
+        k = int(np.argmin(penalised))
+        if penalised[k] < self.least or not self.leading:
+            self.least, self.leading = float(penalised[k]), dict(zip(self.names, sets[k].tolist(), strict=True))
+        return penalised
+
+    @property
+    def best(self) -> tuple[int, dict[str, float]]:
+        """Number of gain sets so far, and the one with the least penalised value."""
+        return sum(map(len, self.sets)), self.leading
 
     def chosen(self, least: float) -> SystemTuning:
         """Return the gain set with the least cost that satisfies every bound, or else the set nearest to the bounds."""

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.control import Law
 from surctl.errors import InputError
-from surctl.simulation import Run
+from surctl.simulation import Run, Scenario
 
 Array = NDArray[np.float64]
 
-__all__ = ["OperatingPoint", "steady_motion"]
+__all__ = ["OperatingPoint", "operating_point", "steadiest", "steady_motion"]
 
 _WINDOW = 2.0  # [s] for which a motion must be steady
 _VELOCITY = (2e-3, 2e-3, 2e-3, 5e-3)  # largest range of u, v, w [m/s] and r [rad/s] over the window
@@ -75,19 +78,39 @@ def steady_motion(run: Run) -> OperatingPoint:
         >>> round(point.speed, 2)
         0.22
     """
-    record, steps = run.record, round(_WINDOW / run.law.dt)
-    limits = np.maximum(record.law_parameters[run.law.gains.slice("thrust_limit")], 1e-12)
-    signals = np.column_stack(
-        [record.nu / _VELOCITY, np.unwrap(record.eta[:, 3]) / _HEADING, record.tau / (_THRUST * limits)]
-    )
+    record = run.record
+    middle = steadiest(record.eta, record.nu, record.tau, law=run.law, scenario=run.scenario, p=record.law_parameters)
+    return operating_point(
+        run.scenario, record.time[middle], record.eta[middle], record.nu[middle],
+        x=record.law_state[middle], u=record.law_input[middle], p=record.parameters_at(middle),
+    )  # fmt: skip
+
+
+def steadiest(eta: Array, nu: Array, tau: Array, *, law: Law, scenario: Scenario, p: Array) -> int:
+    """Return the control step in the middle of the steadiest 2 s of a run; see `steady_motion`.
+
+    Args:
+        eta, nu, tau: (n, 4) pose, velocity and commanded thrust at each control step.
+        law: the law of the run.
+        scenario: the scenario of the run.
+        p: the law's parameters.
+
+    Raises:
+        InputError: as for `steady_motion`.
+    """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    steps = round(_WINDOW / law.dt)
+    limits = np.maximum(p[law.gains.slice("thrust_limit")], 1e-12)
+    signals = np.column_stack([nu / _VELOCITY, np.unwrap(eta[:, 3]) / _HEADING, tau / (_THRUST * limits)])
     if len(signals) <= steps:
-        raise InputError(f"ended after {record.time[-1]:g} s", key=run.scenario.name, remedy=_REMEDY)
-    windows = np.lib.stride_tricks.sliding_window_view(signals, steps + 1, axis=0)
-    ranges = np.ptp(windows, axis=2)  # (windows, signals), 1 at the largest steady range
-    most = np.abs(record.tau) >= _FULL * limits  # nothing controls an axis whose thrust is at its limit
-    full = np.any(np.lib.stride_tricks.sliding_window_view(most, steps + 1, axis=0), axis=2)
+        raise InputError(f"ended after {(len(signals) - 1) * law.dt:g} s", key=scenario.name, remedy=_REMEDY)
+    within = partial(_over_windows, steps + 1)
+    ranges = within(maximum_filter1d, signals) - within(minimum_filter1d, signals)  # 1 at the largest steady range
+    most = np.abs(tau) >= _FULL * limits  # nothing controls an axis whose thrust is at its limit
+    full = within(maximum_filter1d, most.astype(float)) > 0
     worst = np.where(full.any(axis=1), np.inf, ranges.max(axis=1))
-    fast = np.hypot(*record.nu[steps:, :2].T) >= 0.5 * run.scenario.cruise
+    fast = np.hypot(*nu[steps:, :2].T) >= 0.5 * scenario.cruise
     moving = fast & (worst <= 1.0)
     k = int(np.argmin(np.where(moving, worst, np.inf) if moving.any() else worst))
     middle = k + steps // 2  # its end may have left the steady motion
@@ -96,20 +119,30 @@ def steady_motion(run: Run) -> OperatingPoint:
         k = int(np.argmin(ranges.max(axis=1)))
         if ranges[k].max() <= 1.0 and full[k].any():
             problem = f"has no steady motion that is controlled: {which[5 + int(np.argmax(full[k]))]} is at its limit"
-            raise InputError(problem, key=run.scenario.name, remedy="give a lower speed, or less current")
+            raise InputError(problem, key=scenario.name, remedy="give a lower speed, or less current")
         varied, by = which[int(np.argmax(ranges[k]))], ranges[k].max()
         problem = f"has no steady motion: in its steadiest {_WINDOW:g} s, {varied} varies {by:.2g} times too much"
-        raise InputError(problem, key=run.scenario.name, remedy=_REMEDY)
-    nu = record.nu[middle]
-    if abs(nu[3]) > _TURN:
-        problem = f"turns at {nu[3]:.2g} rad/s where it is steady, so its linear loop varies with time"
-        raise InputError(problem, key=run.scenario.name, remedy=_REMEDY)
-    heading = float(record.eta[middle, 3])
+        raise InputError(problem, key=scenario.name, remedy=_REMEDY)
+    if abs(nu[middle, 3]) > _TURN:
+        problem = f"turns at {nu[middle, 3]:.2g} rad/s where it is steady, so its linear loop varies with time"
+        raise InputError(problem, key=scenario.name, remedy=_REMEDY)
+    return middle
+
+
+def _over_windows(width: int, extreme: Callable[..., Array], signals: Array) -> Array:
+    # (windows, signals) extreme of each signal over each window
+    return extreme(signals, width, axis=0)[width // 2 : width // 2 + len(signals) - width + 1]
+
+
+def operating_point(
+    scenario: Scenario, time: float, eta: Array, nu: Array, *, x: Array, u: Array, p: Array
+) -> OperatingPoint:
+    """Return the steady motion at a time [s] of a run, where the law has x, u and p."""
+    heading = float(eta[3])
     moves = ", ".join(f"{name} {value + 0.0:.3g}" for name, value in zip("uvw", np.round(nu[:3], 4), strict=True))
-    when = f"at {record.time[middle]:.1f} s of {run.scenario.name}"
+    when = f"at {time:.1f} s of {scenario.name}"
     text = f"the steady motion {when} ({moves} m/s, heading {np.rad2deg(heading):.0f} deg)"
-    x, u, p = record.law_state[middle], record.law_input[middle], record.parameters_at(middle)
-    return OperatingPoint(x, u, p, nu.copy(), heading, text, run.scenario.disturbance.current_m_per_s)
+    return OperatingPoint(x, u, p, nu.copy(), heading, text, scenario.disturbance.current_m_per_s)
 
 
 _REMEDY = "give a scenario with a longer straight part"

@@ -48,6 +48,7 @@ def surctl_here(*words, cwd) -> Outcome:
         patch.setattr("sys.argv", ["surctl", *map(str, words)])
         patch.setattr("sys.stdout", out)
         patch.setenv("OPENBLAS_NUM_THREADS", os.environ.get("OPENBLAS_NUM_THREADS", "1"))  # `main` sets it
+        patch.setenv("MPLBACKEND", "agg")  # likewise
         with pytest.raises(SystemExit) as end:
             main()
     return Outcome(end.value.code, raw.getvalue().decode(), err.getvalue())

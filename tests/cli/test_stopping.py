@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import signal
+import time
 from pathlib import Path
 
 import pytest
 
+from tests.cli.test_lost_output import LOOP
 from tests.processes import Running
 
 SWEEP = ("sweep", "k_v=1..3:4000", "--scenario", "tank-static", "--seeds", "50", "--workers", "1", "--out", "a sweep")
@@ -27,3 +29,19 @@ def test_ctrl_c_says_what_is_kept(case: str, tmp_path: Path) -> None:
     assert last.startswith("surctl: stopped; ") and kept in last and again in last, err
     assert "Traceback" not in err
     assert any((tmp_path / "a sweep").iterdir()) and out == ""
+
+
+@pytest.mark.parametrize("moment", range(10))
+def test_ctrl_c_at_any_moment_is_one_line(moment: int, tmp_path: Path) -> None:
+    (tmp_path / "loop.py").write_text(LOOP)
+    words = ("tune", "loop.py:build", "--seconds", "20", "--trials", "1000000", "--out", "out")
+    with Running(["-m", "surctl", *words], cwd=tmp_path) as running:
+        running.until(lambda: "gain sets" in running.err)
+        if moment > 5:
+            running.until((tmp_path / "out" / "gains.csv").exists)
+        time.sleep(0.03 * moment)
+        running.send(signal.SIGINT)
+        status, err = running.wait(), running.err
+    last = err.splitlines()[-1]
+    assert status == 130 and last.startswith("surctl: stopped; ") and "Traceback" not in err, err
+    assert moment <= 5 or (tmp_path / "out" / "gains.csv").read_text().startswith("k,q\n")

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from surctl.cli import main
-from surctl.cli.output import progress
+from surctl.cli.activity import progress
 
 NARROW = ("cp1252", "ascii", "latin-1")
 CHEAP = [
@@ -73,7 +73,7 @@ def test_a_full_disk_under_stdout_is_one_line_and_a_status(
     line = (
         "surctl: the output cannot be written (no space left on device); free disk space, or write to another place\n"
     )
-    assert (status, capsys.readouterr().err) == (1, line)
+    assert (status, capsys.readouterr().err) == (3, line)
 
 
 def test_a_full_disk_under_the_log_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,4 +91,4 @@ def test_a_process_on_a_full_disk_ends_with_that_line_alone(tmp_path: Path, unbu
             command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
             env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
         )  # fmt: skip
-    assert (done.returncode, done.stderr.count("\n")) == (1, 1) and "no space left" in done.stderr
+    assert (done.returncode, done.stderr.count("\n")) == (3, 1) and "no space left" in done.stderr

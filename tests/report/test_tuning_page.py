@@ -321,7 +321,7 @@ MISTAKES = {
     "no such law": (("--page", "--law", "gurded"), "--law = 'gurded'"),
     "a speed above the cap": (("--page", "--cruise", "0.1,0.9"), "--cruise = 0.9: is above the cap"),
     "a port without a page": (("--port", "8000"), "--page"),
-    "a law without a page": (("--law", "vo"), "study file"),
+    "a scenario without a page": (("--scenario", "pool-behind"), "study file"),
 }
 
 

@@ -102,7 +102,7 @@ def test_without_a_compiler_the_machine_flies_and_says_how_slow(monkeypatch: pyt
 
     monkeypatch.setattr(engines, "compiled_loop", none)
     case = _case("pool-static", seconds=1.0)
-    with pytest.warns(SlowerEngine, match=r"µs per control step"):
+    with pytest.warns(SlowerEngine, match=r"no C compiler found; until then"):
         assert simulate_batch(case).engine == "vm"
     with pytest.raises(ToolMissing):
         simulate_batch(case, engine="c")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import Routine, compile_block, replay
+from surctl.ir import Routine, compile_block, replay, warn_slower
 from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.step import OUTPUTS, priority_step
 from surctl.priority.polyhedron import polyhedron_of
@@ -214,7 +214,8 @@ def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None
     """Return input arrays, output arrays, the function that computes the outputs, and whether it is C code."""
     try:
         workspace = compile_block(routine).workspace()
-    except ToolMissing:
+    except ToolMissing as missing:
+        warn_slower(missing)
         inputs, outputs = ([np.zeros(size) for _, size in ports] for ports in (routine.inputs, routine.outputs))
 
         def run() -> None:

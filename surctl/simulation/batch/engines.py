@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, ToolMissing, nearest
-from surctl.ir import Batch, compile_batch_source, to_casadi
+from surctl.ir import Batch, SlowerEngine, compile_batch_source, to_casadi, warn_slower
 from surctl.simulation.batch.bodies import ABSENT
 from surctl.simulation.batch.case import Case, check_values
 from surctl.simulation.batch.counting import VARIATIONS
@@ -22,16 +20,12 @@ from surctl.simulation.batch.pack import Packed, pack, structure_of
 from surctl.simulation.batch.stored import stored_loop
 from surctl.simulation.metrics import METRICS, STOPS
 
-__all__ = ["ENGINES", "BatchResult", "Engine", "SlowerEngine", "compiled_loop", "simulate_batch"]
+__all__ = ["ENGINES", "BatchResult", "Engine", "SlowerEngine", "broadcast", "compiled_loop", "simulate_batch"]
 
 Engine = Literal["auto", "c", "vm"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)
 
 Columns = NDArray[np.float64]
-
-
-class SlowerEngine(UserWarning):
-    """Warning that there is no C compiler, so that the loop runs in CasADi's virtual machine."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +92,7 @@ def simulate_batch(
         raise InputError("is not known", key="engine", value=engine, remedy=nearest(str(engine), ENGINES))
     if threads < 1:
         raise InputError("must be at least 1", key="threads", value=threads)
-    columns, run_seeds = _broadcast(values or {}, seeds)
+    columns, run_seeds = broadcast(values or {}, seeds)
     check_values(case, columns)
     loop = build_loop(structure_of(case, columns))
     if len(run_seeds) == 0:
@@ -109,21 +103,11 @@ def simulate_batch(
             compiled = compiled_loop(loop.structure)
             final = compiled.run(packed.state, packed.parameters, steps=packed.steps, threads=threads)
             return BatchResult(_metrics(loop, final), "c")
-        except ToolMissing:
+        except ToolMissing as missing:
             if engine == "c":
                 raise
-    start = time.perf_counter()
-    final = _through_machine(loop, packed)
-    if engine == "auto":
-        steps = float(np.sum(final[:, loop.state.slice("step")] + 1))
-        spent = 1e6 * (time.perf_counter() - start) / steps
-        warnings.warn(
-            f"no C compiler: {len(run_seeds)} runs in CasADi's virtual machine took {spent:.0f} µs per control step; "
-            "compiled code is about 100 times faster (install gcc or clang)",
-            SlowerEngine,
-            stacklevel=2,
-        )
-    return BatchResult(_metrics(loop, final), "vm")
+            warn_slower(missing)
+    return BatchResult(_metrics(loop, _through_machine(loop, packed)), "vm")
 
 
 @cache
@@ -156,7 +140,8 @@ def _through_machine(loop: Loop, packed: Packed) -> Columns:
     return state
 
 
-def _broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[str, Columns], NDArray[np.int64]]:
+def broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[str, Columns], NDArray[np.int64]]:
+    """Return values and seeds as arrays (n,) for n runs; raise InputError if they do not match."""
     try:
         arrays = {name: np.asarray(value, dtype=float) for name, value in values.items()}
     except (TypeError, ValueError):

@@ -74,7 +74,8 @@ def prove_braking(claim: BrakingClaim) -> BrakingProof:
 def _attempt(claim: BrakingClaim, began: float) -> BrakingProof:
     limit = largest_obstacle(claim)
     if max(claim.obstacles) >= limit:
-        reason = f"braking guarantees nothing for obstacles that approach at {limit:.4g} m/s or more"
+        at = f"obstacles that approach at {limit:.4g} m/s or more" if limit > 0 else "any obstacle, even at rest"
+        reason = f"the braking force does not exceed drag and disturbances, so braking guarantees nothing for {at}"
         return BrakingProof(claim, "unknown", {}, reason, 0.0, time.perf_counter() - began, 0.0)
     tables = [distance_table(claim, obstacle) for obstacle in claim.obstacles]
     table = figures(claim, tables)

@@ -1,0 +1,130 @@
+"""Pictures that cannot be drawn, and streams that cannot be written: one line, and the results are there."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+from tests.cli.process import LIBRARY, Outcome, surctl_here
+from tests.sensing.recording import recorded, write
+
+LOOP = """
+from surctl.ir import Layout, Port
+from surctl.system import Controller, Cost, Plant, System
+
+X, U = Port("x", (1,), "m", "", 1.0), Port("u", (1,), "m/s", "")
+K = Layout((Port("k", (1,), "1/s", "", 2.0), Port("q", (1,), "1", "", 1.0)))
+
+def build():
+    plant = Plant("cart", Layout((X,)), Layout((U,)), lambda x, f, d, p: {"x": f["u"]})
+    law = Controller("hold", 0.1, Layout((X,)), Layout((U,)), lambda x, u, p: -p["k"] * p["q"] * u["x"], gains=K)
+    return System(plant, law, costs={"final": Cost(lambda s: s.x["x"], "final", "m", "at the end")})
+"""
+DRAWING = {  # command: the files of its result
+    ("simulate", "pool-behind", "--save", "csv", "--explain", "--animate", "out/run.gif", "--out", "out"): {"csv"},
+    ("simulate", "loop.py:build", "--seconds", "1", "--out", "out"): {"csv"},
+    ("sweep", "loop.py:build", "k=1,2", "q=1,2", "--seconds", "1", "--out", "out"): {"csv", "nc"},
+    ("sweep", "k_v=1,2", "k_r=1,2", "--seeds", "1", "--locus", "k_v", "--workers", "1", "--out", "out"): {
+        "nc", "toml",
+    },
+    ("verify", "v1-corrected", "--out", "out"): {"json"},
+    ("calibrate", "table-ii", "--out", "out"): {"csv", "toml"},
+    ("sonar-replay", "log.csv", "--out", "out"): {"csv"},
+    ("vehicle", "thrusters", "bluerov2-heavy", "--out", "out"): set(),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", DRAWING, ids=lambda words: " ".join(words[:2]))
+def test_a_picture_that_cannot_be_drawn_loses_nothing_else(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise MemoryError("no canvas")
+
+    monkeypatch.setattr(FigureCanvasAgg, "__init__", broken)
+    (tmp_path / "loop.py").write_text(LOOP)
+    write(tmp_path, recorded(2.0))
+    done = surctl_here(*words, cwd=tmp_path)
+    complaints = [line for line in done.err.splitlines() if not line.startswith("  ")]
+    assert done.status == 3 and done.out, done
+    assert complaints and all("not saved: MemoryError: no canvas" in line for line in complaints)
+    assert {path.suffix[1:] for path in tmp_path.glob("out/*") if path.is_file()} == DRAWING[words]
+
+
+PLOTTING = ("save_", "plot_", "render_", "write_")
+
+
+def unguarded(tree: ast.AST) -> list[str]:
+    """The calls of functions of the report that draw, outside of `with saving(...)`."""
+    drawn = {
+        alias.asname or alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("surctl.report", "surctl.reproduction"))
+        for alias in node.names
+        if alias.name.startswith(PLOTTING)
+    }
+
+    def calls(node: ast.AST) -> list[str]:
+        if isinstance(node, ast.With) and any("saving(" in ast.unparse(item) for item in node.items):
+            return []
+        here = [ast.unparse(node)] if isinstance(node, ast.Call) and ast.unparse(node.func) in drawn else []
+        return here + [call for child in ast.iter_child_nodes(node) for call in calls(child)]
+
+    return calls(tree)
+
+
+def test_every_command_draws_where_a_failure_loses_nothing() -> None:
+    files = [*(LIBRARY / "cli").glob("*.py"), LIBRARY / "study" / "conduct.py"]
+    assert unguarded(ast.parse("from surctl.report import save_x\nsave_x()")) == ["save_x()"]
+    assert {path.name: calls for path in files if (calls := unguarded(ast.parse(path.read_text())))} == {}
+
+
+def process(words: str, folder: Path, **environment: str) -> Outcome:
+    """The command by a shell, which can close a stream."""
+    done = subprocess.run(
+        f"exec {sys.executable} -m surctl {words}", shell=True, cwd=folder, text=True, capture_output=True, check=False,
+        env={**os.environ, **environment},
+    )  # fmt: skip
+    return Outcome(done.returncode, done.stdout, done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [
+        ("list >&-", 0),
+        ("--help >&- 2>&-", 0),
+        ("lint no-such >&- 2>&-", 2),
+        ("check no-such 2>&-", 2),
+        ("new vehicle mine <&- >&- 2>&-", 0),
+        ("simulate pool-behind --out out --save csv >&- 2>&-", 0),
+        ("lint tank-static > /dev/full", 3),
+        ("lint tank-static > /dev/full 2> /dev/full", 3),
+    ],
+)
+def test_a_stream_that_is_closed_or_full(words: str, status: int, tmp_path: Path) -> None:
+    done = process(words, tmp_path)
+    assert done.status == status and "Traceback" not in done.err, done
+    if "--out" in words:
+        assert {path.suffix for path in (tmp_path / "out").iterdir()} == {".csv", ".png"}
+
+
+def test_a_reader_that_ends_first_is_no_finding(tmp_path: Path) -> None:
+    read, written = os.pipe()
+    os.close(read)
+    done = subprocess.run(
+        [sys.executable, "-m", "surctl", "list"], cwd=tmp_path, stdout=written, stderr=subprocess.PIPE, check=False
+    )
+    os.close(written)
+    assert (done.returncode, done.stderr) == (3, b"")
+
+
+@pytest.mark.parametrize("backend", ["nonsense", "module://no_such.backend"])
+def test_the_backend_of_the_environment_has_no_influence(backend: str, tmp_path: Path) -> None:
+    done = process("calibrate table-ii --out out", tmp_path, MPLBACKEND=backend)
+    assert done.status == 0 and done.err == "" and list(tmp_path.glob("out/*.png")), done
