@@ -26,12 +26,14 @@ if TYPE_CHECKING:
     from surctl.errors import NotApplicable
     from surctl.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
+    from surctl.verification.formula import Statement
     from surctl.verification.stack import StackConditions
 
 __all__ = ["claim_line", "verify"]
 
 
 _SHORT, _LONG = 20.0, 60.0  # s
+_SHOWN = 400  # characters of a printed expression
 _GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
@@ -128,7 +130,7 @@ def verify(
     from surctl.cli.law_option import choose_law
     from surctl.cli.linear_part import LinearPart, law_part, linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command
-    from surctl.cli.regions import check_regions, is_region, prove_regions, region_of
+    from surctl.cli.regions import check_regions, is_region, prove_regions, region_of, require_own_speeds
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.files import prepare_folder
@@ -172,6 +174,7 @@ def verify(
         name = next(name for name in claims if is_region(name) or is_braking(name))
         raise InputError(f"does not concern the law {about}", key="claim", value=name, remedy="drop it")
     region_names = [name for name in claims if is_region(name)]
+    require_own_speeds(region_names, None if cruise is None else max(cruise), cap)
     check_regions(region_names, robot, tuned.gains, speeds)  # mistakes are reported before the linear analysis
     dt = build_law().dt
     options = {"dt": dt, "uncertainty": uncertainty}
@@ -204,6 +207,8 @@ def verify(
             verdicts.append(decide(claim, seed=seed, time_limit=time_limit or _SHORT, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
+        if claim.exact is not None:
+            lines += statement_lines(claim.exact, verdicts[-1].certificate)
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
     if not alone:
         lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
@@ -370,13 +375,40 @@ def _verdict_data(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]
     return data
 
 
+def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> list[str]:
+    """Return the statement as the checker reads it: from the certificate, if there is one."""
+    from surctl.verification.formula import text_of
+
+    left, right, *constraints = map(text_of, exact.parts)
+    ends = [*zip(exact.names, exact.lower.tolist(), exact.upper.tolist(), strict=True)]
+    if certificate is not None:
+        claim = certificate["claim"]
+        left, right, constraints = claim["left"], claim["right"], claim["constraints"]
+        ends = [(v["name"], v["lower"], v["upper"]) for v in claim["variables"]]
+    slack = certificate["claim"]["slack"] if certificate is not None else 0.0
+    bound = f"{right} + {slack!r}" if slack else right
+    where = [f"{name} in [{low!r}, {high!r}]" for name, low, high in ends] + [f"{g} <= 0" for g in constraints]
+    return [f"  {_clipped(left)} <= {_clipped(bound)}", f"  where {_clipped(', '.join(where))}"]
+
+
+def _clipped(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ... ({len(text)} characters)"
+
+
+def _number(value: float, digits: str) -> str:
+    return repr(value) if digits == "r" else f"{value:{digits}}"
+
+
 def claim_line(verdict: Verdict) -> str:
     """Return one line for a verdict, with its counterexample, its slack or the reason why it is unknown."""
     counterexample, proof = verdict.counterexample, verdict.certificate
     where = ""
     if counterexample is not None:
-        where = " at " + ", ".join(f"{k} = {v:.4g}" for k, v in counterexample.values.items())
-        where += f": bound exceeded by {counterexample.margin:.3g} {verdict.claim.unit}"
+        digits = "r" if counterexample.undefined else ".4g"  # beside a pole, every digit counts
+        where = " at " + ", ".join(f"{k} = {_number(v, digits)}" for k, v in counterexample.values.items())
+        where += f": {counterexample.sentence}"
+    elif verdict.vacuous:
+        where = f", but vacuous: {verdict.vacuous}"
     elif proof is not None and proof["claim"]["slack"]:
         where = f" to within {proof['claim']['slack']:.1g} {verdict.claim.unit}"
     elif verdict.open_ends:

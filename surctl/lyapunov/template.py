@@ -109,7 +109,7 @@ def _monomial(dynamics: Dynamics, powers: Sequence[int]) -> Node:
     total: Node | None = None
     for s, exponent in zip(dynamics.states, powers, strict=True):
         if exponent:
-            away = variable(s.name) if s.equilibrium == 0 else variable(s.name) - exact(s.equilibrium)
+            away = variable(s.name) if s.equilibrium == 0 else variable(s.name) - number(s.rest)
             factor = power(away, exponent)
             total = factor if total is None else total * factor
     assert total is not None
