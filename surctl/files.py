@@ -143,7 +143,7 @@ def require_doubles(path: Path) -> None:
             waiting += [(f"{key}.{k}", part) for k, part in enumerate(value)]
         elif isinstance(value, _Literal) or type(value) is int:
             text = str(value).replace("_", "")
-            if not text.strip("+-") in ("inf", "nan") and not _is_double(text):
+            if text.strip("+-") not in ("inf", "nan") and not _is_double(text):
                 raise InputError(
                     "has digits that a double does not hold", file=path, key=key, value=text,
                     remedy="round it, or write it inside an expression, where every number is exact",

@@ -55,8 +55,8 @@ class Checked:
         seconds: duration of the check [s].
         proves: sentence that states what an accepted inequality proves; empty for other kinds of certificate and for a
             rejected certificate.
-        vacuous: why an accepted claim says nothing, such as "no point of the box satisfies the constraints"; empty if it
-            is not known to.
+        vacuous: why an accepted claim says nothing, such as "no point of the box satisfies the constraints"; empty if
+            nothing shows that.
         slack: tolerance of an accepted inequality (left side ≤ right side + slack), in the claim's unit; 0 for other
             kinds of certificate.
     """

@@ -147,7 +147,8 @@ class Bound:
     @property
     def statement(self) -> str:
         """The claim in words."""
-        return f"every solution that starts where V < {every_digit(self.level)} stays there, and V decays to {self.ultimate:g}"
+        level = every_digit(self.level)
+        return f"every solution that starts where V < {level} stays there, and V decays to {self.ultimate:g}"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""

@@ -117,7 +117,7 @@ def decide_safety(
 ) -> Decision:
     """Decide a barrier claim, and try to prove also that the solutions stay in the box.
 
-    The verdict is that of the claim as it stands; if it is proved, a stronger proof takes its place: then the decision's
+    The verdict is that of the claim as it stands. If the stronger claim is proved too, the decision is about it: its
     claim has `stays`. The arguments are those of `decide_motion`.
     """
     began, worked = time.perf_counter(), time.process_time()

@@ -155,7 +155,7 @@ class Dynamics:
                 )  # fmt: skip
 
     def require_rest(self) -> None:
-        """Raise InputError unless the equilibrium lies inside the box and is one, up to rounding, for all parameters."""
+        """Raise InputError unless the equilibrium is one for all parameters, up to rounding, inside the box."""
         self.require_equilibrium()
         if not self.residual() <= _REST * self.size():
             raise InputError(

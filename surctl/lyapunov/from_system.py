@@ -37,8 +37,8 @@ def continuous_dynamics(
 ) -> Dynamics:
     """Return the dynamics x' = f(x, w) of plant and controller, as if the command followed the measurement at once.
 
-    Every number of plant and law is the double of the instruction list, to the bit: 0.1 is not 1/10. So is the equilibrium;
-    the bounds are decimals.
+    Every number of plant, law and equilibrium is the double of the instruction list, to the bit: 0.1 is not 1/10. The
+    bounds are decimals.
 
     A state z of the controller follows z' = (z⁺ - z) / period, which is the law that the controller samples.
 
@@ -121,7 +121,9 @@ def continuous_dynamics(
     states = []
     for k in moves:
         low, high = within[labels[k]]
-        states.append(State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k]), to_the_bit=True))
+        states.append(
+            State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k]), to_the_bit=True)
+        )
     names = [v.name for v in (*states, *parameters)]
     nodes = from_casadi(ca.vertcat(symbols, *free), names, ca.vertsplit(rates[moves]), to_the_bit=True)
     gains = {port.name: numbers.gains[0, controller.gains.slice(port.name)].tolist() for port in controller.gains}

@@ -53,7 +53,7 @@ def slowest(d: Dynamics, linear: Linear) -> tuple[complex, float]:
 
 
 def too_fast(d: Dynamics, linear: Linear, rate: float | None) -> str:
-    """Return why no V with a positive definite quadratic part decays at a rate; empty if the linearisation allows it."""
+    """Return why no V with a positive definite quadratic part decays at a rate; empty if it may."""
     if rate is None or linear.verdict != "stable":
         return ""
     value, most = slowest(d, linear)
@@ -61,8 +61,8 @@ def too_fast(d: Dynamics, linear: Linear, rate: float | None) -> str:
         return ""
     text = f"{value.real:.6g}" + (f" ± {abs(value.imag):.6g}i" if abs(value.imag) > _SMALL * abs(value) else "")
     return (
-        f"the linearisation has the eigenvalue {text}, so no V with a positive definite quadratic part decays at a rate "
-        f"above {most:.6g}"
+        f"the linearisation has the eigenvalue {text}, so no V with a positive definite quadratic part decays at a "
+        f"rate above {most:.6g}"
     )
 
 
@@ -71,7 +71,7 @@ def fails_nearby(
 ) -> Failure | None:
     """Return a state at which V is negative, or does not decrease as claimed, by its quadratic part; None otherwise.
 
-    The quadratic part is that of V, and of V' + rate V (V⁺ − V + rate V in discrete time), at the equilibrium and at the
+    The quadratic parts are those of V and of V' + rate V (V⁺ − V + rate V in discrete time) at the equilibrium, for the
     corners of the parameters. Along an eigenvector with the wrong sign, the condition fails at every distance that is
     small enough; interval arithmetic confirms the state.
 
@@ -85,9 +85,7 @@ def fails_nearby(
     n = len(d.states)
     scales = np.minimum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     z, w = ca.SX.sym("z", n), ca.SX.sym("w", len(d.parameters))
-    value, change = ca.vertsplit(
-        d.compiled(function, d.change(function))(ca.DM(d.equilibrium) + ca.DM(scales) * z, w)
-    )
+    value, change = ca.vertsplit(d.compiled(function, d.change(function))(ca.DM(d.equilibrium) + ca.DM(scales) * z, w))
     rise = change - value if d.discrete else change
     bend = ca.Function("bend", [z, w], [ca.hessian(-value, z)[0], ca.hessian(rise + (rate or 0.0) * value, z)[0]])
     nothing = Power(0.0, 1)

@@ -234,9 +234,7 @@ def _instead(
         bound = least_level(d, candidate.function, rate, seed=seed)
         _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
         if bound.level > 0:
-            result = _proved(
-                d, candidate, bound, rate, None, seconds, began, seed, progress, start=_SIMPLE, once=True
-            )
+            result = _proved(d, candidate, bound, rate, None, seconds, began, seed, progress, start=_SIMPLE, once=True)
             if result.claim is not None and result.verdict == "proved":
                 return f'function = "{text_of(result.claim.function)}", level = {result.claim.level:g}'
             return ""

@@ -187,9 +187,7 @@ def solve(
 
 
 def _solution(problem: Problem, decision: Decision, seconds: float) -> Solution:
-    return Solution(
-        problem, decision.verdict, decision.reason, decision, None, "", seconds, decision.counterexample
-    )
+    return Solution(problem, decision.verdict, decision.reason, decision, None, "", seconds, decision.counterexample)
 
 
 def _moving(d: Dynamics) -> str:

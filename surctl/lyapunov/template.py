@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.lyapunov.dynamics import Dynamics, exact
+from surctl.lyapunov.dynamics import Dynamics
 from surctl.verification.formula import Node, number, ordered, power, to_casadi, variable
 
 __all__ = ["Template", "polynomials", "quadratic", "with_cosines"]

@@ -87,14 +87,14 @@ def load_claim(path: Path) -> Claim:
     Expressions have numbers, names, `pi`, + - * / ^, parentheses, and the functions abs, acos, asin, atan, atan2, cos,
     cosh, exp, log (natural), max, min, select, sin, sinh, sqrt, tan and tanh; select(a, b, x, y) is x if a <= b, and y
     otherwise. An exponent is a constant, such as 2, -1.5, (1/3) or the name of a constant. A power with a fractional
-    exponent is defined for positive numbers, and for 0 if the exponent is positive. The
-    texts are the statement, with exactly the numbers that are written. A point of the domain at which an expression is
-    not defined (a logarithm of 0, a pole of tan, 0/x at 0) refutes the claim: exclude it by bounds or constraints.
+    exponent is defined for positive numbers, and for 0 if the exponent is positive. The texts are the statement, with
+    exactly the numbers that are written. A point of the domain at which an expression is not defined (a logarithm of 0,
+    a pole of tan, 0/x at 0) refutes the claim: exclude it by bounds or constraints.
 
     Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side by which left may exceed
-    right, as a measure of rounding; default 0: none), `witnesses` (points, each with a value for every variable) and the table `[motion]` (`rates` by
-    variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential equations with which a
-    counterexample is simulated. Units are printed but not converted: use SI units.
+    right, as a measure of rounding; default 0), `witnesses` (points, each with a value for every variable) and the
+    table `[motion]` (`rates` by variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential equations
+    with which a counterexample is simulated. Units are printed but not converted: use SI units.
 
     Raises:
         InputError: the file is not a valid claim; the error names file, key, token and column, and the remedy.

@@ -55,8 +55,8 @@ def exceeding(statement: Statement, points: Array, threshold: float = 0.0) -> tu
 def undefined_at(statement: Statement, points: Array) -> tuple[Mapping[str, float], str] | None:
     """Return a point of the domain at which the statement is certainly not defined, and the operation without a value.
 
-    At a pole that no decimal number is, the point is the double nearest to it: the denominator changes its sign between
-    this double and its neighbour.
+    At a pole that no decimal number is, the point is a double beside it: the denominator changes its sign between this
+    double and its neighbour.
 
     Args:
         statement: the statement.
@@ -77,9 +77,9 @@ def undefined_at(statement: Statement, points: Array) -> tuple[Mapping[str, floa
             return values, _short(culprit)
     for gap, node in gaps:
         if node.op not in ("sqrt", "log", "powr", "asin", "acos"):
-            values = _crossing(statement, gap, points)
-            if values is not None:
-                return values, _short(node)
+            beside = _crossing(statement, gap, points)
+            if beside is not None:
+                return beside, _short(node)
     return None
 
 
@@ -88,12 +88,15 @@ def special_points(statement: Statement) -> Array:
 
     Samples miss them, and they are where expressions often have no value.
     """
-    ends = zip(statement.lower, statement.upper, strict=True)
+    ends = [*zip(statement.lower.tolist(), statement.upper.tolist(), strict=True)]
     count = len(statement.names)
     if count > _MOST_CORNERS:
         return np.column_stack([statement.lower, statement.upper])
-    inner = ((lambda low, high: {0.0, (low + high) / 2}) if count <= _FEW else lambda low, high: set())
-    axes = [sorted({low, high} | {x for x in inner(low, high) if low <= x <= high}) for low, high in ends]
+    inner = [(0.0, low / 2 + high / 2) if count <= _FEW else () for low, high in ends]
+    axes = [
+        sorted({low, high} | {x for x in between if low <= x <= high})
+        for (low, high), between in zip(ends, inner, strict=True)
+    ]
     return np.array(list(itertools.product(*axes)), dtype=float).T
 
 
@@ -150,7 +153,8 @@ def _near(statement: Statement, gap: Node, points: Array) -> Array:
     from scipy.optimize import minimize
 
     def read(x: Array) -> Array:
-        return np.nan_to_num(values_of([gap], dict(zip(statement.names, x, strict=True)))[0], nan=np.inf)
+        values = values_of([gap], dict(zip(statement.names, x, strict=True)))[0]
+        return np.where(np.isnan(values), np.inf, values)
 
     size = read(points)
     order = np.concatenate([np.argsort(np.abs(size))[:_STARTS], np.argsort(size)[:1]])

@@ -71,11 +71,13 @@ def from_casadi(
     """Convert scalar SX expressions in the symbols to expressions of the grammar.
 
     With `to_the_bit`, every number is exactly the double of the instruction list, as the exported code has it; nothing
-    is guessed. Otherwise the expressions stand for a formula that was written with decimals: a number becomes the shortest decimal number whose nearest double is the constant in the CasADi expression. CasADi
-    evaluates constant subexpressions when they are created. Therefore a constant that equals a fraction of π in double
-    precision is read as this fraction of π, and an exponent that equals a fraction such as 1/3 as this fraction. A
-    constant of 15 digits or more that equals the rounded product of two other constants is read as this product. A
-    power with a variable exponent, x^y, becomes exp(y*log(x)), which is defined for x > 0.
+    is guessed. Otherwise the expressions stand for a formula on paper, which was written with decimals: a number
+    becomes the shortest decimal number whose nearest double is the constant in the CasADi expression. CasADi evaluates
+    constant subexpressions when they are created. Therefore a constant that equals a fraction of π in double precision
+    is read as this fraction of π, and an exponent that equals a fraction such as 1/3 as this fraction. A constant of 15
+    digits or more that equals the rounded product of two other constants is read as this product.
+
+    A power with a variable exponent, x^y, becomes exp(y*log(x)), which is defined for x > 0.
 
     Args:
         symbols: column of symbols (n, 1).

@@ -35,7 +35,7 @@ class _Mark(Enum):
 UNDEFINED = _Mark.UNDEFINED
 """The result for an expression that has no value at the point."""
 
-Value = Interval | _Mark | None
+Value = Any  # an interval, UNDEFINED or None; libmp has no types
 
 _INCREASING: Mapping[str, Callable[[Any], Any]] = MappingProxyType(
     {"exp": lambda x: libmp.mpf_exp(x, _BITS), "log": lambda x: libmp.mpf_log(x, _BITS),
