@@ -93,8 +93,8 @@ def load_claim(path: Path) -> Claim:
 
     Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side by which left may exceed
     right, as a measure of rounding; default 0), `witnesses` (points, each with a value for every variable) and the
-    table `[motion]` (`rates` by variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential equations
-    with which a counterexample is simulated. Units are printed but not converted: use SI units.
+    table `[motion]` (`rates` by variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential
+    equations with which a counterexample is simulated. Units are printed but not converted: use SI units.
 
     Raises:
         InputError: the file is not a valid claim; the error names file, key, token and column, and the remedy.
