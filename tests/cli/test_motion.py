@@ -38,3 +38,16 @@ def test_a_mistake_is_one_line(tmp_path) -> None:
     done = surctl("lint", "problem.toml", cwd=tmp_path)
     assert done.status == 0
     assert "surctl verify problem.toml" in done.out
+
+
+def test_the_statement_is_printed_as_the_checker_reads_it(tmp_path) -> None:
+    sides = 'left = "0.30000000000000001*x"\nright = "1"\nconstraints = ["x >= 2"]'
+    text = f'kind = "claim"\nname = "c"\n{sides}\n[variables]\n'
+    (tmp_path / "c.toml").write_text(f"{text}x = {{ lower = 0, upper = 1 }}\n")
+    done = surctl("verify", "c.toml", "--out", ".", cwd=tmp_path)
+    assert done.status == 0, done.err
+    first, *then = done.out.splitlines()
+    assert first.endswith("proved, but vacuous: no point of the box satisfies the constraints")
+    assert then[:2] == ["  0.30000000000000001*x <= 1", "  where x in [0.0, 1.0], 2 - x <= 0"]
+    checked = surctl("check", "c.json", cwd=tmp_path)
+    assert checked.out.startswith("accepted, but vacuous: no point of the box satisfies the constraints")
