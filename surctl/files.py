@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
-from fractions import Fraction
+from decimal import Decimal
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
@@ -121,19 +121,14 @@ def _parsed(text: str) -> bytes:
     return pickle.dumps(converted_by_suffix(table))
 
 
-class _Literal(str):
-    """A number as it is written in a TOML file."""
-
-
 def require_doubles(path: Path) -> None:
     """Raise InputError if a number of a TOML file is not the shortest decimal of a double, so that it would be rounded.
 
     A statement for a proof must not have another number than the one that is written.
 
-    Args:
-        path: a file that `read_toml` accepts.
+    `read_toml` must have read the file.
     """
-    table = tomllib.loads(path.read_bytes().decode("utf-8-sig"), parse_float=_Literal)
+    table = tomllib.loads(path.read_bytes().decode("utf-8-sig"), parse_float=Decimal)
     waiting: list[tuple[str, object]] = [("", table)]
     while waiting:
         key, value = waiting.pop()
@@ -141,18 +136,16 @@ def require_doubles(path: Path) -> None:
             waiting += [(f"{key}.{name}".lstrip("."), part) for name, part in value.items()]
         elif isinstance(value, list):
             waiting += [(f"{key}.{k}", part) for k, part in enumerate(value)]
-        elif isinstance(value, _Literal) or type(value) is int:
-            text = str(value).replace("_", "")
-            if text.strip("+-") not in ("inf", "nan") and not _is_double(text):
-                raise InputError(
-                    "has digits that a double does not hold", file=path, key=key, value=text,
-                    remedy="round it, or write it inside an expression, where every number is exact",
-                )  # fmt: skip
+        elif (isinstance(value, Decimal) or type(value) is int) and not _is_double(value):
+            raise InputError(
+                "has digits that a double does not hold", file=path, key=key, value=str(value),
+                remedy="round it, or write it inside an expression, where every number is exact",
+            )  # fmt: skip
 
 
-def _is_double(text: str) -> bool:
+def _is_double(value: Decimal | int) -> bool:
     try:
-        return Fraction(repr(float(text))) == Fraction(text)
+        return not Decimal(value).is_finite() or Decimal(repr(float(value))) == value
     except (OverflowError, ValueError):
         return True  # infinite: refused with its own message
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.lyapunov.claims import Safety
-from surctl.lyapunov.decide import Decision, decide_safety
+from surctl.lyapunov.decide import Decision
 from surctl.lyapunov.dynamics import Dynamics, exact
+from surctl.lyapunov.safety import decide_safety
 from surctl.verification.formula import Node, number, power, to_casadi, variable
 
 __all__ = ["BarrierResult", "find_barrier"]

@@ -18,6 +18,7 @@ from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safet
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import linearisation
 from surctl.lyapunov.falsified import least_level
+from surctl.lyapunov.inward import inward_speeds, short
 from surctl.lyapunov.near import fails_nearby
 from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.claim import Claim
@@ -27,7 +28,7 @@ from surctl.verification.falsifier import search, sobol
 from surctl.verification.formula import ordered, text_of, values_of
 from surctl.verification.proving import prove_cases
 
-__all__ = ["Decision", "decide_motion", "decide_safety", "prove_motion", "short"]
+__all__ = ["Decision", "decide_motion", "prove_motion"]
 
 Array = NDArray[np.float64]
 
@@ -110,49 +111,6 @@ def decide_motion(
     return replace(
         prove_motion(claim, time_limit=left, seed=seed, progress=progress), seconds=time.perf_counter() - began
     )
-
-
-def decide_safety(
-    claim: Safety, *, time_limit: float = 60.0, seed: int = 0, progress: Callable[[str], None] | None = None
-) -> Decision:
-    """Decide a barrier claim, and try to prove also that the solutions stay in the box.
-
-    The verdict is that of the claim as it stands. If the stronger claim is proved too, the decision is about it: its
-    claim has `stays`. The arguments are those of `decide_motion`.
-    """
-    began, worked = time.perf_counter(), time.process_time()
-    decision = decide_motion(claim, time_limit=time_limit, seed=seed, progress=progress)
-    if decision.verdict != "proved" or claim.stays or _inward_speeds(claim) is None:
-        return decision
-    left = max(_FIRST * (time_limit - (time.process_time() - worked)), 1.0)
-    stronger = prove_motion(replace(claim, stays=True), time_limit=left, seed=seed, progress=progress)
-    return replace(stronger if stronger.verdict == "proved" else decision, seconds=time.perf_counter() - began)
-
-
-def _inward_speeds(claim: Safety) -> list[float] | None:
-    """Return a rate for each face at which the state moves inwards, as samples with B ≤ 0 show; None if one does not.
-
-    In discrete time, there are no rates: the list is empty, or None if the successor of a sample leaves the box.
-    """
-    d = claim.dynamics
-    low, high = (np.concatenate(ends) for ends in zip(d.box, d.ranges, strict=True))
-    names, speeds = [v.name for v in d.variables], list[float]()
-    wide = low[:, None] + (high - low)[:, None] * sobol(len(low), _SAMPLES, 0)
-    if d.discrete:
-        barrier, *after = values_of((claim.function, *d.rates), dict(zip(names, wide, strict=True)))
-        ends = zip(after, *d.box, strict=True)
-        leaves = np.any([(x < bottom) | (x > top) for x, bottom, top in ends], axis=0)
-        return None if np.any(leaves & (barrier <= 0)) else speeds
-    for k, rate in enumerate(d.rates):
-        for end, sign in ((low[k], 1.0), (high[k], -1.0)):
-            points = wide.copy()
-            points[k] = end
-            barrier, moved = values_of((claim.function, rate), dict(zip(names, points, strict=True)))
-            least = float((sign * moved[barrier <= 0]).min(initial=1.0))
-            if not least > 0:
-                return None
-            speeds.append(short(1e-3 * least))
-    return speeds
 
 
 def prove_motion(
@@ -254,7 +212,8 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
         point = _refuted(inequality.claim, seed, few=few)
         if point is not None:
             return _fails(inequality.name, point), point
-        undefined = undefined_at(inequality.exact, _spread(inequality))
+        low, high = inequality.exact.lower[:, None], inequality.exact.upper[:, None]
+        undefined = undefined_at(inequality.exact, low + (high - low) * sobol(len(low), _FEW, 0))
         if undefined is not None:
             return f"{inequality.name}: {undefined[1]} is not defined at {_point(undefined[0])}", undefined[0]
     if isinstance(claim, Stability):
@@ -270,12 +229,6 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
 
 def _fails(name: str, point: Mapping[str, float]) -> str:
     return f"{name}: fails at {_point(point)}"
-
-
-def _spread(inequality: Inequality) -> Array:
-    low, high = inequality.exact.lower[:, None], inequality.exact.upper[:, None]
-    points: Array = low + (high - low) * sobol(len(low), _FEW, 0)
-    return points
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +251,7 @@ def _attempts(claim: DynamicClaim) -> Any:
         yield _Attempt(claim.inequalities, change)
     elif isinstance(claim, Safety):
         extra: dict[str, Any] = {}
-        inward = _inward_speeds(claim) if claim.stays else None
+        inward = inward_speeds(claim) if claim.stays else None
         if claim.stays:
             if inward is None:
                 return  # on some face, a state moves outwards
@@ -333,10 +286,7 @@ def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
 
 @cache
 def _sobol(dimension: int) -> Array:
-    from scipy.stats import qmc
-
-    points: Array = qmc.Sobol(dimension, seed=0).random(_SAMPLES).T
-    return points
+    return sobol(dimension, _SAMPLES, 0)
 
 
 def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
@@ -405,15 +355,6 @@ def _lower_bound(values: Array, square: Array) -> tuple[float, int] | None:
             return least, power
     least = float((values / square).min())
     return (least, 1) if least > 0 else None
-
-
-def short(value: float, *, digits: int = 3, up: bool = False) -> float:
-    """Return a positive number of few digits, not above `value` (not below it if `up`); 1 for 0."""
-    if value == 0:
-        return 1.0
-    size = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
-    count = np.ceil(value / size) if up else np.floor(value / size)
-    return float(f"{count * size:.6g}")
 
 
 def _refuted(claim: Claim, seed: int, *, few: bool = False) -> Mapping[str, float] | None:

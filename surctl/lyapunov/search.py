@@ -11,11 +11,12 @@ import numpy as np
 
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
-from surctl.lyapunov.decide import Decision, decide_motion, prove_motion, short
+from surctl.lyapunov.decide import Decision, decide_motion, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.hugging import hugged
+from surctl.lyapunov.inward import short
 from surctl.lyapunov.near import Failure, fails_nearby, too_fast
 from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.formula import Node, text_of

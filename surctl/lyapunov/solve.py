@@ -10,10 +10,11 @@ from typing import Any, Literal
 from surctl.errors import InputError
 from surctl.lyapunov.barrier_search import find_barrier
 from surctl.lyapunov.claims import Safety, every_digit
-from surctl.lyapunov.decide import Decision, decide_motion, decide_safety
+from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, equilibria
 from surctl.lyapunov.problem import Problem
+from surctl.lyapunov.safety import decide_safety
 from surctl.lyapunov.search import find_stability
 from surctl.verification.formula import parse, text_of
 from surctl.verification.formula.text import decimal_text

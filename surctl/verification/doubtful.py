@@ -158,7 +158,7 @@ def _near(statement: Statement, gap: Node, points: Array) -> Array:
 
     size = read(points)
     order = np.concatenate([np.argsort(np.abs(size))[:_STARTS], np.argsort(size)[:1]])
-    found = []
+    ends = []
     for start in points[:, order].T:
         for aim in (np.abs, lambda g: g):
             run = minimize(
@@ -167,12 +167,12 @@ def _near(statement: Statement, gap: Node, points: Array) -> Array:
                 bounds=[*zip(statement.lower, statement.upper, strict=True)],
                 method="L-BFGS-B",
             )
-            found += [np.round(run.x, k) + 0.0 for k in _DECIMALS] + [run.x]
-    return np.unique(np.array(found), axis=0).T
+            ends += [np.round(run.x, k) + 0.0 for k in _DECIMALS] + [run.x]
+    return np.unique(np.array(ends), axis=0).T
 
 
 def _crossing(statement: Statement, gap: Node, points: Array) -> Mapping[str, float] | None:
-    """Return a point beside which a continuous expression changes its sign, within the domain; None if none is found.
+    """Return a point beside which a continuous expression changes its sign, within the domain; None if none is ends.
 
     Where the expression itself is not defined on the way, the statement is not defined either.
     """

@@ -77,7 +77,8 @@ class Oracle:
 
         Where the exact gradient is not finite (at an arccos of ±1), finite differences replace the exact gradient.
         """
-        exact = self.slopes(self.place(unit))[0] * (self.claim.upper - self.claim.lower)
+        with np.errstate(over="ignore"):
+            exact = self.slopes(self.place(unit))[0] * (self.claim.upper - self.claim.lower)
         return exact if np.all(np.isfinite(exact)) else self._differences(unit)
 
     def slack(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -97,7 +98,8 @@ class Oracle:
         for i in range(unit.size):
             ahead, behind = unit.copy(), unit.copy()
             ahead[i], behind[i] = min(unit[i] + _STEP, 1), max(unit[i] - _STEP, 0)
-            slope[i] = (self.margin(ahead) - self.margin(behind)) / (ahead[i] - behind[i])
+            with np.errstate(over="ignore", invalid="ignore"):
+                slope[i] = np.float64(self.margin(ahead) - self.margin(behind)) / (ahead[i] - behind[i])
         return np.where(np.isfinite(slope), slope, 0.0)
 
 
