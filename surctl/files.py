@@ -10,6 +10,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
+from decimal import Decimal
 from functools import lru_cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
@@ -34,6 +35,7 @@ __all__ = [
     "prepare_folder",
     "quoted",
     "read_toml",
+    "require_doubles",
     "validate",
     "write_file",
 ]
@@ -117,6 +119,35 @@ def _parsed(text: str) -> bytes:
     if not table:
         raise InputError("is empty", remedy="start from a built-in file: surctl list --show NAME")
     return pickle.dumps(converted_by_suffix(table))
+
+
+def require_doubles(path: Path) -> None:
+    """Raise InputError if a number of a TOML file is not the shortest decimal of a double, so that it would be rounded.
+
+    A statement for a proof must not have another number than the one that is written.
+
+    `read_toml` must have read the file.
+    """
+    table = tomllib.loads(path.read_bytes().decode("utf-8-sig"), parse_float=Decimal)
+    waiting: list[tuple[str, object]] = [("", table)]
+    while waiting:
+        key, value = waiting.pop()
+        if isinstance(value, dict):
+            waiting += [(f"{key}.{name}".lstrip("."), part) for name, part in value.items()]
+        elif isinstance(value, list):
+            waiting += [(f"{key}.{k}", part) for k, part in enumerate(value)]
+        elif (isinstance(value, Decimal) or type(value) is int) and not _is_double(value):
+            raise InputError(
+                "has digits that a double does not hold", file=path, key=key, value=str(value),
+                remedy="round it, or write it inside an expression, where every number is exact",
+            )  # fmt: skip
+
+
+def _is_double(value: Decimal | int) -> bool:
+    try:
+        return not Decimal(value).is_finite() or Decimal(repr(float(value))) == value
+    except (OverflowError, ValueError):
+        return True  # infinite: refused with its own message
 
 
 def load_model(path: Path, model: type[M]) -> M:

@@ -27,6 +27,8 @@ import numpy as np
 
 from surctl.certcheck.document import Rejected, canonical, read, seal, verify_frame
 from surctl.certcheck.elementary import Undefined
+from surctl.certcheck.emptiness import is_empty
+from surctl.certcheck.interval import variables_of
 from surctl.certcheck.patience import PATIENCE, patient
 
 __all__ = ["KINDS", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
@@ -53,6 +55,8 @@ class Checked:
         seconds: duration of the check [s].
         proves: sentence that states what an accepted inequality proves; empty for other kinds of certificate and for a
             rejected certificate.
+        vacuous: why an accepted claim says nothing, such as "no point of the box satisfies the constraints"; empty if
+            nothing shows that.
         slack: tolerance of an accepted inequality (left side ≤ right side + slack), in the claim's unit; 0 for other
             kinds of certificate.
     """
@@ -64,12 +68,14 @@ class Checked:
     seconds: float
     proves: str = ""
     slack: float = 0.0
+    vacuous: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON."""
         return {
             "accepted": self.accepted, "reason": self.reason, "kind": self.kind,
             "claim": dict(self.claim), "seconds": self.seconds, "proves": self.proves, "slack": self.slack,
+            "vacuous": self.vacuous,
         }  # fmt: skip
 
 
@@ -129,15 +135,28 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
         with patient(time_limit), np.errstate(all="ignore"):  # a comparison with NaN is false, so NaN proves nothing
             verify_frame(document)
             _checker(kind)(document)
+            vacuous = _vacuous(kind, claim)
     except Rejected as rejected:
         reason = str(rejected) or "rejected without a reason"
     except _MALFORMED as error:
         reason = f"the certificate is malformed: {type(error).__name__}: {error}"
     else:
-        slack = float(claim.get("slack", 0.0))
-        return Checked(True, "", kind, claim, time.perf_counter() - began, _proves(kind, claim), slack)
+        slack, proves = float(claim.get("slack", 0.0)), _proves(kind, claim)
+        return Checked(True, "", kind, claim, time.perf_counter() - began, proves, slack, vacuous)
     reason = reason if len(reason) <= _LONGEST else f"{reason[:_LONGEST]} ..."
     return Checked(False, reason, kind, claim, time.perf_counter() - began)
+
+
+def _vacuous(kind: str, claim: Mapping[str, Any]) -> str:
+    """Return why an accepted claim says nothing; empty if a set that it is about may have a point."""
+    if kind == "interval":
+        names, box = variables_of(claim["variables"])
+        return "no point of the box satisfies the constraints" if is_empty(names, box, claim["constraints"]) else ""
+    if kind == "barrier":
+        names, box = variables_of(claim["states"])
+        sets = [name for name in ("initial", "unsafe") if is_empty(names, box, claim[name])]
+        return " and ".join(f"the {name} set has no point in the box" for name in sets)
+    return ""
 
 
 def _proves(kind: str, claim: Mapping[str, Any]) -> str:
@@ -159,7 +178,9 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
     """Return a sentence that states what an accepted claim about solutions proves."""
     discrete = claim["time"] == "discrete"
     if claim["property"] == "safety":
-        return "no solution that starts in the initial set reaches the unsafe set, as long as it stays in the box"
+        if claim.get("stays"):
+            return "no solution that starts in the initial set leaves the box or reaches the unsafe set"
+        return "as long as it stays in the box, no solution that starts in the initial set reaches the unsafe set"
     region = f"every solution that starts in the box where V < {claim['level']:g} stays there"
     if claim["property"] == "bound":
         return f"{region}, and V decays to the stated bound"

@@ -27,7 +27,7 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.inequality import listed, number
-from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion
+from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion, rest_of
 
 __all__ = ["check"]
 
@@ -119,7 +119,7 @@ def _distance(motion: Motion, equilibrium: object, scales: Sequence[object]) -> 
     if len(scales) != len(motion.states) or any(number(scale) <= 0 for scale in scales):
         raise Rejected("the scales are not one positive number for each state")
     return " + ".join(
-        f"(({name} - {decimal_text(equilibrium[name])})/{decimal_text(scale)})^2"
+        f"(({name} - {rest_of(equilibrium[name])[0]})/{decimal_text(scale)})^2"
         for name, scale in zip(motion.states, scales, strict=True)
     )
 

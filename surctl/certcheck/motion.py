@@ -6,6 +6,7 @@ take any value of their ranges, and may vary in time. All texts are expressions 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -23,8 +24,9 @@ from surctl.certcheck.inequality import Box, Inequality, listed, number
 from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.patience import go_on
 
-__all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion"]
+__all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion", "rest_of"]
 
+_MOST_DECIMALS = 400  # characters
 _SHARED = 500  # most operations of earlier inequalities in the table of the next one
 _MOST_HALVED = 2000  # most boxes that are halved to see that the dynamics are defined
 
@@ -145,12 +147,12 @@ class Motion:
         """Raise Rejected unless the set function < level, in the box, is a neighbourhood of the point.
 
         The function must be continuous, the point must lie inside the box, and the function must be below the level at
-        the point. The point has a number for each state.
+        the point. The point has a number for each state, or a text with all decimals of one.
         """
         if self.discrete:  # in continuous time, the function has a derivative
             table = self.normal.expressions
             self._continuous(table, [table.read(function)], "the function contains")
-        at = [Fraction(repr(number(point[name]))) for name in self.states]
+        at = [rest_of(point[name])[1] for name in self.states]
         if not all(
             Fraction(repr(low)) < x < Fraction(repr(high)) for x, (low, high) in zip(at, self.box, strict=False)
         ):
@@ -217,6 +219,15 @@ def check_all(obligations: Sequence[Obligation], proofs: object, known: Exact) -
             earlier[names] = obligation.check(cases, normal)
         except Rejected as reason:
             raise Rejected(f"inequality {k + 1} of {len(obligations)}: {reason}") from None
+
+
+def rest_of(value: object) -> tuple[str, Fraction]:
+    """Return a coordinate as an expression and as a number; a text has decimals that a double in JSON would lose."""
+    if isinstance(value, str):
+        if len(value) > _MOST_DECIMALS or not re.fullmatch(r"-?\d+(\.\d+)?", value, re.ASCII):
+            raise Rejected(f"{value[:40]!r} is not a decimal number")
+        return f"({value})", Fraction(value)
+    return decimal_text(value), Fraction(repr(number(value)))
 
 
 def decimal_text(value: object) -> str:

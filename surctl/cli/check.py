@@ -52,6 +52,7 @@ def check(
 
     outcome = check_file(certificate, time_limit=PATIENCE if time_limit is None else time_limit)
     word = "accepted" if outcome.accepted else f"rejected: {outcome.reason}"
+    word += f", but vacuous: {outcome.vacuous}" if outcome.vacuous else ""
     lines = [f"{word} ({outcome.kind or 'unknown kind'}, {outcome.seconds:.2f} s)"]
     if outcome.accepted:
         lines += ([f"  proves: {outcome.proves}"] if outcome.proves else []) + _shown(outcome.claim)

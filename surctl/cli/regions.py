@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from surctl.verification import Inapplicable
     from surctl.verification.region import RegionStatement
 
-__all__ = ["Regions", "check_regions", "is_region", "prove_regions", "region_of"]
+__all__ = ["Regions", "check_regions", "is_region", "prove_regions", "region_of", "require_own_speeds"]
 
 
 class Regions(NamedTuple):
@@ -86,6 +86,27 @@ def check_regions(
         except InputError as error:
             raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
     return stated, refused
+
+
+def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | None) -> None:
+    """Raise InputError if an option sets another speed than the one that a region claim states.
+
+    Args:
+        words: names and files of the claims.
+        cruise: cruise speed of the option [m/s]; None if it is not set.
+        cap: speed limit of the option [m/s]; None if it is not set.
+    """
+    from surctl.errors import InputError
+
+    for word in words:
+        statement = region_of(word)
+        stated = {"cruise_m_per_s", "cap_m_per_s"} & statement.model_fields_set
+        for key, option in (("cruise_m_per_s", cruise), ("cap_m_per_s", cap)):
+            value = getattr(statement, key)
+            if stated and option is not None and option != value:
+                name = f"--{key.partition('_')[0]}"
+                problem = f"is not the speed of the region claim, which is proved at {value:g} m/s"
+                raise InputError(problem, file=word, key=name, value=option, remedy=f"drop {name}, or change the claim")
 
 
 def prove_regions(

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import click
 
 from surctl.cli.activity import progress
+from surctl.cli.claim_lines import claim_line
 from surctl.cli.law_option import law_words, trust_option
 from surctl.cli.output import as_json, finish, refusal_line, same_command, saving, stoppable
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_study import study_system
 from surctl.cli.vehicle_choice import at_hand
-from surctl.cli.verify import claim_line
 
 if TYPE_CHECKING:
     from surctl.verification import LoopMargins

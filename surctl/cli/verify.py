@@ -13,6 +13,7 @@ import click
 
 from surctl.cli.activity import progress, timed
 from surctl.cli.barrier_options import barrier_options
+from surctl.cli.claim_lines import claim_line, statement_lines
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words
 from surctl.cli.motion_verify import are_problems, verify_motion
 from surctl.cli.output import FiniteRange, as_json, finish, refusal_line, same_command, saving, stoppable
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from surctl.verification import Claim, Verdict
     from surctl.verification.stack import StackConditions
 
-__all__ = ["claim_line", "verify"]
+__all__ = ["verify"]
 
 
 _SHORT, _LONG = 20.0, 60.0  # s
@@ -129,7 +130,7 @@ def verify(
     from surctl.cli.law_option import choose_law
     from surctl.cli.linear_part import LinearPart, law_part, linear_part, over_speeds, speed_lines
     from surctl.cli.next_export import export_command
-    from surctl.cli.regions import check_regions, is_region, prove_regions, region_of
+    from surctl.cli.regions import check_regions, is_region, prove_regions, region_of, require_own_speeds
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.files import prepare_folder
@@ -173,6 +174,7 @@ def verify(
         name = next(name for name in claims if is_region(name) or is_braking(name))
         raise InputError(f"does not concern the law {about}", key="claim", value=name, remedy="drop it")
     region_names = [name for name in claims if is_region(name)]
+    require_own_speeds(region_names, None if cruise is None else max(cruise), cap)
     check_regions(region_names, robot, tuned.gains, speeds)  # mistakes are reported before the linear analysis
     dt = build_law().dt
     options = {"dt": dt, "uncertainty": uncertainty}
@@ -204,6 +206,8 @@ def verify(
             verdicts.append(decide(claim, seed=seed, time_limit=time_limit or _SHORT, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))
+        if claim.exact is not None:
+            lines += statement_lines(claim.exact, verdicts[-1].certificate)
     lines += [*(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
     if not alone:
         lines.append(f"at cruise speed {speeds[0]:g} m/s and cap {speeds[1]:g} m/s, {choice.line(robot.name)}:")
@@ -371,18 +375,3 @@ def _verdict_data(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]
         file = files.get(verdict.claim.name)
         data["certificate"]["file"] = None if file is None else str(file)
     return data
-
-
-def claim_line(verdict: Verdict) -> str:
-    """Return one line for a verdict, with its counterexample, its slack or the reason why it is unknown."""
-    counterexample, proof = verdict.counterexample, verdict.certificate
-    where = ""
-    if counterexample is not None:
-        where = " at " + ", ".join(f"{k} = {v:.4g}" for k, v in counterexample.values.items())
-        where += f": bound exceeded by {counterexample.margin:.3g} {verdict.claim.unit}"
-    elif proof is not None and proof["claim"]["slack"]:
-        where = f" to within {proof['claim']['slack']:.1g} {verdict.claim.unit}"
-    elif verdict.open_ends:
-        where = f": {verdict.open_ends}"
-    mark = "ok  " if verdict.as_expected else "FAIL"
-    return f"{mark} {verdict.claim.name:<22} {verdict.verdict}{where}"

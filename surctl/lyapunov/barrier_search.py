@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.lyapunov.claims import Safety
-from surctl.lyapunov.decide import Decision, decide_motion
+from surctl.lyapunov.decide import Decision
 from surctl.lyapunov.dynamics import Dynamics, exact
+from surctl.lyapunov.safety import decide_safety
 from surctl.verification.formula import Node, number, power, to_casadi, variable
 
 __all__ = ["BarrierResult", "find_barrier"]
@@ -102,7 +103,7 @@ def find_barrier(
             function = template.function(coefficients * (_MARGIN / margin))
             factor = None if dynamics.discrete else exact(option)
             claim = Safety(dynamics, function, tuple(initial), tuple(unsafe), factor)
-            decision = decide_motion(claim, time_limit=0.5 * left, seed=seed)
+            decision = decide_safety(claim, time_limit=0.5 * left, seed=seed)
             tried.append(f"{label}: {decision.verdict}")
             if progress:
                 progress(f"{label}: margin {margin:.3g}, {decision.verdict} {decision.reason}")

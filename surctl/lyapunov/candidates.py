@@ -145,7 +145,10 @@ def _embedded(template: Template, coefficients: Array, wider: Template) -> Array
 
 
 def strict_variants(dynamics: Dynamics, linear: Linear, function: Node) -> Iterator[Candidate]:
-    """Yield a function plus small multiples of a quadratic function that decreases close to the equilibrium."""
+    """Yield a function plus small multiples of a quadratic function that decreases close to the equilibrium.
+
+    They are other functions: a next step for the user, never a proof about the function itself.
+    """
     d = dynamics
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     matrix = common_quadratic(linear.matrices, scales, discrete=d.discrete)

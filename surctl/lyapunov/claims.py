@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any
@@ -16,12 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.lyapunov.dynamics import Dynamics, Range, exact
+from surctl.lyapunov.dynamics import Dynamics, Range, State, exact
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.formula import Node, number, parse, power, reads_back, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 
-__all__ = ["Bound", "DynamicClaim", "Inequality", "Power", "Safety", "Stability"]
+__all__ = ["Bound", "DynamicClaim", "Inequality", "Power", "Safety", "Stability", "every_digit"]
+
+
+def every_digit(value: float) -> str:
+    """Return a number as text without loss: `0.5`, and `1` for 1.0."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(float(value))
 
 
 @dataclass(frozen=True)
@@ -65,15 +72,15 @@ class Stability:
     @property
     def statement(self) -> str:
         """The claim in words."""
-        pace = "" if self.rate is None else f" at the rate {self.rate:g}"
-        return f"where V < {self.level:g}, V decreases{pace} and every solution converges to the equilibrium"
+        pace = "" if self.rate is None else f" at the rate {every_digit(self.rate)}"
+        return f"where V < {every_digit(self.level)}, V decreases{pace} and every solution converges to the equilibrium"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
         return {
             **_plain(self.dynamics, "stability"),
             "function": text_of(self.function),
-            "equilibrium": {s.name: float(s.equilibrium) for s in self.dynamics.states},
+            "equilibrium": {s.name: _stated(s) for s in self.dynamics.states},
             "level": float(self.level),
             "rate": None if self.rate is None else float(self.rate),
         }
@@ -88,7 +95,7 @@ class Stability:
         """
         d = self.dynamics
         inside = [self.function - exact(self.level)]
-        at = {s.name: Fraction(repr(float(s.equilibrium))) for s in d.states}
+        at = {s.name: s.rest for s in d.states}
         name, least = f"{d.name}: V is positive", self._power(scales, positive)
         claims = [_inequality(name, d.states, least, self.function, inside, at)]
         claims += _stays(d, inside) if d.discrete else _faces(d, self.level, self.function)
@@ -101,7 +108,7 @@ class Stability:
     def _power(self, scales: Sequence[float], bound: Power) -> Node:
         total: Node | None = None
         for s, scale in zip(self.dynamics.states, scales, strict=True):
-            term = power((variable(s.name) - exact(s.equilibrium)) / exact(scale), 2)
+            term = power((variable(s.name) - number(s.rest)) / exact(scale), 2)
             total = term if total is None else total + term
         assert total is not None
         return exact(bound.factor) * Node("pow", (total,), Fraction(bound.power))
@@ -140,7 +147,8 @@ class Bound:
     @property
     def statement(self) -> str:
         """The claim in words."""
-        return f"every solution that starts where V < {self.level:g} stays there, and V decays to {self.ultimate:g}"
+        level = every_digit(self.level)
+        return f"every solution that starts where V < {level} stays there, and V decays to {self.ultimate:g}"
 
     def plain(self) -> dict[str, Any]:
         """Return the claim as plain data, as the certificate states it."""
@@ -169,12 +177,15 @@ class Bound:
 class Safety:
     """The claim that no solution from the initial set reaches the unsafe set, as long as it stays in the box.
 
+    With `stays`, the claim is also that these solutions stay in the box for ever.
+
     Attributes:
         dynamics: the dynamics.
         function: barrier function B, an expression of the states.
         initial: expressions that are ≤ 0 exactly in the initial set.
         unsafe: expressions that are ≤ 0 exactly in the unsafe set.
         multiplier: expression λ of B' ≤ λ B; None in discrete time, where B(x⁺) ≤ 0 is claimed for B ≤ 0.
+        stays: whether the solutions are claimed to stay in the box.
     """
 
     dynamics: Dynamics
@@ -182,13 +193,18 @@ class Safety:
     initial: tuple[Node, ...]
     unsafe: tuple[Node, ...]
     multiplier: Node | None = None
+    stays: bool = False
 
     kind = "barrier"
 
     @property
     def statement(self) -> str:
         """The claim in words."""
-        safe = "no solution that starts in the initial set reaches the unsafe set"
+        safe = (
+            "no solution that starts in the initial set leaves the box or reaches the unsafe set"
+            if self.stays
+            else "as long as it stays in the box, no solution that starts in the initial set reaches the unsafe set"
+        )
         return safe if self.multiplier is None else f"{safe}, and B' <= ({text_of(self.multiplier)})*B"
 
     def plain(self) -> dict[str, Any]:
@@ -199,10 +215,17 @@ class Safety:
             "initial": [text_of(g) for g in self.initial],
             "unsafe": [text_of(g) for g in self.unsafe],
             "multiplier": None if self.multiplier is None else text_of(self.multiplier),
+            **({"stays": True} if self.stays else {}),
         }
 
-    def inequalities(self, margin: float) -> list[Inequality]:
-        """Return the inequalities to prove; B is at least `margin` > 0 in the unsafe set."""
+    def inequalities(self, margin: float, inward: Sequence[float] | None = None) -> list[Inequality]:
+        """Return the inequalities to prove.
+
+        Args:
+            margin: least B > 0 in the unsafe set.
+            inward: with `stays` in continuous time, least rate > 0 of a state towards the inside, where B ≤ 0, at its
+                lower and its upper bound, for each state.
+        """
         d, zero = self.dynamics, number(0)
         change = d.change(self.function)
         claims = [
@@ -215,11 +238,23 @@ class Safety:
             if self.multiplier is None:
                 raise InputError("is missing", key=f"{d.name}.multiplier", remedy='give e.g. "0" or "-1"')
             last = _inequality(f"{d.name}: change of B", d.variables, change, self.multiplier * self.function, [])
-        return [*claims, last]
+        claims.append(last)
+        if self.stays and d.discrete:
+            claims += _stays(d, [self.function])
+        elif self.stays:
+            assert inward is not None
+            claims += _inward(d, self.function, inward)
+        return claims
 
 
 DynamicClaim = Stability | Bound | Safety
 """A claim about the solutions of dynamics."""
+
+
+def _stated(state: State) -> float | str:
+    """Return the equilibrium as a certificate states it: a number is its shortest decimal, other decimals are text."""
+    value = float(state.equilibrium)
+    return value if Fraction(repr(value)) == state.rest else format(Decimal(value), "f")
 
 
 def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:
@@ -300,6 +335,17 @@ def _faces(dynamics: Dynamics, level: float, function: Node) -> list[Inequality]
     for s in dynamics.states:
         claim = _inequality(f"{dynamics.name}: V on a face in {s.name}", dynamics.states, exact(level), function, [])
         claims += [claim.on(s.name, end) for end in (s.lower, s.upper)]
+    return claims
+
+
+def _inward(dynamics: Dynamics, function: Node, speeds: Sequence[float]) -> list[Inequality]:
+    claims = []
+    for k, (s, rate) in enumerate(zip(dynamics.states, dynamics.rates, strict=True)):
+        for side, end in enumerate((s.lower, s.upper)):
+            speed = exact(speeds[2 * k + side])
+            left, right = (rate, -speed) if side else (speed, rate)
+            name = f"{dynamics.name}: the rate of {s.name} at its bound {end:g}"
+            claims.append(_inequality(name, dynamics.variables, left, right, [function]).on(s.name, end))
     return claims
 
 

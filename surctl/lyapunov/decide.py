@@ -16,15 +16,19 @@ from surctl.certcheck import check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics
+from surctl.lyapunov.equilibrium import linearisation
 from surctl.lyapunov.falsified import least_level
+from surctl.lyapunov.inward import inward_speeds, short
+from surctl.lyapunov.near import fails_nearby
 from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
-from surctl.verification.falsifier import search
+from surctl.verification.doubtful import undefined_at
+from surctl.verification.falsifier import search, sobol
 from surctl.verification.formula import ordered, text_of, values_of
 from surctl.verification.proving import prove_cases
 
-__all__ = ["Decision", "decide_motion", "prove_motion", "short"]
+__all__ = ["Decision", "decide_motion", "prove_motion"]
 
 Array = NDArray[np.float64]
 
@@ -39,7 +43,7 @@ _HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality
 _STEP, _NEAR = 1e-3, (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the box: second differences; samples on lines
 _ALONG = np.array([t for near in _NEAR for t in (near, -near)])
 _CAUSES = {"decrease": "V decreases", "face": "V on a face", "successor": "the successor of a state"}
-_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
+_ZERO = 1e-9  # largest value of V at the equilibrium, relative to the level, that counts as rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +57,7 @@ class Decision:
         reason: why the claim is refuted or unknown, in one sentence; empty if it is proved.
         counterexample: values of the variables where an inequality fails; empty unless the claim is refuted.
         seconds: duration [s].
+        vacuous: why a proved claim says nothing, as the checker finds; empty if it says something.
     """
 
     claim: DynamicClaim
@@ -61,6 +66,7 @@ class Decision:
     reason: str
     counterexample: Mapping[str, float]
     seconds: float
+    vacuous: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as plain data for JSON."""
@@ -99,9 +105,8 @@ def decide_motion(
     _require_sound(claim)
     refuted = _refutation(claim, seed)
     if refuted is not None:
-        name, point = refuted
-        seconds = time.perf_counter() - began
-        return Decision(claim, "refuted", {}, f"{name}: fails at {_point(point)}", point, seconds)
+        reason, point = refuted
+        return Decision(claim, "refuted", {}, reason, point, time.perf_counter() - began)
     left = time_limit - (time.process_time() - worked)
     return replace(
         prove_motion(claim, time_limit=left, seed=seed, progress=progress), seconds=time.perf_counter() - began
@@ -144,7 +149,7 @@ def prove_motion(
             document = seal(claim.kind, claim.plain(), attempt.evidence | {"proofs": shown})
             checked = check_document(document)
             if checked.accepted:
-                return Decision(claim, "proved", document, "", {}, time.perf_counter() - began)
+                return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
             reason, proofs = f"the checker rejects the proof: {checked.reason}", {}
     return Decision(claim, "unknown", {}, reason, {}, time.perf_counter() - began)
 
@@ -185,11 +190,17 @@ def _prove_all(
 
 
 def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float]] | None:
-    """Return the name of an inequality that certainly fails, and where; None if no counterexample was found."""
+    """Return which inequality certainly fails, in words, and where; None if no counterexample was found."""
+    if isinstance(claim, Stability):
+        near = fails_nearby(
+            claim.dynamics, claim.function, claim.rate, linearisation(claim.dynamics), level=claim.level
+        )
+        if near is not None:
+            return near.reason, near.values
     if isinstance(claim, Bound):
         inequalities = claim.inequalities()
     elif isinstance(claim, Safety):
-        inequalities = claim.inequalities(0.0)
+        inequalities = replace(claim, stays=False).inequalities(0.0)
     else:
         nothing = Power(0.0, 1)
         inequalities = claim.inequalities(
@@ -200,16 +211,24 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
         few = not isinstance(claim, Safety) and 0 < k < len(inequalities) - 1
         point = _refuted(inequality.claim, seed, few=few)
         if point is not None:
-            return inequality.name, point
+            return _fails(inequality.name, point), point
+        low, high = inequality.exact.lower[:, None], inequality.exact.upper[:, None]
+        undefined = undefined_at(inequality.exact, low + (high - low) * sobol(len(low), _FEW, 0))
+        if undefined is not None:
+            return f"{inequality.name}: {undefined[1]} is not defined at {_point(undefined[0])}", undefined[0]
     if isinstance(claim, Stability):
         still = None if claim.rate is not None else stationary_state(claim)
         if still is not None:
-            return f"{claim.dynamics.name}: V decreases", still
+            return _fails(f"{claim.dynamics.name}: V decreases", still), still
         # rays see what samples miss: a region that barely touches the set where V does not decrease
         least = least_level(claim.dynamics, claim.function, claim.rate, seed=seed)
         if least.confirmed and 0 < least.level < claim.level:
-            return f"{claim.dynamics.name}: {_CAUSES[least.cause]}", least.values
+            return _fails(f"{claim.dynamics.name}: {_CAUSES[least.cause]}", least.values), least.values
     return None
+
+
+def _fails(name: str, point: Mapping[str, float]) -> str:
+    return f"{name}: fails at {_point(point)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,8 +250,15 @@ def _attempts(claim: DynamicClaim) -> Any:
     if isinstance(claim, Bound):
         yield _Attempt(claim.inequalities, change)
     elif isinstance(claim, Safety):
+        extra: dict[str, Any] = {}
+        inward = inward_speeds(claim) if claim.stays else None
+        if claim.stays:
+            if inward is None:
+                return  # on some face, a state moves outwards
+            extra = {"inward": inward or None}
         for margin in (1e-3, 1e-6, 1e-9):
-            yield _Attempt(partial(claim.inequalities, margin), change | {"margin": margin}, margin, (1,))
+            stated = partial(claim.inequalities, margin, inward)
+            yield _Attempt(stated, change | extra | {"margin": margin}, margin, (1,))
     else:
         yield from _stability_attempts(claim, change)
 
@@ -260,10 +286,7 @@ def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
 
 @cache
 def _sobol(dimension: int) -> Array:
-    from scipy.stats import qmc
-
-    points: Array = qmc.Sobol(dimension, seed=0).random(_SAMPLES).T
-    return points
+    return sobol(dimension, _SAMPLES, 0)
 
 
 def _sampled(claim: Stability) -> tuple[Array, Array, Array]:
@@ -334,15 +357,6 @@ def _lower_bound(values: Array, square: Array) -> tuple[float, int] | None:
     return (least, 1) if least > 0 else None
 
 
-def short(value: float, *, digits: int = 3, up: bool = False) -> float:
-    """Return a positive number of few digits, not above `value` (not below it if `up`); 1 for 0."""
-    if value == 0:
-        return 1.0
-    size = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
-    count = np.ceil(value / size) if up else np.floor(value / size)
-    return float(f"{count * size:.6g}")
-
-
 def _refuted(claim: Claim, seed: int, *, few: bool = False) -> Mapping[str, float] | None:
     """Return a point at which interval arithmetic confirms that the inequality fails, or None."""
     try:
@@ -374,12 +388,8 @@ def _require_sound(claim: DynamicClaim) -> None:
     if isinstance(claim, Safety):
         return
     if isinstance(claim, Stability):
-        if not d.residual() <= _REST * d.size():
-            raise InputError(
-                "is not an equilibrium: the largest rate there is", key=f"{d.name}.equilibrium", value=d.residual(),
-                remedy="give the equilibrium of the states",
-            )  # fmt: skip
-        if not abs(value) <= _REST * max(abs(claim.level), 1e-12):
+        d.require_rest()
+        if not abs(value) <= _ZERO * max(abs(claim.level), 1e-12):
             raise InputError(
                 "is not 0 at the equilibrium", key=f"{d.name}.function", value=value,
                 remedy="subtract its value there",

@@ -19,6 +19,8 @@ __all__ = ["Dynamics", "Range", "State", "exact"]
 
 Array = NDArray[np.float64]
 
+_REST = 1e-9  # largest residual of an equilibrium, relative to the largest rate in the box
+
 
 @dataclass(frozen=True)
 class Range:
@@ -45,9 +47,18 @@ class State(Range):
 
     Attributes:
         equilibrium: value of the state at the equilibrium, in `unit`.
+        to_the_bit: whether the equilibrium is exactly the double `equilibrium`, as in the law of a controller, and not
+            its shortest decimal.
     """
 
     equilibrium: float = 0.0
+    to_the_bit: bool = False
+
+    @property
+    def rest(self) -> Fraction:
+        """The exact value of the state at the equilibrium."""
+        value = float(self.equilibrium)
+        return Fraction(value) if self.to_the_bit else Fraction(repr(value))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +153,15 @@ class Dynamics:
                     "has its equilibrium outside its bounds", key=f"{self.name}.{s.name}", value=s.equilibrium,
                     remedy="widen the bounds",
                 )  # fmt: skip
+
+    def require_rest(self) -> None:
+        """Raise InputError unless the equilibrium is one for all parameters, up to rounding, inside the box."""
+        self.require_equilibrium()
+        if not self.residual() <= _REST * self.size():
+            raise InputError(
+                "is not an equilibrium: the largest rate there is", key=f"{self.name}.equilibrium",
+                value=self.residual(), remedy="give the equilibrium of the states",
+            )  # fmt: skip
 
     @property
     def box(self) -> Array:

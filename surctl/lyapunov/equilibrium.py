@@ -72,15 +72,17 @@ def _short(d: Dynamics, x: Array) -> Array:
 
 
 def at_equilibrium(dynamics: Dynamics, *, seed: int = 0) -> Dynamics:
-    """Return the dynamics with their equilibrium: the stated one, or else the only one that a root search finds.
+    """Return the dynamics with their equilibrium: their own, or else the only one that a root search finds.
+
+    Only for dynamics whose equilibrium nobody stated: a stated one is never exchanged.
 
     Raises:
-        InputError: the stated equilibrium is not one, and none or several are found; or the dynamics are not defined
+        InputError: their own equilibrium is not one, and none or several are found; or the dynamics are not defined
             there.
     """
     d = dynamics
     size = d.size()
-    if d.residual() <= _REST * size:
+    if np.all((d.box[0] < d.equilibrium) & (d.equilibrium < d.box[1])) and d.residual() <= _REST * size:
         return d
     outcome = equilibria(d, seed=seed)
     texts = "; ".join(", ".join(f"{name} = {v:.9g}" for name, v in zip(d.names, x, strict=True)) for x in outcome)
@@ -117,6 +119,9 @@ def linearisation(dynamics: Dynamics) -> Linear:
     values = zip(d.parameters, corners[:, i], strict=True)
     where = ", ".join(f"{p.name} = {v:.6g}" for p, v in values if p.lower < p.upper)
     reason = f"the linearisation has the eigenvalue {text}" + (f" at {where}" if where else "")
+    still = np.abs(eigenvalues[i].real) <= _MARGIN * size
+    if not d.discrete and np.all(still) and np.all(np.abs(eigenvalues[i].imag) > _MARGIN * size):
+        reason += " (a centre: solutions may circle for ever, and a conserved quantity may exist)"
     # roots of multiplicity k move by the k-th root of the rounding error
     fragile = np.abs(value) < 1e-3 * size or abs(grown[i, j]) < 1e-5 * size
     return Linear(matrices, "marginal" if worst <= _MARGIN * size or (fragile and worst < 1e-6) else "unstable", reason)

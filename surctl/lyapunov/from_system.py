@@ -37,6 +37,9 @@ def continuous_dynamics(
 ) -> Dynamics:
     """Return the dynamics x' = f(x, w) of plant and controller, as if the command followed the measurement at once.
 
+    Every number of plant, law and equilibrium is the double of the instruction list, to the bit: 0.1 is not 1/10. The
+    bounds are decimals.
+
     A state z of the controller follows z' = (z⁺ - z) / period, which is the law that the controller samples.
 
     A claim that is proved about these dynamics does not cover the sampling of the controller: see `NOT_COVERED`. If all
@@ -118,9 +121,11 @@ def continuous_dynamics(
     states = []
     for k in moves:
         low, high = within[labels[k]]
-        states.append(State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k])))
+        states.append(
+            State(_identifier(labels[k]), float(low), float(high), units[k], "", float(rest[k]), to_the_bit=True)
+        )
     names = [v.name for v in (*states, *parameters)]
-    nodes = from_casadi(ca.vertcat(symbols, *free), names, ca.vertsplit(rates[moves]))
+    nodes = from_casadi(ca.vertcat(symbols, *free), names, ca.vertsplit(rates[moves]), to_the_bit=True)
     gains = {port.name: numbers.gains[0, controller.gains.slice(port.name)].tolist() for port in controller.gains}
     about: dict[str, Any] = {"plant": plant.digest(), "controller": controller.block.digest(), "gains": gains}
     if any(place_of(system, name)[0] == "gains" for name in ranges or {}):

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import Field, StrictFloat, StrictStr
 
 from surctl.errors import InputError
-from surctl.files import Strict, read_toml, validate
+from surctl.files import Strict, read_toml, require_doubles, validate
 from surctl.lyapunov.claims import DynamicClaim, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.verification.claim_file import VariableTable
@@ -26,7 +26,7 @@ KINDS = ("lyapunov", "barrier")
 class _StateTable(VariableTable):
     rate: StrictStr | None = None
     next: StrictStr | None = None
-    equilibrium: StrictFloat = 0.0
+    equilibrium: StrictFloat | None = None
 
 
 class _ProblemTable(Strict):
@@ -62,6 +62,7 @@ class Problem:
         unsafe: expressions that are ≤ 0 in the unsafe set of a barrier claim.
         multiplier: expression λ of B' ≤ λ B; None if it is searched, and in discrete time.
         expected: the expected verdict.
+        sought: whether nobody stated the equilibrium: if 0 is none, the only one in the box is searched.
     """
 
     dynamics: Dynamics
@@ -73,6 +74,7 @@ class Problem:
     unsafe: tuple[Node, ...] = ()
     multiplier: Node | None = None
     expected: Literal["proved", "refuted"] = "proved"
+    sought: bool = False
 
     @property
     def claim(self) -> DynamicClaim | None:
@@ -127,7 +129,9 @@ def load_problem(path: Path, *, changes: Mapping[str, Any] | None = None) -> Pro
     In discrete time, a state has `next`, its successor, in the place of `rate`. A file of kind "barrier" has `barrier`
     (the expression B), `initial` and `unsafe` (lists of inequalities with <= or >=, which hold together) and, in
     continuous time, `multiplier` (the expression λ of B' <= λ B). Numbers have exactly the value of their notation.
-    Units are printed but not converted: use SI units.
+    Units are printed but not converted: use SI units. What the file states is never exchanged for something else. If no
+    state has `equilibrium`, the states rest at 0, or else at the only equilibrium in the box, which is searched and
+    printed; in a file with `equilibrium`, it is 0 for the states without it.
 
     Args:
         path: the file.
@@ -153,6 +157,7 @@ def load_problem(path: Path, *, changes: Mapping[str, Any] | None = None) -> Pro
     entries = {**read_toml(path), **(changes or {})}
     entries = {key: value for key, value in entries.items() if value is not None}
     table = validate(entries, _ProblemTable, file=path)
+    require_doubles(path)
     try:
         return _problem(table, path)
     except InputError as error:
@@ -172,12 +177,14 @@ def _problem(table: _ProblemTable, path: Path) -> Problem:
                 remedy=f"write {key} = ...",
             )  # fmt: skip
         rates.append(parse(text, known, file=path, key=f"states.{name}.{key}"))
-        states.append(State(name, entry.lower, entry.upper, entry.unit, entry.meaning, entry.equilibrium))
+        states.append(State(name, entry.lower, entry.upper, entry.unit, entry.meaning, entry.equilibrium or 0.0))
     parameters = tuple(Range(n, e.lower, e.upper, e.unit, e.meaning) for n, e in table.parameters.items())
     dynamics = Dynamics(table.name, table.time, tuple(states), tuple(rates), parameters, table.source)
     if table.kind == "barrier":
         return _barrier(table, dynamics, known, path)
-    dynamics.require_equilibrium()
+    sought = all(entry.equilibrium is None for entry in table.states.values())
+    if not sought:
+        dynamics.require_equilibrium()
     for key in ("barrier", "initial", "unsafe", "multiplier"):
         if getattr(table, key):
             raise InputError("belongs to kind barrier", file=path, key=key, remedy="drop it, or change the kind")
@@ -191,7 +198,7 @@ def _problem(table: _ProblemTable, path: Path) -> Problem:
         raise InputError("is given without function", file=path, key="level", remedy="give both, or drop the level")
     function = None if table.function is None else parse(table.function, known, file=path, key="function")
     _of_states(function, dynamics, path, "function")
-    return Problem(dynamics, "lyapunov", function, table.level, table.rate, expected=table.expected)
+    return Problem(dynamics, "lyapunov", function, table.level, table.rate, expected=table.expected, sought=sought)
 
 
 def _barrier(table: _ProblemTable, dynamics: Dynamics, known: Mapping[str, Node], path: Path) -> Problem:

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
-from surctl.lyapunov.decide import Decision, decide_motion, prove_motion, short
+from surctl.lyapunov.decide import Decision, decide_motion, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.equilibrium import at_equilibrium, linearisation
+from surctl.lyapunov.equilibrium import Linear, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.hugging import hugged
+from surctl.lyapunov.inward import short
+from surctl.lyapunov.near import Failure, fails_nearby, too_fast
+from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.formula import Node, text_of
 
 __all__ = ["StabilityResult", "find_stability"]
@@ -36,7 +39,8 @@ class StabilityResult:
     """The result of the search for a Lyapunov function.
 
     Attributes:
-        verdict: `proved`, `refuted` (the equilibrium is not stable for all parameters) or `unknown`.
+        verdict: `proved`, `refuted` (the equilibrium is not stable for all parameters, the stated function or rate is
+            wrong close to it) or `unknown`.
         reason: why the verdict is not `proved`, in one sentence; empty if it is.
         decision: the decision on the claim with the largest proved region, or on the last claim that was tried; None if
             there is none.
@@ -44,6 +48,8 @@ class StabilityResult:
         label: how the function was found.
         volume: estimated volume of the region relative to the box.
         seconds: duration [s].
+        counterexample: values of the variables where the stated function fails; empty if no such state is known.
+        instead: a function and its level that prove a region, in words, where the stated function does not.
     """
 
     verdict: Literal["proved", "refuted", "unknown"]
@@ -53,6 +59,8 @@ class StabilityResult:
     label: str
     volume: float
     seconds: float
+    counterexample: Mapping[str, float] = field(default_factory=dict)
+    instead: str = ""
 
     @property
     def claim(self) -> Stability | None:
@@ -106,8 +114,9 @@ def find_stability(
     states of a claim with a searched level have the bounds of the smallest box around the region.
 
     Args:
-        dynamics: the dynamics; if the stated equilibrium is not one, the only one in the box is taken.
-        function: V, an expression of the states; by default it is searched.
+        dynamics: the dynamics, about their equilibrium.
+        function: V, an expression of the states; by default it is searched. A stated function is never changed: if it
+            fails close to the equilibrium, the verdict is `refuted`, and `instead` names one that proves a region.
         level: level of the region; by default it is searched.
         rate: with a number, V' ≤ −rate · V is demanded; "largest" proves a large rate for the region that was found;
             None means any strict decrease.
@@ -118,7 +127,7 @@ def find_stability(
         progress: function that receives a line of progress from time to time.
 
     Raises:
-        InputError: the equilibrium is not one, and none or several are in the box.
+        InputError: the equilibrium is not one.
 
     Example:
         >>> from surctl.lyapunov import Dynamics, State, find_stability
@@ -131,11 +140,20 @@ def find_stability(
     """
     began = time.perf_counter()
     until = time.process_time() + time_limit
-    d = at_equilibrium(dynamics, seed=seed)
+    d = dynamics
+    d.require_rest()
     linear = linearisation(d)
     if linear.verdict == "unstable":
         return _none("refuted", linear.reason, began)
     demanded = None if rate == "largest" else rate
+    if function is not None:
+        failure = _failure(d, function, demanded, linear)
+        if failure is not None:
+            instead = _instead(d, linear, function, demanded, until - time.process_time(), began, seed, progress)
+            result = _none("refuted", failure.reason, began)
+            return replace(result, label="given", counterexample=failure.values, instead=instead)
+    elif reason := too_fast(d, linear, demanded):
+        return _none("refuted", reason, began)
     if function is not None:
         offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
     else:
@@ -152,13 +170,6 @@ def find_stability(
             best = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=_SIMPLE, once=True)
             if best.verdict == "proved":
                 return replace(best, seconds=time.perf_counter() - began)
-    if function is not None and linear.verdict == "stable" and not trials[0][1].level > 0:
-        for candidate in strict_variants(d, linear, function):
-            bound = least_level(d, candidate.function, demanded, seed=seed)
-            _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
-            if bound.level > 0:
-                trials = [(candidate, bound)]
-                break
     if not trials:
         reason = "no polynomial decreases at all samples close to the equilibrium"
         if linear.verdict == "marginal":
@@ -186,9 +197,49 @@ def find_stability(
     if best.verdict == "unknown" and level is None and rest > 0:
         result = _proved(d, *simplest, demanded, level, rest, began, seed, progress, start=_EASY, once=first)
         best = result if result.verdict == "proved" else best
+    if function is not None and best.verdict == "unknown" and linear.verdict == "marginal":
+        best = replace(best, reason=f"{best.reason}; {linear.reason}")
     if rate == "largest" and best.verdict == "proved":
         best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
     return replace(best, seconds=time.perf_counter() - began)
+
+
+def _failure(d: Dynamics, function: Node, rate: float | None, linear: Linear) -> Failure | None:
+    """Return a state close to the equilibrium at which the stated function fails, for any level; None otherwise."""
+    failure = fails_nearby(d, function, rate, linear)
+    if failure is not None or rate is not None:
+        return failure
+    still = stationary_state(Stability(d, function, 1e300))
+    if still is None:
+        return None
+    at = ", ".join(f"{name} = {x:.6g}" for name, x in still.items())
+    reason = f"V does not change on a line through the equilibrium, such as at {at}"
+    centre = f"; {linear.reason}" if linear.verdict == "marginal" else ""
+    return Failure(still, reason + centre)
+
+
+def _instead(
+    d: Dynamics,
+    linear: Linear,
+    function: Node,
+    rate: float | None,
+    seconds: float,
+    began: float,
+    seed: int,
+    progress: Callable[[str], None] | None,
+) -> str:
+    """Return a function near the stated one, and its level, that prove a region, in words; empty if none does."""
+    if linear.verdict != "stable" or too_fast(d, linear, rate):
+        return ""
+    for candidate in strict_variants(d, linear, function):
+        bound = least_level(d, candidate.function, rate, seed=seed)
+        _say(progress, f"{candidate.label}: counterexample at level {bound.level:.4g}")
+        if bound.level > 0:
+            result = _proved(d, candidate, bound, rate, None, seconds, began, seed, progress, start=_SIMPLE, once=True)
+            if result.claim is not None and result.verdict == "proved":
+                return f'function = "{text_of(result.claim.function)}", level = {result.claim.level:g}'
+            return ""
+    return ""
 
 
 def _proved(

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from surctl.errors import InputError
 from surctl.lyapunov.barrier_search import find_barrier
+from surctl.lyapunov.claims import Safety, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
+from surctl.lyapunov.equilibrium import at_equilibrium, equilibria
 from surctl.lyapunov.problem import Problem
+from surctl.lyapunov.safety import decide_safety
 from surctl.lyapunov.search import find_stability
 from surctl.verification.formula import parse, text_of
+from surctl.verification.formula.text import decimal_text
 
 __all__ = ["Solution", "solve"]
 
+_SHOWN = 400  # characters of a printed rate
 _MULTIPLIERS = ("0", "-1", "-0.1", "1", "-10")
 
 
@@ -31,6 +37,10 @@ class Solution:
         falsified: least level of the function at which a counterexample is known; None if it was not searched.
         origin: how the function was found; empty if the problem states it.
         seconds: duration [s].
+        counterexample: values of the variables where a condition of the claim fails; empty unless the verdict is
+            `refuted`, or if the linearisation refutes it.
+        instead: what would be proved in the place of a refuted function, as entries of the file; empty if nothing is
+            known.
     """
 
     problem: Problem
@@ -40,6 +50,8 @@ class Solution:
     falsified: float | None
     origin: str
     seconds: float
+    counterexample: Mapping[str, float] = field(default_factory=dict)
+    instead: str = ""
 
     @property
     def document(self) -> Mapping[str, Any]:
@@ -47,26 +59,36 @@ class Solution:
         return self.decision.document if self.decision is not None and self.verdict == "proved" else {}
 
     @property
-    def counterexample(self) -> Mapping[str, float]:
-        """Values of the variables where an inequality of the claim fails; empty unless the verdict is `refuted`."""
-        return self.decision.counterexample if self.decision is not None and self.verdict == "refuted" else {}
+    def vacuous(self) -> str:
+        """Why a proved claim says nothing, as the checker finds; empty if it says something."""
+        return self.decision.vacuous if self.decision is not None and self.verdict == "proved" else ""
 
     def lines(self) -> list[str]:
-        """Return the lines that state the solution: verdict and claim, function, level, reason."""
+        """Return the lines that state the solution: verdict and claim, what the claim is about, reason."""
         name, decision = self.problem.dynamics.name, self.decision
+        then = [f"  a region is proved with {self.instead}"] if self.instead else []
         if decision is None:
-            return [f"{self.verdict:<8} {name}: {self.reason} ({self.seconds:.1f} s)"]
-        claim = decision.claim
+            lines = [f"{self.verdict:<8} {name}: {self.reason} ({self.seconds:.1f} s)"]
+            if self.problem.function is not None:
+                lines.append(f"  {'B' if self.problem.kind == 'barrier' else 'V'} = {text_of(self.problem.function)}")
+            return [*lines, *stated_lines(self.problem.dynamics, self.problem.kind), *then]
+        claim, first = decision.claim, decision.claim.statement
         letter = "B" if claim.kind == "barrier" else "V"
+        if self.verdict != "proved":
+            fate = "is refuted" if self.verdict == "refuted" else "is neither proved nor refuted"
+            first = f"the claim that {first} {fate}"
+        elif self.vacuous:
+            first = f"vacuous, because {self.vacuous}: {first}"
         lines = [
-            f"{self.verdict:<8} {name}: {claim.statement} ({self.seconds:.1f} s)",
+            f"{self.verdict:<8} {name}: {first} ({self.seconds:.1f} s)",
             f"  {letter} = {text_of(claim.function)}{f', from: {self.origin}' if self.origin else ''}",
+            *stated_lines(claim.dynamics, claim.kind),
         ]
         level = claim.plain().get("level")
         if self.falsified is not None and self.verdict == "proved" and level is not None:
             share = level / self.falsified
             lines.append(f"  level {level:g} is {100 * share:.1f} % of the least level with a counterexample")
-        return [*lines, f"  {self.reason}"] if self.reason else lines
+        return [*lines, *([f"  {self.reason}"] if self.reason else []), *then]
 
     @property
     def dynamics(self) -> Dynamics:
@@ -83,6 +105,10 @@ class Solution:
             "claim": self.problem.dynamics.name,
             "verdict": self.verdict,
             "reason": self.reason or None,
+            "counterexample": dict(self.counterexample) or None,
+            "instead": self.instead or None,
+            "vacuous": self.vacuous or None,
+            "equilibrium": {s.name: s.equilibrium for s in self.problem.dynamics.states},
             "level": claim.get("level"),
             "rate": claim.get("rate"),
             "falsified_level": self.falsified,
@@ -127,10 +153,18 @@ def solve(
         ('proved', 1.0, True)
     """
     began = time.perf_counter()
+    if problem.sought:
+        problem = replace(problem, dynamics=at_equilibrium(problem.dynamics, seed=seed))
+    if problem.kind == "lyapunov" and (moving := _moving(problem.dynamics)):
+        rest = {s.name: float(s.equilibrium) for s in problem.dynamics.states}
+        return Solution(problem, "refuted", moving, None, None, "", time.perf_counter() - began, rest)
     claim = problem.claim
     if claim is not None:
-        decision = decide_motion(claim, time_limit=time_limit, seed=seed, progress=progress)
-        return Solution(problem, decision.verdict, decision.reason, decision, None, "", decision.seconds)
+        if isinstance(claim, Safety):
+            decision = decide_safety(claim, time_limit=time_limit, seed=seed, progress=progress)
+        else:
+            decision = decide_motion(claim, time_limit=time_limit, seed=seed, progress=progress)
+        return _solution(problem, decision, decision.seconds)
     if problem.kind == "lyapunov":
         result = find_stability(
             problem.dynamics, function=problem.function, rate=problem.rate, first=first, time_limit=time_limit,
@@ -138,7 +172,10 @@ def solve(
         )  # fmt: skip
         falsified = None if result.falsified is None else result.falsified.level
         origin = result.label if problem.function is None else ""
-        return Solution(problem, result.verdict, result.reason, result.decision, falsified, origin, result.seconds)
+        return Solution(
+            problem, result.verdict, result.reason, result.decision, falsified, origin, result.seconds,
+            result.counterexample or (result.decision.counterexample if result.decision else {}), result.instead,
+        )  # fmt: skip
     if problem.function is not None:
         return _with_multiplier(problem, time_limit, seed, progress)
     barrier = find_barrier(
@@ -150,6 +187,40 @@ def solve(
     return Solution(problem, verdict, reason, barrier.decision, None, "linear program over samples", seconds)
 
 
+def _solution(problem: Problem, decision: Decision, seconds: float) -> Solution:
+    return Solution(problem, decision.verdict, decision.reason, decision, None, "", seconds, decision.counterexample)
+
+
+def _moving(d: Dynamics) -> str:
+    """Return why the equilibrium is none, with those of the box; empty if it is one up to rounding."""
+    d.require_equilibrium()
+    try:
+        d.require_rest()
+    except InputError as error:
+        if "is not an equilibrium" not in error.problem:
+            raise
+        at = ", ".join(f"{s.name} = {s.equilibrium:g}" for s in d.states)
+        others = "; ".join(", ".join(f"{n} = {v:.9g}" for n, v in zip(d.names, x, strict=True)) for x in equilibria(d))
+        known = f"; in the box, equilibria are {others}" if others else ""
+        return f"{at} is not an equilibrium: the largest rate there is {error.value}{known}"
+    return ""
+
+
+def stated_lines(d: Dynamics, kind: str) -> list[str]:
+    """Return the dynamics, the box and the equilibrium as the certificate states them, as indented lines."""
+    sign = "+" if d.discrete else "'"
+    lines = [f"  {s.name}{sign} = {_clipped(text_of(rate))}" for s, rate in zip(d.states, d.rates, strict=True)]
+    ranges = ", ".join(f"{v.name} in [{every_digit(v.lower)}, {every_digit(v.upper)}] {v.unit}" for v in d.variables)
+    lines.append(f"  where {ranges}")
+    if kind == "lyapunov":
+        lines.append(f"  equilibrium {', '.join(f'{s.name} = {decimal_text(s.rest)}' for s in d.states)}")
+    return lines
+
+
+def _clipped(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ... ({len(text)} characters)"
+
+
 def _with_multiplier(
     problem: Problem, time_limit: float, seed: int, progress: Callable[[str], None] | None
 ) -> Solution:
@@ -158,12 +229,11 @@ def _with_multiplier(
     decision = None
     for text in _MULTIPLIERS:
         claim = replace(problem, multiplier=parse(text, {})).claim
-        assert claim is not None
-        decision = decide_motion(claim, time_limit=time_limit / len(_MULTIPLIERS), seed=seed, progress=progress)
-        if decision.verdict == "proved":
-            return Solution(problem, "proved", "", decision, None, "", time.perf_counter() - began)
-        if decision.verdict == "refuted" and "change of B" not in decision.reason:
-            return Solution(problem, "refuted", decision.reason, decision, None, "", time.perf_counter() - began)
+        assert isinstance(claim, Safety)
+        decision = decide_safety(claim, time_limit=time_limit / len(_MULTIPLIERS), seed=seed, progress=progress)
+        refutes = decision.verdict == "refuted" and "change of B" not in decision.reason
+        if decision.verdict == "proved" or refutes:
+            return _solution(problem, decision, time.perf_counter() - began)
     assert decision is not None
     reason = f"no multiplier of {', '.join(_MULTIPLIERS)} proves the claim; {decision.reason}"
     return Solution(problem, "unknown", reason, decision, None, "", time.perf_counter() - began)

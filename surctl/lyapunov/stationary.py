@@ -40,7 +40,7 @@ def stationary_state(claim: Stability) -> Mapping[str, float] | None:
     fixed = {w.name: _exact(w.lower) for w in d.parameters}
     rest = {s.name: float(s.equilibrium) for s in d.states} | {w.name: float(w.lower) for w in d.parameters}
     for s in d.states:
-        others = fixed | {o.name: _exact(o.equilibrium) for o in d.states if o is not s}
+        others = fixed | {o.name: number(o.rest) for o in d.states if o is not s}
         if not vanishes(substitute(loss, others)):
             continue
         for share in _SHARES:

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.lyapunov.dynamics import Dynamics, exact
+from surctl.lyapunov.dynamics import Dynamics
 from surctl.verification.formula import Node, number, ordered, power, to_casadi, variable
 
 __all__ = ["Template", "polynomials", "quadratic", "with_cosines"]
@@ -109,7 +109,7 @@ def _monomial(dynamics: Dynamics, powers: Sequence[int]) -> Node:
     total: Node | None = None
     for s, exponent in zip(dynamics.states, powers, strict=True):
         if exponent:
-            away = variable(s.name) if s.equilibrium == 0 else variable(s.name) - exact(s.equilibrium)
+            away = variable(s.name) if s.equilibrium == 0 else variable(s.name) - number(s.rest)
             factor = power(away, exponent)
             total = factor if total is None else total * factor
     assert total is not None

@@ -84,8 +84,10 @@ class Claim:
         paper: whether the claim comes from the paper, either as printed or in corrected form.
         tolerance: relative tolerance for rounding: a point refutes the claim only if left − right exceeds `tolerance`
             times the largest |left| or |right| at the evaluated points.
-        exact: the claim with exact numbers, if it was stated with them; None means that the prover reads the numbers of
-            `left`, `right` and `constraints` as decimals.
+        exact: the statement, if it was written in the claim grammar. Falsifier, prover and certificate then use it and
+            nothing else; `left`, `right` and `constraints` are its CasADi form, from which only search directions come,
+            because CasADi rounds constants and cancels terms. None means that the claim was written with CasADi: the
+            prover reads the numbers in `left`, `right` and `constraints` as decimals.
     """
 
     name: str

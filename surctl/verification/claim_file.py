@@ -8,13 +8,15 @@ from pathlib import Path
 from typing import Literal
 
 import casadi as ca
+import numpy as np
 from pydantic import Field, StrictFloat, StrictStr
 
 from surctl.errors import InputError
-from surctl.files import Strict, load_model, quoted
+from surctl.files import Strict, load_model, quoted, require_doubles
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.formula import (
     Node,
+    Statement,
     from_casadi,
     is_name,
     number,
@@ -57,7 +59,7 @@ class _ClaimTable(Strict):
     left: StrictStr
     right: StrictStr = "0"
     constraints: tuple[StrictStr, ...] = ()
-    tolerance: StrictFloat = Field(default=1e-9, ge=0.0, le=1e-3)
+    tolerance: StrictFloat = Field(default=0.0, ge=0.0, le=1e-3)
     constants: dict[str, StrictFloat] = Field(default_factory=dict)
     variables: dict[str, VariableTable]
     witnesses: tuple[dict[str, StrictFloat], ...] = ()
@@ -85,13 +87,14 @@ def load_claim(path: Path) -> Claim:
     Expressions have numbers, names, `pi`, + - * / ^, parentheses, and the functions abs, acos, asin, atan, atan2, cos,
     cosh, exp, log (natural), max, min, select, sin, sinh, sqrt, tan and tanh; select(a, b, x, y) is x if a <= b, and y
     otherwise. An exponent is a constant, such as 2, -1.5, (1/3) or the name of a constant. A power with a fractional
-    exponent is defined for positive numbers, and for 0 if the exponent is positive. Where the claim's expressions are
-    not defined (a logarithm of 0, a pole of tan), the claim is not proved: exclude that part by bounds or constraints.
+    exponent is defined for positive numbers, and for 0 if the exponent is positive. The texts are the statement, with
+    exactly the numbers that are written. A point of the domain at which an expression is not defined (a logarithm of 0,
+    a pole of tan, 0/x at 0) refutes the claim: exclude it by bounds or constraints.
 
-    Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side that counts as rounding;
-    default 1e-9), `witnesses` (points, each with a value for every variable) and the table `[motion]` (`rates` by
-    variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential equations with which a
-    counterexample is simulated. Units are printed but not converted: use SI units.
+    Optional keys: `statement`, `equation`, `errata`, `tolerance` (the share of the larger side by which left may exceed
+    right, as a measure of rounding; default 0), `witnesses` (points, each with a value for every variable) and the
+    table `[motion]` (`rates` by variable, `watched`, `name`, `unit`, `duration`). The motion holds the differential
+    equations with which a counterexample is simulated. Units are printed but not converted: use SI units.
 
     Raises:
         InputError: the file is not a valid claim; the error names file, key, token and column, and the remedy.
@@ -112,6 +115,7 @@ def load_claim(path: Path) -> Claim:
         ('-(2*abs(u) + 8)*u^2 <= 0', 'proved')
     """
     table = load_model(path, _ClaimTable)
+    require_doubles(path)
     names = _checked_names(table, path)
     known: dict[str, Node] = {name: variable(name) for name in names}
     known |= {name: number(Fraction(repr(value))) for name, value in table.constants.items()}
@@ -120,17 +124,20 @@ def load_claim(path: Path) -> Claim:
     def read(text: str, key: str) -> ca.SX:
         return to_casadi(parse(text, known, file=path, key=key), symbols)
 
-    def row(text: str, key: str) -> ca.SX:
-        return to_casadi(parse_relation(text, known, file=path, key=key), symbols)
-
-    rows = [row(text, f"constraints.{k}") for k, text in enumerate(table.constraints)]
+    rows = [parse_relation(text, known, file=path, key=f"constraints.{k}") for k, text in enumerate(table.constraints)]
+    sides = [parse(table.left, known, file=path, key="left"), parse(table.right, known, file=path, key="right")]
+    # what a reader of the certificate obtains from its texts
+    parts = [parse(text_of(node), {name: variable(name) for name in names}) for node in (*sides, *rows)]
+    lower, upper = np.array([(v.lower, v.upper) for v in table.variables.values()], dtype=float).T
+    exact = Statement(tuple(names), lower, upper, parts[0], parts[1], tuple(parts[2:]))
+    left, right, *casadi_rows = (to_casadi(node, symbols) for node in parts)
     statement = table.statement or f"{table.left} <= {table.right}"
     try:
         claim = Claim(
             table.name, statement, table.equation, table.errata, table.expected,
             tuple(_variable(name, symbols[name], entry) for name, entry in table.variables.items()),
-            read(table.left, "left"), read(table.right, "right"), table.unit,
-            ca.vertcat(ca.SX(0, 1), *rows), tuple(table.witnesses), _motion(table, read), table.tolerance,
+            left, right, table.unit, ca.vertcat(ca.SX(0, 1), *casadi_rows), tuple(table.witnesses),
+            _motion(table, read), table.tolerance, exact=exact,
         )  # fmt: skip
     except InputError as error:
         raise (error if error.file else error.inside(path)) from None

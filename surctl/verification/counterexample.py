@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -25,19 +26,31 @@ class Counterexample:
 
     Attributes:
         values: value of each variable, in its unit.
-        margin: left − right at the point; the claim fails if it is positive.
+        margin: left − right at the point; the claim fails if it is positive, or NaN: the claim has no value there.
         unit: unit of the margin.
         origin: `search` if the falsifier found the point, `witness` if the claim supplied it.
+        undefined: the operation of the claim without a value at the point, as text; empty if it has one.
     """
 
     values: Mapping[str, float]
     margin: float
     unit: str
     origin: Origin = "search"
+    undefined: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """What fails at the point, such as "bound exceeded by 0.2 m" or "1/x is not defined there"."""
+        if self.undefined:
+            return f"{self.undefined} is not defined there"
+        return f"bound exceeded by {self.margin:.3g} {self.unit}"
 
     def to_dict(self) -> dict[str, Any]:
         """The counterexample as plain data for JSON."""
-        return {"values": dict(self.values), "margin": self.margin, "unit": self.unit, "origin": self.origin}
+        return {
+            "values": dict(self.values), "margin": None if self.undefined else self.margin, "unit": self.unit,
+            "origin": self.origin, **({"undefined": self.undefined} if self.undefined else {}),
+        }  # fmt: skip
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Counterexample:
@@ -45,7 +58,9 @@ class Counterexample:
         try:
             values = {str(k): float(v) for k, v in table["values"].items()}
             origin: Origin = "witness" if table.get("origin") == "witness" else "search"
-            return cls(values, float(table["margin"]), str(table["unit"]), origin)
+            undefined = str(table.get("undefined", ""))
+            margin = math.nan if undefined else float(table["margin"])
+            return cls(values, margin, str(table["unit"]), origin, undefined)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(
                 "is not a counterexample",
@@ -82,10 +97,11 @@ class Replay:
     def confirmed(self) -> bool:
         """Whether the replay confirms the counterexample.
 
-        A counterexample is confirmed if its point lies in the domain, the margin at the point is positive, and, if the
-        claim has a motion, the watched quantity exceeds its claimed bound in the simulation.
+        A counterexample is confirmed if its point lies in the domain, the margin at the point is positive or has no
+        value, and, if the claim has a motion, the watched quantity exceeds its claimed bound in the simulation.
         """
-        return self.inside and self.margin > 0 and (self.excess.size == 0 or bool(self.excess[-1] > 0))
+        fails = self.margin > 0 or math.isnan(self.margin)
+        return self.inside and fails and (self.excess.size == 0 or bool(self.excess[-1] > 0))
 
     def to_dict(self) -> dict[str, Any]:
         """The replay as plain data for JSON and plots."""
@@ -109,8 +125,8 @@ def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
         >>> round(margin, 3), claim.unit, inside  # V1 grows there: the claim fails
         (4.8, 'm^2/s', True)
     """
-    margin, _, inside = build_oracle(claim).evaluate(claim.point(values)[:, None])
-    return float(margin[0]), bool(inside[0])
+    oracle, point = build_oracle(claim), claim.point(values)[:, None]
+    return float(oracle.evaluate(point)[0][0]), bool(oracle.inside(point)[0])
 
 
 def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -> Replay:
@@ -135,7 +151,7 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
         V1 [m^2]: 4.0 to 8.9
     """
     margin, inside = evaluate(claim, counterexample.values)
-    if claim.motion is None:
+    if claim.motion is None or math.isnan(margin):
         nothing = np.zeros(0)
         return Replay(margin, inside, "", "", nothing, nothing, nothing)
     time, watched, excess = _replay(claim, claim.motion, claim.point(counterexample.values), points)

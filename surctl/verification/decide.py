@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import check_document
 from surctl.errors import InputError
-from surctl.verification.claim import Claim
+from surctl.verification.claim import Claim, VerdictWord
 from surctl.verification.counterexample import Counterexample
-from surctl.verification.falsifier import search
+from surctl.verification.doubtful import exceeding, special_points, undefined_at
+from surctl.verification.falsifier import Search, search, sobol
+from surctl.verification.formula import Statement
 from surctl.verification.oracle import Oracle, build_oracle
 from surctl.verification.proving import certain_excess, prove
 from surctl.verification.verdict import Verdict
@@ -22,6 +25,7 @@ __all__ = ["confirmed", "decide"]
 
 _INSIDE = 1e-9  # first distance by which a point is moved into the domain, in the constraint's unit
 _MOVES = 6
+_SAMPLES = 1024  # in the search for points at which the claim has no value
 _MOVED = 16  # number of the worst violating points that are moved
 
 
@@ -36,7 +40,8 @@ def decide(
 ) -> Verdict:
     """Try to refute and then to prove a claim; if both fail, report the boxes that remain undecided.
 
-    `refuted`: interval arithmetic confirms that the counterexample lies in the domain and that left exceeds right.
+    `refuted`: interval arithmetic confirms that the counterexample lies in the domain and that left exceeds right; or
+    a side of a claim that was written in the claim grammar has no value at a point of the domain.
     `proved`: `surctl.certcheck` accepts the certificate. The certificate states a slack by which the left side may
     exceed the right side: 0, or the rounding error that the claim's tolerance allows.
 
@@ -59,25 +64,54 @@ def decide(
         v1-corrected proved
     """
     began = time.perf_counter()
-    outcome = search(claim, samples=samples, starts=starts, seed=seed)
+    empty: InputError | None = None
+    try:
+        outcome = search(claim, samples=samples, starts=starts, seed=seed)
+    except InputError as error:  # of an exact statement, also its empty domain may be shown
+        if claim.exact is None or "no sample lies in its domain" not in error.problem:
+            raise
+        empty, nothing = error, np.zeros((len(claim.variables), 0))
+        outcome = Search(Verdict(claim, "not refuted", None, -math.inf, 0.0, 0.0, 0, 0), nothing, nothing)
     verdict = outcome.verdict
+    sure = None
     if verdict.counterexample is not None:
         sure = confirmed(claim, verdict.counterexample, outcome.violating)
-        if sure is not None:
-            return replace(verdict, counterexample=sure, seconds=time.perf_counter() - began)
-        # rounding may explain the violation, or the point may lie outside the domain: the claim may still be true
-        verdict = replace(verdict, verdict="not refuted", counterexample=None)
+    if sure is None and claim.exact is not None:
+        sure = _hidden(claim, claim.exact, outcome.points, verdict.threshold, seed)
+    if sure is not None:
+        word: VerdictWord = "refuted"
+        return replace(verdict, verdict=word, counterexample=sure, seconds=time.perf_counter() - began)
+    # rounding may explain a violation, or its point may lie outside the domain: the claim may still be true
+    verdict = replace(verdict, verdict="not refuted", counterexample=None)
     proof = prove(claim, time_limit=time_limit, slack=verdict.threshold, progress=progress)
     reason = proof.remaining
     if proof.certificate is not None:
         checked = check_document(proof.certificate)
         if checked.accepted:
             return replace(
-                verdict, verdict="proved", certificate=proof.certificate, seconds=time.perf_counter() - began
-            )
+                verdict, verdict="proved", certificate=proof.certificate, vacuous=checked.vacuous,
+                seconds=time.perf_counter() - began,
+            )  # fmt: skip
         reason = f"the checker rejects the proof: {checked.reason}"
+    if empty is not None:
+        raise empty
     seconds = time.perf_counter() - began
     return replace(verdict, verdict="unknown", open_ends=reason, open_boxes=proof.open_boxes, seconds=seconds)
+
+
+def _hidden(
+    claim: Claim, exact: Statement, points: NDArray[np.float64], threshold: float, seed: int
+) -> Counterexample | None:
+    """Return a counterexample of an exact statement that doubles hide; None if none is found."""
+    points = np.column_stack([points, special_points(exact), *(claim.point(w) for w in claim.witnesses)])
+    excess = exceeding(exact, points, threshold)
+    if excess is not None:
+        return Counterexample(excess[0], excess[1], claim.unit)
+    lower, width = claim.lower[:, None], (claim.upper - claim.lower)[:, None]
+    undefined = undefined_at(exact, np.hstack([points, lower + width * sobol(len(lower), _SAMPLES, seed)]))
+    if undefined is None:
+        return None
+    return Counterexample(undefined[0], math.nan, claim.unit, undefined=undefined[1])
 
 
 def confirmed(claim: Claim, worst: Counterexample, violating: NDArray[np.float64]) -> Counterexample | None:

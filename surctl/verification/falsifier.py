@@ -17,7 +17,7 @@ from surctl.verification.counterexample import Counterexample
 from surctl.verification.oracle import Oracle, build_oracle
 from surctl.verification.verdict import Verdict
 
-__all__ = ["Search", "falsify", "search"]
+__all__ = ["Search", "falsify", "search", "sobol"]
 
 _APART = 0.1  # least distance between two starting points in the unit box, divided by the root of the dimension
 
@@ -30,10 +30,12 @@ class Search:
         verdict: `refuted`, with the worst point as counterexample, or `not refuted`.
         violating: (n, k) all k evaluated points at which the margin exceeds the threshold, in the variables' units; the
             worst point is first.
+        points: (n, m) all m evaluated points of the domain, the worst first.
     """
 
     verdict: Verdict
     violating: NDArray[np.float64]
+    points: NDArray[np.float64]
 
 
 def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 0) -> Verdict:
@@ -69,7 +71,7 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
     if samples < 2 or starts < 1:
         raise InputError("needs at least 2 samples and 1 start", key=claim.name, value=(samples, starts))
     oracle = build_oracle(claim)
-    unit = _sobol(len(claim.variables), samples, seed)
+    unit = sobol(len(claim.variables), samples, seed)
     margin, size, inside = oracle.evaluate(oracle.place(unit))
     _require_finite(oracle, unit, margin, inside)
     begin = _choose_starts(oracle, unit, margin, inside, starts)
@@ -99,11 +101,12 @@ def search(claim: Claim, *, samples: int, starts: int, seed: int) -> Search:
     points = np.column_stack([points, *(claim.point(w.values) for w in witnesses)])
     margin = oracle.evaluate(points)[0]
     order = np.argsort(-margin, kind="stable")
-    return Search(verdict, points[:, order[margin[order] > threshold]])
+    points = points[:, order]
+    return Search(verdict, points[:, margin[order] > threshold], points)
 
 
-def _sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
-    # (dimension, number); the number is rounded up to a power of two
+def sobol(dimension: int, samples: int, seed: int) -> NDArray[np.float64]:
+    """Return samples (dimension, number) of the unit box; their number is rounded up to a power of two."""
     from scipy.stats import qmc
 
     sample = qmc.Sobol(dimension, seed=seed).random_base2(int(np.ceil(np.log2(samples))))

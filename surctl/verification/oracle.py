@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.ir import on_columns, on_vectors
 from surctl.verification.claim import Claim
+from surctl.verification.formula import Statement, values_of
 
 __all__ = ["Oracle", "build_oracle"]
 
@@ -49,9 +51,20 @@ class Oracle:
         """
         left, right, g = self.sides(x)
         left, right = left[0], right[0]
+        inside = self._inside(x, g)
+        if self.claim.exact is not None:  # `surctl.verification.doubtful` searches for points without a value
+            inside &= np.isfinite(left - right)
+        return left - right, np.maximum(abs(left), abs(right)), inside
+
+    def inside(self, x: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether points x (n, N) lie in the domain, up to rounding (N,)."""
+        return self._inside(x, self.sides(x)[2])
+
+    def _inside(self, x: NDArray[np.float64], g: NDArray[np.float64]) -> NDArray[np.bool_]:
         beyond = np.maximum(self.claim.lower[:, None] - x, x - self.claim.upper[:, None])
         in_box = np.all(beyond <= _FEASIBLE, axis=0)
-        return left - right, np.maximum(abs(left), abs(right)), in_box & np.all(g <= _FEASIBLE, axis=0)
+        within: NDArray[np.bool_] = in_box & np.all(g <= _FEASIBLE, axis=0)
+        return within
 
     def margin(self, unit: NDArray[np.float64]) -> float:
         """Return the margin at a point (n,) of the unit box; −inf if not finite, so that searches avoid the point."""
@@ -64,7 +77,8 @@ class Oracle:
 
         Where the exact gradient is not finite (at an arccos of ±1), finite differences replace the exact gradient.
         """
-        exact = self.slopes(self.place(unit))[0] * (self.claim.upper - self.claim.lower)
+        with np.errstate(over="ignore"):
+            exact = self.slopes(self.place(unit))[0] * (self.claim.upper - self.claim.lower)
         return exact if np.all(np.isfinite(exact)) else self._differences(unit)
 
     def slack(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -84,7 +98,8 @@ class Oracle:
         for i in range(unit.size):
             ahead, behind = unit.copy(), unit.copy()
             ahead[i], behind[i] = min(unit[i] + _STEP, 1), max(unit[i] - _STEP, 0)
-            slope[i] = (self.margin(ahead) - self.margin(behind)) / (ahead[i] - behind[i])
+            with np.errstate(over="ignore", invalid="ignore"):
+                slope[i] = np.float64(self.margin(ahead) - self.margin(behind)) / (ahead[i] - behind[i])
         return np.where(np.isfinite(slope), slope, 0.0)
 
 
@@ -96,6 +111,11 @@ def build_oracle(claim: Claim) -> Oracle:
     sides = [ca.densify(ca.SX(claim.left)), ca.densify(ca.SX(claim.right)), ca.densify(claim.constraints)]
     return Oracle(
         claim,
-        on_columns(ca.Function("sides", [x], sides)),
+        on_columns(ca.Function("sides", [x], sides)) if claim.exact is None else partial(_sides, claim.exact),
         on_vectors(ca.Function("slopes", [x], [ca.densify(s) for s in slopes])),
     )
+
+
+def _sides(exact: Statement, x: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    rows = values_of(exact.parts, dict(zip(exact.names, x, strict=True)))
+    return [rows[:1], rows[1:2], rows[2:]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -70,6 +71,7 @@ class Verdict:
         certificate: the certificate that `surctl.certcheck` accepts as a proof.
         open_ends: description of the part of the domain that the prover could not decide.
         open_boxes: the largest boxes that the prover could not decide; a box maps each variable to (lower, upper).
+        vacuous: why a proved claim says nothing, as the checker finds; empty if its domain has a point.
     """
 
     claim: Claim
@@ -85,6 +87,7 @@ class Verdict:
     certificate: Mapping[str, Any] | None = field(default=None, repr=False)
     open_ends: str = ""
     open_boxes: tuple[Mapping[str, list[float]], ...] = field(default=(), repr=False)
+    vacuous: str = ""
 
     @property
     def as_expected(self) -> bool:
@@ -123,7 +126,8 @@ class Verdict:
             "counterexample": None if counterexample is None else counterexample.to_dict(),
             "remaining": self.remaining,
             "slack": None if self.certificate is None else self.certificate["claim"]["slack"],
-            "worst_margin": self.worst_margin,
+            "vacuous": self.vacuous or None,
+            "worst_margin": self.worst_margin if math.isfinite(self.worst_margin) else None,
             "unit": self.claim.unit,
             "fraction": self.fraction,
             "samples": self.samples,

@@ -23,7 +23,8 @@ def test_an_expected_refutation_passes(tmp_path) -> None:
     written(tmp_path, MAP, ("rate = 0.2", 'rate = 0.9\nexpected = "refuted"'))
     done = surctl("verify", "problem.toml", cwd=tmp_path)
     assert done.status == 0, done.err
-    assert done.out.startswith("refuted  map: where V < 1, V decreases at the rate 0.9")
+    assert done.out.startswith("refuted  map: the claim that where V < 1, V decreases at the rate 0.9 and every ")
+    assert "\n  x+ = 0.5*x + 0.2*y^2\n" in done.out and "\n  equilibrium x = 0, y = 0\n" in done.out
 
 
 def test_a_mistake_is_one_line(tmp_path) -> None:
@@ -37,3 +38,16 @@ def test_a_mistake_is_one_line(tmp_path) -> None:
     done = surctl("lint", "problem.toml", cwd=tmp_path)
     assert done.status == 0
     assert "surctl verify problem.toml" in done.out
+
+
+def test_the_statement_is_printed_as_the_checker_reads_it(tmp_path) -> None:
+    sides = 'left = "0.30000000000000001*x"\nright = "1"\nconstraints = ["x >= 2"]'
+    text = f'kind = "claim"\nname = "c"\n{sides}\n[variables]\n'
+    (tmp_path / "c.toml").write_text(f"{text}x = {{ lower = 0, upper = 1 }}\n")
+    done = surctl("verify", "c.toml", "--out", ".", cwd=tmp_path)
+    assert done.status == 0, done.err
+    first, *then = done.out.splitlines()
+    assert first.endswith("proved, but vacuous: no point of the box satisfies the constraints")
+    assert then[:2] == ["  0.30000000000000001*x <= 1", "  where x in [0.0, 1.0], 2 - x <= 0"]
+    checked = surctl("check", "c.json", cwd=tmp_path)
+    assert checked.out.startswith("accepted, but vacuous: no point of the box satisfies the constraints")

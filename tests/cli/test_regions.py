@@ -95,3 +95,12 @@ def test_a_region_for_another_kind_of_vehicle_names_the_one_that_applies(tmp_pat
         vehicle = str(tmp_path / file)
         found = regions.prove_regions(["region-cruise-20"], vehicle=vehicle, gains="default", speeds=(0.15, 0.22))
         assert found.instead == kind and found.claims[0]["verdict"] == "not applicable"
+
+
+def test_an_option_does_not_exchange_the_speed_of_a_region_file(tmp_path) -> None:
+    (tmp_path / "own.toml").write_text('kind = "region"\nname = "own"\ncruise_m_per_s = 0.15\ncap_m_per_s = 0.22\n')
+    for option, value in (("--cruise", "0.2"), ("--cap", "0.3")):
+        done = surctl("verify", "own.toml", option, value, cwd=tmp_path)
+        assert done.status == 2
+        assert f"{option} = {value}: is not the speed of the region claim, which is proved at 0." in done.complaint
+    assert surctl("verify", "own.toml", "--show", "--cruise", "0.15", cwd=tmp_path).status == 0

@@ -41,7 +41,7 @@ def test_a_mistake_in_the_file_is_named(tmp_path: Path, text: str, old: str, new
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ('rate = "-y"', 'rate = "0.1 - y"', "is not an equilibrium"),
+        ('rate = "-y"', 'rate = "0.1 - y"', "is not 0 at the equilibrium"),
         ('rate = "-y"', 'rate = "select(y, 0, 1, -1)*y^2"', "van-der-pol.x: contains select"),
         ('y^2"\nlevel', 'y^2 + 0.1"\nlevel', "is not 0 at the equilibrium"),
         ('"1.5*x^2 - x*y + y^2"', '"abs(x) + y^2"', "abs has no derivative everywhere"),

@@ -15,9 +15,10 @@ from surctl.ir import Layout, Port
 from surctl.lyapunov import Dynamics, Range, State, continuous_dynamics, find_barrier, find_stability, least_level
 from surctl.lyapunov.candidates import candidates
 from surctl.lyapunov.claims import Stability
-from surctl.lyapunov.decide import Decision, prove_motion, short
+from surctl.lyapunov.decide import Decision, prove_motion
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
 from surctl.lyapunov.from_system import NOT_COVERED
+from surctl.lyapunov.inward import short
 from surctl.system import Action, Controller, Plant, System
 from surctl.verification.formula import parse, text_of, variable
 

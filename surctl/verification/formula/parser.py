@@ -81,6 +81,8 @@ def parse_relation(text: str, known: Mapping[str, Node], *, file: object = None,
     # pad with blanks, so that errors name the right column for the text after the sign
     first = parse(text[:at], known, file=file, key=key)
     second = parse(" " * (at + 2) + text[at + 2 :], known, file=file, key=key)
+    if signs[0] == "<=" and second == number(0):
+        return first
     return first - second if signs[0] == "<=" else second - first
 
 

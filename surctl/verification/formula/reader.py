@@ -65,19 +65,25 @@ class _Branch:
 _Value = Node | _Comparison | _Branch
 
 
-def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.SX]) -> list[Node]:
+def from_casadi(
+    symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.SX], *, to_the_bit: bool = False
+) -> list[Node]:
     """Convert scalar SX expressions in the symbols to expressions of the grammar.
 
-    A number becomes the shortest decimal number whose nearest double is the constant in the CasADi expression. CasADi
-    evaluates constant subexpressions when they are created. Therefore a constant that equals a fraction of π in double
-    precision is read as this fraction of π, and an exponent that equals a fraction such as 1/3 as this fraction. A
-    constant of 15 digits or more that equals the rounded product of two other constants is read as this product. A
-    power with a variable exponent, x^y, becomes exp(y*log(x)), which is defined for x > 0.
+    With `to_the_bit`, every number is exactly the double of the instruction list, as the exported code has it; nothing
+    is guessed. Otherwise the expressions stand for a formula on paper, which was written with decimals: a number
+    becomes the shortest decimal number whose nearest double is the constant in the CasADi expression. CasADi evaluates
+    constant subexpressions when they are created. Therefore a constant that equals a fraction of π in double precision
+    is read as this fraction of π, and an exponent that equals a fraction such as 1/3 as this fraction. A constant of 15
+    digits or more that equals the rounded product of two other constants is read as this product.
+
+    A power with a variable exponent, x^y, becomes exp(y*log(x)), which is defined for x > 0.
 
     Args:
         symbols: column of symbols (n, 1).
         names: names of the symbols, in order.
         expressions: scalar expressions, dense or structurally zero.
+        to_the_bit: whether numbers are the doubles themselves, as for a law or plant; not for a formula on paper.
 
     Raises:
         UnsupportedOperation: an expression has an operation that the grammar lacks, such as floor or a logical
@@ -87,7 +93,7 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
     count = function.n_instructions()
     ops = [_NAMES.get(function.instruction_id(k), "unknown") for k in range(count)]
     constants = [float(function.instruction_constant(k)) for k in range(count) if ops[k] == "const"]
-    reader = _Reader(constants)
+    reader = _Reader(guess=not to_the_bit)
     slots: dict[int, _Value] = {}  # CasADi reuses work slots: each write gives a slot a new value
     stored: dict[int, Node] = {}
     for k, op in enumerate(ops):
@@ -97,7 +103,8 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
         elif op == "input":
             slots[result[0]] = reader.put(variable(names[args[1]]))
         elif op == "const":
-            slots[result[0]] = reader.put(_constant(float(function.instruction_constant(k)), constants))
+            value = float(function.instruction_constant(k))
+            slots[result[0]] = reader.put(_double(value) if to_the_bit else _constant(value, constants))
         else:
             slots[result[0]] = reader.put(reader.operation(op, [slots[a] for a in args]))
     return [stored[k] for k in range(len(expressions))]
@@ -105,8 +112,8 @@ def from_casadi(symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.S
 
 class _Reader:
     # operands of sums and products are ordered by their first occurrence, so that equal expressions have equal nodes
-    def __init__(self, constants: Sequence[float]) -> None:
-        self._constants = constants
+    def __init__(self, *, guess: bool) -> None:
+        self._guess = guess
         self._order: dict[_Value, int] = {}
 
     def put(self, value: _Value) -> _Value:
@@ -130,7 +137,7 @@ class _Reader:
         if op in _COMPOSED:
             return _COMPOSED[op](*args)
         if op in ("pow", "constpow"):
-            return _power(*args)
+            return _power(*args, guess=self._guess)
         remedy = _SUBSTITUTES.get(op, "use + - * / ^ and the functions " + ", ".join(FUNCTIONS))
         raise UnsupportedOperation(f"operation {op!r} is not part of the claim grammar", key="claim", remedy=remedy)
 
@@ -159,12 +166,12 @@ def _plain(value: _Value, op: str) -> Node:
     return value
 
 
-def _power(base: Node, exponent: Node) -> Node:
+def _power(base: Node, exponent: Node, *, guess: bool) -> Node:
     if exponent.op != "num":
         return Node("exp", (exponent * Node("log", (base,)),))
     value = exponent.value
     near = value.limit_denominator(_LARGEST_SHARE)
-    if float(near) == float(value):
+    if guess and float(near) == float(value):
         value = near
     if abs(value) > _LARGEST_POWER:
         raise UnsupportedOperation(
@@ -175,11 +182,16 @@ def _power(base: Node, exponent: Node) -> Node:
     return power(base, value)
 
 
-def _constant(value: float, others: Sequence[float]) -> Node:
+def _double(value: float) -> Node:
     if not math.isfinite(value):
         raise UnsupportedOperation(
             f"contains the constant {value}", key="claim", remedy="find the expression that is undefined"
         )
+    return number(Fraction(value))
+
+
+def _constant(value: float, others: Sequence[float]) -> Node:
+    _double(value)
     share = _PI_PARTS.get(value)
     if share is not None:
         return PI if share == 1 else number(share) * PI

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from contextlib import suppress
 from fractions import Fraction
 from functools import lru_cache
 
@@ -13,6 +14,7 @@ from surctl.verification.formula.parser import FUNCTIONS, LARGEST_POWER, LONGEST
 __all__ = ["decimal_text", "reads_back", "text_of"]
 
 _SHALLOW = 50  # depth up to which no text is nested too deeply for the parser
+_DIGITS = 120  # most decimals of a number that is not written as a fraction
 _LARGEST = 10**16  # integers below it are written as such
 _BESIDE = 10  # most characters of an operation beside its operands: a name, commas, blanks and parentheses
 
@@ -70,16 +72,23 @@ def reads_back(root: Node, names: Collection[str]) -> bool:
 
 
 def decimal_text(value: Fraction) -> str:
-    """Return the text of a number: a decimal if the number has an exact decimal, otherwise a fraction p/q."""
+    """Return the text of a number: its exact decimal if it has a short one, otherwise a fraction p/q."""
     over, under = value.as_integer_ratio()
     return str(over) if under == 1 and -_LARGEST < over < _LARGEST else _decimal_text(over, under)
 
 
 @lru_cache(256)
 def _decimal_text(over: int, under: int) -> str:
-    short = repr(over / under)
-    read = Fraction(short)
-    return short if (read.numerator, read.denominator) == (over, under) else f"{over}/{under}"
+    with suppress(OverflowError):  # the parser reads larger numbers than doubles
+        short = repr(over / under)
+        if Fraction(short) == Fraction(over, under):
+            return short
+    if 10**_DIGITS % under == 0:
+        digits = str(abs(over) * 10**_DIGITS // under).zfill(_DIGITS + 1)
+        whole = f"{digits[:-_DIGITS]}.{digits[-_DIGITS:]}".rstrip("0").rstrip(".")
+        if len(whole) <= _DIGITS:
+            return f"-{whole}" if over < 0 else whole
+    return f"{over}/{under}"
 
 
 def _one(node: Node, args: list[tuple[str, int]]) -> tuple[str, int]:

@@ -11,7 +11,7 @@ from pydantic import Field, StrictBool, StrictFloat, StrictInt, StrictStr
 
 from surctl.control import Gains, law_source
 from surctl.errors import InputError
-from surctl.files import Strict, load_model, quoted
+from surctl.files import Strict, load_model, quoted, require_doubles
 from surctl.vehicle import Vehicle
 from surctl.verification.region.claim import RegionClaim, region_claim
 from surctl.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
@@ -189,7 +189,9 @@ def load_region(path: Path) -> RegionStatement:
     Raises:
         InputError: the file is not a region claim; the message names file, key, value and remedy.
     """
-    return load_model(path, RegionStatement)
+    statement = load_model(path, RegionStatement)
+    require_doubles(path)
+    return statement
 
 
 def write_region(statement: RegionStatement) -> str:

@@ -1,0 +1,55 @@
+"""Whether a claim says nothing, because no point of its box satisfies its constraints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from mpmath import libmp
+
+from surctl.certcheck.enclosure import Interval, Undefined, above, enclose, exact, span
+from surctl.certcheck.expressions import ExpressionTable
+from surctl.certcheck.inequality import Box
+from surctl.certcheck.patience import go_on
+
+__all__ = ["is_empty"]
+
+_MOST = 200  # boxes
+
+
+def is_empty(names: Sequence[str], box: Box, constraints: Sequence[str]) -> bool:
+    """Return True only if on the whole box some constraint is certainly positive: they hold together nowhere.
+
+    The box is halved until this is shown, a point satisfies all constraints, or `_MOST` boxes were tried.
+    """
+    table = ExpressionTable(names)
+    roots = [table.read(text) for text in constraints]
+    if not roots:
+        return False
+    waiting = [list(box)]
+    for _ in range(_MOST):
+        if not waiting:
+            return True
+        go_on()
+        part = waiting.pop()
+        if any(above(value) for value in _values(table, roots, [span(*ends) for ends in part])):
+            continue
+        centre = [low / 2 + high / 2 for low, high in part]
+        at = _values(table, roots, [exact(x) for x in centre])
+        if len(at) == len(roots) and all(libmp.mpf_le(value[1], libmp.fzero) for value in at):
+            return False
+        widths = [(high - low) / (top - bottom or 1.0) for (low, high), (bottom, top) in zip(part, box, strict=True)]
+        k = widths.index(max(widths))
+        low, high = part[k]
+        waiting += [[*part[:k], (low, centre[k]), *part[k + 1 :]], [*part[:k], (centre[k], high), *part[k + 1 :]]]
+    return False
+
+
+def _values(table: ExpressionTable, roots: Sequence[int], box: list[Interval]) -> list[Interval]:
+    """Return the ranges of those expressions that are defined on the whole box."""
+    values = []
+    for root in roots:
+        try:
+            values.append(enclose(table, [root], box)[0].value)
+        except Undefined:
+            continue
+    return values
