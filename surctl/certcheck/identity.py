@@ -50,7 +50,6 @@ class Exact:
         self._values: dict[int, Fraction_] = {}
         self._account = Account()
         self._inside: dict[str, Sum] = {}  # radicand of each root, by its atom
-        self._met: dict[str, int] = {}  # number of each root
         self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of each atan2 and acos
         self.assumed: list[Sum] = []
         self.entry_of: dict[str, int] = {}
@@ -105,8 +104,8 @@ class Exact:
     def _reduced(self, a: Sum) -> Sum:
         """Return the polynomial with powers of at most 1 of roots and sines."""
         while squared := {k for t in a for k, e in t if e >= 2 and k[:5] in ("sqrt{", "sine{")}:
-            # the square of the root that was met last contains only roots that were met before it
-            atom = max(squared, key=lambda k: self._met.get(k, -1))
+            # the name of a root contains those of the roots inside, which its square may raise
+            atom = max(squared, key=lambda k: (len(k), k))
             by = self._inside[atom] if atom[:5] == "sqrt{" else self._sine_square(atom)
             halves: dict[int, Sum] = {}
             for term, number in a.items():
@@ -208,8 +207,7 @@ class Exact:
         if inside == _ONE:
             return {(): scale}, a[1]
         atom = "sqrt{" + self._spelled(inside) + "}"
-        if atom not in self._inside:
-            self._inside[atom], self._met[atom] = inside, len(self._met)
+        self._inside[atom] = inside
         return {((atom, 1),): scale}, a[1]
 
     # ---- angles

@@ -3,20 +3,24 @@
 import json
 import runpy
 import time
+from collections.abc import Callable
 from fractions import Fraction
 from math import lcm
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from surctl.certcheck import check_document, patience
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.identity import Exact, Sum
+from surctl.certcheck.identity import Exact, Sum, _product
 from surctl.certcheck.patience import MEMORY, Account, afford, patient
-from surctl.certcheck.squares import _Block
+from surctl.certcheck.series import same_sign
+from surctl.certcheck.squares import _Block, _whole
+from surctl.certcheck.squares import _product as packed_product
 
 HERE = Path(__file__).parent
 HOSTILE = runpy.run_path(str(HERE.parents[1] / "analysis" / "24_checker_fuzz" / "hostile.py"))
@@ -47,6 +51,59 @@ def test_what_is_stored_is_counted(kind: str, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(patience, "MEMORY", 500_000)
     assert "more than 0.5 MB of memory" in check_document(document, time_limit=4.0).reason
     assert time.thread_time() - began < 1.0
+
+
+def normal_form(text: str) -> Callable[[], object]:
+    exact = Exact(ExpressionTable(["x", "y"]))
+    root = exact.expressions.read(text)  # without a limit
+    return lambda: Exact(exact.expressions).of(root)
+
+
+def series_of(text: str) -> Callable[[], object]:
+    table = ExpressionTable(["t"])
+    root = table.read(text)
+    return lambda: same_sign(table, [root], span(0.5, 1.0))
+
+
+def block_of(over: int) -> Callable[[], object]:
+    numbers = [1] * 820
+    block = _Block({"factors": [], "monomials": [[k] for k in range(40)], "over": over, "gram": numbers}, 1)
+    return block._integers
+
+
+TERMS = {m: Fraction(1, m + 1) for m in range(40)}
+STORED: dict[str, Callable[[], Callable[[], object]]] = {
+    "operations": lambda: lambda: ExpressionTable(["x"]).read("+".join(f"{k}*x" for k in range(200))),
+    "normal forms": lambda: normal_form("+".join(f"x^{k}" for k in range(1, 40))),
+    "names": lambda: normal_form("exp(" + "+".join(f"{k}.123456789123456789e-90*x^{k}" for k in range(1, 25)) + ")"),
+    "a product": lambda: lambda: _product({((f"v{k}", 1),): Fraction(k) for k in range(30)},
+                                          {((f"w{k}", 1),): Fraction(k) for k in range(30)}),
+    "series": lambda: series_of("+".join(f"t^{k}" for k in range(1, 30))),
+    "ranges": lambda: lambda: enclose(*jets("*".join(f"(x+{k})" for k in range(200)))),
+    "entries": lambda: block_of(3),
+    "integers": lambda: lambda: _whole({m: Fraction(1, 10**300 + m % 2) for m in range(400)}),
+    "a sum of squares": lambda: lambda: packed_product(TERMS, {m << 12: x for m, x in TERMS.items()}),
+}  # fmt: skip
+
+
+def jets(text: str) -> tuple[ExpressionTable, list[int], list]:
+    with patient(9.0), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(patience, "MEMORY", 1e9)
+        table = ExpressionTable(["x"])
+        return table, [table.read(text)], [span(0.0, 1.0)]
+
+
+@pytest.mark.parametrize("what", STORED)
+def test_each_store_has_its_limit(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for memory in (MEMORY, 60_000):
+        compute = STORED[what]()
+        monkeypatch.setattr(patience, "MEMORY", memory)
+        with patient(9.0):
+            if memory == MEMORY:
+                compute()
+            else:
+                with pytest.raises(Rejected, match="memory"):
+                    compute()
 
 
 def test_a_genuine_proof_needs_less_than_a_hundredth_of_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -108,6 +165,7 @@ def test_powers_of_roots_and_sines_have_one_normal_form(drawn) -> None:
 ENTRY = st.integers(-9, 9) | st.tuples(st.integers(-9, 9), st.integers(1, 12)).map(list)
 
 
+@example([4, 6, 0, 2, 8, 10], 6, {})
 @given(
     st.lists(ENTRY, min_size=6, max_size=6),
     st.integers(1, 24),
