@@ -339,6 +339,14 @@ def test_the_study_of_what_the_checker_accepts() -> None:
     assert rows["bound"][3].strip("| ") == "50 of 50", "the evidence does where the claim is true"
 
 
+def test_the_study_of_what_the_checker_needs() -> None:
+    done = run(ANALYSIS / "24_checker_fuzz" / "run.py", "--resources", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = {row[0]: row[1:] for row in table(done.stdout)}
+    assert {"long sum", "dense blocks"} <= set(rows)
+    assert all(30 < float(rows[kind][1]) < 100 for kind in ("long sum", "dense blocks"))
+
+
 def test_every_mutant_of_the_study_is_one_change_of_a_file_and_names_tests_that_are_there() -> None:
     study = runpy.run_path(str(ANALYSIS / "23_mutants" / "run.py"))
     mutants = study["load_model"](study["CONFIG"], study["Config"]).mutant

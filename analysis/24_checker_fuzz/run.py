@@ -1,9 +1,11 @@
 """Study 24: does the checker of certificates accept false claims?
 
     python analysis/24_checker_fuzz/run.py [--quick] [--points N] [--claims N] [--seed N] [--workers N] [--write]
+    python analysis/24_checker_fuzz/run.py --resources [--quick]
 
 Prints Markdown. The exit status is 0 if every interval contains the value at every point and no false claim is
-accepted, 1 otherwise, and 2 for a bad option.
+accepted, 1 otherwise, and 2 for a bad option. With `--resources`, it is 0 if no check takes more memory or time than
+the checker states.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import csv
 import math
 import random
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -28,9 +31,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import numpy as np
 from false_claims import false_claims
+from hostile import KINDS, measured, write
 from mpmath import libmp
 
-from surctl.certcheck import arrays, check_document
+from surctl.certcheck import PATIENCE, arrays, check_document
 from surctl.certcheck.arrays import ranges
 from surctl.certcheck.enclosure import Undefined, decimal, enclose
 from surctl.certcheck.expressions import ExpressionTable
@@ -343,6 +347,32 @@ def forgeries(count: int, seed: int) -> tuple[list[str], bool]:
     return [*rows, f"| all | {tried.total()} | {accepted.total()} | | |"], not accepted.total()
 
 
+SIZES = {90_000: 100e6, 7_900_000: 400e6}
+"""Largest memory of a process [bytes] that checks a file of some size [bytes]."""
+
+
+def resources(kinds: Sequence[str], sizes: Sequence[int]) -> tuple[list[str], bool]:
+    """Return the rows of the table, and whether no check takes too much memory or time."""
+    rows, good = [], True
+    with tempfile.TemporaryDirectory() as folder:
+        for kind in kinds:
+            row = f"| {kind} |"
+            for size in sizes:
+                path = Path(folder) / "certificate.json"
+                write(kind, size, path)
+                used, length = measured(path), path.stat().st_size
+                most = SIZES[90_000] if length < 100_000 else SIZES[7_900_000]
+                good &= used.memory <= most and used.seconds <= PATIENCE + 4.0 and used.status in "012"
+                row += f" {length / 1e3:.0f} | {used.memory / 1e6:.0f} | {used.seconds:.1f} |"
+            print(row, file=sys.stderr)
+            rows.append(row)
+    head = ["| hostile in its |", "|---|"]
+    for _ in sizes:
+        head[0] += " file [kB] | memory [MB] | time [s] |"
+        head[1] += "---|---|---|"
+    return [*head, *rows], good
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Run the study and print the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -352,7 +382,13 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes, for the functions")
     parser.add_argument("--write", action="store_true", help="write README.md beside this file; resumes")
+    parser.add_argument("--resources", action="store_true", help="memory and time of checks of hostile files instead")
     given = parser.parse_args(words)
+    if given.resources:
+        kinds, sizes = (("long sum", "dense blocks"), [90_000]) if given.quick else (tuple(KINDS), list(SIZES))
+        rows, good = resources(kinds, sizes)
+        print("\n".join(rows))
+        return 0 if good else 1
     if min(given.points, given.claims, given.workers) < 1 or (given.write and given.quick):
         parser.error("--points, --claims and --workers: at least 1; --write: not with --quick")
     points, claims = (200, 120) if given.quick else (given.points, given.claims)

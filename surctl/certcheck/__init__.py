@@ -8,7 +8,8 @@ raises `Rejected(reason)`.
 A certificate whose content does not match its hash is rejected. If someone alters the content and recomputes the hash,
 the file becomes a certificate of a different claim, and the checker rejects the file unless its content proves this
 different claim. So a false claim is never accepted, but an altered claim that is still true may be accepted. The check
-of a file is limited to `PATIENCE` seconds of processor time, and it needs about 400 MB of memory.
+of a file is limited to `PATIENCE` seconds of processor time and to `MEMORY` bytes of intermediate results: a process
+that checks a file below 100 kB needs at most 100 MB, and 400 MB for a larger file.
 """
 
 from __future__ import annotations
@@ -29,9 +30,9 @@ from surctl.certcheck.document import Rejected, canonical, read, seal, verify_fr
 from surctl.certcheck.elementary import Undefined
 from surctl.certcheck.emptiness import is_empty
 from surctl.certcheck.interval import variables_of
-from surctl.certcheck.patience import PATIENCE, patient
+from surctl.certcheck.patience import MEMORY, PATIENCE, patient
 
-__all__ = ["KINDS", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
+__all__ = ["KINDS", "MEMORY", "PATIENCE", "Checked", "Rejected", "canonical", "check_document", "check_file", "seal"]
 
 KINDS = ("barrier", "braking", "heading", "interval", "lyapunov", "region", "steering", "turning")
 """The kinds of certificate; each kind is a module of this package."""

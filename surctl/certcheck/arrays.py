@@ -37,7 +37,7 @@ Ends = tuple[Array, Array]
 """Lower and upper ends (B,) of intervals, or (1,) if all boxes have the same; no interval (None) is [0, 0]."""
 Leaf = tuple[str, list[tuple[float, float]]]
 
-_MOST = 2_000_000  # most numbers in the arrays of an expression
+_MOST = 500_000  # most intervals in the arrays of an expression
 _UNKNOWN = (np.nan, np.nan)
 _ONE = (np.ones(1), np.ones(1))
 _TERMS = 10  # of the series of cosine and sine

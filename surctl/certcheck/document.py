@@ -9,6 +9,7 @@ import os
 import stat
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ __all__ = [
     "canonical",
     "listed",
     "number",
+    "parse",
     "read",
     "read_bytes",
     "record",
@@ -32,8 +34,11 @@ FORMAT, VERSION = "surctl-certificate", 2
 LARGEST = 8_000_000
 """Largest size of a certificate file [bytes]; a larger file is not read."""
 
-
 _WHOLE = 2**53  # a larger integer may not be a double
+_MEMORY = 160_000_000  # largest memory of the data of a file [bytes]
+_LIST, _ENTRY = 96, 32  # memory of a list or object, and of an entry in it [bytes]
+_DIGITS = 4000  # most characters of an integer
+_SHOWN = 60  # most characters of a text in an error message
 
 
 class Rejected(Exception):
@@ -96,14 +101,50 @@ def read(path: Path) -> dict[str, Any]:
         InputError: the file cannot be read or is not a certificate.
         Rejected: the certificate was altered or damaged.
     """
-    raw = read_bytes(path, LARGEST, remedy="give a certificate file")
-    try:
-        document = json.loads(raw.decode("utf-8"), parse_constant=_refuse, object_pairs_hook=_once)
-    except (UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise InputError(f"is not JSON: {error}", file=path, remedy="give a certificate file") from None
+    remedy = "give a certificate file"
+    document = parse(read_bytes(path, LARGEST, remedy=remedy), path, remedy=remedy)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError(f"is not a file of format {FORMAT!r}", file=path, remedy="give a certificate file")
+        raise InputError(f"is not a file of format {FORMAT!r}", file=path, remedy=remedy)
     verify_frame(document)
+    return document
+
+
+def parse(raw: bytes, path: object, *, remedy: str) -> Any:
+    """Return the data of a JSON text (UTF-8) whose numbers are read exactly.
+
+    A number with a point or an exponent must be the one that a double prints (`repr` in Python), in any notation: so
+    the double, its text and the text that a hash covers are the same number. Integers are exact.
+
+    Args:
+        raw: the text.
+        path: the file, for error messages.
+        remedy: what the user can do, for error messages.
+
+    Raises:
+        InputError: the text is not JSON, a number is not exact, a key occurs twice, a text is not Unicode, or the data
+            would take more than `_MEMORY` bytes.
+    """
+    lists, entries = raw.count(b"[") + raw.count(b"{"), raw.count(b",")
+    if _LIST * lists + _ENTRY * entries > _MEMORY:
+        problem = f"has {lists} lists or objects and {entries} commas, too many to be read"
+        raise InputError(problem, file=path, remedy=remedy)
+    try:
+        text = raw.decode("utf-8")
+        document = json.loads(
+            text, parse_float=_exact, parse_int=_integer, parse_constant=_refuse, object_pairs_hook=_once
+        )
+        if "\\u" in text:  # an escape may be half a surrogate pair, which has no UTF-8
+            json.dumps(document, ensure_ascii=False).encode("utf-8")
+    except _Inexact:
+        key, literal = _first_inexact(text)
+        nearest = float(literal)
+        what = f"write {nearest!r}" if math.isfinite(nearest) else "it is too large for a double"
+        problem = f"{key} = {_short(literal)}: is not a number that a double prints; {what}"
+        raise InputError(problem, file=path, remedy=remedy) from None
+    except RecursionError:
+        raise InputError("is not JSON that can be read: it is nested too deeply", file=path, remedy=remedy) from None
+    except (UnicodeError, ValueError) as error:
+        raise InputError(f"is not JSON: {error}", file=path, remedy=remedy) from None
     return document
 
 
@@ -174,6 +215,57 @@ def number(value: object) -> float:
     return float(value)
 
 
+class _Inexact(ValueError):
+    """A number that is not exactly what a double prints."""
+
+
+def _exact(text: str) -> float:
+    value = float(text)
+    shown = repr(value)
+    if text != shown:
+        try:
+            same = Decimal(text) == Decimal(shown)  # exact, at any size of an exponent
+        except InvalidOperation:
+            same = False
+        if not same:
+            raise _Inexact(text)
+    return value
+
+
+def _integer(text: str) -> int:
+    if len(text) > _DIGITS:
+        raise ValueError(f"an integer has {len(text)} characters, more than {_DIGITS}")
+    return int(text)
+
+
+def _first_inexact(text: str) -> tuple[str, str]:
+    """Return the dotted key and the text of the first number of a JSON text that is not exact."""
+    met: list[_Inexact] = []
+
+    def mark(literal: str) -> object:
+        try:
+            return 0.0 if met else _exact(literal)
+        except _Inexact as error:
+            met.append(error)
+            return error
+
+    waiting = [("", json.loads(text, parse_float=mark))]
+    while waiting:
+        key, value = waiting.pop()
+        if met and value is met[0]:
+            return key.lstrip("."), str(value)
+        if isinstance(value, dict):
+            waiting += [(f"{key}.{_short(name)}", entry) for name, entry in value.items()]
+        elif isinstance(value, list):
+            waiting += [(f"{key}[{k}]", entry) for k, entry in enumerate(value) if not isinstance(entry, float)]
+    raise AssertionError("every number is exact")
+
+
+def _short(text: str) -> str:
+    text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    return text if text.isprintable() else ascii(text)[1:-1]
+
+
 def _refuse(name: str) -> float:
     raise ValueError(f"{name} is not a JSON number")
 
@@ -182,8 +274,5 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     table = dict(pairs)
     if len(table) < len(pairs):
         key, times = Counter(name for name, _ in pairs).most_common(1)[0]
-        raise ValueError(f"the key {key!r} occurs {times} times")
-    for key, value in table.items():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"the number {key!r} is too large for a double")
+        raise ValueError(f"the key '{_short(key)}' occurs {times} times")
     return table

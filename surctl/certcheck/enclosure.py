@@ -16,10 +16,9 @@ from typing import Any
 from mpmath import libmp
 
 from surctl.certcheck.angles import BITS, Interval, angle, arccos, circle, pi
-from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import ELEMENTARY, Undefined, elementary
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.patience import go_on
+from surctl.certcheck.patience import afford, go_on
 
 __all__ = [
     "Interval",
@@ -39,7 +38,7 @@ __all__ = [
 Slopes = list[Any]
 """The derivative with respect to each variable; None means 0."""
 
-_MOST = 2_000_000  # largest count of numbers in all jets of an expression
+_SIZE = 450  # memory of an interval [bytes]
 _ZERO = (libmp.fzero, libmp.fzero)
 _ONE = (libmp.fone, libmp.fone)
 _LINE = (libmp.fninf, libmp.finf)
@@ -148,13 +147,18 @@ def enclose(
     """
     jets: dict[int, Jet] = {}
     needed = expressions.needed(roots)
-    if len(needed) * len(box) ** order > _MOST:
-        raise Rejected("an expression has too many derivatives to be checked")
+    last = {a: at for at in needed for a in expressions.entries[at].args} if order else {}  # where operands end
+    last |= dict.fromkeys(roots, -1)
+    afford(_SIZE * len(needed))
     for k, at in enumerate(needed):
         if order > 1 or k % 64 == 0:
             go_on()
         entry = expressions.entries[at]
         jets[at] = _step(entry.op, entry.value, [jets[a] for a in entry.args], entry.args, box, order)
+        if order:
+            afford(_SIZE * len(jets) * len(box) ** order)
+            for a in {a for a in entry.args if last[a] == at}:
+                del jets[a]
     return [jets[r] for r in roots]
 
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.patience import go_on
+from surctl.certcheck.patience import Account, go_on
 
 __all__ = ["BRANCHES", "FUNCTIONS", "RESERVED", "Entry", "ExpressionTable"]
 
@@ -35,7 +35,8 @@ BRANCHES = ("abs", "max", "min", "select")
 _LONGEST, _DEEPEST, _MOST = 60_000, 150, 50_000
 _LONGEST_EXPONENT = 40  # characters of a number in an exponent
 _TOTAL = ("add", "mul", "neg", "num", "pi", "sub", "var")
-_CACHED, _SHORT = 64, 4000  # longest text whose parts are stored
+_CACHED, _SHORT = 100_000, 4000  # most positions in stored lists; longest text whose parts are stored
+_SIZE = 400  # memory of an operation, without the digits of its number [bytes]
 _LEXEME = re.compile(r"[ \t\n]*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?)|([A-Za-z]\w*)|([-+*/^(),])|$)", re.ASCII)
 _BINDS = {"+": 1, "-": 1, "*": 2, "/": 2}
 _OPS = {"+": "add", "-": "sub", "*": "mul", "/": "div"}
@@ -85,6 +86,8 @@ class ExpressionTable:
         self.entries: list[Entry] = []
         self._at: dict[tuple[str, tuple[int, ...], int, int], int] = {}
         self._live: dict[tuple[int, ...], list[int]] = {}
+        self._cached = 0
+        self._account = Account()
         self._read: dict[str, int] = {}
 
     def put(self, op: str, *args: int, value: Fraction | int = _NONE) -> int:
@@ -95,6 +98,7 @@ class ExpressionTable:
         if at is None:
             if len(self.entries) >= _MOST:
                 raise Rejected(f"the expressions have more than {_MOST} operations")
+            self._account.hold(_SIZE + (over.bit_length() + under.bit_length()) // 4)
             at = self._at[key] = len(self.entries)
             self.entries.append(Entry(op, args, value if type(value) is Fraction else Fraction(value)))
         return at
@@ -109,8 +113,10 @@ class ExpressionTable:
                     if a not in live:
                         live.add(a)
                         waiting.append(a)
-            if len(self._live) >= _CACHED:
+            self._cached += len(live)
+            if self._cached > _CACHED:
                 self._live.clear()
+                self._cached = len(live)
             self._live[key] = sorted(live)
         return self._live[key]
 

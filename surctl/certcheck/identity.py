@@ -16,7 +16,7 @@ from math import isqrt, lcm
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import ELEMENTARY
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.patience import go_on
+from surctl.certcheck.patience import Account, afford, go_on
 
 __all__ = ["Exact", "Fraction_"]
 
@@ -26,11 +26,12 @@ Fraction_ = tuple[Sum, Sum]
 """A fraction of polynomials: (numerator, denominator)."""
 
 _MOST = 3000  # most terms of a polynomial
-_HELD = 400_000  # most terms of all stored polynomials
-_LONG = 8  # factors of a term that count as one term
+_SHARED = 1_000_000  # largest size of normal forms that another proof goes on with [bytes]
+_TERM, _POWER = 280, 80  # size of a term and its coefficient, and of each power of it [bytes]
 _BITS = 4096  # most bits of a coefficient's numerator or denominator
 _LONGEST = 20_000  # most characters of an atom's name
 _TOO_LARGE = "an identity is too large to be checked"
+_SMALL = 64  # products of terms that need no account
 _UNIT = Fraction(1)
 _ONE: Sum = {(): _UNIT}
 
@@ -47,7 +48,7 @@ class Exact:
     def __init__(self, expressions: ExpressionTable) -> None:
         self.expressions = expressions
         self._values: dict[int, Fraction_] = {}
-        self._held = 0
+        self._account = Account()
         self._inside: dict[str, Sum] = {}  # radicand of each root, by its atom
         self._angles: dict[str, tuple[Fraction_, Fraction_]] = {}  # cosine and sine of each atan2 and acos
         self.assumed: list[Sum] = []
@@ -56,7 +57,7 @@ class Exact:
     @property
     def reusable(self) -> bool:
         """Whether the normal forms so far assume nothing, and are few enough for another proof to go on with them."""
-        return not self.assumed and self._held <= _HELD // 100
+        return not self.assumed and self._account.held <= _SHARED
 
     def equal(self, a: int, b: Callable[[Exact], Fraction_]) -> bool:
         """Return whether the expression at table position `a` equals the fraction that the function `b` returns."""
@@ -93,34 +94,27 @@ class Exact:
             return b if a is _ONE else a
         if len(a) * len(b) > _MOST * 4:
             raise Rejected(_TOO_LARGE)
-        out: Sum = {}
-        for k, (s, x) in enumerate(a.items()):
-            if k % 16 == 0:
-                go_on()
-            for t, y in b.items():
-                if not s or not t:
-                    term = s or t
-                else:
-                    powers = dict(s)
-                    for atom, e in t:
-                        powers[atom] = powers.get(atom, 0) + e
-                    term = tuple(sorted(powers.items()))
-                product = y if x is _UNIT else x if y is _UNIT else x * y
-                out[term] = out[term] + product if term in out else product
-        return self._simple({t: x for t, x in out.items() if x})
-
-    def _simple(self, a: Sum) -> Sum:
-        for term, number in a.items():
-            for atom, e in term:
-                if e >= 2 and atom[:5] in ("sqrt{", "sine{"):
-                    rest = tuple((k, n - 2 * (k == atom)) for k, n in term if n > 2 * (k == atom))
-                    others = {t: x for t, x in a.items() if t != term}
-                    by = self._inside[atom] if atom[:5] == "sqrt{" else self._sine_square(atom)
-                    return self.plus(self._simple(others), self.mul({rest: number}, by))
-        if len(a) > _MOST:
+        out = self._reduced(_product(a, b))
+        if len(out) > _MOST:
             raise Rejected(_TOO_LARGE)
-        for number in a.values():
+        for number in out.values():
             _check_size(number)
+        return out
+
+    def _reduced(self, a: Sum) -> Sum:
+        """Return the polynomial with powers of at most 1 of roots and sines."""
+        while squared := {k for t in a for k, e in t if e >= 2 and k[:5] in ("sqrt{", "sine{")}:
+            # the name of a root contains those of the roots inside, which its square may raise
+            atom = max(squared, key=lambda k: (len(k), k))
+            by = self._inside[atom] if atom[:5] == "sqrt{" else self._sine_square(atom)
+            halves: dict[int, Sum] = {}
+            for term, number in a.items():
+                half, odd = divmod(dict(term).get(atom, 0), 2)
+                rest = tuple((k, odd if k == atom else e) for k, e in term if k != atom or odd)
+                halves.setdefault(half, {})[rest] = number
+            a = {}
+            for half in range(max(halves), -1, -1):
+                a = self.plus(_product(a, by), halves.get(half, {}))
         return a
 
     @staticmethod
@@ -145,9 +139,7 @@ class Exact:
             if at not in self._values:
                 go_on()
                 self._values[at] = self._step(at)
-                self._held += sum(max(1, len(term) // _LONG) for poly in self._values[at] for term in poly)
-                if self._held > _HELD:
-                    raise Rejected(_TOO_LARGE)
+                self._account.hold(sum(_size(poly) for poly in self._values[at] if poly is not _ONE))
         return self._values[root]
 
     def _step(self, at: int) -> Fraction_:
@@ -187,7 +179,7 @@ class Exact:
             case "atan2" | "acos":
                 return self._inverse_angle(entry.op, *args)
             case _ if entry.op in ELEMENTARY:
-                atom = f"{entry.op}{entry.value}{{{_spelled(args[0][0])} over {_spelled(args[0][1])}}}"
+                atom = f"{entry.op}{entry.value}{{{self._spelled(args[0][0])} over {self._spelled(args[0][1])}}}"
                 self.entry_of.setdefault(atom, at)
                 return {((atom, 1),): Fraction(1)}, _ONE
             case _:  # abs, max, min or select without a choice is a new unknown
@@ -214,14 +206,14 @@ class Exact:
         inside = {t: x / scale**2 for t, x in inside.items()}
         if inside == _ONE:
             return {(): scale}, a[1]
-        atom = "sqrt{" + _spelled(inside) + "}"
+        atom = "sqrt{" + self._spelled(inside) + "}"
         self._inside[atom] = inside
         return {((atom, 1),): scale}, a[1]
 
     # ---- angles
 
     def _inverse_angle(self, op: str, *args: Fraction_) -> Fraction_:
-        atom = op + "{" + ";".join(_spelled(a[0]) + " over " + _spelled(a[1]) for a in args) + "}"
+        atom = op + "{" + ";".join(self._spelled(a[0]) + " over " + self._spelled(a[1]) for a in args) + "}"
         if atom not in self._angles:
             if op == "acos":
                 square = self.times(args[0], args[0])
@@ -237,7 +229,7 @@ class Exact:
         """Return (cos, sin) of an angle as the product of the unit complex numbers of its terms."""
         over, under = angle
         if set(under) != {()}:
-            return self._unit(_spelled(over) + " over " + _spelled(under), 1)
+            return self._unit(self._spelled(over) + " over " + self._spelled(under), 1)
         total: tuple[Fraction_, Fraction_] = ((_ONE, _ONE), ({}, _ONE))
         for term, number in over.items():
             total = self._turned(total, self._one_term(term, number / under[()]))
@@ -251,13 +243,21 @@ class Exact:
         if len(term) == 1 and term[0][1] == 1 and term[0][0] in self._angles and number.denominator == 1 and times < 9:
             one = self._angles[term[0][0]]
         elif times < 9:
-            one, times = self._unit(_spelled({term: Fraction(1, number.denominator)}), 1), times
+            one, times = self._unit(self._spelled({term: Fraction(1, number.denominator)}), 1), times
         else:
-            one, times = self._unit(_spelled({term: abs(number)}), 1), 1
+            one, times = self._unit(self._spelled({term: abs(number)}), 1), 1
         total = one
         for _ in range(times - 1):
             total = self._turned(total, one)
         return (total[0], (self.plus({}, total[1][0], -1), total[1][1])) if number < 0 else total
+
+    def _spelled(self, a: Sum) -> str:
+        # equal polynomials have equal texts
+        text = "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))
+        if len(text) > _LONGEST:
+            raise Rejected(_TOO_LARGE)
+        self._account.hold(2 * len(text))  # the names of one or two atoms
+        return text
 
     @staticmethod
     def _unit(key: str, power: int) -> tuple[Fraction_, Fraction_]:
@@ -269,12 +269,37 @@ class Exact:
         return cosine, self.add(self.times(a[1], b[0]), self.times(a[0], b[1]))
 
 
-def _spelled(a: Sum) -> str:
-    # equal polynomials have equal texts
-    text = "+".join(f"{x}" + "".join(f"*{k}^{e}" for k, e in t) for t, x in sorted(a.items()))
-    if len(text) > _LONGEST:
-        raise Rejected(_TOO_LARGE)
-    return text
+def _product(a: Sum, b: Sum) -> Sum:
+    """Return a b without reduction."""
+    out: Sum = {}
+    if len(a) * len(b) > _SMALL:
+        go_on()
+        afford(_TERM * min(len(a) * len(b), 4 * _MOST) + (len(b) * _bits(a) + len(a) * _bits(b)) / 8)
+    for k, (s, x) in enumerate(a.items()):
+        if k % 16 == 0:
+            go_on()
+        if len(out) > 4 * _MOST:
+            raise Rejected(_TOO_LARGE)
+        for t, y in b.items():
+            if not s or not t:
+                term = s or t
+            else:
+                powers = dict(s)
+                for atom, e in t:
+                    powers[atom] = powers.get(atom, 0) + e
+                term = tuple(sorted(powers.items()))
+            product = y if x is _UNIT else x if y is _UNIT else x * y
+            out[term] = out[term] + product if term in out else product
+    return {t: x for t, x in out.items() if x}
+
+
+def _bits(a: Sum) -> int:
+    return sum(x.numerator.bit_length() + x.denominator.bit_length() for x in a.values())
+
+
+def _size(a: Sum) -> int:
+    """Return the memory of a polynomial [bytes]."""
+    return len(a) * _TERM + _POWER * sum(map(len, a)) + _bits(a) // 8
 
 
 def _check_size(number: Fraction) -> None:

@@ -19,7 +19,7 @@ from surctl.certcheck.angles import BITS, pi
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import Interval, Undefined, above, enclose, exact, minus, mul, over, plus, rational
 from surctl.certcheck.expressions import ExpressionTable
-from surctl.certcheck.patience import go_on
+from surctl.certcheck.patience import afford, go_on
 
 __all__ = ["same_sign"]
 
@@ -28,6 +28,7 @@ Series = list[Any]
 
 _ORDER = 6
 _PIECES = 600
+_SIZE = 3000  # memory of a series [bytes]
 _ZERO, _ONE = rational(Fraction(0)), rational(Fraction(1))
 _AT_ZERO = {"sin": 0, "cos": 1, "exp": 1, "tan": 0, "tanh": 0, "atan": 0, "asin": 0}
 _UNARY = ("acos", "asin", "atan", "cos", "exp", "log", "sin", "sqrt", "tan", "tanh")
@@ -92,7 +93,9 @@ def _sign(table: ExpressionTable, root: int, low: float, high: float) -> int:
 
 def _series(table: ExpressionTable, root: int, point: Interval) -> Series:
     known: dict[int, Series] = {}
-    for at in table.needed([root]):
+    needed = table.needed([root])
+    afford(_SIZE * len(needed))
+    for at in needed:
         go_on()
         entry = table.entries[at]
         known[at] = _step(entry.op, entry.value, [known[a] for a in entry.args], point)

@@ -24,11 +24,11 @@ have to be tested.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import reduce
-from math import lcm
+from math import gcd, lcm
 from typing import Any
 
 from surctl.certcheck.definite import is_semidefinite
@@ -36,13 +36,14 @@ from surctl.certcheck.document import Rejected, listed, record
 from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact, Sum
-from surctl.certcheck.patience import go_on
+from surctl.certcheck.patience import Account, afford, go_on
 from surctl.certcheck.series import same_sign
 
 __all__ = ["Claimed", "check_squares"]
 
 _SYMBOLS, _FACTS, _BLOCKS, _LARGEST, _FACTORS = 40, 60, 600, 130, 4
 _EXPONENT, _BITS, _TERMS, _DIGITS = 60, 6000, 60_000, 4
+_SIZE = 360  # memory of a term, without the digits of its coefficient [bytes]
 _FIELD = 12  # bits of one exponent in a packed monomial; sums of exponents stay below 2^12
 
 Packed = dict[int, Fraction]
@@ -122,6 +123,7 @@ class _Ring:
         for at, position in enumerate(positions):
             self._define(at, self._sum(position))
         self._known: dict[str, Packed] = {}
+        self._account = Account()
 
     def _define(self, at: int, poly: Sum) -> None:
         offset = poly.get((), Fraction(0))
@@ -190,6 +192,7 @@ class _Ring:
                 self._known[name] = self._fact(self._facts[at])
             else:
                 self._known[name] = self._bound(at, lower=kind == "l")
+            self._account.hold(_size(self._known[name]))
         return self._known[name]
 
     def _bound(self, at: int, *, lower: bool) -> Packed:
@@ -252,38 +255,56 @@ class _Block:
             raise Rejected("a monomial occurs twice")
         if len(numbers) != size * (size + 1) // 2:
             raise Rejected("a matrix of a sum of squares has a wrong number of entries")
-        over = _fraction([1, entry["over"]])
-        self.entries = [over * _integer(x) if isinstance(x, int) else _fraction(x) for x in numbers]
+        self._over, self._numbers = _fraction([1, entry["over"]]).denominator, numbers
+        self._added: dict[int, Fraction] = {}  # to entries
 
-    def pairs(self) -> list[tuple[int, bool]]:
-        """Return the monomial of each entry and whether the entry is on the diagonal."""
+    def add(self, at: int, more: Fraction) -> None:
+        """Add a number to an entry of the triangle."""
+        self._added[at] = more
+
+    def pairs(self) -> Iterator[tuple[int, bool]]:
+        """Yield the monomial of each entry and whether the entry is on the diagonal."""
         z = self.monomials
-        return [(z[i] + z[j], i == j) for i in range(len(z)) for j in range(i + 1)]
+        return ((z[i] + z[j], i == j) for i in range(len(z)) for j in range(i + 1))
 
     def polynomial(self) -> Packed:
         """Return z' G z."""
-        whole = self._denominator()
+        numbers, whole = self._integers()
         total: dict[int, int] = {}
-        for (m, diagonal), x in zip(self.pairs(), self.entries, strict=True):
-            number = x.numerator * (whole // x.denominator)
-            total[m] = total.get(m, 0) + (number if diagonal else 2 * number)
+        for (m, diagonal), x in zip(self.pairs(), numbers, strict=True):
+            total[m] = total.get(m, 0) + (x if diagonal else 2 * x)
+        afford(len(total) * (_SIZE + whole.bit_length() // 4))
         return {m: Fraction(x, whole) for m, x in total.items() if x}
 
     def check(self) -> None:
         """Raise Rejected unless G is positive semidefinite."""
         go_on()
-        whole, size = self._denominator(), len(self.monomials)
+        size, numbers = len(self.monomials), iter(self._integers()[0])
         matrix = [[0] * size for _ in range(size)]
-        numbers = iter(self.entries)
         for i in range(size):
             for j in range(i + 1):
-                x = next(numbers)
-                matrix[i][j] = matrix[j][i] = x.numerator * (whole // x.denominator)
+                matrix[i][j] = matrix[j][i] = next(numbers)
         if not is_semidefinite(matrix):
             raise Rejected("the matrix of a sum of squares is not shown to be positive semidefinite")
 
-    def _denominator(self) -> int:
-        return _common(self.entries)
+    def _integers(self) -> tuple[list[int], int]:
+        """Return the entries as integers over their least common denominator, and the denominator.
+
+        Only the numbers of the document are stored: they need less memory than fractions.
+        """
+        over = self._over
+        others = {at: _fraction(x) for at, x in enumerate(self._numbers) if not isinstance(x, int)}
+        for at, more in self._added.items():
+            others[at] = more + (others[at] if at in others else Fraction(self._numbers[at], over))
+        whole = lcm(over, _common(others.values()))
+        afford(len(self._numbers) * (_SIZE + (whole.bit_length() + _BITS) // 8))
+        scale = whole // over
+        numbers = [
+            x.numerator * (whole // x.denominator) if x is not None else scale * _integer(y)
+            for x, y in ((others.get(at), y) for at, y in enumerate(self._numbers))
+        ]
+        shared = gcd(whole, *numbers)
+        return (numbers if shared == 1 else [x // shared for x in numbers]), whole // shared
 
 
 def _absorbed(rest: Packed, blocks: Sequence[_Block]) -> None:
@@ -292,7 +313,7 @@ def _absorbed(rest: Packed, blocks: Sequence[_Block]) -> None:
     for block in blocks:
         for at, (m, diagonal) in enumerate(block.pairs()):
             if m in waiting:
-                block.entries[at] += waiting.pop(m) / (1 if diagonal else 2)
+                block.add(at, waiting.pop(m) / (1 if diagonal else 2))
     if waiting:
         raise Rejected("the sums of squares do not make up the claim")
 
@@ -302,19 +323,23 @@ def _product(a: Packed, b: Packed) -> Packed:
         raise Rejected("a product in a sum of squares is too large")
     over, under = _whole(a), _whole(b)
     total: dict[int, int] = {}
+    size = _SIZE + (over[2] + under[2]) // 4
     for m, x in over[0].items():
         go_on()
         for n, y in under[0].items():
             total[m + n] = total.get(m + n, 0) + x * y
-    if len(total) > _TERMS:
-        raise Rejected("a product in a sum of squares is too large")
+        if len(total) > _TERMS:
+            raise Rejected("a product in a sum of squares is too large")
+        afford(len(total) * size)
     return {m: Fraction(x, over[1] * under[1]) for m, x in total.items() if x}
 
 
-def _whole(a: Packed) -> tuple[dict[int, int], int]:
-    """Return integers and their common denominator."""
+def _whole(a: Packed) -> tuple[dict[int, int], int, int]:
+    """Return integers and their common denominator, and the most bits of any of them."""
     whole = _common(a.values())
-    return {m: x.numerator * (whole // x.denominator) for m, x in a.items()}, whole
+    bits = whole.bit_length() + max((x.numerator.bit_length() for x in a.values()), default=0)
+    afford(len(a) * (_SIZE + bits // 8))
+    return {m: x.numerator * (whole // x.denominator) for m, x in a.items()}, whole, bits
 
 
 def _common(numbers: Iterable[Fraction]) -> int:
@@ -334,7 +359,12 @@ def _less(a: Packed, b: Packed) -> Packed:
         total[m] = total[m] - x if m in total else -x
         if total[m].denominator.bit_length() > 4 * _BITS:
             raise Rejected("an integer in a sum of squares has too many digits")
+    afford(_size(total))
     return {m: x for m, x in total.items() if x}
+
+
+def _size(a: Packed) -> int:
+    return len(a) * _SIZE + sum(x.numerator.bit_length() + x.denominator.bit_length() for x in a.values()) // 8
 
 
 def _monomial(exponents: object, count: int) -> int:

@@ -116,21 +116,25 @@ def _check_decay(
         raise Rejected("P is too ill-conditioned for double precision")
     A, b, m = loops
     rate, unit, near = float(claim.rate), change @ P @ change.T, float(node.moment) / float(claim.moment)
-    free = np.tensordot(np.tensordot(change @ P, np.moveaxis(A, 0, -1), 1), change, ([1], [1])).swapaxes(1, 2)
-    free = free + free.swapaxes(0, 1)
-    column, row = (change @ P) @ b.T, change @ m.T
-    most = np.abs(A).max(axis=0) + np.outer(np.abs(b).max(axis=0), np.abs(m).max(axis=0)) * _UP
+    most_b, most_m = np.abs(b).max(axis=0), np.abs(m).max(axis=0)
+    most = np.maximum(A.max(axis=0), -A.min(axis=0)) + np.outer(most_b, most_m) * _UP
     whole = 2 * np.abs(change) @ np.abs(P) @ most @ np.abs(change).T
-    moment = np.abs(change) @ np.abs(m).max(axis=0)
+    moment = np.abs(change) @ most_m
+    weighted = []
     for share, multiplier in shares:
         weight = multiplier * share**2 / (float(node.moment) * float(claim.moment))
         terms = whole + (rate + multiplier * near) * size + weight * np.outer(moment, moment)
         constant = (rate - multiplier * near) * unit + _ROUNDING * float(terms.sum()) * np.eye(_SIZE)
-        for start in range(0, len(A), _CHUNK):
+        weighted.append((share, weight, constant[:, :, None]))
+    for start in range(0, len(A), _CHUNK):
+        at = np.s_[start : start + _CHUNK]
+        free = np.tensordot(np.tensordot(change @ P, np.moveaxis(A[at], 0, -1), 1), change, ([1], [1])).swapaxes(1, 2)
+        free = free + free.swapaxes(0, 1)
+        column, r = (change @ P) @ b[at].T, change @ m[at].T
+        for share, weight, constant in weighted:
             go_on()
-            at = np.s_[..., start : start + _CHUNK]
-            c, r = share * column[at], row[at]
-            M = -free[at] - constant[:, :, None] - c[:, None] * r - r[:, None] * (c + weight * r)
+            c = share * column
+            M = -free - constant - c[:, None] * r - r[:, None] * (c + weight * r)
             for k in range(_SIZE):
                 if not np.all(M[k, k] > 0):  # a NaN fails this test too
                     raise Rejected("V does not decay at the claimed rate")
