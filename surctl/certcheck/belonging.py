@@ -275,8 +275,10 @@ class _Comparison:
             for key, value, name in zip(("linear_drag", "quadratic_drag"), own, names, strict=True):
                 self._gain(key, law[key][at], axis)
                 self._within("drag", [value * end for end in vehicle["drag_factor"]], (name,))
-        self._at_least("thrust_limit of yaw", vehicle["moment_nm"], "N m", self._yaw_limits())
-        have = [] if self.manifest.side is None else [self.manifest.side]
+        fins = self.manifest.fins
+        limits = [*self._gains("thrust_limit")[3:4], fins["moment_nm"]] if fins else self._yaw_limits()
+        self._at_least("thrust_limit of yaw", vehicle["moment_nm"], "N m", limits)
+        have = [fins["side_per_m"]] if "side_per_m" in fins else [] if fins else [0.0]
         self._equal("side force of the fins", vehicle["side_per_m"], have)
         low, high = vehicle["speed_m_per_s"]
         for value in self._gains("cruise"):

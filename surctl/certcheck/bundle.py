@@ -37,6 +37,9 @@ _MOST = 2000  # files and folders
 _DEEPEST = 6  # folders inside one another
 _OBJECTS = (".o", ".obj", ".a", ".lib", ".so", ".dylib", ".dll", ".exe", ".elf", ".pyc")
 _PROGRAMS = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # first bytes of an executable
+_NUMBERS = {"initial_state": "state", "values": "parameters"}
+"""Entries of an instruction list that are numbers, with the vector whose values they are."""
+
 _REMEDY = "give the folder of an export"
 
 
@@ -84,7 +87,8 @@ class Manifest:
         gains_id: id of law and gains, which the C function `gains_id` returns for the gains that the robot uses.
         lists: the instruction lists by digest.
         extra: names of results of a compiler in the folder.
-        side: sway force of the vehicle's fins for each N m of their yaw moment [1/m]; None if it is not stated.
+        fins: what the vehicle's fins do at the cruise speed, by name: `moment_nm`, and `side_per_m` if it is fixed;
+            empty without fins.
     """
 
     id: str
@@ -100,7 +104,7 @@ class Manifest:
     gains_id: str = ""
     lists: Mapping[str, Listed] = field(default_factory=dict)
     extra: tuple[str, ...] = ()
-    side: float | None = None
+    fins: Mapping[str, float] = field(default_factory=dict)
 
 
 def numbers_sha256(numbers: Sequence[float]) -> str:
@@ -186,12 +190,12 @@ def read_manifest(document: Any, texts: Mapping[str, str]) -> Manifest:
             (_text(law["sha256"]), _text(law["ground_truth_sha256"])), gains, _text(vehicle["sha256"]), claims, (),
             values, _ranges(vehicle.get("ranges")), _text(document["gains"]["id"]),
         )  # fmt: skip
-        side = _number(vehicle["side_per_m"]) if "side_per_m" in vehicle else None
+        fins = {_text(name): _number(value) for name, value in vehicle.get("fins", {}).items()}
         numbers = [v for row in gains.values() for v in row]
         flat = numbers_sha256(numbers)
         parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, _text(law["initial_state_sha256"]))
         wrong = [] if document["gains"]["sha256"] == flat else ["the stated hash of the gains is wrong"]
-        if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values):
+        if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values, _text(vehicle.get("thrusters", ""))):
             wrong.append("the stated hash of the vehicle is wrong")
         if manifest.gains_id != _gains_id(parts, numbers, manifest.real):
             wrong.append("the stated id of law and gains is wrong")
@@ -212,7 +216,7 @@ def read_manifest(document: Any, texts: Mapping[str, str]) -> Manifest:
             wrong.append("the stated hash of the initial state is wrong")
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
         raise _no_manifest(None) from None
-    return replace(manifest, wrong=tuple(wrong), lists=lists, side=side)
+    return replace(manifest, wrong=tuple(wrong), lists=lists, fins=fins)
 
 
 def _no_manifest(path: Path | None) -> InputError:
@@ -294,19 +298,26 @@ def _text(value: Any) -> str:
 def _vectors(entry: Mapping[str, Any]) -> tuple[dict[str, tuple[Port, ...]], dict[str, tuple[float, ...]]]:
     vectors, numbers = dict[str, tuple[Port, ...]](), dict[str, tuple[float, ...]]()
     for name, rows in entry.items():
-        if name == "sha256":
-            continue
-        if all(isinstance(row, dict) for row in rows) and name not in ("initial_state", "values"):
-            vectors[name] = tuple(Port(_text(r["name"]), _size(r["size"]), _text(r["unit"])) for r in rows)
-        else:
-            numbers[name] = _numbers(rows)
+        if name not in ("sha256", *_NUMBERS):
+            vectors[name] = tuple(map(_port, rows))
+    for name in _NUMBERS.keys() & entry.keys():
+        numbers[name] = tuple(n for row, port in zip(entry[name], vectors[_NUMBERS[name]], strict=True)
+                              for n in _row(row, port.size))  # fmt: skip
     return vectors, numbers
 
 
-def _size(value: Any) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise TypeError(value)
-    return value
+def _row(row: Any, size: int) -> tuple[float, ...]:
+    values = _numbers(row) if isinstance(row, list) else (_number(row),) * size  # one number for all
+    if len(values) != size:
+        raise ValueError("a port has another number of values")
+    return values
+
+
+def _port(text: str) -> Port:
+    match = re.fullmatch(r"(\w+)\[(\d{1,7})\] (.+)", text)
+    if match is None:
+        raise ValueError(text)
+    return Port(match[1], int(match[2]), match[3])
 
 
 def _ranges(ranges: Any) -> dict[str, tuple[float, float]] | None:
@@ -318,8 +329,8 @@ def _ranges(ranges: Any) -> dict[str, tuple[float, float]] | None:
     return ends
 
 
-def _vehicle_sha256(values: Mapping[str, float]) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+def _vehicle_sha256(values: Mapping[str, float], thrusters: str) -> str:
+    return hashlib.sha256((json.dumps(values, sort_keys=True) + thrusters).encode()).hexdigest()
 
 
 def _gains_id(parts: Sequence[str], numbers: Sequence[float], real: str) -> str:

@@ -27,7 +27,7 @@ from surctl.certcheck.bundle import Listed, Manifest, Port
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.instructions import evaluate, read_list
 from surctl.certcheck.steering_claim import SteeringClaim
-from surctl.certcheck.steering_law import commanded_moments
+from surctl.certcheck.steering_law import available, commanded_moments
 from surctl.certcheck.turning_law import Follower, followed
 
 __all__ = ["Law", "Same", "compare_braking", "compare_following", "compare_steering"]
@@ -117,8 +117,9 @@ class Law:
 
     def _filled(self, vector: str, table: Array, values: Mapping[str, Any]) -> Array:
         for name, value in values.items():
-            own = np.asarray(value, dtype=float)
-            self.part(vector, table, name)[:] = own if own.ndim == 2 else own.reshape(-1, 1) if own.ndim == 1 else own
+            own, target = np.asarray(value, dtype=float), self.part(vector, table, name)
+            # one number for each entry, or for each point of a part with one entry
+            target[:] = own[:, None] if own.ndim == 1 and len(own) == len(target) else own
         return table
 
 
@@ -223,11 +224,13 @@ def compare_steering(law: Law, claim: SteeringClaim, report: Report) -> None:
     crab_rate = (slip - crab) / (float(claim.crab_time) + dt)
     sway_rate = -(float(claim.centripetal) / m22 * u * r + damping * sway) / (1 + dt * damping)
     least, most = commanded_moments(claim, y, psi, r, u, late_crab, late_sway)
-    inside = np.clip(given["tau"][3], np.minimum(least, most), np.maximum(least, most))
+    limit = available(claim, u)  # of fins, which cannot deliver more, whatever the law asks for
+    moment = np.clip(given["tau"][3], -limit, limit)
+    inside = np.clip(moment, np.minimum(least, most), np.maximum(least, most))
     for what, unit, first, second in (
         ("rate of the crab filter", "rad/s", crab_rate, (late_crab - crab) / dt),
         ("rate of the sway filter", "m/s^2", sway_rate, (late_sway - sway) / dt),
-        ("yaw moment", "N m", inside, given["tau"][3]),
+        ("yaw moment", "N m", inside, moment),
     ):
         if (apart := law.same.apart(first[None], second[None])).any():
             at = int(np.argmax(apart))

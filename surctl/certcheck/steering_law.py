@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.steering_claim import SteeringClaim
 
-__all__ = ["check_samples", "commanded_moments", "draw_crafts", "true_rate"]
+__all__ = ["available", "check_samples", "commanded_moments", "draw_crafts", "true_rate"]
 
 Array = NDArray[np.float64]
 
@@ -46,23 +46,24 @@ def commanded_moments(
     ahead = max(float(claim.lookahead), cruise / float(_planned(claim, np.array([cruise]))[0]))
     desired = -np.arctan2(y, ahead) - crab
     error = np.arctan2(np.sin(desired - psi), np.cos(desired - psi))
-    swing = np.sqrt(_available(claim, u) / m44 * np.abs(error))
+    swing = np.sqrt(available(claim, u) / m44 * np.abs(error))
     largest = np.minimum(_planned(claim, np.maximum(u, cruise / 4)), swing)
     turn = np.clip(float(claim.k_psi) * error, -largest, largest)
     free = nr * turn + nrr * turn * np.abs(turn) + m44 * float(claim.k_r) * (turn - r)
-    most, left = _available(claim, u), float(claim.cap) / np.hypot(float(claim.cap), s)
+    most, left = available(claim, u), float(claim.cap) / np.hypot(float(claim.cap), s)
     least, whole = (np.clip(free + float(claim.munk) * u * share * s, -most, most) for share in (left, 1.0))
     return least, whole
 
 
-def _available(claim: SteeringClaim, speed: Array) -> Array:
+def available(claim: SteeringClaim, speed: Array) -> Array:
+    """Return the largest yaw moment (n,) [N m] at surge speeds (n,): that of fins grows with the square of the speed."""
     most, cruise = float(claim.moment), float(claim.cruise)
     return most * np.minimum(speed / cruise, 1) ** 2 if claim.finned else np.full_like(speed, most)
 
 
 def _planned(claim: SteeringClaim, speed: Array) -> Array:
     (yv, nr), (yvv, nrr) = ([float(n) for n in pair] for pair in (claim.linear, claim.quadratic))
-    most = _available(claim, speed)
+    most = available(claim, speed)
     limit = 1.7 * most / (nr + np.sqrt(nr * nr + 3.4 * nrr * most))
     drift = np.minimum(float(claim.sideslip) * speed, 0.5 * most / max(abs(float(claim.munk)), 1e-9) / speed)
     return np.asarray(np.minimum((yv * drift + yvv * drift**2) / (float(claim.centripetal) * speed), limit))

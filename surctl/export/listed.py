@@ -31,28 +31,33 @@ class Listed:
     Attributes:
         block: the program or routine.
         vectors: layout of each vector that it reads or computes, by the name in the manifest.
-        numbers: values of vectors, by the name in the manifest.
+        numbers: values by the name in the manifest: the name of the vector whose values they are, and these.
     """
 
     block: Block
     vectors: Mapping[str, Layout]
-    numbers: Mapping[str, Vector] = field(default_factory=dict)
+    numbers: Mapping[str, tuple[str, Vector]] = field(default_factory=dict)
 
     def entry(self) -> dict[str, Any]:
         """Return the entry of the manifest: the digest, and for each vector its ports or its values."""
         ports = {
-            name: [{"name": port.name, "size": port.size, "unit": port.unit} for port in layout]
-            for name, layout in self.vectors.items()
+            name: [f"{port.name}[{port.size}] {port.unit}" for port in layout] for name, layout in self.vectors.items()
         }
-        values = {name: vector.tolist() for name, vector in self.numbers.items()}
+        values = {name: _short(self.vectors[of], vector) for name, (of, vector) in self.numbers.items()}
         return {"sha256": self.block.digest(), **ports, **values}
+
+
+def _short(layout: Layout, vector: Vector) -> list[float | list[float]]:
+    # for each port one number, if all its entries are equal: a map has thousands
+    rows = [vector[layout.slice(port.name)].tolist() for port in layout]
+    return [row[0] if row and all(entry.hex() == row[0].hex() for entry in row) else row for row in rows]
 
 
 def law_list(law: Exportable) -> Listed:
     """Return the instruction list of a law: command, next state, status and telemetry from state, inputs and gains."""
     vectors = {"state": law.state, "inputs": law.inputs, "gains": law.gains}
     results = {"commands": Layout(commands(law)), "telemetry": Layout(telemetry_ports(law))}
-    return Listed(law.block, vectors | results, {"initial_state": law.initial_state()})
+    return Listed(law.block, vectors | results, {"initial_state": ("state", law.initial_state())})
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,5 +86,7 @@ class PlantLists(Supplement):
         del law
         plant = self.plant
         vectors = {"state": plant.state, "inputs": plant.inputs, "disturbances": plant.disturbances}
-        flow = Listed(plant.block, vectors | {"parameters": plant.parameters}, {"values": self.parameters})
+        flow = Listed(
+            plant.block, vectors | {"parameters": plant.parameters}, {"values": ("parameters", self.parameters)}
+        )
         return {_PLANT: flow, _MEASURED: Listed(plant.measured, {"outputs": plant.measurements})}

@@ -176,8 +176,13 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
         "vehicle": {"name": vehicle.name, "values": values, "ranges": ranges, "sha256": vehicle.digest()},
         "claims": _claims(rows, origin),
     }
-    with contextlib.suppress(NotApplicable):  # fins at several places have no fixed share
-        entries["vehicle"]["side_per_m"] = side_per_moment(vehicle)
+    if vehicle.actuators is not None:
+        entries["vehicle"]["thrusters"] = vehicle.actuators.text()
+        if vehicle.actuators.fins and "cruise" in law.gains:
+            cruise = float(p[law.gains.slice("cruise")][0])
+            entries["vehicle"]["fins"] = fins = {"moment_nm": float(vehicle.at_speed(cruise).thrust_limit[3])}
+            with contextlib.suppress(NotApplicable):  # fins at several places have no fixed share
+                fins["side_per_m"] = side_per_moment(vehicle)
     if origin.equipment is not None:
         floor = origin.equipment.floor
         entries["sensors"] = {"surface_model": origin.equipment.surface_model}
