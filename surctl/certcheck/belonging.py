@@ -226,8 +226,7 @@ class _Comparison:
         self._late(vehicle["lag_s"], law["period_s"])
         self._conditions("vehicle", "current_m_per_s", "force_n", "place_error_m", "velocity_error_m_per_s")
         self.take("motion")  # what the certificate proves
-        pairs = ((float(n),) * 2 for n in (claim.mass_model, claim.linear_model, claim.quadratic_model))
-        self._follows(claim, float(claim.wait), float(claim.yaw_rate), *pairs)
+        self._follows(claim, *((n, n) for n in (claim.mass_model, claim.linear_model, claim.quadratic_model)))
 
     def turning(self) -> None:
         claim = read_turning(self.claim)
@@ -255,8 +254,7 @@ class _Comparison:
         self._conditions("vehicle", "current_m_per_s", "heave_m_per_s", "heave_m_per_s2", "yaw_rad_per_s2")
         self._conditions("motion", "curvature_per_m")
         self.take("motion")
-        pairs = (tuple(map(float, pair)) for pair in (claim.mass, claim.linear, claim.quadratic))
-        self._follows(claim, float(claim.wait), float(claim.yaw_rate), *pairs)
+        self._follows(claim, claim.mass, claim.linear, claim.quadratic)
 
     def steering(self) -> None:
         claim = read_steering(self.claim)
@@ -357,11 +355,11 @@ class _Comparison:
                 self.excludes.append(_GROUND_TRUTH if inputs[1] - inputs[0] != {"working"} else _STAGES)
         return laws
 
-    def _follows(self, claim: Any, wait: float, yaw_rate: float, *model: Any) -> None:
-        alone = (float(getattr(claim, name)) for name in ("k1", "lookahead", "cruise", "cap", "k_v"))
+    def _follows(self, claim: Any, *model: Sequence[Any]) -> None:
+        yaw_rate = float(claim.yaw_rate)
         for law in self._laws():
-            limits = tuple(float(n) for n in law.gains["thrust_limit"][:2])
-            fastest = compare_following(law, Follower(*alone, *model, limits), wait, self.differs.append)
+            follower = Follower.of(claim, *model, law.gains["thrust_limit"][:2])
+            fastest = compare_following(law, follower, float(claim.wait), self.differs.append)
             if fastest > yaw_rate:
                 text = f"up to {yaw_rate!r} rad/s certified, the law may ask for {fastest:.3g} rad/s"
                 self.excludes.append(f"yaw rate: {text}")

@@ -275,8 +275,8 @@ def _gather(words: Sequence[str], sizes: Mapping[str, int], targets: Sequence[st
     pieces, (target,) = sizes[source] // width, targets
 
     def step(scope: _Scope) -> None:
-        table = scope[source].reshape(-1, width, lanes, scope[source].shape[1]).swapaxes(1, 2)
-        table = table.reshape(pieces, width, -1)
+        groups = scope[source].reshape(-1, width, lanes, scope[source].shape[1])
+        table = groups.swapaxes(1, 2).reshape(pieces, width, -1)
         wanted = scope[index][0]
         last = pieces - 1
         at = np.where(wanted >= 1, np.where(wanted < last, wanted, last), 0).astype(np.intp)

@@ -65,7 +65,7 @@ class Same:
         """Return at which points (n,) any row differs by more than rounding, relative to the largest number."""
         scale = max(float(np.max(np.abs(first), initial=0.0)), float(np.max(np.abs(second), initial=0.0)))
         within = np.abs(first - second) <= self.slack * scale
-        return ~np.all(within, axis=0)
+        return np.asarray(~np.all(within, axis=0))
 
 
 class Law:

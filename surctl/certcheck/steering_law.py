@@ -56,7 +56,7 @@ def commanded_moments(
 
 
 def available(claim: SteeringClaim, speed: Array) -> Array:
-    """Return the largest yaw moment (n,) [N m] at surge speeds (n,): that of fins grows with the square of the speed."""
+    """Return the largest yaw moment (n,) [N m] at surge speeds (n,): that of fins grows with their square."""
     most, cruise = float(claim.moment), float(claim.cruise)
     return most * np.minimum(speed / cruise, 1) ** 2 if claim.finned else np.full_like(speed, most)
 

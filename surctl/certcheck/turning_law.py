@@ -5,8 +5,9 @@ The comparison does not replace the derivation of the linear inclusion, but it r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,17 +57,24 @@ class Follower:
     cruise: float
     cap: float
     k_v: float
-    mass: tuple[float, float]
-    linear: tuple[float, float]
-    quadratic: tuple[float, float]
-    thrust: tuple[float, float]
+    mass: tuple[float, ...]
+    linear: tuple[float, ...]
+    quadratic: tuple[float, ...]
+    thrust: tuple[float, ...]
+
+    @classmethod
+    def of(cls, claim: Any, *pairs: Iterable[Any]) -> Follower:
+        """Return the numbers of a claim, with the given pairs of mass, linear and quadratic drag, and thrust limit."""
+        mass, linear, quadratic, thrust = (tuple(map(float, pair)) for pair in pairs)
+        k1, lookahead, cruise, cap, k_v = (
+            float(getattr(claim, name)) for name in ("k1", "lookahead", "cruise", "cap", "k_v")
+        )
+        return cls(k1, lookahead, cruise, cap, k_v, mass, linear, quadratic, thrust)
 
 
 def commanded(claim: TurningClaim, state: Array, psi: Array) -> Array:
     """Return the thrust (n, 2) [N] that the law commands on each axis of the body; arguments as in `true_rate`."""
-    alone = (float(getattr(claim, name)) for name in ("k1", "lookahead", "cruise", "cap", "k_v"))
-    pairs = (tuple(map(float, getattr(claim, name))) for name in ("mass", "linear", "quadratic", "thrust"))
-    return followed(Follower(*alone, *pairs), state, psi)
+    return followed(Follower.of(claim, claim.mass, claim.linear, claim.quadratic, claim.thrust), state, psi)
 
 
 def followed(law: Follower, state: Array, psi: Array) -> Array:
