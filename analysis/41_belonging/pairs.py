@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from surctl.control import Law, build_law, load_gains, law_source
+from surctl.control import Law, build_law, law_source, load_gains
 from surctl.export import Bundle, build_bundle, origin_of
 from surctl.export import bundle as core
 from surctl.export.listed import PlantLists
@@ -51,11 +51,13 @@ class Pair:
 
 @cache
 def vehicles() -> dict[str, Vehicle]:
+    """Return the vehicles of the pairs by their digest."""
     return {vehicle.digest(): vehicle for vehicle in map(load_vehicle, VEHICLES)}
 
 
 @cache
 def laws() -> dict[str, Mapping[str, Any]]:
+    """Return the options of the laws of the pairs by their digest."""
     choices: tuple[Mapping[str, Any], ...] = (
         {}, {"barrier": "inertia"}, {"barrier": "inertia", "movers": "barrier"}, {"law": "steered"}
     )  # fmt: skip
@@ -67,17 +69,22 @@ def numbers_for(claim: Mapping[str, Any], law: Law, vehicle: Vehicle) -> dict[st
     stated = claim.get("law") or {}
     speeds = {key: stated[key] for key in ("cruise", "cap") if key in stated}
     gains = load_gains("default").with_own(law_source(law.ref).gains)
-    values = {k: np.array(v) for k, v in law.gains.unpack(law_numbers(replace(MISSION, **speeds), gains, vehicle)).items()}
+    values = {
+        k: np.array(v) for k, v in law.gains.unpack(law_numbers(replace(MISSION, **speeds), gains, vehicle)).items()
+    }
     for name in stated.keys() & values.keys() - {"mass", "linear_drag", "quadratic_drag", "stopping"}:
         values[name][:] = stated[name]
     if "margin_m" in stated:
         values["margin"][:], values["cap"][:] = stated["margin_m"], stated["cap_m_per_s"]
-    turn = claim["encounter"]["turn_rad_per_s"] if "encounter" in claim else claim["vehicle"].get("yaw_rate_rad_per_s", 1)
+    turn = (
+        claim["encounter"]["turn_rad_per_s"] if "encounter" in claim else claim["vehicle"].get("yaw_rate_rad_per_s", 1)
+    )
     values["spin"][:] = min(turn, values["spin"][0])
     return values
 
 
 def robots() -> Iterator[Pair]:
+    """Yield the pairs of a stored certificate and the bundle of its law."""
     for source, sensings in SOURCES:
         document = json.loads((STORED / f"{source}.json").read_text(encoding="utf-8"))
         claim = document["claim"]
@@ -90,6 +97,7 @@ def robots() -> Iterator[Pair]:
 
 
 def inequalities() -> Iterator[Pair]:
+    """Yield the pairs of a proved inequality of the library and a bundle with its gains."""
     vehicle, gains = load_vehicle("sur540-flooded"), load_gains("default")
     truth = build_law(barrier="inertia")
     sonar = build_law(barrier="inertia", sonar=True, equipment=MISSION.sensors.on(vehicle["radius"]))
@@ -163,6 +171,7 @@ _OWN: tuple[tuple[Any, ...], ...] = (
 
 
 def own_systems() -> Iterator[Pair]:
+    """Yield the pairs of a certificate about a system of one's own and the bundle of its controller."""
     for build, within, ranges, kind, text in _OWN:
         system = build()
         dynamics = continuous_dynamics(system, within, ranges=ranges)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import numpy as np
 from pairs import Pair
@@ -51,7 +52,8 @@ def vectors(pair: Pair, file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rows[0], rows[1], rows[2]
 
 
-def start(entry: dict) -> dict[str, np.ndarray]:
+def start(entry: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the initial state of a list by the names of its parts."""
     sizes = {row.split("[")[0]: int(row.split("[")[1].split("]")[0]) for row in entry["state"]}
     return {name: np.broadcast_to(np.array(v, dtype=float), (size,))
             for (name, size), v in zip(sizes.items(), entry["initial_state"], strict=True)}  # fmt: skip

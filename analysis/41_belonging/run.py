@@ -47,6 +47,7 @@ def answer(certificate: Mapping[str, Any], folder: Path) -> str:
 
 
 def main() -> int:
+    """Run the study; see the module."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="four pairs and 40 changes")
     parser.add_argument("--changes", type=int, default=1000)
@@ -80,6 +81,8 @@ def examine(found: list[Pair], count: int, seed: int) -> tuple[list[str], bool]:
             change.apply(folder)
             said = answer(change.certificate, folder)
             answers[change.kind][said] += 1
+            if number % 50 == 49:
+                print(f"{number + 1} of {count} changes, {len(wrong)} wrong", file=sys.stderr, flush=True)
             if said == "belongs":
                 wrong.append(f"{pair.name}: {change.kind}: {change.what}")
     words = ("differs", "not bound", "rejected", "refused", "belongs")

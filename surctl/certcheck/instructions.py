@@ -338,12 +338,16 @@ def _loop(
             results = []
             for lane in range(lanes):
                 number = [np.full((1, points), float(turn * lanes + lane))] if index else []
-                given = [*number, *(part[:, lane] for part in now), *(part[turn][:, lane] for part in pieces)]
-                given += [part[turn][lane] for part in apart] + [scope[name] for name in fixed]
-                results.append(block.run(given))
+                arguments = [*number, *(part[:, lane] for part in now), *(part[turn][:, lane] for part in pieces)]
+                arguments += [part[turn][lane] for part in apart] + [scope[name] for name in fixed]
+                results.append(block.run(arguments))
             fresh = [np.stack([result[k] for result in results], axis=1) for k in range(len(block.outputs))]
-            kept = fresh[: len(state)]
-            now = kept if running is None else [np.where(running, a, b) for a, b in zip(kept, now, strict=True)]
+            carried_on = fresh[: len(state)]
+            now = (
+                carried_on
+                if running is None
+                else [np.where(running, a, b) for a, b in zip(carried_on, now, strict=True)]
+            )
             for row, part in zip(rows, fresh[len(state) :], strict=True):
                 row.append(part.reshape(-1, part.shape[2]))
         ends = [part.reshape(-1, part.shape[2]) for part in now]

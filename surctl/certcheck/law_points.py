@@ -36,7 +36,7 @@ Array: TypeAlias = NDArray[np.float64]
 Report: TypeAlias = Callable[[str], None]
 
 _POINTS = 400
-_STEPS = 3  # steps from fresh memory
+_STEPS = 2  # steps from fresh memory
 _FAR = 1e4  # [m] distance of walls that are not near
 _RADIUS = 5.0  # [m] of an obstacle
 _CLOSE = 1e-9
@@ -101,12 +101,12 @@ class Law:
         return self._filled("inputs", np.zeros((self._block.inputs[1], count)), values)
 
     def step(self, x: Array, u: Array, **gains: Any) -> tuple[dict[str, Array], Array]:
-        """Return commands and telemetry by name, and the next state, for gains of the bundle and those given."""
+        """Return commands and telemetry by name, and the next state, for gains of the bundle and those outputs."""
         count = x.shape[1]
         p = self._filled("gains", np.zeros((self._block.inputs[2], count)), {**self.gains, **gains})
         tau, after, _, telemetry = evaluate(self._block, x, u, p)
-        given = {name: tau[a:b] for name, a, b in self._vectors["commands"]}
-        return given | {name: telemetry[a:b] for name, a, b in self._vectors["telemetry"]}, after
+        outputs = {name: tau[a:b] for name, a, b in self._vectors["commands"]}
+        return outputs | {name: telemetry[a:b] for name, a, b in self._vectors["telemetry"]}, after
 
     def part(self, vector: str, values: Array, name: str) -> Array:
         """Return a part (size, count) of a vector (n, count) by its name."""
@@ -182,19 +182,19 @@ def compare_following(law: Law, model: Follower, wait: float, report: Report) ->
     for _ in range(_STEPS):
         progress = law.part("state", x, "progress")[0]
         over_ground[:, 0] = x_e + leg.progress - progress
-        given, after = law.step(x, inputs, **leg.mission(law))
+        outputs, after = law.step(x, inputs, **leg.mission(law))
         claimed = followed(model, over_ground, psi).T
         pace = model.cruise * np.clip(2 * (1 + over_ground[:, 0] / wait), 0, 1)
         moved = (law.part("state", after, "progress") - progress) / law.period
         for what, unit, first, second in (
-            ("thrust", "N", claimed, given["tau"][:2]),
+            ("thrust", "N", claimed, outputs["tau"][:2]),
             ("speed of the path's target", "m/s", pace[None], moved),
         ):
             if (apart := law.same.apart(first, second)).any():
                 at = int(np.argmax(apart))
                 place = f"x_e = {over_ground[at, 0]:.4g} m, y_e = {y_e[at]:.4g} m, heading {psi[at]:.4g} rad"
                 return _differs(report, what, place, unit, first[:, at], second[:, at])
-        fastest, x = max(fastest, float(np.max(np.abs(given["nu_reference"][3])))), after
+        fastest, x = max(fastest, float(np.max(np.abs(outputs["nu_reference"][3])))), after
     return fastest
 
 
@@ -215,7 +215,7 @@ def compare_steering(law: Law, claim: SteeringClaim, report: Report) -> None:
     r, u = 0.3 * rng.uniform(-1, 1, n), rng.uniform(float(claim.speed[0]), float(claim.speed[1]), n)
     mission = leg.mission(law) | {"walls": 1e3 * leg.mission(law)["walls"]}
     inputs = law.inputs(n, eta=leg.pose(np.zeros(n), y, psi, -3.0), nu=np.vstack([u, v, np.zeros(n), r]))
-    given, after = law.step(law.state(n, progress=leg.progress, crab=crab, sway=sway, surge=u), inputs, **mission)
+    outputs, after = law.step(law.state(n, progress=leg.progress, crab=crab, sway=sway, surge=u), inputs, **mission)
     late_crab, late_sway = (law.part("state", after, name)[0] for name in ("crab", "sway"))
     dt, m22 = law.period, float(claim.mass[1])
     slip = np.arctan2(v, np.maximum(u, float(claim.cruise) / 4))
@@ -225,7 +225,7 @@ def compare_steering(law: Law, claim: SteeringClaim, report: Report) -> None:
     sway_rate = -(float(claim.centripetal) / m22 * u * r + damping * sway) / (1 + dt * damping)
     least, most = commanded_moments(claim, y, psi, r, u, late_crab, late_sway)
     limit = available(claim, u)  # of fins, which cannot deliver more, whatever the law asks for
-    moment = np.clip(given["tau"][3], -limit, limit)
+    moment = np.clip(outputs["tau"][3], -limit, limit)
     inside = np.clip(moment, np.minimum(least, most), np.maximum(least, most))
     for what, unit, first, second in (
         ("rate of the crab filter", "rad/s", crab_rate, (late_crab - crab) / dt),
@@ -279,8 +279,8 @@ def _compare_approach(
         centre = pose[:2] + np.outer(leg.tangent, clearance + hull + _RADIUS)
         moves = np.repeat(-approach * leg.tangent[:, None], n, axis=1)
         law.part("inputs", inputs, "contacts")[:6] = np.vstack([centre, np.full(n, _RADIUS), moves, np.ones(n)])
-    given, _ = law.step(law.state(n, progress=leg.progress), inputs, **mission)
-    asked = c * given["nu_reference"][0] - s * given["nu_reference"][1]
+    outputs, _ = law.step(law.state(n, progress=leg.progress), inputs, **mission)
+    asked = c * outputs["nu_reference"][0] - s * outputs["nu_reference"][1]
     excess = np.maximum(speed - bounds, 0)
     claimed = np.maximum(bounds - float(claim.law.gain) * excess, -float(claim.law.cap))
     what = f"speed towards {'a wall' if wall else 'an obstacle'} that approaches at {approach:g} m/s"

@@ -28,14 +28,14 @@ class Leaves:
 
     def __init__(self, claim: Mapping[str, Any]) -> None:
         self._claim = claim
-        self._taken: set[Path] = set()
+        self._bound: set[Path] = set()
 
     def take(self, *path: str | int) -> Any:
         """Return the entry at a path, and mark all its leaves as bound; KeyError or IndexError if there is none."""
         value: Any = self._claim
         for step in path:
             value = value[step]
-        self._taken.add(path)
+        self._bound.add(path)
         return value
 
     def left(self) -> list[str]:
@@ -43,7 +43,7 @@ class Leaves:
         return [f"{_name(path)} = {value!r}" for path, value in self._leaves((), self._claim)]
 
     def _leaves(self, path: Path, value: Any) -> Iterator[tuple[Path, Any]]:
-        if path in self._taken:
+        if path in self._bound:
             return
         if isinstance(value, dict | list) and value:
             for step, entry in value.items() if isinstance(value, dict) else enumerate(value):

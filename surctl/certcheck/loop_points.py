@@ -68,11 +68,11 @@ def compare_dynamics(
     controller, plant, measured = lists
     x, z, d, p = (vector(kind) for kind in ("plant_state", "controller_state", "disturbance", "parameters"))
     (outputs,) = evaluate(read_list(measured.text), x, d, p)
-    signals = _named(measured.vectors["outputs"], outputs)
-    wanted = [port for port in controller.vectors["inputs"] if port.name not in signals]
-    inputs = {**signals, **_named(wanted, vector("reference"))}
-    given = _joined(controller.vectors["inputs"], inputs)
-    command, after, *_ = evaluate(read_list(controller.text), z, given, vector("gains"))
+    measurements = _named(measured.vectors["outputs"], outputs)
+    wanted = [port for port in controller.vectors["inputs"] if port.name not in measurements]
+    inputs = {**measurements, **_named(wanted, vector("reference"))}
+    signals = _joined(controller.vectors["inputs"], inputs)
+    command, after, *_ = evaluate(read_list(controller.text), z, signals, vector("gains"))
     applied = _joined(plant.vectors["inputs"], _named(controller.vectors["commands"], command))
     (flow,) = evaluate(read_list(plant.text), x, applied, d, p)
     rates = np.vstack([flow, (after - z) / period])

@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from surctl.certcheck import check_document, seal
-from surctl.certcheck.belonging import compare
+from surctl.certcheck.belonging import Belonging, compare
 from surctl.certcheck.bundle import Manifest, read_bundle, read_manifest
 from surctl.certcheck.document import read
+from surctl.certcheck.region_claim import read_claim as read_region
 from surctl.control import Law, build_law, load_gains
 from surctl.errors import InputError
 from surctl.export import Bundle, Origin, build_bundle, load_certificates, write_bundle
+from surctl.export.bundle import build_bundle as build_core
 from surctl.export.bundle import law_id
+from surctl.export.listed import PlantLists
 from surctl.export.origin import manifest_of
+from surctl.ir import Layout, Port
+from surctl.lyapunov import continuous_dynamics
+from surctl.lyapunov.claims import _plain
 from surctl.simulation import law_numbers, load_scenario
+from surctl.system import Action, Controller, Plant, System
 from surctl.vehicle import load_vehicle
 from surctl.verification import claims, prove
 
@@ -373,6 +382,214 @@ def test_certificates_travel_and_those_of_another_controller_do_not(
         load_certificates([path])
     with pytest.raises(InputError, match="is not a file of format"):
         load_certificates([folder / "manifest.json"])
+
+
+# what a certificate says of the law, against the law's instruction list
+
+
+@pytest.mark.parametrize(
+    ("law", "differs"),
+    [({"law": "apf"}, True), ({"law": "paper"}, True), ({"law": "vo"}, True), ({"barrier": "inertia"}, True),
+     ({}, False)],
+)  # fmt: skip
+def test_a_braking_certificate_with_the_digest_of_another_law(law: dict[str, str], differs: bool) -> None:
+    other = build_law(**law)
+    found = compare(
+        braking("braking-simple-20", lambda c: c.update(sha256_law=other.block.digest())),
+        manifest_for(law=other, spin=0.0),
+    )
+    assert not found.unbound and bool(found.differs) == differs, found
+    assert all(text.startswith("law: speed towards a") for text in found.differs)
+
+
+@pytest.mark.parametrize(
+    ("law", "differs"),
+    [({"guidance": "ilos"}, True), ({"guidance": "alos"}, True), ({"law": "closed_form"}, True), ({"law": "dwa"}, True),
+     ({"law": "apf"}, False)],
+)  # fmt: skip
+def test_a_region_certificate_with_the_digest_of_another_law(law: dict[str, str], differs: bool) -> None:
+    """In open water, the law `apf` commands what the certificate states; the others do not."""
+    other = build_law(**law)
+    found = compare(region(law=other.block.digest()), manifest_for(law=other))
+    assert bool(found.differs) == differs, found
+    assert all(text.startswith("law: thrust at x_e = ") for text in found.differs)
+
+
+@pytest.mark.parametrize("gain", [0.0, 3.9, 4.1, 1e8])
+def test_the_braking_gain_is_that_of_the_law(gain: float) -> None:
+    found = compare(braking("braking-simple-20", lambda c: c["law"].update(gain=gain)), manifest_for(spin=0.0))
+    assert [text[:20] for text in found.differs] == ["law: speed towards an"[:20], "law: speed towards a wall"[:20]], (
+        found
+    )
+
+
+def test_a_number_that_is_new_in_a_claim_is_not_bound() -> None:
+    document = region()
+    claim = {**document["claim"], "more": {"speed": 3.0}}
+    with pytest.MonkeyPatch.context() as patch:  # a later version of the claim, whose reader knows the entry
+        patch.setattr("surctl.certcheck.belonging.read_region", lambda _: read_region(document["claim"]))
+        found = compare({"kind": "region", "claim": claim}, manifest_for())
+    assert not found.differs and found.unbound == ("more.speed = 3.0",) and not found.belongs
+
+
+def test_the_slack_of_an_inequality_is_rounding(tracking: dict[str, Any], folder: Path) -> None:
+    manifest = read_bundle(folder)
+    for slack, belongs in ((0.0, True), (1e-12, True), (1e6, False)):
+        found = compare({"kind": "interval", "claim": {**tracking["claim"], "slack": slack}}, manifest)
+        assert found.belongs == belongs, found
+    for key, value in (("unit", "km"), ("statement", "0 = 1"), ("name", "v1"), ("more", 1.0)):
+        assert not compare({"kind": "interval", "claim": {**tracking["claim"], key: value}}, manifest).belongs
+
+
+# the folder
+
+
+def test_files_that_are_not_of_the_export(folder: Path) -> None:
+    def wrong() -> tuple[str, ...]:
+        return read_bundle(folder).wrong
+
+    (folder / "sil").write_bytes(b"\x7fELF rest")
+    (folder / "link.o").write_bytes(b"anything")
+    assert wrong() == () and read_bundle(folder).extra == ("link.o", "sil")
+    assert any(
+        text.startswith("files: link.o, sil are results") for text in compare(region(), read_bundle(folder)).excludes
+    )
+    for name in ("math.h", "ros2/more.c", "run.log", "program"):
+        (folder / name).write_text("text")
+        assert wrong() == (f"{name} is not part of the export: remove it, or build in another folder",)
+        (folder / name).unlink()
+
+
+def test_what_is_no_regular_file(folder: Path) -> None:
+    path, body = folder / "link.c", (folder / "link.c").read_bytes()
+    for kind, make in (
+        ("not a regular file", os.mkfifo),
+        ("a link", lambda p: p.symlink_to("/dev/zero")),
+        ("a link", lambda p: p.symlink_to("link.h")),
+    ):
+        path.unlink()
+        make(path)
+        assert read_bundle(folder).wrong == (f"link.c is {kind}",)
+    path.unlink()
+    path.mkdir()
+    assert read_bundle(folder).wrong == ("link.c is missing",)
+    path.rmdir()
+    path.write_bytes(body)
+    assert read_bundle(folder).wrong == ()
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), True, "5.0", None])
+def test_numbers_of_the_manifest_are_finite_numbers(folder: Path, bad: object) -> None:
+    path = folder / "manifest.json"
+    text = path.read_text()
+    for name in ("thrust_limit", "spin"):
+        table = json.loads(text)
+        next(row for row in table["gains"]["values"] if row["name"] == name)["values"][0] = bad
+        with pytest.raises(InputError, match=r"is not JSON|is not the manifest"):
+            path.write_text(json.dumps(table))
+            read_bundle(folder)
+
+
+def test_a_bundle_of_an_older_version(folder: Path) -> None:
+    path = folder / "manifest.json"
+    table = json.loads(path.read_text())
+    del table["lists"]
+    path.write_text(json.dumps(table))
+    with pytest.raises(InputError, match=r"without the law's instruction list.*export the controller again"):
+        read_bundle(folder)
+
+
+def test_a_changed_list_or_manifest_is_found(folder: Path) -> None:
+    def layout(table: dict[str, Any]) -> None:
+        table["lists"]["law.txt"]["inputs"][0] = "pose[4] m, rad"
+
+    assert altered(folder, layout) == ("the manifest was altered: its seal does not match",)
+    path = folder / "law.txt"
+    path.write_text(path.read_text().replace("const", "const", 1).replace("add", "sub", 1))
+    assert "law.txt was altered" in read_bundle(folder).wrong
+
+
+# dynamics of a system of one's own
+
+
+def loop(k: float = 2.0, a: float = 1.0, unit: str = "m") -> System:
+    place, goal = Port("place", (1,), unit, "of the cart"), Port("goal", (1,), "m", "reference")
+    speed = Port("speed", (1,), "m/s", "of the cart")
+    drive = Layout((Port("a", (1,), "1/s", "drive", a),))
+    plant = Plant("cart", Layout((place,)), Layout((speed,)), parameters=drive,
+                  ode=lambda x, f, d, p: p["a"] * ca.sin(x["place"]) + f["speed"])  # fmt: skip
+    law = Controller(
+        "hold", 0.05, Layout((place, goal)), plant.inputs,
+        lambda x, u, p: Action(p["k"] * (u["goal"] - u["place"]) - x["sum"], {"sum": x["sum"] + 0.05 * u["place"]}),
+        state=Layout((Port("sum", (1,), "m s", "integral"),)), gains=Layout((Port("k", (1,), "1/s", "gain", k),)),
+    )  # fmt: skip
+    return System(plant, law)
+
+
+def bundled(system: System) -> Manifest:
+    law, lists = system.controller, PlantLists(system.plant, system.plant.parameters.pack())
+    files = build_core(law, law.gains.unpack(law.gains.pack()), supplement=lists).files
+    return read_manifest(json.loads(files["manifest.json"]), files)
+
+
+def about(system: System, **ranges: tuple[float, float]) -> dict[str, Any]:
+    named = {name.replace("_", "."): ends for name, ends in ranges.items()}
+    dynamics = continuous_dynamics(system, {"place": (-1.0, 1.0), "controller.sum": (-1.0, 1.0)}, ranges=named)
+    return json.loads(json.dumps(_plain(dynamics, "stability")))
+
+
+def test_the_dynamics_of_a_certificate_are_those_of_the_bundle() -> None:
+    manifest = bundled(loop())
+
+    def compared(change: Callable[[dict[str, Any]], Any], claim: dict[str, Any] | None = None) -> Belonging:
+        claim = json.loads(json.dumps(claim or about(loop())))
+        change(claim)
+        return compare({"kind": "lyapunov", "claim": claim}, manifest)
+
+    good = compared(lambda c: None)
+    assert good.belongs, good
+    assert "reference: it is assumed to be 0.0" in good.excludes
+    assert compared(lambda c: None, about(loop(), k=(1.9, 2.1), plant_a=(0.9, 1.1))).belongs
+    for name, change, message in (
+        ("copied", lambda c: c["dynamics"].update(place="-2*place"), "dynamics: rate of place at place = "),
+        (
+            "coefficient",
+            lambda c: c["dynamics"].update(controller_sum="1.000001*place"),
+            "dynamics: rate of controller_sum",
+        ),
+        ("period", lambda c: c["about"].update(period_s=0.1), "period: 0.1 s certified, 0.05 s exported"),
+        (
+            "mass",
+            lambda c: c["about"].update(parameters=[0.5]),
+            "parameter of the plant[0]: 0.5 certified, 1.0 exported",
+        ),
+        ("gain", lambda c: c["about"]["gains"].update(k=[3.0]), "k[0]: 3.0 certified, 2.0 exported"),
+        ("reference", lambda c: c["about"].update(reference=[0.5]), "dynamics: rate of place"),
+        ("plant", lambda c: c["about"].update(plant="0" * 128), "plant: the bundle does not contain the plant"),
+        ("nothing", lambda c: c.update(about={}), "dynamics: the certificate does not state the loop"),
+        ("unit", lambda c: c["states"][0].update(unit="km"), "place: in km certified, in m exported"),
+        ("name", lambda c: c.update(name="ship"), "plant: 'ship' certified"),
+        (
+            "state",
+            lambda c: c["about"].update(controller_state=["place"]),
+            "dynamics: the certificate does not say which",
+        ),
+    ):
+        found = compared(change)
+        assert [text[: len(message)] for text in found.differs] == [message], (name, found)
+    assert compared(lambda c: c.update(more=1)).unbound == ("more = 1",)
+    outside = compared(lambda c: None, about(loop(), k=(2.1, 2.2)))
+    assert outside.differs == ("k[0]: the range of k does not contain the exported number",)
+    without = bundled_without_plant(loop())
+    assert compare({"kind": "lyapunov", "claim": about(loop())}, without).differs == (
+        "plant: the bundle does not contain the plant that the certificate is about",
+    )
+
+
+def bundled_without_plant(system: System) -> Manifest:
+    law = system.controller
+    files = build_core(law, law.gains.unpack(law.gains.pack())).files
+    return read_manifest(json.loads(files["manifest.json"]), files)
 
 
 # a vehicle with unequal masses
