@@ -27,7 +27,7 @@ __all__ = ["Block", "digest", "evaluate", "read_list"]
 Array: TypeAlias = NDArray[np.float64]
 
 _DEEPEST = 50  # most blocks inside one another
-_LARGEST = 100_000  # most numbers of one array
+_LARGEST = 60_000  # most numbers of all arrays and values: each takes 3 kB at 400 points
 _LONGEST = 10**9  # most operations of one evaluation; its time is limited too
 
 _OPERATIONS: Mapping[str, tuple[int, Callable[..., Any]]] = {
@@ -71,6 +71,7 @@ class Block:
         inputs, outputs: number of entries of each vector that it reads and computes.
         operations: largest number of operations of one evaluation.
         depth: number of blocks inside one another.
+        size: how many numbers it holds itself, without the blocks that it runs.
         texts: text of each block that it runs, in the order of the list; its own is last.
         run: computes the outputs from the inputs, each an array (entries, n) for n points.
     """
@@ -80,6 +81,7 @@ class Block:
     outputs: tuple[int, ...]
     operations: int
     depth: int
+    size: int
     texts: tuple[str, ...]
     run: Callable[[Sequence[Array]], list[Array]]
 
@@ -97,12 +99,16 @@ def digest(text: str) -> str:
 def read_list(text: str) -> Block:
     """Return the last block of a list; raise Rejected unless the text is a list that the checker can evaluate."""
     blocks: dict[str, Block] = {}
+    size = 0
     try:
         for part in text.removesuffix("\n").split("\n\n"):
             go_on()
             lines = part.split("\n")
             block = _routine(lines, blocks) if lines[0].startswith("routine ") else _program(lines)
             blocks[block.key] = block
+            size += block.size
+            if size > _LARGEST:
+                raise ValueError(f"it holds more than {_LARGEST} numbers")
         if _joined(block.texts) != text:
             raise ValueError("a block is not run, or is in the wrong place")
     except (ValueError, IndexError, KeyError, OverflowError) as error:
@@ -170,7 +176,7 @@ def _program(lines: Sequence[str]) -> Block:
         return [_stacked([values[k] for k in places], points) for places in outputs]
 
     text = "\n".join([*lines, ""])
-    return Block(name, sizes, tuple(map(len, outputs)), len(steps), 1, (text,), run)
+    return Block(name, sizes, tuple(map(len, outputs)), len(steps), 1, count, (text,), run)
 
 
 def _stacked(entries: Sequence[Any], points: int) -> Array:
@@ -264,7 +270,8 @@ def _routine(lines: Sequence[str], blocks: Mapping[str, Block]) -> Block:
 
     text = "\n".join([*lines, ""])
     outputs = tuple(sizes[result] for result in results)
-    return Block(name, inputs, outputs, operations, depth, (*(t for t in texts if t != text), text), run)
+    size = sum(sizes.values())
+    return Block(name, inputs, outputs, operations, depth, size, (*(t for t in texts if t != text), text), run)
 
 
 def _gather(words: Sequence[str], sizes: Mapping[str, int], targets: Sequence[str]) -> tuple[_Step, list[int]]:
@@ -277,9 +284,9 @@ def _gather(words: Sequence[str], sizes: Mapping[str, int], targets: Sequence[st
     def step(scope: _Scope) -> None:
         groups = scope[source].reshape(-1, width, lanes, scope[source].shape[1])
         table = groups.swapaxes(1, 2).reshape(pieces, width, -1)
-        wanted = scope[index][0]
+        number = scope[index][0]
         last = pieces - 1
-        at = np.where(wanted >= 1, np.where(wanted < last, wanted, last), 0).astype(np.intp)
+        at = np.where(number >= 1, np.where(number < last, number, last), 0).astype(np.intp)
         points = max(table.shape[2], len(at))
         at, table = np.broadcast_to(at, points), np.broadcast_to(table, (pieces, width, points))
         scope[target] = table[at, :, np.arange(points)].T

@@ -280,15 +280,15 @@ def _compare_approach(
         moves = np.repeat(-approach * leg.tangent[:, None], n, axis=1)
         law.part("inputs", inputs, "contacts")[:6] = np.vstack([centre, np.full(n, _RADIUS), moves, np.ones(n)])
     outputs, _ = law.step(law.state(n, progress=leg.progress), inputs, **mission)
-    asked = c * outputs["nu_reference"][0] - s * outputs["nu_reference"][1]
+    commanded = c * outputs["nu_reference"][0] - s * outputs["nu_reference"][1]
     excess = np.maximum(speed - bounds, 0)
     claimed = np.maximum(bounds - float(claim.law.gain) * excess, -float(claim.law.cap))
     what = f"speed towards {'a wall' if wall else 'an obstacle'} that approaches at {approach:g} m/s"
     slack = law.same.slack
-    over = asked > claimed + slack
+    over = commanded > claimed + slack
     brakes = (excess > 0.1 * 0.05) & (claimed > -float(claim.law.cap))
-    reached = brakes & (np.abs(asked - claimed) <= slack)
+    reached = brakes & (np.abs(commanded - claimed) <= slack)
     if over.any() or not reached.any():
         at = int(np.argmax(over if over.any() else brakes))
         place = f"a clearance of {clearance[at]:.4g} m and a speed of {speed[at]:.4g} m/s"
-        _differs(report, what, place, "m/s", claimed[at : at + 1], asked[at : at + 1])
+        _differs(report, what, place, "m/s", claimed[at : at + 1], commanded[at : at + 1])

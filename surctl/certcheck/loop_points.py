@@ -69,8 +69,8 @@ def compare_dynamics(
     x, z, d, p = (vector(kind) for kind in ("plant_state", "controller_state", "disturbance", "parameters"))
     (outputs,) = evaluate(read_list(measured.text), x, d, p)
     measurements = _named(measured.vectors["outputs"], outputs)
-    wanted = [port for port in controller.vectors["inputs"] if port.name not in measurements]
-    inputs = {**measurements, **_named(wanted, vector("reference"))}
+    free = [port for port in controller.vectors["inputs"] if port.name not in measurements]
+    inputs = {**measurements, **_named(free, vector("reference"))}
     signals = _joined(controller.vectors["inputs"], inputs)
     command, after, *_ = evaluate(read_list(controller.text), z, signals, vector("gains"))
     applied = _joined(plant.vectors["inputs"], _named(controller.vectors["commands"], command))
