@@ -183,7 +183,13 @@ class _Comparison:
             self.differs.append("controller: the certificate is about another controller")
         lists = [self.manifest.lists.get(about["plant"][at : at + 64]) for at in (0, 64)]
         plant, measured = lists
-        if plant is None or measured is None or "values" not in plant.numbers or "outputs" not in measured.vectors:
+        if (
+            len(about["plant"]) != 2 * 64
+            or plant is None
+            or measured is None
+            or "values" not in plant.numbers
+            or "outputs" not in measured.vectors
+        ):
             self.differs.append("plant: the bundle does not contain the plant that the certificate is about")
             return
         ranges = {row["name"]: (row["lower"], row["upper"]) for row in self.claim["parameters"]}

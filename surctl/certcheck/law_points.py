@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.braking import bound_distance
-from surctl.certcheck.braking_claim import BrakingClaim
+from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw
 from surctl.certcheck.braking_distance import Forces
 from surctl.certcheck.bundle import Listed, Manifest, Port
 from surctl.certcheck.document import Rejected
@@ -244,7 +244,8 @@ def compare_braking(law: Law, claim: BrakingClaim, report: Report) -> None:
 
     At a clearance at which the claimed bound is b, a law of the claim commands a speed of at most b − gain x towards
     the obstacle, where x is the excess of its own speed over b. It commands exactly this speed at some of the points;
-    so a certificate with another bound or gain than the law's differs, in whichever direction.
+    so a certificate with another bound or gain than the law's differs, in whichever direction. The thrust must be that
+    of the claimed velocity loop.
     """
     assert claim.law is not None
     rng, n = np.random.default_rng(13), _POINTS
@@ -269,7 +270,8 @@ def _compare_approach(
     psi = rng.uniform(-np.pi, np.pi, n)
     c, s = np.cos(psi), np.sin(psi)
     pose = leg.pose(np.full(n, -0.5), np.zeros(n), psi, -3.0)
-    inputs = law.inputs(n, eta=pose, nu=np.vstack([c * speed, -s * speed, np.zeros((2, n))]))
+    nu = np.vstack([c * speed, -s * speed, np.zeros((2, n))])
+    inputs = law.inputs(n, eta=pose, nu=nu)
     hull, mission = law.gains["hull"][0], leg.mission(law)
     if wall:
         mission["walls"] = np.vstack(
@@ -288,7 +290,21 @@ def _compare_approach(
     over = commanded > claimed + slack
     brakes = (excess > 0.1 * 0.05) & (claimed > -float(claim.law.cap))
     reached = brakes & (np.abs(commanded - claimed) <= slack)
+    place = "a clearance of {:.4g} m and a speed of {:.4g} m/s"
     if over.any() or not reached.any():
         at = int(np.argmax(over if over.any() else brakes))
-        place = f"a clearance of {clearance[at]:.4g} m and a speed of {speed[at]:.4g} m/s"
-        _differs(report, what, place, "m/s", claimed[at : at + 1], commanded[at : at + 1])
+        at_point = place.format(clearance[at], speed[at])
+        _differs(report, what, at_point, "m/s", claimed[at : at + 1], commanded[at : at + 1])
+        return
+    thrust = _velocity_loop(claim.law, outputs["nu_reference"][:2], nu[:2], law.gains["thrust_limit"][:2])
+    if (apart := law.same.apart(thrust, outputs["tau"][:2])).any():
+        at = int(np.argmax(apart))
+        at_point = place.format(clearance[at], speed[at])
+        _differs(report, "thrust", at_point, "N", thrust[:, at], outputs["tau"][:2, at])
+
+
+def _velocity_loop(law: GuardedLaw, desired: Array, nu: Array, limit: Array) -> Array:
+    """Return the thrust (2, n) [N] that the claimed velocity loop commands in surge and sway."""
+    mass, linear, quadratic = (np.array(list(map(float, n)))[:, None] for n in (law.mass, law.linear, law.quadratic))
+    free = linear * desired + quadratic * desired * np.abs(desired) + mass * float(law.k_v) * (desired - nu)
+    return np.asarray(np.clip(free, -limit[:, None], limit[:, None]))

@@ -6,6 +6,8 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from fractions import Fraction
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,8 +18,11 @@ import pytest
 
 from surctl.certcheck import check_document, seal
 from surctl.certcheck.belonging import Belonging, compare
+from surctl.certcheck.braking_claim import read_claim as read_braking
 from surctl.certcheck.bundle import Manifest, read_bundle, read_manifest
 from surctl.certcheck.document import read
+from surctl.certcheck.law_points import Law as Listing
+from surctl.certcheck.law_points import compare_braking
 from surctl.certcheck.region_claim import read_claim as read_region
 from surctl.control import Law, build_law, load_gains
 from surctl.errors import InputError
@@ -392,7 +397,7 @@ def test_certificates_travel_and_those_of_another_controller_do_not(
     [({"law": "apf"}, True), ({"law": "paper"}, True), ({"law": "vo"}, True), ({"barrier": "inertia"}, True),
      ({}, False)],
 )  # fmt: skip
-def test_a_braking_certificate_with_the_digest_of_another_law(law: dict[str, str], differs: bool) -> None:
+def test_a_braking_certificate_with_the_digest_of_another_law(law: dict[str, Any], differs: bool) -> None:
     other = build_law(**law)
     found = compare(
         braking("braking-simple-20", lambda c: c.update(sha256_law=other.block.digest())),
@@ -407,7 +412,7 @@ def test_a_braking_certificate_with_the_digest_of_another_law(law: dict[str, str
     [({"guidance": "ilos"}, True), ({"guidance": "alos"}, True), ({"law": "closed_form"}, True), ({"law": "dwa"}, True),
      ({"law": "apf"}, False)],
 )  # fmt: skip
-def test_a_region_certificate_with_the_digest_of_another_law(law: dict[str, str], differs: bool) -> None:
+def test_a_region_certificate_with_the_digest_of_another_law(law: dict[str, Any], differs: bool) -> None:
     """In open water, the law `apf` commands what the certificate states; the others do not."""
     other = build_law(**law)
     found = compare(region(law=other.block.digest()), manifest_for(law=other))
@@ -421,6 +426,20 @@ def test_the_braking_gain_is_that_of_the_law(gain: float) -> None:
     assert [text[:20] for text in found.differs] == ["law: speed towards an"[:20], "law: speed towards a wall"[:20]], (
         found
     )
+
+
+def test_the_velocity_loop_is_that_of_the_law() -> None:
+    manifest = manifest_for(spin=0.0)
+    law, claim = (
+        Listing(manifest.lists[manifest.laws[0]], manifest),
+        read_braking(braking("braking-simple-20")["claim"]),
+    )
+    assert claim.law is not None
+    for faster, count in ((1, 0), (Fraction(1000001, 1000000), 2)):
+        messages: list[str] = []
+        other = replace(claim, law=replace(claim.law, k_v=claim.law.k_v * faster))
+        compare_braking(law, other, messages.append)
+        assert len(messages) == count and all(text.startswith("law: thrust at a clearance") for text in messages)
 
 
 def test_a_number_that_is_new_in_a_claim_is_not_bound() -> None:
@@ -535,7 +554,8 @@ def bundled(system: System) -> Manifest:
 def about(system: System, **ranges: tuple[float, float]) -> dict[str, Any]:
     named = {name.replace("_", "."): ends for name, ends in ranges.items()}
     dynamics = continuous_dynamics(system, {"place": (-1.0, 1.0), "controller.sum": (-1.0, 1.0)}, ranges=named)
-    return json.loads(json.dumps(_plain(dynamics, "stability")))
+    plain: dict[str, Any] = json.loads(json.dumps(_plain(dynamics, "stability")))
+    return plain
 
 
 def test_the_dynamics_of_a_certificate_are_those_of_the_bundle() -> None:
@@ -566,6 +586,7 @@ def test_the_dynamics_of_a_certificate_are_those_of_the_bundle() -> None:
         ("gain", lambda c: c["about"]["gains"].update(k=[3.0]), "k[0]: 3.0 certified, 2.0 exported"),
         ("reference", lambda c: c["about"].update(reference=[0.5]), "dynamics: rate of place"),
         ("plant", lambda c: c["about"].update(plant="0" * 128), "plant: the bundle does not contain the plant"),
+        ("more", lambda c: c["about"].update(plant=c["about"]["plant"] + "0"), "plant: the bundle does not contain "),
         ("nothing", lambda c: c.update(about={}), "dynamics: the certificate does not state the loop"),
         ("unit", lambda c: c["states"][0].update(unit="km"), "place: in km certified, in m exported"),
         ("name", lambda c: c.update(name="ship"), "plant: 'ship' certified"),

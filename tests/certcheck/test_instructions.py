@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -35,7 +37,7 @@ def test_the_evaluator_computes_what_the_exported_code_computes(law: str) -> Non
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.sampled_from(sorted(OPERATIONS)), min_size=1, max_size=25), st.randoms(use_true_random=False))
-def test_every_operation_is_that_of_the_list(names: list[str], draw) -> None:
+def test_every_operation_is_that_of_the_list(names: list[str], draw: random.Random) -> None:
     steps = [Instruction("input", (0, k)) for k in range(3)] + [Instruction("const", (), draw.choice((-0.0, 0.1, 3.0)))]
     for name in names:
         arity = OPERATIONS[name].arity
