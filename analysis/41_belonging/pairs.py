@@ -14,7 +14,7 @@ import numpy as np
 from surctl.control import Law, build_law, law_source, load_gains
 from surctl.export import Bundle, build_bundle, origin_of
 from surctl.export import bundle as core
-from surctl.export.listed import PlantLists
+from surctl.export.plant_lists import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, solve
 from surctl.simulation import law_numbers, load_scenario

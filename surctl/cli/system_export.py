@@ -48,7 +48,7 @@ def export_system(
     from surctl.export.check import STEPS, check_builds
     from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.fmu import write_fmu
-    from surctl.export.listed import PlantLists
+    from surctl.export.plant_lists import PlantLists
     from surctl.export.precision import REALS
     from surctl.export.process import build_controller
     from surctl.export.prove import prove_bundle, with_proof

@@ -10,18 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable, commands, telemetry_ports
-from surctl.export.supplement import Supplement
 from surctl.ir import Block, Layout
-from surctl.system import Plant
 
-__all__ = ["LAW", "Listed", "PlantLists", "law_list"]
+__all__ = ["LAW", "Listed", "law_list"]
 
 Vector = NDArray[np.float64]
 
 LAW = "law.txt"
 """File of a bundle with the instruction list of the exported law; its SHA-256 is the digest of the law."""
-
-_PLANT, _MEASURED = "plant.txt", "plant_measured.txt"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,35 +54,3 @@ def law_list(law: Exportable) -> Listed:
     vectors = {"state": law.state, "inputs": law.inputs, "gains": law.gains}
     results = {"commands": Layout(commands(law)), "telemetry": Layout(telemetry_ports(law))}
     return Listed(law.block, vectors | results, {"initial_state": ("state", law.initial_state())})
-
-
-@dataclass(frozen=True, eq=False)
-class PlantLists(Supplement):
-    """The instruction lists of the plant that a controller was designed for, with its parameters (np,).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.export.bundle import build_bundle
-        >>> from surctl.export.listed import PlantLists
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant
-        >>> level, flow = Port("level", (1,), "m", "of the water"), Port("flow", (1,), "m/s", "inflow over the area")
-        >>> tank = Plant("tank", Layout((level,)), Layout((flow,)), lambda x, f, d, p: f["flow"] - 0.1 * x["level"])
-        >>> law = Controller("held", 0.1, tank.state, tank.inputs, lambda x, u, p: -u["level"])
-        >>> bundle = build_bundle(law, {}, supplement=PlantLists(tank, np.zeros(0)))
-        >>> [name for name in bundle.files if name.endswith(".txt")]
-        ['CMakeLists.txt', 'law.txt', 'plant.txt', 'plant_measured.txt']
-    """
-
-    plant: Plant
-    parameters: Vector
-
-    def lists(self, law: Exportable) -> dict[str, Listed]:
-        """Return the lists of x' from x, f, d and p, and of y from x, d and p."""
-        del law
-        plant = self.plant
-        vectors = {"state": plant.state, "inputs": plant.inputs, "disturbances": plant.disturbances}
-        flow = Listed(
-            plant.block, vectors | {"parameters": plant.parameters}, {"values": ("parameters", self.parameters)}
-        )
-        return {_PLANT: flow, _MEASURED: Listed(plant.measured, {"outputs": plant.measurements})}

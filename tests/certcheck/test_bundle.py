@@ -29,8 +29,8 @@ from surctl.errors import InputError
 from surctl.export import Bundle, Origin, build_bundle, load_certificates, write_bundle
 from surctl.export.bundle import build_bundle as build_core
 from surctl.export.bundle import law_id
-from surctl.export.listed import PlantLists
 from surctl.export.origin import manifest_of
+from surctl.export.plant_lists import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import continuous_dynamics
 from surctl.lyapunov.claims import _plain
