@@ -347,6 +347,12 @@ def test_the_study_of_what_the_checker_needs() -> None:
     assert all(30 < float(rows[kind][1]) < 100 for kind in ("long sum", "dense blocks"))
 
 
+def test_the_study_of_certificates_and_bundles() -> None:
+    done = run(ANALYSIS / "41_belonging" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "4 pairs unchanged, 40 changes, 0 wrong answers" in done.stdout
+
+
 def test_every_mutant_of_the_study_is_one_change_of_a_file_and_names_tests_that_are_there() -> None:
     study = runpy.run_path(str(ANALYSIS / "23_mutants" / "run.py"))
     mutants = study["load_model"](study["CONFIG"], study["Config"]).mutant

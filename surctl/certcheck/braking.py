@@ -216,7 +216,7 @@ def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: Braki
     while cells:
         go_on()
         low, high = cells.pop()
-        held = max(law.margin + _bound_distance(law, at, claim.period, low), least)  # the clearance is never negative
+        held = max(law.margin + bound_distance(law, at, claim.period, low), least)  # the clearance is never negative
         enough = next(
             (enough for enough in _sufficient(claim, law, at, distance, (low, high), short=short) if enough <= held),
             None,
@@ -274,7 +274,7 @@ def _forward(claim: BrakingClaim, law: GuardedLaw, desired: Fraction) -> Fractio
     return forward + (heavy - light) * law.k_v * w
 
 
-def _bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
+def bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
     """Return K(b) [m], the distance at which the law's speed bound is b; for b far below 0, K is linear in b."""
     force = law.brake * law.limit
     if law.barrier == "simple":
@@ -300,7 +300,7 @@ def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
     """Return a speed [m/s] below the law's speed bound at every measured range: margin + K(speed) ≤ −range error."""
     bound = -at.obstacle
     for _ in range(10_000):
-        if law.margin + _bound_distance(law, at, claim.period, bound) <= -claim.range_error:
+        if law.margin + bound_distance(law, at, claim.period, bound) <= -claim.range_error:
             return bound
         bound -= Fraction(1, 1000)
     raise Rejected("the law's speed bound stays too high where the clearance is 0")

@@ -1,29 +1,70 @@
-"""Reader of the manifest of an exported controller; it verifies every entry that it can recompute.
+"""Reader of the folder of an exported controller; it verifies every entry of the manifest that it can recompute.
 
-The export writes `manifest.json`, which lists the content of the bundle: every gain, the vehicle's parameters, the hash
-of the law's instruction list, and the hashes of all files. This module recomputes the hashes of the files, of the gains
-and of the vehicle, and the id that the C source returns (a hash of law, period, precision, gains and initial state).
+The export writes `manifest.json`, which lists the content of the bundle: every gain, the vehicle's parameters, the
+instruction lists of the law (and of the plant of a user) with the names and units of their vectors, and the hashes of
+all files; `seal` is the hash of the manifest itself. This module recomputes the seal, the hashes of the files, of the
+gains and of the vehicle, the digests of the instruction lists, and the id that the C source returns (a hash of law,
+period, precision, gains and initial state).
+
+Every file is read once, and only if it is a regular file. A file that the manifest does not list is an error, except
+for results of a compiler, which are named.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+import os
 import re
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from surctl.certcheck.document import LARGEST, canonical
+from surctl.certcheck.document import LARGEST, canonical, read_bytes
+from surctl.certcheck.instructions import digest
 from surctl.errors import InputError
 
-__all__ = ["Manifest", "numbers_sha256", "read_bundle", "stated_sha256"]
+__all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "read_bundle", "read_manifest",
+           "stated_sha256"]  # fmt: skip
 
-MANIFEST = "manifest.json"
-_STATED = ("variables", "left", "right", "constraints")
+MANIFEST, LAW = "manifest.json", "law.txt"
+_LARGEST = 32_000_000  # [bytes] of one file
+_MOST = 2000  # files and folders
+_DEEPEST = 6  # folders inside one another
+_OBJECTS = (".o", ".obj", ".a", ".lib", ".so", ".dylib", ".dll", ".exe", ".elf", ".pyc")
+_PROGRAMS = (b"\x7fELF", b"MZ", b"\xcf\xfa\xed\xfe", b"\xca\xfe\xba\xbe")  # first bytes of an executable
+_NUMBERS = {"initial_state": "state", "values": "parameters"}
+"""Entries of an instruction list that are numbers, with the vector whose values they are."""
+
+_REMEDY = "give the folder of an export"
+
+
+@dataclass(frozen=True)
+class Port:
+    """A named part of a vector of an instruction list."""
+
+    name: str
+    size: int
+    unit: str
+
+
+@dataclass(frozen=True)
+class Listed:
+    """An instruction list of the bundle.
+
+    Attributes:
+        text: the list, as `surctl.certcheck.instructions` reads it.
+        vectors: ports of each vector that it reads or computes, by the name in the manifest.
+        numbers: values of vectors (initial state, parameters), by the name in the manifest.
+    """
+
+    text: str
+    vectors: Mapping[str, tuple[Port, ...]]
+    numbers: Mapping[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -34,7 +75,7 @@ class Manifest:
         id: hash of the law, its period, its precision, its gains and its initial state.
         real: floating-point precision of the exported code.
         period: control period [s].
-        laws: two hashes: of the law's instruction list, and of the instruction list of the same law with true obstacle
+        laws: two digests: of the law's instruction list, and of the instruction list of the same law with true obstacle
             positions as input.
         gains: values of the exported gains by name.
         vehicle: hash of the vehicle's parameters; empty if the export names no vehicle.
@@ -44,6 +85,10 @@ class Manifest:
         ranges: (least, largest) value, by name, of each vehicle parameter for which the vehicle file gives a range;
             None if the manifest states no ranges.
         gains_id: id of law and gains, which the C function `gains_id` returns for the gains that the robot uses.
+        lists: the instruction lists by digest.
+        extra: names of results of a compiler in the folder.
+        fins: what the vehicle's fins do at the cruise speed, by name: `moment_nm`, and `side_per_m` if it is fixed;
+            empty without fins.
     """
 
     id: str
@@ -57,6 +102,9 @@ class Manifest:
     values: Mapping[str, float]
     ranges: Mapping[str, tuple[float, float]] | None
     gains_id: str = ""
+    lists: Mapping[str, Listed] = field(default_factory=dict)
+    extra: tuple[str, ...] = ()
+    fins: Mapping[str, float] = field(default_factory=dict)
 
 
 def numbers_sha256(numbers: Sequence[float]) -> str:
@@ -65,86 +113,224 @@ def numbers_sha256(numbers: Sequence[float]) -> str:
 
 
 def stated_sha256(claim: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of an inequality's statement (variables with their ranges, both sides, and constraints)."""
-    return hashlib.sha256(canonical({key: claim.get(key) for key in _STATED})).hexdigest()
+    """Return the SHA-256 of an inequality's statement, which covers every entry of the claim but the slack."""
+    return hashlib.sha256(canonical({"claim": {k: v for k, v in claim.items() if k != "slack"}})).hexdigest()
+
+
+def manifest_seal(manifest: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a manifest without its seal."""
+    return hashlib.sha256(canonical({"manifest": {k: v for k, v in manifest.items() if k != "seal"}})).hexdigest()
 
 
 def read_bundle(folder: Path) -> Manifest:
     """Read the manifest of a bundle and compare the bundle's files with it.
 
     Raises:
-        InputError: the folder has no manifest, or the file is not a manifest.
+        InputError: the folder has no manifest, the file is not a manifest, or an older version wrote it.
     """
     path = folder / MANIFEST
+    wrong, names = _walked(folder)
+    raw = read_bytes(path, LARGEST, remedy=_REMEDY)
     try:
-        if path.stat().st_size > LARGEST:
-            raise InputError(f"is larger than {LARGEST} bytes", file=path, remedy="give the folder of an export")
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            f"cannot be read ({error.strerror})", file=path, remedy="give the folder of an export"
-        ) from None
-    except (UnicodeDecodeError, ValueError, RecursionError):
-        raise InputError("is not JSON", file=path, remedy="give the folder of an export") from None
-    return read_manifest(document, folder)
+        document = json.loads(raw.decode(), parse_constant=_refused, parse_float=_decimal, object_pairs_hook=_unique)
+    except (UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise InputError(f"is not JSON: {error}", file=path, remedy=_REMEDY) from None
+    if isinstance(document, dict) and "gains" in document and not {"seal", "lists"} <= document.keys():
+        remedy = "export the controller again"
+        raise InputError("is of an older version, without the law's instruction list", file=path, remedy=remedy)
+    try:
+        if document["seal"] != manifest_seal(document):
+            wrong.append("the manifest was altered: its seal does not match")
+        files, source = document["sha256"], f"{_text(document['name'])}.c"
+        wrong += [f"the manifest does not list {name}" for name in (source, LAW) if name not in files]
+        texts, extra = dict[str, str](), []
+        returned = f'return "{document["id"]}";'.encode()
+        for name, stated in files.items():
+            if not all(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in name.split("/")):
+                raise ValueError(name)
+            if name not in names:
+                wrong += [] if any(text.startswith(f"{name} is") for text in wrong) else [f"{name} is missing"]
+                continue
+            body = read_bytes(folder / name, _LARGEST, remedy=_REMEDY)
+            if hashlib.sha256(body).hexdigest() != stated:
+                wrong.append(f"{name} was altered")
+            elif name in document["lists"]:
+                texts[name] = body.decode()
+            elif name == source and returned not in body:
+                wrong.append(f"{name} returns an id that is not the manifest's")
+        for name in sorted(names - files.keys() - {MANIFEST}):
+            if _compiled(folder / name):
+                extra.append(name)
+            else:
+                wrong.append(f"{name} is not part of the export: remove it, or build in another folder")
+        manifest = read_manifest(document, texts)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
+        raise _no_manifest(path) from None
+    return replace(manifest, wrong=(*wrong, *manifest.wrong), extra=tuple(extra))
 
 
-def read_manifest(document: Any, folder: Path | None = None) -> Manifest:
-    """Read a manifest from plain data; if a folder is given, compare the exported files with the manifest.
+def read_manifest(document: Any, texts: Mapping[str, str]) -> Manifest:
+    """Read a manifest from plain data.
+
+    Args:
+        document: the manifest.
+        texts: text of each instruction list by file name; one that is missing was already reported.
 
     Raises:
         InputError: the data are not a manifest.
     """
     try:
-        law, files = document["law"], document["sha256"]
-        gains = {str(row["name"]): tuple(float(v) for v in row["values"]) for row in document["gains"]["values"]}
+        law = document["law"]
+        gains = {_text(row["name"]): _numbers(row["values"]) for row in document["gains"]["values"]}
         vehicle = document.get("vehicle") or {"sha256": "", "values": {}}
-        values = {str(name): float(value) for name, value in vehicle["values"].items()}
+        values = {_text(name): _number(value) for name, value in vehicle["values"].items()}
+        claims = {_text(name): _text(value) for name, value in document.get("claims", {}).items()}
         manifest = Manifest(
-            str(document["id"]),
-            str(document["real"]),
-            float(document["dt_s"]),
-            (str(law["sha256"]), str(law["ground_truth_sha256"])),
-            gains,
-            str(vehicle["sha256"]),
-            {str(name): str(text) for name, text in document.get("claims", {}).items()},
-            (),
-            values,
-            _ranges(vehicle.get("ranges")),
-            str(document["gains"]["id"]),
-        )
+            _text(document["id"]), _text(document["real"]), _number(document["dt_s"]),
+            (_text(law["sha256"]), _text(law["ground_truth_sha256"])), gains, _text(vehicle["sha256"]), claims, (),
+            values, _ranges(vehicle.get("ranges")), _text(document["gains"]["id"]),
+        )  # fmt: skip
+        fins = {_text(name): _number(value) for name, value in vehicle.get("fins", {}).items()}
         numbers = [v for row in gains.values() for v in row]
         flat = numbers_sha256(numbers)
-        parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, str(law["initial_state_sha256"]))
+        parts = (manifest.laws[0], manifest.period.hex(), manifest.real, flat, _text(law["initial_state_sha256"]))
         wrong = [] if document["gains"]["sha256"] == flat else ["the stated hash of the gains is wrong"]
-        if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values):
+        if manifest.vehicle and manifest.vehicle != _vehicle_sha256(values, _text(vehicle.get("thrusters", ""))):
             wrong.append("the stated hash of the vehicle is wrong")
         if manifest.gains_id != _gains_id(parts, numbers, manifest.real):
             wrong.append("the stated id of law and gains is wrong")
         if manifest.id != hashlib.sha256("\n".join(parts).encode()).hexdigest():
             wrong.append("the id does not match law, period, precision, gains and initial state")
-        if folder is not None:
-            wrong += _files(folder, files, f"{document['name']}.c", manifest.id)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        raise InputError(
-            "is not the manifest of an export, or an older version wrote it",
-            file=None if folder is None else folder / MANIFEST,
-            remedy="export the controller again",
-        ) from None
-    return Manifest(**{**vars(manifest), "wrong": tuple(wrong)})
+        lists: dict[str, Listed] = {}
+        for name, entry in document["lists"].items():
+            listed = Listed(texts.get(name, ""), *_vectors(entry))
+            if name in texts and digest(listed.text) != entry["sha256"]:
+                wrong.append(f"the stated digest of {name} is wrong")
+            lists[_text(entry["sha256"])] = listed
+        if manifest.laws[0] != document["lists"][LAW]["sha256"]:
+            wrong.append(f"the digest of the law is not that of {LAW}")
+        exported = lists[document["lists"][LAW]["sha256"]]
+        if [(p.name, p.size) for p in exported.vectors["gains"]] != [(n, len(v)) for n, v in gains.items()]:
+            wrong.append(f"the gains are not those of {LAW}")
+        if numbers_sha256(exported.numbers["initial_state"]) != parts[4]:
+            wrong.append("the stated hash of the initial state is wrong")
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
+        raise _no_manifest(None) from None
+    return replace(manifest, wrong=tuple(wrong), lists=lists, fins=fins)
+
+
+def _no_manifest(path: Path | None) -> InputError:
+    remedy = "export the controller again"
+    return InputError("is not the manifest of an export, or an older version wrote it", file=path, remedy=remedy)
+
+
+def _walked(folder: Path) -> tuple[list[str], set[str]]:
+    """Return one message for each entry of the folder that is not a regular file, and the names of the files."""
+    wrong, names = [], set()
+    try:
+        for count, (name, entry) in enumerate(_entries(folder, "", 0)):
+            if count >= _MOST:
+                raise InputError(f"has more than {_MOST} files", file=folder, remedy=_REMEDY)
+            if entry.is_symlink():
+                wrong.append(f"{name} is a link")
+            elif entry.is_file(follow_symlinks=False):
+                names.add(name)
+            elif not entry.is_dir(follow_symlinks=False):
+                wrong.append(f"{name} is not a regular file")
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=folder, remedy=_REMEDY) from None
+    return wrong, names
+
+
+def _entries(folder: Path, before: str, depth: int) -> Iterator[tuple[str, os.DirEntry[str]]]:
+    if depth > _DEEPEST:
+        raise InputError(f"has more than {_DEEPEST} folders inside one another", file=folder, remedy=_REMEDY)
+    with os.scandir(folder) as entries:
+        for entry in sorted(entries, key=lambda one: one.name):
+            yield f"{before}{entry.name}", entry
+            if entry.is_dir(follow_symlinks=False):
+                yield from _entries(folder / entry.name, f"{before}{entry.name}/", depth + 1)
+
+
+def _compiled(path: Path) -> bool:
+    if path.suffix:
+        return path.suffix in _OBJECTS
+    with path.open("rb") as file:
+        return file.read(4).startswith(_PROGRAMS)
+
+
+def _refused(name: str) -> float:
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def _decimal(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is too large for a double")
+    return value
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        raise ValueError("a key occurs twice")
+    return table
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError(value)
+    return float(value)
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    if not isinstance(values, list | tuple):
+        raise TypeError(values)
+    return tuple(map(_number, values))
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise TypeError(value)
+    return value
+
+
+def _vectors(entry: Mapping[str, Any]) -> tuple[dict[str, tuple[Port, ...]], dict[str, tuple[float, ...]]]:
+    vectors, numbers = dict[str, tuple[Port, ...]](), dict[str, tuple[float, ...]]()
+    for name, rows in entry.items():
+        if name not in ("sha256", *_NUMBERS):
+            vectors[name] = tuple(map(_port, rows))
+    for name in _NUMBERS.keys() & entry.keys():
+        numbers[name] = tuple(n for row, port in zip(entry[name], vectors[_NUMBERS[name]], strict=True)
+                              for n in _row(row, port.size))  # fmt: skip
+    return vectors, numbers
+
+
+def _row(row: Any, size: int) -> tuple[float, ...]:
+    values = _numbers(row) if isinstance(row, list) else (_number(row),) * size  # one number for all
+    if len(values) != size:
+        raise ValueError("a port has another number of values")
+    return values
+
+
+def _port(text: str) -> Port:
+    match = re.fullmatch(r"(\w+)\[(\d{1,7})\] (.+)", text)
+    if match is None:
+        raise ValueError(text)
+    return Port(match[1], int(match[2]), match[3])
 
 
 def _ranges(ranges: Any) -> dict[str, tuple[float, float]] | None:
     if ranges is None:
         return None
-    ends = {str(name): (float(low), float(high)) for name, (low, high) in ranges.items()}
+    ends = {_text(name): (_number(low), _number(high)) for name, (low, high) in ranges.items()}
     if not all(low <= high for low, high in ends.values()):
         raise ValueError("the lower end of a range exceeds its upper end")
     return ends
 
 
-def _vehicle_sha256(values: Mapping[str, float]) -> str:
-    return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
+def _vehicle_sha256(values: Mapping[str, float], thrusters: str) -> str:
+    return hashlib.sha256((json.dumps(values, sort_keys=True) + thrusters).encode()).hexdigest()
 
 
 def _gains_id(parts: Sequence[str], numbers: Sequence[float], real: str) -> str:
@@ -155,23 +341,3 @@ def _gains_id(parts: Sequence[str], numbers: Sequence[float], real: str) -> str:
         b"SURG" + struct.pack("<HHI", 1, width, len(numbers)) + key + struct.pack(f"<{len(numbers)}{letter}", *numbers)
     )
     return f"{zlib.crc32(stored):08x}"
-
-
-def _files(folder: Path, files: Mapping[str, str], source: str, identity: str) -> list[str]:
-    """Return one message for each file that is missing or differs from the manifest."""
-    wrong = []
-    if source not in files:
-        wrong.append(f"the manifest does not list {source}")
-    for name, digest in files.items():
-        if not all(re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", part) for part in name.split("/")):
-            raise ValueError(name)
-        try:
-            body = (folder / name).read_bytes()
-        except OSError:
-            wrong.append(f"{name} is missing")
-            continue
-        if hashlib.sha256(body).hexdigest() != digest:
-            wrong.append(f"{name} was altered")
-        elif name == source and f'return "{identity}";'.encode() not in body:
-            wrong.append(f"{name} returns an id that is not the manifest's")
-    return wrong

@@ -16,7 +16,7 @@ from typing import Any
 from mpmath import libmp
 
 from surctl.certcheck.derivative import along, composed
-from surctl.certcheck.document import Rejected
+from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.enclosure import Undefined, above, decimal, enclose, rational, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
@@ -27,6 +27,10 @@ from surctl.certcheck.patience import go_on
 __all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion", "rest_of"]
 
 _MOST_DECIMALS = 400  # characters
+_LOOP = {
+    "plant", "controller", "period_s", "plant_state", "controller_state", "gains", "parameters", "reference",
+    "disturbance",
+}  # fmt: skip
 _SHARED = 500  # most operations of earlier inequalities in the table of the next one
 _MOST_HALVED = 2000  # most boxes that are halved to see that the dynamics are defined
 
@@ -192,16 +196,16 @@ def read_motion(claim: Mapping[str, Any]) -> Motion:
 
 
 def _require_loop(about: object) -> None:
-    """Raise Rejected unless the entry `about` states the digests of plant and controller, and the values of gains."""
-    if not isinstance(about, dict) or set(about) != {"plant", "controller", "gains"}:
-        raise Rejected("the certificate must state the plant, the controller and the gains that define the dynamics")
-    printable(about["plant"], about["controller"])
-    if not isinstance(about["gains"], dict):
-        raise Rejected("the certificate does not state the gains by name")
-    for name, values in about["gains"].items():
-        printable(name)
-        if not [number(value) for value in listed(values)]:
-            raise Rejected("the certificate states a gain without a value")
+    """Raise Rejected unless the entry `about` states digests, period and vectors of the loop of the dynamics."""
+    loop = record(about, _LOOP, "claim.about")
+    printable(loop["plant"], loop["controller"])
+    if not number(loop["period_s"]) > 0 or not isinstance(loop["gains"], dict):
+        raise Rejected("the certificate does not state the period, or the gains by name")
+    printable(*loop["gains"])
+    vectors = [loop[key] for key in _LOOP - {"plant", "controller", "period_s", "gains"}]
+    for entry in (e for vector in (*vectors, *loop["gains"].values()) for e in listed(vector)):
+        if not isinstance(entry, str):
+            number(entry)
 
 
 def check_all(obligations: Sequence[Obligation], proofs: object, known: Exact) -> None:

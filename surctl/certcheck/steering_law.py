@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.steering_claim import SteeringClaim
 
-__all__ = ["check_samples", "draw_crafts", "true_rate"]
+__all__ = ["available", "check_samples", "commanded_moments", "draw_crafts", "true_rate"]
 
 Array = NDArray[np.float64]
 
@@ -33,6 +33,42 @@ def draw_crafts(claim: SteeringClaim, count: int, rng: np.random.Generator) -> M
     }  # fmt: skip
 
 
+def commanded_moments(
+    claim: SteeringClaim, y: Array, psi: Array, r: Array, u: Array, crab: Array, s: Array
+) -> tuple[Array, Array]:
+    """Return the yaw moments (n,) [N m] that the law commands, with its limits, for the least and the whole `share`.
+
+    `share` is the share of the modelled sway speed that the speed cap leaves. The arguments (n,) are cross-track error,
+    heading to the path, yaw rate, surge speed, crab angle and modelled sway speed.
+    """
+    nr, nrr = float(claim.linear[1]), float(claim.quadratic[1])
+    cruise, m44 = float(claim.cruise), float(claim.mass[2])
+    ahead = max(float(claim.lookahead), cruise / float(_planned(claim, np.array([cruise]))[0]))
+    desired = -np.arctan2(y, ahead) - crab
+    error = np.arctan2(np.sin(desired - psi), np.cos(desired - psi))
+    swing = np.sqrt(available(claim, u) / m44 * np.abs(error))
+    largest = np.minimum(_planned(claim, np.maximum(u, cruise / 4)), swing)
+    turn = np.clip(float(claim.k_psi) * error, -largest, largest)
+    free = nr * turn + nrr * turn * np.abs(turn) + m44 * float(claim.k_r) * (turn - r)
+    most, left = available(claim, u), float(claim.cap) / np.hypot(float(claim.cap), s)
+    least, whole = (np.clip(free + float(claim.munk) * u * share * s, -most, most) for share in (left, 1.0))
+    return least, whole
+
+
+def available(claim: SteeringClaim, speed: Array) -> Array:
+    """Return the largest yaw moment (n,) [N m] at surge speeds (n,): that of fins grows with their square."""
+    most, cruise = float(claim.moment), float(claim.cruise)
+    return most * np.minimum(speed / cruise, 1) ** 2 if claim.finned else np.full_like(speed, most)
+
+
+def _planned(claim: SteeringClaim, speed: Array) -> Array:
+    (yv, nr), (yvv, nrr) = ([float(n) for n in pair] for pair in (claim.linear, claim.quadratic))
+    most = available(claim, speed)
+    limit = 1.7 * most / (nr + np.sqrt(nr * nr + 3.4 * nrr * most))
+    drift = np.minimum(float(claim.sideslip) * speed, 0.5 * most / max(abs(float(claim.munk)), 1e-9) / speed)
+    return np.asarray(np.minimum((yv * drift + yvv * drift**2) / (float(claim.centripetal) * speed), limit))
+
+
 def true_rate(claim: SteeringClaim, craft: Mapping[str, Array], state: Array) -> Array:
     """Return d/dt of the states (n, 6) by the law and the vehicle, with all limits of the law.
 
@@ -44,29 +80,9 @@ def true_rate(claim: SteeringClaim, craft: Mapping[str, Array], state: Array) ->
     y, psi, v, r, crab, s = state.T
     u = craft["u"]
     m11, m22, m44 = (float(m) for m in claim.mass)
-    (yv, nr), (yvv, nrr) = ([float(n) for n in pair] for pair in (claim.linear, claim.quadratic))
-    most, cruise = float(claim.moment), float(claim.cruise)
-
-    def available(speed: Array) -> Array:
-        return most * np.minimum(speed / cruise, 1) ** 2 if claim.finned else np.full_like(speed, most)
-
-    def planned(speed: Array) -> Array:
-        most = available(speed)
-        limit = 1.7 * most / (nr + np.sqrt(nr * nr + 3.4 * nrr * most))
-        drift = np.minimum(float(claim.sideslip) * speed, 0.5 * most / max(abs(float(claim.munk)), 1e-9) / speed)
-        return np.asarray(np.minimum((yv * drift + yvv * drift**2) / (float(claim.centripetal) * speed), limit))
-
-    ahead = max(float(claim.lookahead), cruise / float(planned(np.array([cruise]))[0]))
-    desired = -np.arctan2(y, ahead) - crab
-    error = np.arctan2(np.sin(desired - psi), np.cos(desired - psi))
-    swing = np.sqrt(available(u) / m44 * np.abs(error))
-    largest = np.minimum(planned(np.maximum(u, cruise / 4)), swing)
-    turn = np.clip(float(claim.k_psi) * error, -largest, largest)
-    carried = s * float(claim.cap) / np.hypot(float(claim.cap), s)
-    moment = (
-        nr * turn + nrr * turn * np.abs(turn) + m44 * float(claim.k_r) * (turn - r) + float(claim.munk) * u * carried
-    )
-    moment = np.clip(moment, -available(u), available(u))
+    yv, (yvv, nrr) = float(claim.linear[0]), map(float, claim.quadratic)
+    cruise = float(claim.cruise)
+    moment, _ = commanded_moments(claim, y, psi, r, u, crab, s)
     f, d = craft["mass"].T, craft["drag"].T
     t1, t2, t4 = m11 * f[0], m22 * f[1], m44 * f[2]
     t24 = float(claim.terms.get("m24", 0)) * f[3]

@@ -5,7 +5,9 @@ The comparison does not replace the derivation of the linear inclusion, but it r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_cells import Trim
 from surctl.certcheck.turning_claim import TurningClaim, drag_factors, factors
 
-__all__ = ["check_samples", "commanded", "draw_motions", "draw_vehicles", "true_rate"]
+__all__ = ["Follower", "check_samples", "commanded", "draw_motions", "draw_vehicles", "followed", "true_rate"]
 
 Array = NDArray[np.float64]
 
@@ -46,19 +48,48 @@ def draw_motions(claim: TurningClaim, count: int, rng: np.random.Generator) -> A
     return np.asarray(rng.choice([-1.0, 1.0], size=(count, 4)) * np.array([float(bound) for bound in most]))
 
 
+@dataclass(frozen=True)
+class Follower:
+    """The numbers of the path-following law; SI units, pairs are (surge, sway)."""
+
+    k1: float
+    lookahead: float
+    cruise: float
+    cap: float
+    k_v: float
+    mass: tuple[float, ...]
+    linear: tuple[float, ...]
+    quadratic: tuple[float, ...]
+    thrust: tuple[float, ...]
+
+    @classmethod
+    def of(cls, claim: Any, *pairs: Iterable[Any]) -> Follower:
+        """Return the numbers of a claim, with the given pairs of mass, linear and quadratic drag, and thrust limit."""
+        mass, linear, quadratic, thrust = (tuple(map(float, pair)) for pair in pairs)
+        k1, lookahead, cruise, cap, k_v = (
+            float(getattr(claim, name)) for name in ("k1", "lookahead", "cruise", "cap", "k_v")
+        )
+        return cls(k1, lookahead, cruise, cap, k_v, mass, linear, quadratic, thrust)
+
+
 def commanded(claim: TurningClaim, state: Array, psi: Array) -> Array:
     """Return the thrust (n, 2) [N] that the law commands on each axis of the body; arguments as in `true_rate`."""
+    return followed(Follower.of(claim, claim.mass, claim.linear, claim.quadratic, claim.thrust), state, psi)
+
+
+def followed(law: Follower, state: Array, psi: Array) -> Array:
+    """Return the thrust (n, 2) [N] that a law commands on each axis of the body; arguments as in `true_rate`."""
     x_e, y_e, along, across = state.T
-    slant = np.sqrt(1 + (y_e / float(claim.lookahead)) ** 2)
-    speed = np.minimum(np.maximum(float(claim.cruise) - float(claim.k1) * x_e, 0), float(claim.cap) / slant)
-    desired = speed, -speed * y_e / float(claim.lookahead)
+    slant = np.sqrt(1 + (y_e / law.lookahead) ** 2)
+    speed = np.minimum(np.maximum(law.cruise - law.k1 * x_e, 0), law.cap / slant)
+    desired = speed, -speed * y_e / law.lookahead
     c, s = np.cos(psi), np.sin(psi)
     nu = c * along + s * across, -s * along + c * across
     in_body = c * desired[0] + s * desired[1], -s * desired[0] + c * desired[1]
     thrusts = []
     for i in (0, 1):
-        m, a, b, limit = (float(n[i]) for n in (claim.mass, claim.linear, claim.quadratic, claim.thrust))
-        free = a * in_body[i] + b * in_body[i] * np.abs(in_body[i]) + m * float(claim.k_v) * (in_body[i] - nu[i])
+        m, a, b, limit = law.mass[i], law.linear[i], law.quadratic[i], law.thrust[i]
+        free = a * in_body[i] + b * in_body[i] * np.abs(in_body[i]) + m * law.k_v * (in_body[i] - nu[i])
         thrusts.append(np.clip(free, -limit, limit))
     return np.stack(thrusts, axis=1)
 

@@ -38,17 +38,17 @@ def check(
     """Check a certificate without trusting the prover that wrote it.
 
     --bundle also checks whether the certificate applies to an exported controller: every number that it assumes is
-    compared with the manifest of the bundle, and every hash is computed again. The output names the parts of the
-    controller that the certificate does not cover. An inequality with slack holds only to within this slack and does
-    not prove asymptotic stability. Exit status: 0 if the certificate is accepted (and applies to the controller), 1 if
-    it is rejected or belongs to another controller, 2 if a file is not a certificate or bundle.
+    compared with the manifest of the bundle, every hash is computed again, and what it states about the law is compared
+    with the law's instruction list at hundreds of points. The output names the parts of the controller that the
+    certificate does not cover. An inequality with slack holds only to within this slack and does not prove asymptotic
+    stability. Exit status: 0 if the certificate is accepted (and applies to the controller), 1 if it is rejected,
+    belongs to another controller, or states a number that nothing binds, 2 if a file is not a certificate or bundle.
 
     Examples: surctl check proofs/v2-static.json; surctl check firmware/certificate-v2-static.json --bundle firmware
     """
     from surctl.certcheck import PATIENCE, check_file
     from surctl.certcheck.belonging import compare
     from surctl.certcheck.bundle import read_bundle
-    from surctl.certcheck.document import read
 
     outcome = check_file(certificate, time_limit=PATIENCE if time_limit is None else time_limit)
     word = "accepted" if outcome.accepted else f"rejected: {outcome.reason}"
@@ -62,17 +62,25 @@ def check(
         finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted)
         return
     manifest = read_bundle(bundle)
-    result = {**outcome.to_dict(), "bundle": {"id": manifest.id, "belongs": False, "differs": [], "excludes": []}}
+    nothing: dict[str, Any] = {"belongs": False, "differs": [], "unbound": [], "excludes": []}
+    result = {**outcome.to_dict(), "bundle": {"id": manifest.id, **nothing}}
     if outcome.accepted:
-        comparison = compare(read(certificate), manifest)
+        # the file is read once: the claim that was checked is the claim that is compared
+        comparison = compare({"kind": outcome.kind, "claim": outcome.claim}, manifest)
         differs, belongs = list(comparison.differs), comparison.belongs
         if gains_id is not None and gains_id.lower().removeprefix("0x").zfill(8) != manifest.gains_id:
             differs.append(f"gains: the robot reports id {gains_id}, the bundle's is {manifest.gains_id}")
             belongs = False
         result["bundle"] = {"id": manifest.id, **comparison.to_dict(), "belongs": belongs, "differs": differs}
-        word = "belongs to" if belongs else "DOES NOT belong to"
+        word = "belongs to" if belongs else "DOES NOT belong to" if differs else "IS NOT BOUND to"
         lines.append(f"{word} the controller {manifest.id[:12]} in {bundle}")
-        lines += [f"  differs: {text}" for text in differs] + [f"  not covered: {text}" for text in comparison.excludes]
+        lines += [f"  differs: {text}" for text in differs]
+        lines += (
+            []
+            if differs
+            else [f"  not bound: {text}, which nothing of the bundle states" for text in comparison.unbound]
+        )
+        lines += [f"  not covered: {text}" for text in comparison.excludes]
     finish(result, printable(lines), as_json=as_json, passed=bool(result["bundle"]["belongs"]))
 
 

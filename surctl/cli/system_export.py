@@ -49,6 +49,7 @@ def export_system(
     from surctl.export.check import STEPS, check_builds
     from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.fmu import write_fmu
+    from surctl.export.plant_lists import PlantLists
     from surctl.export.precision import REALS
     from surctl.export.process import build_controller
     from surctl.export.prove import prove_bundle, with_proof
@@ -57,6 +58,7 @@ def export_system(
     from surctl.export.targets import chosen_targets
     from surctl.ir import find_compiler
     from surctl.system import LOST, run_system
+    from surctl.system.values import run_numbers
 
     for key, value, known in (("--target", options.target, _TARGETS), ("--real", options.real, REALS)):
         if value not in known:
@@ -75,7 +77,8 @@ def export_system(
     controller = own.system.controller
     record = run_system(own.system, duration, values)
     gains = controller.gains.unpack(record.controller[2])
-    bundle = build_bundle(controller, gains, name=name, real=real)
+    plant = PlantLists(own.system.plant, run_numbers(own.system, values).plant[0])
+    bundle = build_bundle(controller, gains, name=name, real=real, supplement=plant)
     proof = None
     if options.prove:
         progress("proving")

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.certcheck.bundle import numbers_sha256
+from surctl.certcheck.bundle import manifest_seal, numbers_sha256
 from surctl.errors import InputError
 from surctl.export.contract import DATA, FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.gain_store import gains_id
 from surctl.export.guard_text import range_text
+from surctl.export.listed import LAW, law_list
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
 from surctl.export.supplement import Supplement
@@ -129,10 +130,12 @@ def build_bundle(
     identity = law_id(law, p, real=real)
     tests = self_test_vectors(in_precision(law, real, within), rounded(p, real), within)
     files = render_files(law, p, within, name=prefix, identity=identity, tests=tests, real=real, supplement=added)
-    files |= added.files
+    lists = {LAW: law_list(law), **added.lists(law)}
+    files |= added.files | {file: listed.block.text() for file, listed in lists.items()}
     _check_gains(law, rounded(p, real), within)
     table = _manifest(law, prefix, identity, real, within) | law_entries(law, p, real=real) | added.entries(law, p)
-    added.check(table | {"sha256": {}, "proof": {}})
+    table["lists"] = {file: listed.entry() for file, listed in lists.items()}
+    added.check(table, files)
     files["manifest.json"] = manifest_with(table, files, proof={"status": "not tried"})
     return Bundle(prefix, identity, MappingProxyType(files), real, within, fed=added.fed(law))
 
@@ -230,11 +233,11 @@ def manifest_with(
     proof: Mapping[str, object],
     binaries: Mapping[str, bytes] | None = None,
 ) -> str:
-    """Return the text of the manifest `table`, with the hashes of all files and the outcome of the proof added."""
+    """Return the text of the manifest `table`, with the hashes of all files, the outcome of the proof and a seal."""
     hashes = {file: _sha256(text) for file, text in files.items()}
     hashes |= {file: hashlib.sha256(data).hexdigest() for file, data in (binaries or {}).items()}
     full = {**table, "proof": proof, "sha256": hashes}
-    return json.dumps(full, indent=2, sort_keys=True) + "\n"
+    return json.dumps({**full, "seal": manifest_seal(full)}, indent=2, sort_keys=True) + "\n"
 
 
 def _sha256(text: str) -> str:

@@ -6,7 +6,7 @@ import contextlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from surctl.certcheck import PATIENCE, check_document
 from surctl.certcheck.belonging import compare
-from surctl.certcheck.bundle import read_manifest, stated_sha256
+from surctl.certcheck.bundle import Manifest, read_manifest, stated_sha256
 from surctl.certcheck.document import Rejected, read
 from surctl.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
-from surctl.errors import InputError, UnsupportedOperation
-from surctl.export.bundle import gain_rows, law_entries, law_entry
+from surctl.errors import InputError, NotApplicable, UnsupportedOperation
+from surctl.export.bundle import gain_rows, law_entries, law_entry, law_id
 from surctl.export.contract import Exportable
+from surctl.export.listed import LAW, Listed, law_list
 from surctl.guidance import AvoidanceForm
 from surctl.ir import Real
 from surctl.sensing import Equipment
@@ -28,10 +29,14 @@ from surctl.vehicle import Vehicle
 from surctl.verification import Claim, applicable_claims
 from surctl.verification.formula import text_of
 from surctl.verification.proving import statement_of
+from surctl.verification.region.steering import side_per_moment
 
-__all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificates", "manifest_entries", "origin_of"]
+__all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificates", "manifest_of", "origin_of"]
 
 Vector = NDArray[np.float64]
+
+CERTIFIED = "certified_law.txt"
+"""File of a bundle with the instruction list of the law that certificates are about, if it is not the exported one."""
 
 _AVOIDANCE: Mapping[str, AvoidanceForm] = {
     "v2-printed": "consistent",
@@ -59,6 +64,11 @@ class Origin:
     ground_truth: Law
     certificates: Mapping[str, Mapping[str, Any]] | None = None
     equipment: Equipment | None = None
+
+    def lists(self, law: Exportable) -> dict[str, Listed]:
+        """Return the instruction list of the law that certificates are about, unless it is that of the exported law."""
+        exported = self.ground_truth.block.digest() == law.block.digest()
+        return {} if exported else {CERTIFIED: law_list(self.ground_truth)}
 
     @property
     def files(self) -> dict[str, str]:
@@ -146,9 +156,13 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(f"is rejected: {reason}", file=path, remedy="prove it again: surctl verify") from None
 
 
-def manifest_entries(law: Exportable, p: Vector, origin: Origin | None, *, real: Real = "float64") -> dict[str, Any]:
-    """Return the manifest's entries for law and gains and, if `origin` is given, for vehicle and claims."""
-    return law_entries(law, p, real=real) | ({} if origin is None else origin_entries(law, p, origin))
+def manifest_of(law: Exportable, p: Vector, origin: Origin, *, real: Real = "float64") -> Manifest:
+    """Return what the manifest of an export of this law will state, as the checker reads it."""
+    lists = {LAW: law_list(law), **origin.lists(law)}
+    frame = {"name": "", "id": law_id(law, p, real=real), "dt_s": law.dt, "real": real}
+    entries = law_entries(law, p, real=real) | origin_entries(law, p, origin)
+    stated = {"lists": {file: listed.entry() for file, listed in lists.items()}}
+    return read_manifest(frame | entries | stated, {file: listed.block.text() for file, listed in lists.items()})
 
 
 def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]:
@@ -162,6 +176,13 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
         "vehicle": {"name": vehicle.name, "values": values, "ranges": ranges, "sha256": vehicle.digest()},
         "claims": _claims(rows, origin),
     }
+    if vehicle.actuators is not None:
+        entries["vehicle"]["thrusters"] = vehicle.actuators.text()
+        if vehicle.actuators.fins and "cruise" in law.gains:
+            cruise = float(p[law.gains.slice("cruise")][0])
+            entries["vehicle"]["fins"] = fins = {"moment_nm": float(vehicle.at_speed(cruise).thrust_limit[3])}
+            with contextlib.suppress(NotApplicable):  # fins at several places have no fixed share
+                fins["side_per_m"] = side_per_moment(vehicle)
     if origin.equipment is not None:
         floor = origin.equipment.floor
         entries["sensors"] = {"surface_model": origin.equipment.surface_model}
@@ -171,16 +192,22 @@ def origin_entries(law: Exportable, p: Vector, origin: Origin) -> dict[str, Any]
     return entries
 
 
-def check_belonging(manifest: Mapping[str, Any], origin: Origin) -> None:
-    """Raise InputError with the differences if a certificate is not about the controller of the manifest."""
-    read_back = read_manifest(manifest)
+def check_belonging(manifest: Mapping[str, Any], files: Mapping[str, str], origin: Origin) -> None:
+    """Raise InputError with the differences if a certificate is not about the controller of the manifest.
+
+    Args:
+        manifest: the manifest, without the hashes of the files.
+        files: text of each file of the bundle by its name.
+        origin: the certificates.
+    """
+    read_back = read_manifest(manifest, files)
     speeds = [f"--{name} {read_back.gains[name][0]:g}" for name in ("cruise", "cap") if name in read_back.gains]
     command = " ".join(["surctl verify", *speeds, "--gains FILE --vehicle FILE"])
     for name, document in (origin.certificates or {}).items():
         comparison = compare(document, read_back)
         if not comparison.belongs:
             raise InputError(
-                f"is not about this controller: {'; '.join(comparison.differs)}",
+                f"is not about this controller: {'; '.join((*comparison.differs, *comparison.unbound))}",
                 key=name.removeprefix("certificate-"),
                 remedy=f"prove the claim for these speeds, these gains and this vehicle: {command}",
             )
@@ -216,10 +243,7 @@ def fitting_certificates(paths: Sequence[Path], law: Law, vehicle: Vehicle, p: V
         >>> [path.name for path in fitting_certificates([Path("k1-0.3.json"), Path("k1-0.2.json")], law, vehicle, p)]
         ['k1-0.3.json']
     """
-    origin = origin_of(law, vehicle)
-    entries = manifest_entries(law, p, origin)
-    frame = {"name": "", "id": "", "dt_s": law.dt, "real": "float64", "sha256": {}}
-    manifest = replace(read_manifest(frame | entries), wrong=())  # a law that is not exported yet has no id
+    manifest = manifest_of(law, p, origin_of(law, vehicle))
     return [path for path in paths if compare(_read(path), manifest).belongs]
 
 
@@ -251,9 +275,10 @@ def _has_part(law: Law, claim: str) -> bool:
 
 
 def _stated(claim: Claim) -> dict[str, Any]:
-    # the form in which a certificate contains the statement
+    # the form in which a certificate contains the statement, but for the slack
     left, right, *constraints = (text_of(part) for part in statement_of(claim).parts)
     ranges = [
         {"name": v.name, "unit": v.unit, "lower": float(v.lower), "upper": float(v.upper)} for v in claim.variables
     ]
-    return {"variables": ranges, "left": left, "right": right, "constraints": constraints}
+    sides = {"left": left, "right": right, "constraints": constraints}
+    return {"name": claim.name, "statement": claim.statement, "unit": claim.unit, "variables": ranges, **sides}

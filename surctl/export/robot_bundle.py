@@ -13,6 +13,7 @@ from surctl.control import FED
 from surctl.export import bundle as core
 from surctl.export.contract import DATA, MISSION_FILES, Exportable
 from surctl.export.envelope import Envelope
+from surctl.export.listed import Listed
 from surctl.export.missions import data_rows, is_fed, mission_values
 from surctl.export.origin import Origin, check_belonging, origin_entries
 from surctl.export.robot_wiring import robot_wiring
@@ -48,9 +49,12 @@ class _Robot(Supplement):
     def entries(self, law: Exportable, p: Vector) -> dict[str, Any]:
         return {} if self.origin is None else origin_entries(law, p, self.origin)
 
-    def check(self, manifest: Mapping[str, Any]) -> None:
+    def lists(self, law: Exportable) -> dict[str, Listed]:
+        return {} if self.origin is None else self.origin.lists(law)
+
+    def check(self, manifest: Mapping[str, Any], files: Mapping[str, str]) -> None:
         if self.origin is not None:
-            check_belonging(manifest, self.origin)
+            check_belonging(manifest, files, self.origin)
 
 
 def build_bundle(

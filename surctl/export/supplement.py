@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable
 from surctl.ir import Real
+
+if TYPE_CHECKING:
+    from surctl.export.listed import Listed
 
 __all__ = ["Supplement"]
 
@@ -61,5 +64,10 @@ class Supplement:
         del law, p
         return {}
 
-    def check(self, manifest: Mapping[str, Any]) -> None:
-        """Raise InputError if an addition does not belong to the controller of this manifest."""
+    def lists(self, law: Exportable) -> dict[str, Listed]:
+        """Return further instruction lists by file name, beside that of the law."""
+        del law
+        return {}
+
+    def check(self, manifest: Mapping[str, Any], files: Mapping[str, str]) -> None:
+        """Raise InputError if an addition does not belong to the controller of this manifest and these files."""

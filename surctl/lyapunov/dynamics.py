@@ -74,8 +74,8 @@ class Dynamics:
         rates: time derivative of each state (continuous) or its successor (discrete), as expressions.
         parameters: uncertain parameters and disturbances.
         source: where the dynamics are published.
-        about: digests of `plant` and `controller`, and the values of `gains` by name, if the dynamics are those of a
-            closed loop (`surctl.system.System`); otherwise empty.
+        about: digests of `plant` and `controller`, `period_s`, and the entries of every vector of the loop, if the
+            dynamics are those of a closed loop (`surctl.system.System`); otherwise empty.
 
     Raises:
         InputError: a name is not valid or is used twice, a range is not finite, or a rate uses an unknown name.

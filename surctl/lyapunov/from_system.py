@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -42,9 +42,9 @@ def continuous_dynamics(
 
     A state z of the controller follows z' = (z⁺ - z) / period, which is the law that the controller samples.
 
-    A claim that is proved about these dynamics does not cover the sampling of the controller: see `NOT_COVERED`. If all
-    gains have values, the dynamics state the digests of plant and controller, so that `surctl check --bundle` can
-    compare a certificate with an exported controller.
+    A claim that is proved about these dynamics does not cover the sampling of the controller: see `NOT_COVERED`. The
+    dynamics state the digests and all numbers of plant and controller, so that `surctl check --bundle` can compare a
+    certificate with an exported controller.
 
     Args:
         system: the closed loop; reference and disturbance do not depend on time.
@@ -126,14 +126,50 @@ def continuous_dynamics(
         )
     names = [v.name for v in (*states, *parameters)]
     nodes = from_casadi(ca.vertcat(symbols, *free), names, ca.vertsplit(rates[moves]), to_the_bit=True)
-    gains = {port.name: numbers.gains[0, controller.gains.slice(port.name)].tolist() for port in controller.gains}
-    about: dict[str, Any] = {"plant": plant.digest(), "controller": controller.block.digest(), "gains": gains}
-    if any(place_of(system, name)[0] == "gains" for name in ranges or {}):
-        about = {}
+    about = _about(system, whole, flat, reference, disturbance)
     limits = NOT_COVERED + _AS_FLOW * bool(controller.state.size)
     resting = {label: rates[k] for k, label in enumerate(labels) if k not in moves}
     limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters], within)
     return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about)
+
+
+def _about(
+    system: System, whole: ca.SX, flat: Mapping[str, ca.SX], reference: ca.SX, disturbance: ca.SX
+) -> dict[str, Any]:
+    """Return which loop the dynamics are about: its digests, and each entry of its vectors, a number or a name.
+
+    The result is empty if a reference or disturbance is neither a number nor a parameter, and so has no entry.
+    """
+    plant, controller = system.plant, system.controller
+    x, z = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
+    labels = iter(entry_labels(plant.state) + entry_labels(controller.state, "controller."))
+    try:
+        return {
+            "plant": plant.digest(),
+            "controller": controller.block.digest(),
+            "period_s": system.dt,
+            "plant_state": _entries(x, labels),
+            "controller_state": _entries(z, labels),
+            "gains": {p.name: _entries(flat["gains"][controller.gains.slice(p.name)]) for p in controller.gains},
+            "parameters": _entries(flat["plant"]),
+            "reference": _entries(reference),
+            "disturbance": _entries(disturbance),
+        }
+    except ValueError:
+        return {}
+
+
+def _entries(vector: ca.SX, labels: Iterator[str] | None = None) -> list[float | str]:
+    entries: list[float | str] = []
+    for k in range(vector.numel()):
+        entry, label = vector[k], "" if labels is None else next(labels)
+        if entry.is_constant():
+            entries.append(float(entry))
+        elif entry.is_symbolic():
+            entries.append(_identifier(label or entry.name()))
+        else:
+            raise ValueError("an entry is an expression")
+    return entries
 
 
 def _check_rest(

@@ -205,9 +205,9 @@ def test_a_bundle_with_gains_out_of_range_is_refused() -> None:
 def test_the_manifest_binds_law_and_gains() -> None:
     _, bundle, _ = guarded()
     table = json.loads(bundle.files["manifest.json"])
-    assert read_manifest(table).wrong == ()
+    assert read_manifest(table, bundle.files).wrong == ()
     table["gains"]["id"] = "00000000"
-    assert read_manifest(table).wrong == ("the stated id of law and gains is wrong",)
+    assert read_manifest(table, bundle.files).wrong == ("the stated id of law and gains is wrong",)
 
 
 ORDERS = """#include "surctl_closed_form.h"

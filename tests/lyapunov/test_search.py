@@ -218,8 +218,11 @@ def test_dynamics_of_a_closed_loop_are_exact_and_say_what_they_leave_out() -> No
     assert d.about["gains"] == {"k_p": [25.0]}
     rates = d.evaluate([[0.3], [0.1]], [[9.5]])[:, 0]
     assert rates == pytest.approx([0.1, 9.5 * np.sin(0.3) - 25 * 0.3 - 6 * 0.1])
-    # a certificate for a range of a gain belongs to no exported controller
-    assert continuous_dynamics(_loop(integral=False), bounds, ranges={"k_p": (20.0, 25.0)}).about == {}
+    assert d.about["parameters"] == ["plant_gravity"] and d.about["plant_state"] == ["angle", "rate"]
+    # a certificate for a range of a gain belongs to a controller whose gain is inside
+    assert continuous_dynamics(_loop(integral=False), bounds, ranges={"k_p": (20.0, 25.0)}).about["gains"]["k_p"] == [
+        "k_p"
+    ]
     with pytest.raises(InputError, match=r"within\.rate"):
         continuous_dynamics(_loop(integral=False), {"angle": (-1.0, 1.0)})
     with pytest.raises(InputError, match="grvity: no such number"):

@@ -14,7 +14,7 @@ from surctl.errors import InputError, NotApplicable
 from surctl.vehicle import Vehicle
 from surctl.verification.assumptions import check_no_integral
 
-__all__ = ["SteeringClaim", "steering_claim"]
+__all__ = ["SteeringClaim", "side_per_moment", "steering_claim"]
 
 Pair = tuple[float, float]
 
@@ -61,7 +61,7 @@ class SteeringClaim:
                 "linear_drag": [craft["Yv"], craft["Nr"]],
                 "terms": {name: craft[name] for name in craft.form.terms},
                 "moment_nm": float(craft.thrust_limit[3]),
-                "side_per_m": _side(craft),
+                "side_per_m": side_per_moment(craft),
             },
             "law": {
                 "mass": [craft["m11"], craft["m22"], craft["m44"]],
@@ -145,7 +145,7 @@ def steering_claim(
     return claim
 
 
-def _side(craft: Vehicle) -> float:
+def side_per_moment(craft: Vehicle) -> float:
     """Return the sway force of the fins for each N m of their yaw moment [1/m]; 0 without fins."""
     if craft.actuators is None or not craft.actuators.fins:
         return 0.0
