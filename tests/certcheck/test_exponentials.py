@@ -23,7 +23,7 @@ from surctl.certcheck.exponentials import (
 )
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.verification.formula import derivative, parse, text_of, variable
-from tests.certcheck.test_angles import BITS, holds, narrow, raw
+from tests.certcheck.test_angles import BITS, LONG, holds, narrow, raw
 
 EXPONENTS = [Fraction(1, 2), Fraction(-3, 2), Fraction(1, 3), Fraction("63.999"), Fraction("-1e-6")]
 HARD = [
@@ -230,3 +230,10 @@ def test_a_factor_is_rounded_outward_and_an_unknown_operation_has_no_range() -> 
         assert Fraction(*libmp.to_rational(below)) < factor < Fraction(*libmp.to_rational(above))
     with pytest.raises(Undefined, match="is not known"):
         elementary("sec", one, Fraction(1))
+
+
+def test_tiny_and_long_numbers_are_rounded_outward() -> None:
+    for size in (n for n in LONG if libmp.mpf_lt(n, raw(2.0**-40))):
+        for x in (size, libmp.mpf_neg(size)):
+            assert holds(hyperbolic_sine((x, x)), sinh(x))
+            assert holds(hyperbolic_tangent((x, x)), libmp.mpf_tanh(x, 400))

@@ -11,17 +11,18 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mpmath import mp
 
-from surctl.certcheck import check_document, region
+from surctl.certcheck import check_document, region, region_bounds
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region import _check_offset, _check_ultimate_bound
-from surctl.certcheck.region_bounds import _commanded, shell
+from surctl.certcheck.region_bounds import _commanded, _thrust_share, shell
 from surctl.certcheck.region_claim import CruiseClaim, read_claim
-from surctl.certcheck.region_exact import Matrix, inverse, scaled
+from surctl.certcheck.region_exact import Matrix, inverse, quadratic, scaled
 from surctl.certcheck.region_flow import steady_trim
-from surctl.certcheck.region_inclusion import Vertex, vertices
+from surctl.certcheck.region_inclusion import Vertex, rate_matrix, vertices
 from surctl.certcheck.region_trim import Trim
 from tests.certcheck.altering import sealed
 
@@ -327,3 +328,107 @@ def test_unknown_keys_and_a_proof_by_cells_that_fails_are_rejected() -> None:
     changed = document("20")
     changed["proof"]["floor"] *= 1e-3
     assert reason(changed)
+
+
+@pytest.mark.parametrize("name", ["20-force", "20-lag"])
+def test_the_matrix_is_that_of_the_form(name: str) -> None:
+    """ξ and w are drawn, and each term of the form is computed from what it stands for."""
+    claim, p, steady = parts(name)
+    at = replace(shell(claim, steady, inverse(p), Fraction(1, 2), Fraction(1)), thrust_share=Fraction(1, 2))
+    loop = next(iter(vertices(claim, at, len(p), aside=Fraction(1, 10), mirrored=False)))
+    weights, hold = [Fraction(k, 7) for k in (1, 2, 3, 4, 5)], Fraction(3, 11)
+    m = rate_matrix(claim, at, p, loop, weights, hold)
+    rng, size = np.random.default_rng(3), len(p)
+    for _ in range(3):
+        draw = [Fraction(int(n)) for n in rng.integers(-9, 10, size=len(m))]
+        xi, w = draw[:size], {j: draw[size + 2 * k : size + 2 * k + 2] for k, j in enumerate(sorted(loop.B))}
+
+        def of(rows: Matrix, x: list[Fraction]) -> list[Fraction]:
+            return [sum((a * b for a, b in zip(row, x, strict=True)), Fraction(0)) for row in rows]
+
+        def square(x: list[Fraction]) -> Fraction:
+            return sum((a * a for a in x), Fraction(0))
+
+        rate = of(loop.A, xi)
+        for j, inputs in w.items():
+            rate = [a + b for a, b in zip(rate, of(loop.B[j], inputs), strict=True)]
+        value, own = quadratic(p, xi), xi[2:4]
+        force = [a + b for a, b in zip(of(loop.force, xi), w[1], strict=True)]
+        l1, l2, l3, l5, l6 = weights
+        bounds = {1: l1 * ((at.model_drag[1] - at.model_drag[0]) / 2) ** 2 * square(of(loop.desired, xi)),
+                  2: l2 * square(force) / 16, 3: l3 * ((at.drag[1] - at.drag[0]) / 2) ** 2 * square(own),
+                  5: l5 * at.held**2 * value, 6: l6 * at.disturbance**2 * value}  # fmt: skip
+        left = {1: l1, 2: l2, 3: l3, 5: l5, 6: l6}
+        growth, gain = (
+            claim.rate + l5 * at.held**2 + (l6 * at.disturbance**2 if 6 in w else 0),
+            claim.mass_model * claim.k_v,
+        )
+        total = claim.rate * value + 2 * sum((a * b for a, b in zip(of(p, xi), rate, strict=True)), Fraction(0))
+        if 4 in w:  # Ẇ + g W ≤ V̇ + g V + h ρ |ḟ|² − (1 − g h) (ρ/h) |e|², |w_4| ≤ (1 + r h) |e| + r h |δF_c|
+            h, turn = claim.period, claim.yaw_rate * claim.period
+            left[4] = (1 - growth * h) * hold / (h * Fraction(6, 5) * (1 + turn) ** 2)
+            bounds[4] = left[4] * 6 * turn**2 * square(force)
+            total += h * hold * (Fraction(4, 3) * gain**2 * square(rate[2:4]) + 4 * at.desired_rate**2 * square(own))
+        total += sum((bounds[j] - left[j] * square(w[j]) for j in w), Fraction(0))
+        assert quadratic(m, draw) == total
+
+
+def test_a_held_command_needs_a_weight_and_a_short_period() -> None:
+    claim, p, steady = parts("20-sampled")
+    at = shell(claim, steady, inverse(p), Fraction(1, 2), Fraction(1))
+    loop = next(iter(vertices(claim, at, len(p), aside=Fraction(0), mirrored=True)))
+    small = [Fraction(1, 10**6)] * 5
+    rate_matrix(claim, at, p, loop, small, Fraction(1))
+    for other, hold in ((claim, Fraction(0)), (replace(claim, rate=1 / claim.period), Fraction(1))):
+        with pytest.raises(Rejected, match="the control period is too long"):
+            rate_matrix(other, at, p, loop, small, hold)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (1, 0)])
+def test_the_thrust_limit_counts_in_every_direction(low: int, high: int) -> None:
+    """One direction needs the most thrust: an axis, or the diagonal on one side, for one of the slopes of the law."""
+    claim, _, steady = parts()
+    free = Trim(steady.omega, steady.command, *(Fraction(0),) * 4)
+    cov = [[Fraction(i == j, 10**9) for j in range(4)] for i in range(4)]
+    gain, share = claim.mass_model * claim.k_v, Fraction(1, 2)
+    for axis in (0, 1):  # deviation: gain · velocity
+        only = copy.deepcopy(cov)
+        only[2 + axis][2 + axis] = (claim.thrust / gain / share) ** 2
+        found = _thrust_share(claim, free, only, [(Fraction(0), Fraction(0), Fraction(0))], (Fraction(0),), Fraction(1))
+        assert share * Fraction(99, 100) < found <= share
+    k = Fraction(1)
+    cov[0][0] = (claim.thrust / gain / share) ** 2 / 2
+    corners = [(Fraction(0), k, Fraction(0)), (Fraction(0), k, claim.lookahead)]  # the second along (1, −1)/√2
+    found = _thrust_share(claim, free, cov, [corners[low], corners[high]], (Fraction(0),), Fraction(1))
+    assert share * Fraction(99, 100) < found <= share
+
+
+def test_roots_in_the_bounds_of_a_shell_are_rounded_to_the_safe_side(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawn regions: what one root loses by 1e-9, the others seldom make up for."""
+    monkeypatch.setattr(region_bounds, "_thrust_share", lambda *_: Fraction(1))
+    claim, p, steady = parts("20-force", place_error_m=0.003)
+    base, rng = inverse(p), np.random.default_rng(4)
+    for _ in range(60):
+        scale = [Fraction(int(n), 997) for n in (*rng.integers(300, 800, size=2), *rng.integers(300, 900_000, size=2))]
+        cov = [[scale[i] * scale[j] * e * (i == j) for j, e in enumerate(row)] for i, row in enumerate(base)]
+        high, cap = Fraction(int(rng.integers(500, 997)), 997), Fraction(int(rng.integers(175, 200)), 997)
+        drawn = replace(claim, cap=cap)
+        at = shell(drawn, steady, cov, Fraction(1, 3), high)
+        with mp.workdps(40):
+            real = [mp.sqrt(mp.mpf(cov[k][k].numerator) / cov[k][k].denominator) for k in range(4)]
+            radius = mp.sqrt(mp.mpf(high.numerator) / high.denominator)
+
+            def exact(x: Fraction) -> Any:
+                return mp.mpf(x.numerator) / x.denominator
+
+            ahead, k1, x = exact(claim.lookahead), exact(claim.k1), real[0] * radius
+            wide = real[1] * radius + exact(steady.aside)
+            own = 2 * exact(claim.cruise + claim.current) + max(real[2], real[3]) * radius
+            assert exact(at.drag[1]) >= exact(claim.linear[1]) + exact(claim.quadratic[1]) * own
+            most = exact(cap) * ahead / mp.sqrt(ahead**2 + wide**2)
+            assert exact(at.catch[0]) <= min(k1, (most - exact(steady.command[1])) / x)
+            off = (real[1] + exact(steady.aside + claim.place_error)) / ahead
+            steepest = claim.mass_model * claim.k_v + claim.linear_model + 2 * claim.quadratic_model * cap
+            change = mp.sqrt(k1**2 * (1 + off**2) + (exact(cap) / ahead) ** 2) * exact(steepest * claim.place_error)
+            still = exact(steady.total + claim.force + claim.mass_model * claim.k_v * claim.velocity_error)
+            assert exact(at.held) >= (still + change) / mp.sqrt(mp.mpf(1) / 3)
