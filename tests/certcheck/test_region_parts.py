@@ -413,7 +413,7 @@ def test_roots_in_the_bounds_of_a_shell_are_rounded_to_the_safe_side(monkeypatch
         cov = [[scale[i] * scale[j] * e * (i == j) for j, e in enumerate(row)] for i, row in enumerate(base)]
         high, cap = Fraction(int(rng.integers(500, 997)), 997), Fraction(int(rng.integers(175, 200)), 997)
         drawn = replace(claim, cap=cap)
-        at = shell(drawn, steady, cov, Fraction(1, 3), high)
+        at = shell(drawn, steady, cov, Fraction(1, 4), high)
         with mp.workdps(40):
             real = [mp.sqrt(mp.mpf(cov[k][k].numerator) / cov[k][k].denominator) for k in range(4)]
             radius = mp.sqrt(mp.mpf(high.numerator) / high.denominator)
@@ -431,4 +431,4 @@ def test_roots_in_the_bounds_of_a_shell_are_rounded_to_the_safe_side(monkeypatch
             steepest = claim.mass_model * claim.k_v + claim.linear_model + 2 * claim.quadratic_model * cap
             change = mp.sqrt(k1**2 * (1 + off**2) + (exact(cap) / ahead) ** 2) * exact(steepest * claim.place_error)
             still = exact(steady.total + claim.force + claim.mass_model * claim.k_v * claim.velocity_error)
-            assert exact(at.held) >= (still + change) / mp.sqrt(mp.mpf(1) / 3)
+            assert exact(at.held) >= 2 * (still + change)
