@@ -325,6 +325,40 @@ def test_the_study_of_mutants(
     assert [json.loads(line)["status"] for line in (tmp_path / "found.jsonl").read_text().splitlines()] == [1, 0]
 
 
+def test_the_study_of_mutants_of_the_checker() -> None:
+    done = run(ANALYSIS / "41_checker_mutants" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    [(name, count, caught)] = [row for row in table(done.stdout) if row[0] == "`definite`"]
+    assert int(count) >= 15 and count == caught.strip(" |"), name
+
+
+def test_a_mutant_of_the_checker_changes_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ANALYSIS / "41_checker_mutants"))
+    changes = importlib.import_module("operators").changes
+    source = """
+def check(numbers, low):
+    for n in numbers:
+        if n < low or not n:
+            raise ValueError(n)
+    go_on()
+    verify(min(numbers))
+    return all(n for n in numbers) and low
+"""
+    made = [(c.kind, c.old, c.new) for c in changes(source)]
+    assert made[:4] == [
+        ("leaves out", "numbers", "[*(numbers)][1:]"),
+        ("leaves out", "numbers", "[*(numbers)][:-1]"),
+        ("ignores", "n < low or not n", "False or not n"),
+        ("ignores", "n < low or not n", "n < low or False"),
+    ]
+    assert ("accepts", "raise ValueError(n)", "pass") in made
+    assert ("leaves out", "verify(min(numbers))", "pass") in made and not any("go_on" in old for _, old, _ in made)
+    assert ("exchanges", "verify(min(numbers))", "verify(max(numbers))") in made
+    assert len(made) == len({c.source for c in changes(source)}) == 12
+    for change in changes(source):
+        compile(change.source, "mutant", "exec")
+
+
 def test_the_study_of_what_the_checker_accepts() -> None:
     done = run(ANALYSIS / "24_checker_fuzz" / "statements.py", "--quick")
     assert done.returncode == 0, done.stderr

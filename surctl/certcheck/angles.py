@@ -95,8 +95,8 @@ def _taylor(r: int) -> tuple[int, int]:
 
 
 @lru_cache(8192)
-def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
-    """Return k, r = x − k π/2 (in units of 2^-128), cos x and sin x of a number with |x| < 2^_FAR; k is an integer.
+def _at(x: Raw) -> tuple[int, Interval, Interval]:
+    """Return k, cos x and sin x of a number with |x| < 2^_FAR; k is the integer with 0 ≤ r < π/2 for r = x − k π/2.
 
     If x has m bits before the point, x and π/2 are computed in units of 2^-(128 + m). Truncation changes x by less than
     one of these units. It changes k π/2 by less than 2^(m+1) of these units, because k ≤ 2^m. So the error of r = x − k
@@ -105,7 +105,7 @@ def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
     of `_taylor`, the error of the results is less than 70 units.
     """
     if x == libmp.fzero:
-        return 0, 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
+        return 0, (libmp.fone, libmp.fone), (libmp.fzero, libmp.fzero)
     size = _magnitude(x)
     m = max(size, 0)
     k, r = divmod(int(libmp.to_fixed(x, _W + m)), _half_pi(_W + m))
@@ -118,7 +118,7 @@ def _at(x: Raw) -> tuple[int, int, Interval, Interval]:
     for _ in range(k & 3):
         cosine, sine = -sine, cosine
     of_cosine, of_sine = _within(_ends(cosine)), _within(_ends(sine))
-    return k, r, of_cosine, _nearly(x) if size <= _NEAR else of_sine
+    return k, of_cosine, _nearly(x) if size <= _NEAR else of_sine
 
 
 def _nearly(x: Raw) -> Interval:
@@ -137,22 +137,20 @@ def circle(a: Interval) -> tuple[Interval, Interval]:
     """Return the ranges of cosine and sine on an interval.
 
     Cosine and sine are monotone between multiples of π/2. So their values at the ends of the interval, and the values 0
-    and ±1 at the multiples of π/2 inside, give the ranges. A multiple of π/2 within 16 units (of 2^-128) of an end of
-    the interval counts as inside.
+    and ±1 at the multiples of π/2 inside, give the ranges. `_at` may count a multiple of π/2 within 4 units (of 2^-128)
+    of an end of the interval as outside; then the bounds of the values at this end contain 0 and ±1 nevertheless.
     """
     low, high = a
     if any(end[1] == 0 and end != libmp.fzero for end in a) or any(_magnitude(e) > _FAR for e in a if e[1]):
         return _LINE_OF_ONE, _LINE_OF_ONE
-    first, r, cosine, sine = _at(low)
+    first, cosine, sine = _at(low)
     if low == high:
         return cosine, sine
-    last, rest, other, another = _at(high)
-    begin = first if r <= 16 else first + 1
-    end = last + 1 if rest >= _half_pi(_W) - 16 else last
-    if end - begin >= 3:
+    last, other, another = _at(high)
+    if last - first >= 4:
         return _LINE_OF_ONE, _LINE_OF_ONE
     cosine, sine = _hull(cosine, other), _hull(sine, another)
-    for k in range(begin, end + 1):
+    for k in range(first + 1, last + 1):
         one = libmp.fone if k & 3 < 2 else libmp.fnone
         if k & 1:
             sine = _hull(sine, (one, one))
@@ -173,7 +171,7 @@ def tangent(a: Interval) -> Interval | None:
         return None
     values, branches = [], set()
     for end in a:
-        k, _, cosine, sine = _at(end)
+        k, cosine, sine = _at(end)
         if not (libmp.mpf_gt(cosine[0], libmp.fzero) or libmp.mpf_lt(cosine[1], libmp.fzero)):
             return None
         branches.add((k + 1) // 2)
@@ -229,7 +227,7 @@ def _angle_of(y: Raw, x: Raw) -> Interval:
 def _ratio(small: Raw, large: Raw) -> int:
     """Return small/large in units of 2^-128, truncated, for 0 ≤ small ≤ large."""
     shift = small[2] - large[2] + _W
-    if small == libmp.fzero or _magnitude(small) - _magnitude(large) < -_W - 1:
+    if _magnitude(small) - _magnitude(large) < -_W - 1:
         return 0
     return int((small[1] << max(shift, 0)) // (large[1] << max(-shift, 0)))
 

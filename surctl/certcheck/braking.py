@@ -151,13 +151,17 @@ def _needed_by_loop(
 
     `spread` is x at the higher bound.
 
-    Without braking, z rises by what the loop commands: m ż ≤ u + f + D, and by the thrust across if the hull turns; if
-    the masses differ, a thrust F between −F_b and 0 counts as F/ρ to v̇, but whole to Ḟ. At a speed v > b the loop
-    commands less and less, at v < b at most k_v m (b − v) more, so that z rises with v there, if the period is short
-    enough. So the speeds from b to b + x suffice; they are divided into parts.
+    Without braking, z rises by what the loop commands: m ż ≤ U + f + D for a command u ≤ U, U ≥ −F_b, and by the thrust
+    across if the hull turns. If the masses differ, m ≤ μ ≤ ρ m, a thrust F < 0 counts as F/μ to v̇, but as F/m to z. So
+    let Z = s + τ (max(F, min(U, 0)) + F_b)/m ≥ z, which begins at s + q/m at most. Where F ≥ 0, m Ż ≤ u + f + D; where
+    U ≤ F < 0, m Ż ≤ u − F + max(f + D + F, 0), with u − F ≤ 0; where F < min(U, 0), Z changes with s only. So Z, and
+    with it z, never exceeds s + q/m + T max(U + f + D, 0)/m in a period T.
+
+    At a speed v > b the loop commands less and less, at v < b at most k_v m (b − v) more, so that z rises with v there,
+    if the period is short enough. So the speeds from b to b + x suffice; they are divided into parts.
     """
     (low, high), most = bounds, Fraction(0)
-    aside = claim.ratio * claim.turn * claim.lag * across(claim) + claim.brake * (1 - 1 / claim.ratio)
+    aside = claim.ratio * claim.turn * claim.lag * across(claim)
     turned = claim.turn * claim.period  # the command is held in axes of the hull, which turns during the period
     aside += turned * claim.most / 2 + turned**2 * claim.brake / 6
     for part in range(_PARTS):

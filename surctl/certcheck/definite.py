@@ -24,8 +24,6 @@ def is_semidefinite(matrix: list[list[int]]) -> bool:
     """Return whether a symmetric matrix (n, n) is shown to be positive semidefinite."""
     nonzero = [k for k, row in enumerate(matrix) if any(row)]
     a = [[matrix[i][j] for j in nonzero] for i in nonzero]
-    if any(row[k] <= 0 for k, row in enumerate(a)):
-        return False
     if not a:
         return True
     bits = len(a) * max(row[k].bit_length() for k, row in enumerate(a))
@@ -68,7 +66,7 @@ def _by_elimination(a: list[list[int]]) -> bool:
     for k in range(len(m)):
         go_on()
         pivot = m[k][k]
-        if pivot < 0 or (not pivot and any(m[i][k] for i in range(k, len(m)))):
+        if pivot < 0 or (not pivot and any(m[i][k] for i in range(k + 1, len(m)))):
             return False
         if not pivot:
             continue

@@ -49,13 +49,12 @@ def same_sign(table: ExpressionTable, roots: Sequence[int], ends: Interval) -> b
             return True
         go_on()
         low, high = waiting.pop()
-        signs = [_sign(table, root, low, high) for root in roots]
-        if math.prod(signs) > 0:
-            continue
-        middle = low / 2 + high / 2
-        if not low < middle < high or math.prod(signs) < 0:
+        sign = math.prod(_sign(table, root, low, high) for root in roots)
+        if sign < 0:
             return False
-        waiting += [(low, middle), (middle, high)]
+        if not sign:
+            middle = low / 2 + high / 2
+            waiting += [(low, middle), (middle, high)]
     return False
 
 

@@ -103,7 +103,7 @@ def needed(document: Document, speed: float, obstacle: float, *, since: float, l
     before += max(closing * period + gain * period**2 / 2, 0.0)
     if loop is None:
         return before + way(document, min(closing + gain * period, met["fastest_m_per_s"] + obstacle), obstacle)
-    aside = ratio * met["turn_rad_per_s"] * vehicle["lag_s"] * vehicle["side_n"] + vehicle["brake_n"] * (1 - 1 / ratio)
+    aside = ratio * met["turn_rad_per_s"] * vehicle["lag_s"] * vehicle["side_n"]
     angle = met["turn_rad_per_s"] * np.linspace(0, period, 101)  # a command held in axes of the hull turns with it
     turned = np.sin(angle) * vehicle["most_n"] + (1 - np.cos(angle)) * vehicle["brake_n"]
     aside += float(np.trapezoid(turned, dx=1 / 100))

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mpmath import libmp, mp
 
-from surctl.certcheck.angles import angle, arccos, circle, pi
+from surctl.certcheck.angles import angle, arccos, arcsin, circle, pi, tangent
 from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
 
@@ -98,3 +98,70 @@ def test_an_arccos_by_the_checker_is_rounded_outward(x: float) -> None:
     sheet = ExpressionTable(("x",))
     (jet,) = enclose(sheet, [sheet.read("acos(x)")], [span(x, x)])
     assert holds(jet.value, libmp.mpf_acos(raw(x), BITS))
+
+
+# numbers of 100 bits, whose roundings to 60 bits lie on either side
+LONG = [libmp.from_man_exp((1 << 99) + 12345678901234567 * k, e) for k in range(1, 6) for e in (-150, -240, -99, -98)]
+LONG.append(libmp.from_man_exp(((1 << 59) + 1 << 30) + 1, -132))  # just above 60 bits, its arctangent just below them
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_bounds_of_long_and_of_tiny_numbers_are_rounded_outward(sign: int) -> None:
+    for size in LONG:
+        x = size if sign > 0 else libmp.mpf_neg(size)
+        cosine, sine = circle((x, x))
+        assert holds(cosine, libmp.mpf_cos(x, 400)) and holds(sine, libmp.mpf_sin(x, 400))
+        for other in (raw(1.0), raw(3.0 * 2.0**60), raw(7.0 * 2.0**200), size):
+            assert holds(angle((x, x), (other, other)), libmp.mpf_atan2(x, other, 400))
+            assert holds(angle((other, other), (x, x)), libmp.mpf_atan2(other, x, 400))
+        if libmp.mpf_le(size, libmp.fone):
+            assert holds(arcsin((x, x)), libmp.mpf_asin(x, 400)) and holds(arccos((x, x)), libmp.mpf_acos(x, 400))
+
+
+def test_the_ends_of_an_interval_are_those_of_its_own_ends() -> None:
+    wide = (raw(-0.75), raw(0.5))
+    for function, exact in ((arcsin, libmp.mpf_asin), (tangent, libmp.mpf_tan), (arccos, libmp.mpf_acos)):
+        assert all(holds(function(wide), exact(end, BITS)) for end in wide)
+
+
+def test_ends_that_are_no_numbers_or_too_large_bound_nothing() -> None:
+    whole = (libmp.fnone, libmp.fone)
+    far = libmp.from_man_exp(1, 1200)
+    for bad in (libmp.finf, libmp.fninf, libmp.fnan, far, libmp.mpf_neg(far)):
+        for ends in ((bad, bad), (libmp.fzero, bad), (bad, libmp.fzero), (raw(1.0), bad), (bad, raw(1.0))):
+            assert circle(ends) == (whole, whole)
+            assert tangent(ends) is None
+
+
+def test_a_tangent_has_no_range_over_a_pole() -> None:
+    for low, high in ((1.5, 1.6), (-1.6, -1.5), (1.0, 4.5), (math.pi / 2, math.pi / 2), (1.0, 30.0), (-2.0, 2.0)):
+        near = (raw(low), raw(high)) if low < high else pi_half()
+        assert tangent(near) is None
+    for low, high in ((1.6, 4.7), (-1.5, 1.5), (-4.7, -1.6)):
+        found = tangent((raw(low), raw(high)))
+        assert holds(found, libmp.mpf_tan(raw(low), BITS)) and holds(found, libmp.mpf_tan(raw(high), BITS))
+
+
+def pi_half():
+    """The two numbers of 200 bits around π/2."""
+    return libmp.mpf_shift(libmp.mpf_pi(200, "d"), -1), libmp.mpf_shift(libmp.mpf_pi(200, "u"), -1)
+
+
+def test_a_crest_next_to_an_end_counts() -> None:
+    """The angle is within 2^-130 of a multiple of π/2, on either side."""
+    for quarters in range(-6, 7):
+        if not quarters:
+            continue
+        for rounding in "fc":
+            middle = libmp.mpf_shift(libmp.mpf_mul_int(libmp.mpf_pi(220, rounding), quarters, 240), -1)
+            for e in (-140, -130, -127, -125):
+                off = libmp.from_man_exp(1, e)
+                below, above = libmp.mpf_sub(middle, off), libmp.mpf_add(middle, off)
+                for ends in (
+                    (below, above),
+                    (below, libmp.mpf_add(middle, raw(0.5))),
+                    (libmp.mpf_sub(middle, raw(0.5)), above),
+                ):
+                    cosine, sine = circle(ends)
+                    value = libmp.from_int((1, 1, -1, -1)[quarters % 4])
+                    assert holds(sine if quarters % 2 else cosine, value)

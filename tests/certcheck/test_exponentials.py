@@ -11,11 +11,19 @@ from mpmath import libmp
 
 from surctl.certcheck import check_document, seal
 from surctl.certcheck.derivative import along
-from surctl.certcheck.elementary import Undefined, elementary
+from surctl.certcheck.elementary import Undefined, _times, elementary
 from surctl.certcheck.enclosure import enclose, exact
+from surctl.certcheck.exponentials import (
+    exponential,
+    hyperbolic_cosine,
+    hyperbolic_sine,
+    hyperbolic_tangent,
+    logarithm,
+    real_power,
+)
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.verification.formula import derivative, parse, text_of, variable
-from tests.certcheck.test_angles import BITS, holds, narrow, raw
+from tests.certcheck.test_angles import BITS, LONG, holds, narrow, raw
 
 EXPONENTS = [Fraction(1, 2), Fraction(-3, 2), Fraction(1, 3), Fraction("63.999"), Fraction("-1e-6")]
 HARD = [
@@ -203,3 +211,29 @@ def test_a_variable_may_have_the_name_of_a_function_that_came_later() -> None:
     table = ExpressionTable(("exp", "log"))
     (jet,) = enclose(table, [table.read("exp(log) - exp*2")], [exact(0.5), exact(0.0)])
     assert jet.value == (libmp.fzero, libmp.fzero)
+
+
+@pytest.mark.parametrize("bad", [libmp.finf, libmp.fninf, libmp.fnan])
+def test_ends_that_are_no_numbers_have_no_range(bad) -> None:
+    one = libmp.fone
+    for ends in ((bad, bad), (bad, one), (one, bad)):
+        for function in (exponential, hyperbolic_sine, hyperbolic_cosine, hyperbolic_tangent, logarithm):
+            assert function(ends) is None
+        for exponent in (Fraction(1, 2), Fraction(-1, 2)):
+            assert real_power(ends, exponent) is None
+
+
+def test_a_factor_is_rounded_outward_and_an_unknown_operation_has_no_range() -> None:
+    third, one = Fraction(1, 3), (libmp.fone, libmp.fone)
+    for factor in (third, -third):
+        below, above = _times(factor, one)
+        assert Fraction(*libmp.to_rational(below)) < factor < Fraction(*libmp.to_rational(above))
+    with pytest.raises(Undefined, match="is not known"):
+        elementary("sec", one, Fraction(1))
+
+
+def test_tiny_and_long_numbers_are_rounded_outward() -> None:
+    for size in (n for n in LONG if libmp.mpf_lt(n, raw(2.0**-40))):
+        for x in (size, libmp.mpf_neg(size)):
+            assert holds(hyperbolic_sine((x, x)), sinh(x))
+            assert holds(hyperbolic_tangent((x, x)), libmp.mpf_tanh(x, 400))

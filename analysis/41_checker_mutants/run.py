@@ -1,0 +1,323 @@
+"""Study 41: do the tests detect a wrong checker? A mutant of every line of `certcheck` that decides or rounds.
+
+    python analysis/41_checker_mutants/run.py                  # all mutants; known results are not computed again
+    python analysis/41_checker_mutants/run.py --module region  # those of a module
+    python analysis/41_checker_mutants/run.py --quick          # those of a small module, with its own tests, anew
+
+Prints Markdown; --write writes the README from it. Status 0 if every mutant is caught, 1 if one survives, 2 for a bad
+option or tests that fail without a mutant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import importlib
+import json
+import os
+import resource
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import groupby, pairwise
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+sys.path.insert(0, str(Path(__file__).parent))
+from operators import Change, changes
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "surctl" / "certcheck"
+TESTS = Path("tests") / "certcheck"
+QUICK = "definite"
+CAUGHT = Path("surctl-out") / "checker-mutants.json"  # by mutant: a digest and the test that caught it
+CALLS = Path("surctl-out") / "checker-calls.json"  # by digest of a file of tests: the functions that each test calls
+SLOW = "takes too long"
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A mutant of a module of the checker."""
+
+    module: str
+    change: Change
+
+    @property
+    def id(self) -> str:
+        """Return a name that stays the same if other lines of the module change."""
+        return f"{self.module}: {self.change.function}: {self.change.old} -> {self.change.new}"
+
+    def digest(self, test: str) -> str:
+        """Return the digest of the mutated source and of the file of a test."""
+        file = ROOT / test.partition("::")[0]
+        text = file.read_text(encoding="utf-8") if file.is_file() else ""
+        return sha256(f"{self.change.source}\0{test}\0{text}".encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Result:
+    """The result of a mutant: the test that caught it (or "", or `SLOW`), and the processor time [s]."""
+
+    by: str
+    seconds: float
+
+    @property
+    def caught(self) -> bool:
+        """Return whether a test failed."""
+        return self.by not in ("", SLOW)
+
+
+def mutants(modules: Sequence[str]) -> list[Mutant]:
+    """Return the mutants of these modules."""
+    return [Mutant(m, c) for m in modules for c in changes((PACKAGE / f"{m}.py").read_text(encoding="utf-8"))]
+
+
+def install(mutant: Mutant) -> None:
+    """Give the functions of the loaded module the code of the mutant, wherever other modules refer to them."""
+    module = importlib.import_module(f"surctl.certcheck.{mutant.module}".removesuffix(".__init__"))
+    new = ModuleType(module.__name__)
+    new.__dict__.update(__file__=module.__file__, __package__=module.__package__, __path__=vars(module).get("__path__"))
+    sys.modules[module.__name__] = new  # a dataclass looks up the module of its class
+    try:
+        exec(compile(mutant.change.source, str(module.__file__), "exec"), vars(new))
+    finally:
+        sys.modules[module.__name__] = module
+    _replace(vars(module), vars(new), module.__name__)
+
+
+def _replace(old: Any, new: Any, module: str) -> None:
+    for name, value in list(old.items()):
+        other = new.get(name)
+        if isinstance(value, type):
+            if value.__module__ == module:
+                _replace(vars(value), vars(other), module)
+            continue
+        function, mutated = _function(value), _function(other)
+        if isinstance(function, FunctionType) and isinstance(mutated, FunctionType):
+            if function.__module__ == module:
+                function.__code__, function.__defaults__ = mutated.__code__, mutated.__defaults__
+                function.__kwdefaults__ = mutated.__kwdefaults__
+        elif name.strip("_").isupper() and repr(value) != repr(other):  # a constant of the module
+            for place in _loaded():
+                if vars(place).get(name) is value:
+                    setattr(place, name, other)
+
+
+def _function(value: Any) -> Any:
+    """Return the function below a cache, a property or a method."""
+    for name in ("__wrapped__", "__func__", "fget"):
+        if not isinstance(value, FunctionType) and isinstance(getattr(value, name, None), FunctionType):
+            return getattr(value, name)
+    return value
+
+
+def _loaded() -> list[ModuleType]:
+    return [m for name, m in list(sys.modules.items()) if name.startswith(("surctl.certcheck", "tests.certcheck"))]
+
+
+def without_caches() -> None:
+    """Empty the caches of the checker's functions."""
+    for module in _loaded():
+        for value in list(vars(module).values()):
+            if callable(clear := getattr(value, "cache_clear", None)):
+                clear()
+
+
+def passes(item: pytest.Item, after: pytest.Item | None) -> bool:
+    """Run a test; fixtures that the test `after` it needs too stay."""
+    return not any(report.failed for report in runtestprotocol(item, log=False, nextitem=after))
+
+
+def forked(work: Callable[[], Any]) -> tuple[int, int]:
+    """Start work in a process of its own; return its id and the end of a pipe that gets the result as JSON."""
+    receive, send = os.pipe()
+    process = os.fork()
+    if process:
+        os.close(send)
+        return process, receive
+    try:
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+        with os.fdopen(send, "w") as pipe:
+            json.dump(work(), pipe)
+    finally:
+        os._exit(0)  # nothing of the parent is run or written twice
+
+
+def recorded(items: Sequence[pytest.Item]) -> dict[str, tuple[float, list[str]]]:
+    """Return the time [s] of each test and the functions of the checker that it calls.
+
+    Raises:
+        RuntimeError: a test fails.
+    """
+    known = json.loads(CALLS.read_text()) if CALLS.is_file() else {}
+    calls: dict[str, tuple[float, list[str]]] = {}
+    for path, group in groupby(items, key=lambda item: item.path):
+        tests = list(group)
+        digest = sha256("\0".join([path.read_text(), *(item.nodeid for item in tests)]).encode()).hexdigest()
+        if digest not in known:
+            process, pipe = forked(lambda tests=tests: _record(tests))
+            with os.fdopen(pipe) as file:
+                text = file.read()
+            os.waitpid(process, 0)
+            found = json.loads(text or "null")
+            if not isinstance(found, dict):
+                raise RuntimeError(f"a test fails without a mutant: {found or path}")
+            known[digest] = found
+            CALLS.write_text(json.dumps(known))
+        calls |= known[digest]
+    return calls
+
+
+def _record(items: Sequence[pytest.Item]) -> dict[str, tuple[float, list[str]]] | str:
+    called: set[Any] = set()
+    calls = {}
+    for item, after in pairwise((*items, None)):
+        assert item is not None
+        called.clear()
+        without_caches()
+        began = time.process_time()
+        sys.setprofile(lambda frame, event, _: called.add(frame.f_code) if event == "call" else None)
+        good = passes(item, None)
+        sys.setprofile(None)
+        if not good and not passes(item, after):  # some tests limit the time, and the profile takes time
+            return item.nodeid
+        names = {f"{Path(c.co_filename).stem}: {c.co_qualname.partition('.<')[0]}" for c in called
+                 if c.co_filename.startswith(f"{PACKAGE}{os.sep}")}  # fmt: skip
+        calls[item.nodeid] = time.process_time() - began, sorted(names)
+    return calls
+
+
+class Campaign:
+    """A plugin of pytest that loads all tests once, and runs them on each mutant in a process of its own."""
+
+    def __init__(self, tried: Sequence[Mutant], *, workers: int, patience: float, anew: bool) -> None:
+        self.tried, self.workers, self.patience, self.anew = tried, workers, patience, anew
+        self.results: dict[Mutant, Result] = {}
+        self.error = "the tests cannot be loaded"
+
+    def pytest_collection(self) -> None:
+        """Let Hypothesis neither shrink nor store what it finds."""
+        from hypothesis import Phase, settings  # pytest must load it first
+
+        settings.register_profile("mutants", settings(), phases=[Phase.explicit, Phase.generate], database=None)
+        settings.load_profile("mutants")
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Run the mutants."""
+        try:
+            calls = recorded(session.items)
+        except RuntimeError as error:
+            self.error = str(error)
+            return True
+        self.error = ""
+        gc.freeze()
+        items = {item.nodeid: item for item in session.items}
+        known: dict[str, tuple[str, str]] = json.loads(CAUGHT.read_text()) if CAUGHT.is_file() else {}
+        running: dict[int, tuple[Mutant, int]] = {}
+        waiting = list(self.tried)[::-1]
+        while waiting or running:
+            while waiting and len(running) < self.workers:
+                mutant = waiting.pop()
+                digest, first = known.get(mutant.id, ("", ""))
+                if not self.anew and first in items and digest == mutant.digest(first):
+                    self.results[mutant] = Result(first, 0.0)
+                    continue
+                tests = sorted(_tests(mutant, calls), key=lambda test, first=first: (test != first, calls[test][0]))
+                chosen = [items[test] for test in tests]
+                process, pipe = forked(lambda m=mutant, chosen=chosen: attempt(m, chosen, self.patience))
+                running[process] = mutant, pipe
+            if running:
+                process, _, used = os.wait3(0)
+                mutant, pipe = running.pop(process)
+                with os.fdopen(pipe) as file:
+                    by = json.loads(file.read() or json.dumps(SLOW))
+                result = self.results[mutant] = Result(by, used.ru_utime + used.ru_stime)
+                if result.caught:
+                    known[mutant.id] = mutant.digest(by), by
+                    CAUGHT.write_text(json.dumps(known))
+                else:
+                    print(f"{mutant.id}: {by or 'survives'}", file=sys.__stderr__, flush=True)
+        return True
+
+
+def _tests(mutant: Mutant, calls: dict[str, tuple[float, list[str]]]) -> list[str]:
+    """Return the tests that call the function of a mutant, or the module's functions if none calls it."""
+    function = f"{mutant.module}: {mutant.change.function}"
+    inner = [t for t, (_, names) in calls.items() if any(n == function or function.startswith(f"{n}.") for n in names)]
+    return inner or [t for t, (_, names) in calls.items() if any(n.startswith(f"{mutant.module}: ") for n in names)]
+
+
+def attempt(mutant: Mutant, tests: Sequence[pytest.Item], patience: float) -> str:
+    """Return the first test that fails on a mutant; empty if none does."""
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time() + patience) + 1,) * 2)
+    without_caches()
+    install(mutant)
+    failed = (item.nodeid for item, after in pairwise((*tests, None)) if item and not passes(item, after))
+    return next(failed, "")
+
+
+def printed(results: dict[Mutant, Result]) -> str:
+    """The tables."""
+    modules: dict[str, Counter[str]] = {}
+    for mutant, result in results.items():
+        modules.setdefault(mutant.module, Counter()).update(["mutants", *["caught"] * result.caught])
+    caught = sum(result.caught for result in results.values())
+    lines = [f"{caught} of {len(results)} mutants are caught.", "", "| module | mutants | caught |", "|---|---|---|"]
+    lines += [f"| `{name}` | {n['mutants']} | {n['caught']} |" for name, n in sorted(modules.items())]
+    kinds = Counter(mutant.change.kind for mutant in results)
+    lines += ["", "| the mutant | number |", "|---|---|", *(f"| {k} | {n} |" for k, n in sorted(kinds.items()))]
+    open_ = [(m, r) for m, r in results.items() if not r.caught]
+    if open_:
+        lines += ["", "| survives | instead of | with |", "|---|---|---|"]
+        for mutant, _ in open_:
+            change = mutant.change
+            texts = (f"`{text.replace('|', '∣')}`" for text in (change.old, change.new))
+            lines.append(f"| `{mutant.module}`, {change.function} | {' | '.join(texts)} |")
+    return "\n".join(lines)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Run the study and print the results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help=f"the mutants of {QUICK}, with its own tests")
+    parser.add_argument("--module", action="append", metavar="NAME", help="of this module; several times for several")
+    parser.add_argument("--tests", nargs="+", metavar="FILE", help=f"only these instead of all in {TESTS}")
+    parser.add_argument("--workers", type=int, default=1, help="mutants that are tested at once")
+    parser.add_argument("--patience", type=float, default=30.0, help="processor time [s] of the tests of a mutant")
+    parser.add_argument("--write", action="store_true", help="write README.md beside this file")
+    given = parser.parse_args(words)
+    names = sorted(path.stem for path in PACKAGE.glob("*.py"))
+    if unknown := set(given.module or ()) - set(names):
+        parser.error(f"--module: {', '.join(sorted(unknown))}: not among {', '.join(names)}")
+    if given.write and given.quick:
+        parser.error("--write: the README is not written from --quick; drop one of both")
+    os.chdir(ROOT)
+    CAUGHT.parent.mkdir(exist_ok=True)
+    tried = mutants([QUICK] if given.quick else given.module or names)
+    campaign = Campaign(tried, workers=given.workers, patience=given.patience, anew=given.quick)
+    tests = [f"{TESTS}/test_{QUICK}.py"] if given.quick else given.tests or [str(TESTS)]
+    options = ["-qq", "--no-summary", "-o", "addopts=", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    pytest.main([*tests, *options], plugins=[campaign])
+    if campaign.error:
+        print(f"error: {campaign.error}", file=sys.stderr)
+        return 2
+    text = printed({mutant: campaign.results[mutant] for mutant in tried})
+    print(text)
+    if given.write:
+        folder = Path(__file__).parent
+        about = folder.joinpath("about.md").read_text(encoding="utf-8")
+        folder.joinpath("README.md").write_text(f"{about}\n{text}\n", encoding="utf-8")
+    return 0 if all(result.caught for result in campaign.results.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
