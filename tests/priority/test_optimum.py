@@ -120,9 +120,9 @@ def crossing(kind: str) -> tuple[Assembly, AssembledStep]:
         "one": [],
         "acceleration": [AccelerationLimit(NU, [2, 2], dt=0.1)],
         "apart": [VelocityBox(50 * (-1 - Q), 50 * (1 - Q), name="damper")],
-    }[kind]
+    }
     task = Task(name="tool", eta=Q, sigma=Q[0] + 0.5 * Q[1], target=0.5)
-    assembly = assemble(Stack((task,)), [box, *more], inputs={"q": Q, "nu": NU})
+    assembly = assemble(Stack((task,)), [box, *more[kind]], inputs={"q": Q, "nu": NU})
     return assembly, assembly.step()
 
 
