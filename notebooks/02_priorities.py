@@ -126,7 +126,15 @@ def _(Stack, Task, ca):
     from surctl.tasks import line_of_sight_task, position_task
 
     eta, buoy = ca.SX.sym("eta", 4), [1.0, 0.3]
-    keep_off = Task(name="keep_off", eta=eta, sigma=ca.norm_2(eta[:2] - ca.DM(buoy)), target=0.8, gain=0.5, unit="m")
+    keep_off = Task(
+        name="keep_off",
+        eta=eta,
+        sigma=ca.norm_2(eta[:2] - ca.DM(buoy)),
+        target=0.8,
+        gain=0.5,
+        unit="m",
+        kinematics="vehicle",
+    )
     go = position_task(eta, [2.0, 0.0], gain=0.6, name="go")
     look = line_of_sight_task(eta, buoy, gain=0.6, name="look")
     robot = Stack((keep_off, go, look))
@@ -197,7 +205,7 @@ def _(
 ):
     _go = position_task(eta, [2.0, 0.0], gain=pull.value, name="go")
     _box = VelocityBox([-0.22, -0.22, -0.1, -0.5], [0.22, 0.22, 0.1, 0.5])
-    _wall = Barrier("wall", eta, h=1.5 - eta[0], alpha=0.5)
+    _wall = Barrier("wall", eta, h=1.5 - eta[0], alpha=0.5, kinematics="vehicle")
     _problem = assemble(Stack((keep_off, _go, look)), [_box, _wall], inputs={"eta": eta})
     for _mode in ("nsb", "projected"):
         _solution = solve(_problem.problem({"eta": [1.4, -0.4, -0.15, 0.0]}), mode=_mode)

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from surctl.control import load_gains
+from surctl.priority import solve
 from surctl.simulation import METRICS, STOPS, BatchResult, Case, simulate
 from surctl.simulation.campaign import RunTable
 from surctl.vehicle import FITTED, load_vehicle
@@ -31,6 +32,7 @@ SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
 SOLVER = ANALYSIS / "03_least_distance" / "run.py"
 COMPILED = ANALYSIS / "06_compiled_modes" / "run.py"
 MODES = ANALYSIS / "04_priority_modes" / "run.py"
+OPTIMUM = ANALYSIS / "41_priority_optimum" / "run.py"
 SCALE = ANALYSIS / "08_sweep_scale" / "run.py"
 TUNING = ANALYSIS / "09_tuning" / "run.py"
 SONAR = ANALYSIS / "10_sonar_filters" / "run.py"
@@ -567,6 +569,26 @@ def test_a_bar_of_the_solver_that_is_missed_ends_with_1(
     assert study["main"](["--n", "500", "--no-race", "--referee", "0"]) == 1
     failed = [row[0] for row in table(capsys.readouterr().out) if row[-1] == "FAILED"]
     assert failed == ["KKT residual where met"]
+
+
+def test_no_priority_step_is_worse_than_a_reference_without_a_word() -> None:
+    need_compiler()
+    done = run(OPTIMUM, "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if row[0] == "4"]
+    assert len(rows) == 10 and all(row[3] == "15" and row[4] == row[5] == row[10] == row[11] == "0" for row in rows)
+    assert {row[2]: int(row[6]) for row in rows if row[1] == "lexicographic"}["near_singular"] > 0
+    assert sum(int(row[8]) for row in rows) > 100  # compared with a reference
+
+
+def test_a_worse_velocity_is_seen_by_the_reference_and_by_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(OPTIMUM.parent))
+    study = runpy.run_path(str(OPTIMUM))
+    problem = study["draw"](np.random.default_rng(1), study["QUICK"], "saturated")
+    got = solve(problem, mode="lexicographic")
+    for share, status, seen in ((1.0, got.status, (0, 0)), (0.9, got.status, (1, 1)), (0.9, "unconfirmed", (0, 0))):
+        judged = study["_judged"](problem, "lexicographic", share * got.v, got.target, status, 0.0, "")
+        assert (judged["worse, no word"], judged["unproved"]) == seen
 
 
 def test_the_priority_modes_hold_their_bars() -> None:

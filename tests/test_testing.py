@@ -62,8 +62,10 @@ def one_line(caught, *parts):
         lambda eta: clearance_task(eta, POINT, margin=0.4),
         lambda eta: distance_task(eta, POINT, distance=0.5),
         lambda eta: line_of_sight_task(eta, POINT),
-        lambda eta: SetTask(name="arc", eta=eta, sigma=eta[3], lower=-1.0, upper=2.0, angular=True),
-        lambda eta: SetTask(name="band", eta=eta, sigma=eta[2], lower=-math.inf, upper=-0.1),
+        lambda eta: SetTask(
+            name="arc", eta=eta, sigma=eta[3], lower=-1.0, upper=2.0, angular=True, kinematics="vehicle"
+        ),
+        lambda eta: SetTask(name="band", eta=eta, sigma=eta[2], lower=-math.inf, upper=-0.1, kinematics="vehicle"),
     ],
 )
 def test_tasks_of_the_library_pass(make):
@@ -77,7 +79,9 @@ def test_ranks_are_reported_with_the_pose_of_the_least():
     report = check_task(lambda eta: distance_task(eta, POINT, distance=0.5), near=[ON_TOP])
     assert (report.rank, report.least_rank) == (1, 0)
     assert report.least_rank_at.startswith("eta = [")
-    report = check_task(lambda eta: Task(name="twice", eta=eta, sigma=ca.vertcat(eta[2], 2 * eta[2])))
+    report = check_task(
+        lambda eta: Task(name="twice", eta=eta, sigma=ca.vertcat(eta[2], 2 * eta[2]), kinematics="vehicle")
+    )
     assert (report.size, report.rank, report.least_rank) == (2, 1, 1)
 
 
@@ -117,16 +121,40 @@ class Unwrapped(Task):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda e: ForgetsTheFrame(name="bad", eta=e, sigma=e[:2]), ["row 0 of J is", "sigma changes", "eta = ["]),
-        (lambda e: SlightlyOff(name="bad", eta=e, sigma=e[:2]), ["of J is ", "but sigma changes at a rate of"]),
-        (lambda e: TooShort(name="bad", eta=e, sigma=e[:2]), ["reference has shape (1, 1), expected (2, 1)"]),
-        (lambda e: Task(name="bad", eta=e, sigma=e[3]), ["the reference changes", "full turn", "angular=True?"]),
-        (lambda e: Unwrapped(name="bad", eta=e, sigma=3 * e[3], angular=True), ["the angular error", "half a turn"]),
-        (lambda e: Task(name="bad", eta=e, sigma=ca.sqrt(e[0])), ["sigma is not finite in row 0"]),
-        (lambda e: Task(name="bad", eta=e, sigma=e[0], rate=ca.log(e[1])), ["the reference is not finite in row 0"]),
-        (lambda e: Task(name="bad", eta=e, sigma=ca.norm_2(e[:2] - ca.DM(POINT))), ["J is not finite", "1.3, -0.4"]),
         (
-            lambda e: SetTask(name="bad", eta=e, sigma=e[2], lower=0.1 * e[0], upper=0.2),
+            lambda e: ForgetsTheFrame(name="bad", eta=e, sigma=e[:2], kinematics="vehicle"),
+            ["row 0 of J is", "sigma changes", "eta = ["],
+        ),
+        (
+            lambda e: SlightlyOff(name="bad", eta=e, sigma=e[:2], kinematics="vehicle"),
+            ["of J is ", "but sigma changes at a rate of"],
+        ),
+        (
+            lambda e: TooShort(name="bad", eta=e, sigma=e[:2], kinematics="vehicle"),
+            ["reference has shape (1, 1), expected (2, 1)"],
+        ),
+        (
+            lambda e: Task(name="bad", eta=e, sigma=e[3], kinematics="vehicle"),
+            ["the reference changes", "full turn", "angular=True?"],
+        ),
+        (
+            lambda e: Unwrapped(name="bad", eta=e, sigma=3 * e[3], angular=True, kinematics="vehicle"),
+            ["the angular error", "half a turn"],
+        ),
+        (
+            lambda e: Task(name="bad", eta=e, sigma=ca.sqrt(e[0]), kinematics="vehicle"),
+            ["sigma is not finite in row 0"],
+        ),
+        (
+            lambda e: Task(name="bad", eta=e, sigma=e[0], rate=ca.log(e[1]), kinematics="vehicle"),
+            ["the reference is not finite in row 0"],
+        ),
+        (
+            lambda e: Task(name="bad", eta=e, sigma=ca.norm_2(e[:2] - ca.DM(POINT)), kinematics="vehicle"),
+            ["J is not finite", "1.3, -0.4"],
+        ),
+        (
+            lambda e: SetTask(name="bad", eta=e, sigma=e[2], lower=0.1 * e[0], upper=0.2, kinematics="vehicle"),
             ["the bounds of row 0 cross", "eta = ["],
         ),
     ],
@@ -140,7 +168,7 @@ def test_wrong_tasks_are_caught_and_named(make, says):
 
 
 def test_a_task_that_counts_turns_may_say_so():
-    assert check_task(lambda e: Task(name="unwind", eta=e, sigma=e[3]), full_turn=False).rank == 1
+    assert check_task(lambda e: Task(name="unwind", eta=e, sigma=e[3], kinematics="vehicle"), full_turn=False).rank == 1
 
 
 # --- limits -------------------------------------------------------------------------------------------------------
@@ -164,10 +192,16 @@ NUMBERS = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur540-flooded"
             ),
             [(NU, -3, 3)],
         ),
-        (Barrier("disc", ETA, h=DISC), [(ETA, -3, 3)]),
-        (BrakingBarrier("disc", ETA, h=DISC, deceleration=GAIN, reaction=0.4), [(ETA, -3, 3), (GAIN, 0.01, 1)]),
+        (Barrier("disc", ETA, h=DISC, kinematics="vehicle"), [(ETA, -3, 3)]),
+        (
+            BrakingBarrier("disc", ETA, h=DISC, deceleration=GAIN, reaction=0.4, kinematics="vehicle"),
+            [(ETA, -3, 3), (GAIN, 0.01, 1)],
+        ),
         (RateLimit(position_task(ETA, [1.0, 2.0]), 0.1), [(ETA, -3, 3)]),
-        (SetTask(name="band", eta=ETA, sigma=ETA[:2], lower=-1.0, upper=[0.5, math.inf]), [(ETA, -3, 3)]),
+        (
+            SetTask(name="band", eta=ETA, sigma=ETA[:2], lower=-1.0, upper=[0.5, math.inf], kinematics="vehicle"),
+            [(ETA, -3, 3)],
+        ),
     ],
     ids=lambda value: type(value).__name__,
 )
@@ -390,7 +424,7 @@ def test_unknown_names_are_refused():
         check_backend("daqp", families=["scaledd"])
 
 
-PLAIN = Task(name="plain", eta=ETA, sigma=ETA[:2])
+PLAIN = Task(name="plain", eta=ETA, sigma=ETA[:2], kinematics="vehicle")
 KNOB = ca.SX.sym("knob")
 
 

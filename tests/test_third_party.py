@@ -59,7 +59,8 @@ from surctl.tasks import Task, depth_task
 
 def range_task(eta: ca.SX, *, gain: float = 0.4) -> Task:
     """Distance to the origin of the site, kept at 2 m."""
-    return Task(name="range", eta=eta, sigma=ca.sqrt(ca.sumsqr(eta[:2]) + 1e-6), target=2.0, gain=gain, unit="m")
+    sigma = ca.sqrt(ca.sumsqr(eta[:2]) + 1e-6)
+    return Task(name="range", eta=eta, sigma=sigma, target=2.0, gain=gain, unit="m", kinematics="vehicle")
 
 def hover() -> LawSource:
     def decide(s):

@@ -57,8 +57,8 @@ SETTINGS = (
     Settings("lexicographic"),
 )
 QUICK = (Settings("nsb"), Settings("projected"))
-RUNGS = ("met", "limited", "relaxed", "clamped")
-OUTCOMES = ("optimal", "limited", "relaxed", "clamped")
+RUNGS = ("met", "limited", "relaxed", "clamped", "unconfirmed")
+OUTCOMES = ("optimal", "limited", "relaxed", "clamped", "unconfirmed")
 BARS = {"nsb": 1e-12, "met": 1e-9, "limited": 1e-8}
 """Largest difference of v, relative to 1 + max |v|. Where rows opened by the least amount nothing is left inside them:
 v then depends on the last digits of the opening, and only the share above 1e-8 is printed."""

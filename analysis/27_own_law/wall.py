@@ -43,9 +43,17 @@ def decide(s: Situation) -> Decision:
     """Return the four tasks, highest priority first: distance, progress along the wall, heading, depth."""
     x, y = s.eta[0], s.eta[1]
     wall, end = s.p["walls"][2], s.p["waypoints"][-1, 0]
-    keep = Task(name="distance", eta=s.eta, sigma=y, target=wall + s.p["stand_off"], gain=s.p["k_wall"], unit="m")
+    keep = Task(
+        name="distance",
+        eta=s.eta,
+        sigma=y,
+        target=wall + s.p["stand_off"],
+        gain=s.p["k_wall"],
+        unit="m",
+        kinematics="vehicle",
+    )
     speed = ca.fmin(ca.fmax(s.p["k1"] * (end - x), -s.p["cruise"]), s.p["cruise"])
-    along = Task(name="along", eta=s.eta, sigma=x, target=x, rate=speed, unit="m")
+    along = Task(name="along", eta=s.eta, sigma=x, target=x, rate=speed, unit="m", kinematics="vehicle")
     facing = heading_task(s.eta, -ca.pi / 2, gain=s.p["k_psi"])
     return Decision([keep, along, facing, depth_task(s.eta, s.p["depth"], gain=s.p["k2"])])
 

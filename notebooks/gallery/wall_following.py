@@ -25,9 +25,11 @@ GAINS = {
 def decide(s):
     """Four tasks, highest priority first: distance, progress along the wall, heading, depth."""
     x, y = s.eta[0], s.eta[1]
-    keep = Task(name="distance", eta=s.eta, sigma=y, target=s.p["stand_off"], gain=s.p["k_wall"], unit="m")
+    keep = Task(
+        name="distance", eta=s.eta, sigma=y, target=s.p["stand_off"], gain=s.p["k_wall"], unit="m", kinematics="vehicle"
+    )
     speed = ca.fmin(s.p["cruise"], s.p["k1"] * (s.p["waypoints"][-1, 0] - x))
-    along = Task(name="along", eta=s.eta, sigma=x, target=x, rate=speed, unit="m")
+    along = Task(name="along", eta=s.eta, sigma=x, target=x, rate=speed, unit="m", kinematics="vehicle")
     facing = heading_task(s.eta, -ca.pi / 2, gain=s.p["k_psi"])
     return Decision([keep, along, facing, depth_task(s.eta, s.p["depth"], gain=s.p["k2"])])
 

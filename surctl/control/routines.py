@@ -33,7 +33,7 @@ def limited(
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
     # the law does not report which limit rows limit task 1, so `named` is off
     step = priority_step(
-        mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, fallback=fallback
+        mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, confirm=False, fallback=fallback
     )
     solution = tuple(f"step_{name}" for name, _ in step.outputs)
     results = tuple(name for name, _ in post.outputs)

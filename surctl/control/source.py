@@ -85,7 +85,8 @@ class LawSource:
         >>> from surctl.control import Decision, GainSpec, LawSource
         >>> from surctl.tasks import Task, depth_task
         >>> def decide(s):
-        ...     wall = Task(name="wall", eta=s.eta, sigma=s.eta[1], target=s.p["keep"], gain=0.4, unit="m")
+        ...     y, keep = s.eta[1], s.p["keep"]
+        ...     wall = Task(name="wall", eta=s.eta, sigma=y, target=keep, gain=0.4, unit="m", kinematics="vehicle")
         ...     return Decision([wall, depth_task(s.eta, s.p["depth"], gain=s.p["k2"])])
         >>> LawSource("wall", decide, gains={"keep": GainSpec("m", "distance from the wall", default=0.5)}).name
         'wall'

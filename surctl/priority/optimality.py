@@ -20,9 +20,17 @@ from surctl.priority.settings import Settings
 from surctl.priority.sweep import nsb_sweep, without_rows
 from surctl.tasks.limits import Kind
 
-__all__ = ["is_optimal"]
+__all__ = ["LOSS", "ROUNDING", "is_least", "is_optimal"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+LOSS = 1e-7
+"""A residual r counts as optimal if it is at most LOSS·(s + r) above its minimum, with s = max(1, max |entry of J|).
+
+For the distance to the target, s is 1; the opening of limits t may be LOSS·(1 + t) above its minimum."""
+
+ROUNDING = 1e-15
+"""Relative error of the limits and Jacobians that this bound takes into account."""
 
 
 def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float = 1e-6) -> bool:
@@ -42,19 +50,26 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
         return False
     if settings.mode == "nsb":
         return _close(v, target, tol)
+    return is_least(v, problem, settings=settings, target=target, tol=tol)
+
+
+def is_least(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float) -> bool:
+    """Return whether conditions (a) to (d) of `is_optimal` hold for this target; the mode is not nsb."""
     allowed = _least_relaxed(v, polyhedron_of(problem), tol)
     if allowed is None:
         return False
     normals, gaps = _bounds(allowed, v)
     first = problem.levels[0]
     if settings.mode == "projected" and settings.damping > 0.0:
-        pull = settings.damping**2 * (target - v) + first.J.T @ first.miss(v)
-        return _in_cone(pull / max(1.0, _size(first)) ** 2, normals, gaps, tol)
+        weight, rest = (settings.damping / _size(first)) ** 2, first.miss(v) / _size(first)
+        pull = weight * (target - v) + first.J.T @ rest / _size(first)
+        return _is_least(pull, weight * ((target - v) ** 2).sum() + (rest**2).sum(), v, normals, gaps, tol)
     for level in problem.levels[: {"filter": 0, "projected": 1}.get(settings.mode)]:
-        if not _in_cone(level.J.T @ level.miss(v) / _size(level) ** 2, normals, gaps, tol):
+        rest = level.miss(v) / _size(level)
+        if not _is_least(level.J.T @ rest / _size(level), (rest**2).sum(), v, normals, gaps, tol):
             return False
         normals, gaps = _frozen(level, v, normals, gaps, tol)
-    return _in_cone(target - v, normals, gaps, tol)
+    return _is_least(target - v, ((target - v) ** 2).sum(), v, normals, gaps, tol)
 
 
 def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
@@ -119,7 +134,10 @@ def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: N
     weight = np.append(np.ones(near.size), np.zeros(far.size))
     goal = np.append(np.zeros(v.size), 1.0)
     normals = np.column_stack([np.vstack([pushing, holding]), weight])
-    return _in_cone(goal, normals, np.append(near, far), tol)
+    gaps = np.append(near, far)
+    weights, rest = _cone(goal, normals, gaps)
+    radius = 2.0 * (1.0 + float(np.abs(v).max()))
+    return bool(float(np.abs(rest).max()) * radius + weights @ (gaps + ROUNDING * radius) <= tol)
 
 
 def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
@@ -133,14 +151,28 @@ def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None)
     return normals, np.maximum(gaps, 0.0)
 
 
-def _in_cone(goal: Array, normals: Array, gaps: Array, tol: float) -> bool:
-    """Return whether `goal` (d,) is a sum of the normals (p, d) with weights ≥ 0 that satisfy Σ weight · gap = 0."""
+def _is_least(pull: Array, square: float, v: Array, normals: Array, gaps: Array, tol: float) -> bool:
+    """Return whether r = √`square`, with −∇(½r²) = `pull` (n,), is at most tol·(1 + r) above its minimum.
+
+    The weights u of any sum Σ u·normal bound the decrease of ½r² for velocities at a distance of at most D from v: by
+    |pull − Σ u·normal|·D + Σ u·gap. What rounding may change, ε·D·Σ u, is added.
+    """
+    value, radius, size = float(np.sqrt(square)), 2.0 * (1.0 + float(np.abs(v).max())), float(np.abs(pull).max())
+    allowed = 0.5 * tol * value * (1.0 + value)
+    if value <= tol or size * radius <= allowed:
+        return True
+    weights, rest = _cone(pull / size, normals, gaps)
+    return bool(size * (float(np.sqrt(rest @ rest)) * radius + weights @ (gaps + ROUNDING * radius)) <= allowed)
+
+
+def _cone(goal: Array, normals: Array, gaps: Array) -> tuple[Array, Array]:
+    """Return weights u (p,) ≥ 0 with Σ u·gap small, and the part of `goal` (d,) that Σ u·normal, (p, d), leaves."""
     from scipy.optimize import nnls
 
-    size = float(np.abs(goal).max(initial=0.0))
-    if size <= tol:
-        return True
     if gaps.size == 0:
-        return False
-    _, distance = nnls(np.vstack([normals.T, gaps]), np.append(goal / size, 0.0))
-    return bool(distance * size <= tol * (1.0 + size))
+        return np.zeros(0), goal
+    try:
+        weights, _ = nnls(np.vstack([normals.T, gaps]), np.append(goal, 0.0))
+    except RuntimeError:  # too many iterations
+        return np.zeros(gaps.size), goal
+    return weights, goal - normals.T @ weights

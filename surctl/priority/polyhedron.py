@@ -151,14 +151,12 @@ def _is_zero(A: Array) -> NDArray[np.bool_]:
 
 
 def _box(A: Array, lower: Array, upper: Array, kinds: tuple[Kind, ...]) -> tuple[Array, Array]:
-    # if two limits of a velocity contradict each other, both bounds are their midpoint
+    # of two limits that contradict each other the earlier one is harder, as in `build_problem`
     low, high = np.full(A.shape[1], -math.inf), np.full(A.shape[1], math.inf)
     for i in np.flatnonzero(np.count_nonzero(A, axis=1) == 1):
         if kinds[i] != "actuator":
             continue
         j = int(np.flatnonzero(A[i])[0])
         ends = (lower[i], upper[i]) if A[i, j] > 0.0 else (-upper[i], -lower[i])
-        low[j], high[j] = max(low[j], ends[0]), min(high[j], ends[1])
-    crossed = low > high
-    low[crossed] = high[crossed] = 0.5 * (low[crossed] + high[crossed])
+        low[j], high[j] = np.clip(ends, low[j], high[j])
     return low, high

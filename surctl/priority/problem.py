@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias, get_args
 
 import numpy as np
@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.tasks.limits import Kind
 
-__all__ = ["Level", "PriorityProblem", "Row", "build_problem"]
+__all__ = ["CROSSING", "Level", "PriorityProblem", "Row", "build_problem"]
 
 
 Array: TypeAlias = NDArray[np.float64]
+
+CROSSING = 1e-9
+"""Bounds that cross by at most this, relative to 1 + |bound|, cross by rounding: they are moved, but not reported."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +87,16 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class PriorityProblem:
-    """A priority problem from `build_problem`: levels, highest priority first, and limits as linear constraints."""
+    """A priority problem from `build_problem`: levels, highest priority first, and limits as linear constraints.
+
+    Attributes:
+        moved: by how much a velocity within the limits must violate a limit whose bounds were moved, because they cross
+            those of a harder one, by name and in the limit's unit. `rows` holds the moved bounds.
+    """
 
     levels: tuple[Level, ...]
     rows: tuple[Row, ...] = ()
+    moved: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def width(self) -> int:
@@ -133,6 +142,7 @@ class PriorityProblem:
                 }
                 for r in self.rows
             ],
+            "moved": dict(self.moved),
         }
 
     @staticmethod
@@ -159,17 +169,23 @@ class PriorityProblem:
                 )
                 for r in data["rows"]
             ]
+            moved = {str(name): float(amount) for name, amount in data.get("moved", {}).items()}
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 f"is not a saved problem ({type(error).__name__}: {error})",
                 key="problem",
                 remedy="save it with to_dict",
             ) from None
-        return build_problem(levels, rows)
+        return build_problem(levels, rows, moved=moved)
 
 
-def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> PriorityProblem:
+def build_problem(
+    levels: Sequence[Level], rows: Sequence[Row] = (), *, moved: Mapping[str, float] | None = None
+) -> PriorityProblem:
     """Check levels and limits, and return them as a read-only priority problem.
+
+    If actuator limits that bound a single velocity exclude each other, the earlier limit is harder: the later one is
+    moved to the point of the earlier ones that is nearest to it, and listed in `moved`, after those already moved.
 
     Raises:
         InputError: there is no level, Jacobians and normals have different numbers of columns, a number is not finite,
@@ -201,7 +217,29 @@ def build_problem(levels: Sequence[Level], rows: Sequence[Row] = ()) -> Priority
                 key=f"task {level.name}",
                 remedy="use the same velocities in all Jacobians",
             )
-    return PriorityProblem(checked, tuple(_checked_row(row, width) for row in rows))
+    agreed, more = _agreed([_checked_row(row, width) for row in rows], width)
+    return PriorityProblem(checked, agreed, {**(moved or {}), **more})
+
+
+def _agreed(rows: Sequence[Row], width: int) -> tuple[tuple[Row, ...], dict[str, float]]:
+    """Return the rows with the bounds of an actuator row on one velocity moved to those of the rows before it."""
+    low, high = np.full(width, -math.inf), np.full(width, math.inf)
+    agreed, moved = [], {}
+    for row in rows:
+        places = np.flatnonzero(row.a)
+        if row.kind == "actuator" and places.size == 1:
+            j, a = int(places[0]), float(row.a[places[0]])
+            ends = sorted((row.lower / a, row.upper / a))
+            apart = ends[0] > high[j] or ends[1] < low[j]
+            low[j], high[j] = np.clip(ends, low[j], high[j])
+            if apart:
+                point = float(low[j] * a)
+                by = max(row.lower - point, point - row.upper)
+                if by > CROSSING * (1.0 + abs(point)):
+                    moved[row.name] = by
+                row = replace(row, lower=point, upper=point)
+        agreed.append(row)
+    return tuple(agreed), moved
 
 
 def _checked_level(level: Level) -> Level:

@@ -18,9 +18,9 @@ __all__ = ["Outcome", "PrioritySolution", "residuals_at"]
 Outcome: TypeAlias = Literal["optimal", "limited", "relaxed", "unconfirmed", "clamped"]
 """optimal: v is the optimum of the mode, and the first task, where the mode considers it, is met as well as without
 limits. limited: the first task is met as well as the limits allow. relaxed: the limits contradict each other, so some
-were relaxed. unconfirmed: v satisfies the limits as far as a solver could, but was not shown to be optimal. clamped:
-the actuator limits contradict each other (or no solver found a solution), and v is only clipped to the velocity
-bounds."""
+were relaxed or moved. unconfirmed: v satisfies the limits as far as a solver could, but was not shown to be optimal, by
+the tolerance `optimality.LOSS`. clamped: the actuator limits contradict each other (or no solver found a solution), and
+v is only clipped to the velocity bounds."""
 
 _NOTICEABLE = 1e-7
 
@@ -44,7 +44,8 @@ class PrioritySolution:
             If the limit restricts a strict level (the first level in "projected", any level in "lexicographic"), the
             multiplier belongs to min ½‖J v − x‖² of this level.
         causes: for each strict level that limits restrict, the names of these limits.
-        relaxed: violation of each limit that v violates, by name, in the unit of the limit.
+        relaxed: violation of each limit that v violates, or that had to be moved because it crosses a harder one, by
+            name, in the unit of the limit.
         conflict: names of the limits that contradict each other; empty if no limit had to be relaxed.
         fallback: 1 if the first task is met; 2 if the first task is met as well as the limits allow; 3 if limits are
             relaxed, or if the status is "unconfirmed" or "clamped".

@@ -13,6 +13,7 @@ from surctl.priority.backends import Backend, check_backend
 from surctl.priority.cascade import CascadeSolution, solve_cascade
 from surctl.priority.descent import Solution, descend
 from surctl.priority.freedom import Freedom
+from surctl.priority.optimality import LOSS, is_least
 from surctl.priority.polyhedron import Polyhedron, polyhedron_of
 from surctl.priority.problem import Level, PriorityProblem
 from surctl.priority.rowspace import CUTOFF
@@ -39,8 +40,9 @@ def solve(
     (1) If possible, v meets the first task and satisfies all limits. (2) If no velocity does both, v satisfies all
     limits and meets the first task as well as they allow. (3) If the limits contradict each other, they are first
     relaxed by the smallest uniform amount: limits of set-based tasks, and barrier limits only if the relaxation of the
-    former is not enough. Actuator limits are never relaxed. If no limit is active, v is the velocity of the mode
-    without limits.
+    former is not enough. Actuator limits are never relaxed (but see `build_problem` for limits that cross). If the
+    result is not shown to be optimal afterwards, the status is "unconfirmed". If no limit is active, v is the velocity
+    of the mode without limits.
 
     Args:
         problem: priority levels and limits, from `build_problem`.
@@ -148,6 +150,11 @@ def _damped(
 def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, solution: Solution) -> PrioritySolution:
     limited = solution.status == "optimal" and problem.levels[0].name in solution.causes
     status: Outcome = "limited" if limited else solution.status
+    if solution.iterations > 0 and status in ("optimal", "limited", "relaxed"):
+        shown = is_least(solution.v, problem, settings=settings, target=solution.target, tol=LOSS)
+        status = status if shown else "unconfirmed"
+    if problem.moved and settings.mode != "nsb" and status in ("optimal", "limited"):
+        status = "relaxed"
     fallback: Literal[1, 2, 3] = 1 if status == "optimal" else 2 if status == "limited" else 3
     return PrioritySolution(
         v=solution.v,
@@ -157,8 +164,8 @@ def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, so
         without_limits=residuals_at(solution.free, problem.levels),
         binding=solution.binding,
         causes=solution.causes,
-        relaxed=rows.missed(solution.v),
-        conflict=solution.conflict,
+        relaxed={**problem.moved, **rows.missed(solution.v)},
+        conflict=tuple(dict.fromkeys((*problem.moved, *solution.conflict))),
         fallback=fallback,
         iterations=solution.iterations,
         status=status,

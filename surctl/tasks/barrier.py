@@ -12,7 +12,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.tasks.rows import Kind, LimitRow, checked_column, checked_kind, checked_name, checked_positive
-from surctl.tasks.task import Expression, is_symbol, kinematics_of
+from surctl.tasks.task import Expression, Kinematics, is_symbol, kinematics_of
 
 __all__ = ["Alpha", "Barrier", "closing_row"]
 
@@ -37,7 +37,7 @@ class Barrier:
 
     Attributes:
         name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
-        eta, kinematics: configuration (m, 1), a pose if m = 4, and S(η) of η̇ = S(η) v, as in `Task`.
+        eta, kinematics: configuration (m, 1), and S(η) of η̇ = S(η) v, as in `Task`.
         h: SX scalar expression of eta. If h contains other symbols, the derivative of h treats them as constant.
         alpha: a number γ > 0 [1/s] for α(h) = γh, or a function α of an SX scalar (Python function or ca.Function). The
             class checks at sample points in [−10, 10] that α(0) = 0, that α(s) has the sign of s, and that α never
@@ -57,7 +57,7 @@ class Barrier:
     alpha: Alpha = 1.0
     drift: Expression = 0.0
     kind: Kind = "barrier"
-    kinematics: Expression | None = None
+    kinematics: Kinematics = None
 
     def __post_init__(self) -> None:
         """Check the barrier's attributes and convert numbers to expressions."""
@@ -77,7 +77,7 @@ class Barrier:
         return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), allowed + ca.SX(self.drift)),)
 
 
-def closing_row(name: str, eta: ca.SX, h: ca.SX, kinematics: Expression | None = None) -> ca.SX:
+def closing_row(name: str, eta: ca.SX, h: ca.SX, kinematics: Kinematics = None) -> ca.SX:
     """Return −(∂h/∂η) S(η), (1, n), which maps the velocity to −ḣ; raise InputError if no velocity changes h."""
     if not is_symbol(eta):
         raise InputError(

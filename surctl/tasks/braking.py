@@ -9,7 +9,7 @@ import casadi as ca
 
 from surctl.tasks.barrier import closing_row
 from surctl.tasks.rows import Kind, LimitRow, checked_column, checked_kind, checked_name, checked_positive
-from surctl.tasks.task import Expression
+from surctl.tasks.task import Expression, Kinematics
 
 __all__ = ["BrakingBarrier", "allowed_closing_speed"]
 
@@ -32,7 +32,7 @@ class BrakingBarrier:
 
     Attributes:
         name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
-        eta, kinematics: configuration (m, 1), a pose if m = 4, and S(η) of η̇ = S(η) v, as in `Task`.
+        eta, kinematics: configuration (m, 1), and S(η) of η̇ = S(η) v, as in `Task`.
         h: SX scalar expression of eta and other symbols [m].
         deceleration: a > 0 [m/s²], in the direction of the gradient of h.
         reaction: reaction time T > 0 [s].
@@ -54,7 +54,7 @@ class BrakingBarrier:
     retreat: Expression | None = None
     drift: Expression = 0.0
     kind: Kind = "barrier"
-    kinematics: Expression | None = None
+    kinematics: Kinematics = None
 
     def __post_init__(self) -> None:
         """Check the barrier's attributes and convert numbers to expressions."""

@@ -39,7 +39,16 @@ def position_task(
     """
     column = _vector(name, "target", target, (2, 3))
     _pose(name, eta)
-    return Task(name=name, eta=eta, sigma=eta[: column.numel()], target=column, rate=rate, gain=gain, unit="m")
+    return Task(
+        name=name,
+        eta=eta,
+        sigma=eta[: column.numel()],
+        target=column,
+        rate=rate,
+        gain=gain,
+        unit="m",
+        kinematics="vehicle",
+    )
 
 
 def depth_task(
@@ -57,7 +66,7 @@ def depth_task(
         [0.1]
     """
     _pose(name, eta)
-    return Task(name=name, eta=eta, sigma=eta[2], target=z_d, rate=rate, gain=gain, unit="m")
+    return Task(name=name, eta=eta, sigma=eta[2], target=z_d, rate=rate, gain=gain, unit="m", kinematics="vehicle")
 
 
 def heading_task(
@@ -75,7 +84,17 @@ def heading_task(
         [-0.142]
     """
     _pose(name, eta)
-    return Task(name=name, eta=eta, sigma=eta[3], target=psi_d, rate=rate, gain=gain, angular=True, unit="rad")
+    return Task(
+        name=name,
+        eta=eta,
+        sigma=eta[3],
+        target=psi_d,
+        rate=rate,
+        gain=gain,
+        angular=True,
+        unit="rad",
+        kinematics="vehicle",
+    )
 
 
 def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") -> Task:
@@ -92,7 +111,13 @@ def velocity_task(eta: ca.SX, v_world: Expression, *, name: str = "velocity") ->
     """
     _pose(name, eta)
     return Task(
-        name=name, eta=eta, sigma=eta[:2], target=eta[:2], rate=_vector(name, "v_world", v_world, (2,)), unit="m"
+        name=name,
+        eta=eta,
+        sigma=eta[:2],
+        target=eta[:2],
+        rate=_vector(name, "v_world", v_world, (2,)),
+        unit="m",
+        kinematics="vehicle",
     )
 
 
@@ -116,7 +141,7 @@ def clearance_task(
     """
     _pose(name, eta)
     sigma = _distance(eta, _vector(name, "echo_point", echo_point, (2,))) - _scalar(name, "margin", margin)
-    return Task(name=name, eta=eta, sigma=sigma, gain=gain, unit="m")
+    return Task(name=name, eta=eta, sigma=sigma, gain=gain, unit="m", kinematics="vehicle")
 
 
 def distance_task(
@@ -135,7 +160,15 @@ def distance_task(
     """
     _pose(name, eta)
     sigma = _distance(eta, _vector(name, "point", point, (2,)))
-    return Task(name=name, eta=eta, sigma=sigma, target=_scalar(name, "distance", distance), gain=gain, unit="m")
+    return Task(
+        name=name,
+        eta=eta,
+        sigma=sigma,
+        target=_scalar(name, "distance", distance),
+        gain=gain,
+        unit="m",
+        kinematics="vehicle",
+    )
 
 
 def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0, name: str = "line_of_sight") -> Task:
@@ -156,7 +189,7 @@ def line_of_sight_task(eta: ca.SX, point: Expression, *, gain: Expression = 1.0,
     offset = _vector(name, "point", point, (2,)) - eta[:2]
     near = ca.sumsqr(offset) < _NEAR**2
     bearing = ca.atan2(ca.if_else(near, 0.0, offset[1]), ca.if_else(near, 1.0, offset[0]))
-    return Task(name=name, eta=eta, sigma=bearing - eta[3], gain=gain, angular=True, unit="rad")
+    return Task(name=name, eta=eta, sigma=bearing - eta[3], gain=gain, angular=True, unit="rad", kinematics="vehicle")
 
 
 def _pose(name: str, eta: ca.SX) -> None:

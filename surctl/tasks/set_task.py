@@ -9,7 +9,7 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.tasks.rows import LimitRow
-from surctl.tasks.task import Expression, Task, as_column, sigma_column
+from surctl.tasks.task import Expression, Kinematics, Task, as_column, sigma_column
 
 __all__ = ["SetTask"]
 
@@ -46,7 +46,7 @@ class SetTask:
     gain: Expression = 1.0
     angular: bool = False
     unit: str = ""
-    kinematics: Expression | None = None
+    kinematics: Kinematics = None
     _middle: Task = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

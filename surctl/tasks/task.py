@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
@@ -15,6 +15,7 @@ from surctl.tasks.kinematics import jacobian as kinematics
 
 __all__ = [
     "Expression",
+    "Kinematics",
     "Task",
     "as_column",
     "as_expression",
@@ -28,6 +29,9 @@ __all__ = [
 Expression: TypeAlias = ca.SX | float | Sequence[float]
 """A CasADi expression, a number, or a list of numbers."""
 
+Kinematics: TypeAlias = Expression | Literal["vehicle"] | None
+"""The matrix S(η) (m, n) of η̇ = S(η) v, or "vehicle" for the pose of a vehicle. None: the identity, for m ≠ 4 only."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
@@ -35,8 +39,8 @@ class Task:
 
     Attributes:
         name: identifier of the task in every message and solution.
-        eta: SX symbol (m, 1), configuration. Unless `kinematics` is given, four entries are the pose of a vehicle:
-            x, y, z [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
+        eta: SX symbol (m, 1), configuration, for example the joint angles of an arm, or the pose of a vehicle: x, y, z
+            [m] in the earth frame {E} (ENU), and heading ψ [rad], counter-clockwise.
         sigma: SX (k, 1), the expression of σ(η). If σ contains other symbols (an echo point, a waypoint), the Jacobian
             treats them as constant; describe the motion of a target by `rate`.
         target: desired value σ_d, (k, 1) or one number for all entries; default 0.
@@ -45,7 +49,8 @@ class Task:
         angular: σ is an angle [rad]; its error is wrapped to (−π, π].
         unit: unit of σ in messages, such as "m" or "rad"; "" if unknown.
         kinematics: SX (m, n), the matrix S(η) of η̇ = S(η) v for the n velocities v that the limits and the solution are
-            about; by default that of a pose (see `eta`), and the identity for m ≠ 4.
+            about; "vehicle" for those of equations (1)–(2) if η is the pose of a vehicle. The default is the identity.
+            For m = 4 there is no default, because η may be a pose or the angles of four joints.
 
     Raises:
         InputError: the name is not an identifier, σ and another attribute differ in length, a number is not finite, a
@@ -60,7 +65,7 @@ class Task:
     gain: Expression = 1.0
     angular: bool = False
     unit: str = ""
-    kinematics: Expression | None = None
+    kinematics: Kinematics = None
 
     def __post_init__(self) -> None:
         """Check the attributes and convert every number to a column with one entry for each entry of σ."""
@@ -121,14 +126,22 @@ def is_pose(eta: ca.SX, mapping: ca.SX) -> bool:
     return bool(eta.shape[0] == 4 and ca.is_equal(ca.densify(mapping), ca.densify(kinematics(eta[3])), 9))
 
 
-def kinematics_of(key: str, eta: ca.SX, matrix: Expression | None) -> ca.SX:
-    """Return S(η) (m, n) of η̇ = S(η) v; by default that of a pose for m = 4, and otherwise the identity.
+def kinematics_of(key: str, eta: ca.SX, matrix: Kinematics) -> ca.SX:
+    """Return S(η) (m, n) of η̇ = S(η) v for the attribute `kinematics` of a task or barrier.
 
-    Raise InputError with `key` if the matrix does not have m rows.
+    Raise InputError with `key` if the matrix does not have m rows, or if m = 4 and there is no matrix.
     """
     m = int(eta.shape[0])
+    pose = 'kinematics="vehicle" if eta is x, y, z and heading of a vehicle'
+    if matrix is None and m == 4:
+        remedy = f"give {pose}, or ca.SX.eye(4) if v is the derivative of eta"
+        raise InputError("is missing, and eta has four entries", key=f"{key}: kinematics", remedy=remedy)
+    if isinstance(matrix, str):
+        if matrix != "vehicle" or m != 4:
+            raise InputError("is not known", key=f"{key}: kinematics", value=matrix, remedy=f"give {pose}, or a matrix")
+        return kinematics(eta[3])
     if matrix is None:
-        return kinematics(eta[3]) if m == 4 else ca.SX.eye(m)
+        return ca.SX.eye(m)
     try:
         S = as_expression(matrix)
     except ValueError:

@@ -87,7 +87,7 @@ def check_limit(
         >>> from surctl.tasks import Barrier
         >>> from surctl.testing import check_limit
         >>> eta = ca.SX.sym("eta", 4)
-        >>> wall = Barrier("wall", eta, h=2.0 - eta[0], alpha=0.5)  # stay at x <= 2 m
+        >>> wall = Barrier("wall", eta, h=2.0 - eta[0], alpha=0.5, kinematics="vehicle")  # stay at x <= 2 m
         >>> ranges = [(eta, [-3, -3, -1, -3], [3, 3, 0, 3])]
         >>> check_limit(wall, parameters=ranges).samples
         66

@@ -92,7 +92,8 @@ def check_task(
         >>> report = check_task(lambda eta: heading_task(eta, 0.4))
         >>> report.name, report.size, report.samples
         ('heading', 1, 50)
-        >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4))  # angular=True is missing
+        >>> # angular=True is missing
+        >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4, kinematics="vehicle"))
         Traceback (most recent call last):
             ...
         surctl.testing.finding.CheckFailed: ...the reference changes when the vehicle makes a full turn ...

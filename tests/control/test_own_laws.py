@@ -34,9 +34,10 @@ from surctl.ir import Port
 from surctl.tasks import Task, depth_task, heading_task
 
 def decide(s):
-    wall = Task(name="wall", eta=s.eta, sigma=s.eta[1], target=s.p["stand_off"], gain=s.p["k_wall"], unit="m")
+    off, gain = s.p["stand_off"], s.p["k_wall"]
+    wall = Task(name="wall", eta=s.eta, sigma=s.eta[1], target=off, gain=gain, unit="m", kinematics="vehicle")
     ahead = ca.fmin(s.p["cruise"], s.p["k1"] * (s.p["waypoints"][-1, 0] - s.eta[0]))
-    along = Task(name="along", eta=s.eta, sigma=s.eta[0], target=s.eta[0], rate=ahead, unit="m")
+    along = Task(name="along", eta=s.eta, sigma=s.eta[0], target=s.eta[0], rate=ahead, unit="m", kinematics="vehicle")
     tasks = [wall, along, heading_task(s.eta, 0.3, gain=s.p["k_psi"]), depth_task(s.eta, s.p["depth"], gain=s.p["k2"])]
     return Decision(tasks, state={"way": s.x["way"] + s.dt * ahead})
 

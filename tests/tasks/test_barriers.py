@@ -50,7 +50,7 @@ def test_the_row_is_the_closing_speed(seed):
     h = ca.norm_2(ETA[:2] - place) - 0.3 * ca.cos(ETA[3]) + 0.1 * ETA[2]
     drift = ca.dot(ca.jacobian(h, place).T, speed)
     (row,) = rows_at(
-        Barrier("moving", ETA, h=h, alpha=0.7, drift=drift),
+        Barrier("moving", ETA, h=h, alpha=0.7, drift=drift, kinematics="vehicle"),
         [ETA, place, speed],
         values := [
             rng.uniform(-2, 2, 4),
@@ -73,7 +73,7 @@ def test_a_velocity_held_over_each_step_keeps_a_convex_barrier(seed, share):
     """Sampled with gain·dt = share ≤ 1, at a constant heading: h never negative."""
     rng, dt = np.random.default_rng(seed), 0.05
     gain = share / dt
-    at = row_function(Barrier("disc", ETA, h=DISC, alpha=gain))
+    at = row_function(Barrier("disc", ETA, h=DISC, alpha=gain, kinematics="vehicle"))
     value = function(DISC, ETA)
     angle = rng.uniform(-3, 3)
     eta = np.array([1.0, 0.5, 0, rng.uniform(-3, 3)])
@@ -91,7 +91,7 @@ def test_a_velocity_held_over_each_step_keeps_a_convex_barrier(seed, share):
 def test_a_turning_vehicle_stays_within_the_stated_bound():
     """A yaw rate r turns v within the step: h ≥ −|r| ‖v‖ dt / (2 γ), and the bound is not idle."""
     dt, gain, r, speed = 0.05, 0.5, 1.0, 0.3
-    at, value = row_function(Barrier("wall", ETA, h=WALL, alpha=gain)), function(WALL, ETA)
+    at, value = row_function(Barrier("wall", ETA, h=WALL, alpha=gain, kinematics="vehicle")), function(WALL, ETA)
     eta, least, fastest = np.array([1.9, 0, 0, 0.0]), math.inf, 0.0
     for _ in range(1000):
         a, upper = at(eta)
@@ -110,7 +110,7 @@ def braking_run(seed, h):
     rng, dt = np.random.default_rng(seed), 0.05
     a, psi = rng.uniform(0.05, 0.5), rng.uniform(-3, 3)
     reaction = 3 * dt
-    barrier = BrakingBarrier("stop", ETA, h=h, deceleration=a, reaction=reaction)
+    barrier = BrakingBarrier("stop", ETA, h=h, deceleration=a, reaction=reaction, kinematics="vehicle")
     at, value = row_function(barrier), function(h, ETA)
     R = body_to_world(psi)
     # a start that satisfies the stated relation: closing speed s with s²/(2a) + s(T − 2dt) ≤ h
@@ -154,7 +154,7 @@ def test_braking_around_a_disc_never_goes_through(seed):
 def test_a_plain_barrier_is_not_enough_for_a_vehicle_that_must_brake():
     """What the braking form is for: the same vehicle under the linear rule goes through the wall."""
     dt, a, gain = 0.05, 0.05, 1.0
-    at, value = row_function(Barrier("wall", ETA, h=WALL, alpha=gain)), function(WALL, ETA)
+    at, value = row_function(Barrier("wall", ETA, h=WALL, alpha=gain, kinematics="vehicle")), function(WALL, ETA)
     eta, nu = np.array([0.0, 0, 0, 0.0]), np.zeros(4)
     least = math.inf
     for _ in range(400):
@@ -169,7 +169,7 @@ def test_a_plain_barrier_is_not_enough_for_a_vehicle_that_must_brake():
 
 def test_allowed_speed_is_continuous_and_lipschitz():
     h = ca.SX.sym("h")
-    barrier = BrakingBarrier("b", ETA, h=h - ETA[0], deceleration=0.2, reaction=0.4, retreat=0.05)
+    barrier = BrakingBarrier("b", ETA, h=h - ETA[0], deceleration=0.2, reaction=0.4, retreat=0.05, kinematics="vehicle")
     speed = function(ca.substitute(barrier.allowed(), ETA, ca.DM.zeros(4)), h)
     at = np.linspace(-0.5, 2.0, 20001)
     values = np.array(speed(at.reshape(1, -1))).reshape(-1)
@@ -188,7 +188,7 @@ def test_allowed_speed_is_continuous_and_lipschitz():
 def test_the_velocity_does_not_chatter_on_the_boundary(kind):
     """Sliding along the disc towards a goal behind it: changes of v shrink in proportion to dt."""
     extra = {"alpha": 2.0} if kind is Barrier else {"deceleration": 0.2, "reaction": 0.5}
-    at, value = row_function(kind("disc", ETA, h=DISC, **extra)), function(DISC, ETA)
+    at, value = row_function(kind("disc", ETA, h=DISC, kinematics="vehicle", **extra)), function(DISC, ETA)
     jumps = []
     for dt in (0.08, 0.04, 0.02):
         eta, last, worst, touched = np.array([0.0, 0.45, 0, 0.3]), None, 0.0, False
@@ -212,22 +212,40 @@ def test_the_velocity_does_not_chatter_on_the_boundary(kind):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Barrier("deep", ETA, h=ca.SX.sym("z")), "limit deep: h"),
-        (lambda: Barrier("deep", ETA, h=ca.floor(ETA[2])), "does not depend on eta"),
-        (lambda: BrakingBarrier("deep", ETA, h=1.0, deceleration=1, reaction=1), "limit deep: h"),
-        (lambda: Barrier("deep", 2 * ETA, h=ETA[0]), "limit deep: eta"),
-        (lambda: Barrier("deep", ETA, h=ETA[:2]), "limit deep: h"),
-        (lambda: Barrier("deep", ETA, h=ETA[2], alpha=-1.0), "limit deep: alpha = -1.0"),
-        (lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s + 0.1), "not of class K: alpha(-0.1"),
-        (lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s**2), "not of class K: alpha(-10)"),
-        (lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s * ca.exp(-s)), "decreases between"),
-        (lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s / 0), "limit deep: alpha"),
-        (lambda: Barrier("deep", ETA, h=ETA[2], drift=[1.0, 2.0]), "limit deep: drift"),
-        (lambda: Barrier("deep", ETA, h=ETA[2], kind="wall"), "limit deep"),
-        (lambda: Barrier("so deep", ETA, h=ETA[2]), "so deep"),
-        (lambda: BrakingBarrier("deep", ETA, h=ETA[2], deceleration=0, reaction=1), "deep: deceleration = 0.0"),
-        (lambda: BrakingBarrier("deep", ETA, h=ETA[2], deceleration=1, reaction=0), "deep: reaction = 0.0"),
-        (lambda: BrakingBarrier("deep", ETA, h=ETA[2], deceleration=1, reaction=1, retreat=-1), "deep: retreat"),
+        (lambda: Barrier("deep", ETA, h=ca.SX.sym("z"), kinematics="vehicle"), "limit deep: h"),
+        (lambda: Barrier("deep", ETA, h=ca.floor(ETA[2]), kinematics="vehicle"), "does not depend on eta"),
+        (lambda: BrakingBarrier("deep", ETA, h=1.0, deceleration=1, reaction=1, kinematics="vehicle"), "limit deep: h"),
+        (lambda: Barrier("deep", 2 * ETA, h=ETA[0], kinematics="vehicle"), "limit deep: eta"),
+        (lambda: Barrier("deep", ETA, h=ETA[:2], kinematics="vehicle"), "limit deep: h"),
+        (lambda: Barrier("deep", ETA, h=ETA[2], alpha=-1.0, kinematics="vehicle"), "limit deep: alpha = -1.0"),
+        (
+            lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s + 0.1, kinematics="vehicle"),
+            "not of class K: alpha(-0.1",
+        ),
+        (
+            lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s**2, kinematics="vehicle"),
+            "not of class K: alpha(-10)",
+        ),
+        (
+            lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s * ca.exp(-s), kinematics="vehicle"),
+            "decreases between",
+        ),
+        (lambda: Barrier("deep", ETA, h=ETA[2], alpha=lambda s: s / 0, kinematics="vehicle"), "limit deep: alpha"),
+        (lambda: Barrier("deep", ETA, h=ETA[2], drift=[1.0, 2.0], kinematics="vehicle"), "limit deep: drift"),
+        (lambda: Barrier("deep", ETA, h=ETA[2], kind="wall", kinematics="vehicle"), "limit deep"),
+        (lambda: Barrier("so deep", ETA, h=ETA[2], kinematics="vehicle"), "so deep"),
+        (
+            lambda: BrakingBarrier("deep", ETA, h=ETA[2], deceleration=0, reaction=1, kinematics="vehicle"),
+            "deep: deceleration = 0.0",
+        ),
+        (
+            lambda: BrakingBarrier("deep", ETA, h=ETA[2], deceleration=1, reaction=0, kinematics="vehicle"),
+            "deep: reaction = 0.0",
+        ),
+        (
+            lambda: BrakingBarrier("deep", ETA, h=ETA[2], deceleration=1, reaction=1, retreat=-1, kinematics="vehicle"),
+            "deep: retreat",
+        ),
     ],
 )
 def test_bad_barriers_are_refused_by_name(make, says):
@@ -241,8 +259,14 @@ def test_alpha_may_be_a_function_that_levels_off_and_may_hold_symbols():
     gain = ca.SX.sym("gain")
     s = ca.SX.sym("s")
     (row,) = rows_at(
-        Barrier("deep", ETA, h=ETA[2], alpha=ca.Function("a", [s], [ca.fmin(s, 0.1)])), [ETA], [[0, 0, 3, 0]]
+        Barrier("deep", ETA, h=ETA[2], alpha=ca.Function("a", [s], [ca.fmin(s, 0.1)]), kinematics="vehicle"),
+        [ETA],
+        [[0, 0, 3, 0]],
     )
     assert row.upper == 0.1
-    (row,) = rows_at(Barrier("deep", ETA, h=ETA[2], alpha=lambda h: gain * h**3), [ETA, gain], [[0, 0, 2, 0], 0.25])
+    (row,) = rows_at(
+        Barrier("deep", ETA, h=ETA[2], alpha=lambda h: gain * h**3, kinematics="vehicle"),
+        [ETA, gain],
+        [[0, 0, 2, 0], 0.25],
+    )
     assert row.upper == 2.0

@@ -32,10 +32,10 @@ PLAIN = plant_thrust_limit(NU, PARTS, dt=0.05)
             VelocityBox([-0.1] * 4, [0.1, 0.1, 0.1, np.inf]), PLAIN, AccelerationLimit(NU, [0.1] * 4, dt=0.05)
         ),
         ActuatorLimits(VelocityBox([-0.1] * 4, [0.1] * 4), FULL),
-        Barrier("disc", ETA, h=DISC, alpha=lambda s: ca.fmin(s, 1)),
-        BrakingBarrier("disc", ETA, h=DISC, deceleration=0.1, reaction=0.3),
+        Barrier("disc", ETA, h=DISC, alpha=lambda s: ca.fmin(s, 1), kinematics="vehicle"),
+        BrakingBarrier("disc", ETA, h=DISC, deceleration=0.1, reaction=0.3, kinematics="vehicle"),
         RateLimit(position_task(ETA, [1, 2]), 0.1),
-        SetTask(name="arc", eta=ETA, sigma=ETA[3], lower=-1, upper=1, angular=True),
+        SetTask(name="arc", eta=ETA, sigma=ETA[3], lower=-1, upper=1, angular=True, kinematics="vehicle"),
     ],
     ids=lambda limit: type(limit).__name__,
 )

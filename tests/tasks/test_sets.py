@@ -35,7 +35,16 @@ def slab_at(task, eta):
 
 
 def test_the_slab_is_the_gain_times_the_way_to_each_bound():
-    task = SetTask(name="keep", eta=ETA, sigma=ETA[:2], lower=[-1, -math.inf], upper=2.0, rate=[0.1, 0], gain=[0.5, 2])
+    task = SetTask(
+        name="keep",
+        eta=ETA,
+        sigma=ETA[:2],
+        lower=[-1, -math.inf],
+        upper=2.0,
+        rate=[0.1, 0],
+        gain=[0.5, 2],
+        kinematics="vehicle",
+    )
     lower, upper = slab_at(task, [0.4, 3.0, 0, 0])
     assert np.allclose(lower, [0.1 + 0.5 * -1.4, -math.inf])
     assert np.allclose(upper, [0.1 + 0.5 * 1.6, 2 * -1.0])
@@ -49,7 +58,7 @@ def test_the_slab_is_the_gain_times_the_way_to_each_bound():
 def test_a_velocity_inside_the_slab_keeps_the_set():
     """σ̇ at either bound of the slab, in steps with gain·dt ≤ 1: σ comes in from outside, and never leaves."""
     z, dt, gain = ETA[2], 0.1, 2.0
-    task = SetTask(name="band", eta=ETA, sigma=z, lower=-0.5, upper=-0.1, gain=gain)
+    task = SetTask(name="band", eta=ETA, sigma=z, lower=-0.5, upper=-0.1, gain=gain, kinematics="vehicle")
     rng = np.random.default_rng(0)
     for start in (-2.0, -0.3, 1.0):
         at = start
@@ -63,7 +72,14 @@ def test_a_velocity_inside_the_slab_keeps_the_set():
 @given(st.floats(-3.1, 3.1), st.floats(0.01, 3.0), st.floats(-20, 20), st.integers(-3, 3))
 def test_an_angle_is_kept_in_its_arc_by_the_short_way(middle, half, psi, turns):
     task = SetTask(
-        name="look", eta=ETA, sigma=ETA[3], lower=middle - half, upper=middle + half, angular=True, unit="rad"
+        name="look",
+        eta=ETA,
+        sigma=ETA[3],
+        lower=middle - half,
+        upper=middle + half,
+        angular=True,
+        unit="rad",
+        kinematics="vehicle",
     )
     (lower,), (upper,) = slab_at(task, [0, 0, 0, psi])
     away = math.remainder(middle - psi, 2 * math.pi)
@@ -75,7 +91,7 @@ def test_an_angle_is_kept_in_its_arc_by_the_short_way(middle, half, psi, turns):
 
 def test_the_slab_moves_without_jumps():
     """Along a path through both bounds, v nearest to a wish inside the slab is Lipschitz: no switch, no chatter."""
-    task = SetTask(name="band", eta=ETA, sigma=ETA[2], lower=-0.5, upper=-0.1, gain=1.0)
+    task = SetTask(name="band", eta=ETA, sigma=ETA[2], lower=-0.5, upper=-0.1, gain=1.0, kinematics="vehicle")
     lower, upper = (function(part, ETA) for part in task.slab())
     at = np.linspace(-1, 0.5, 3001)
     v = np.array([np.clip(0.05, float(lower([0, 0, z, 0])), float(upper([0, 0, z, 0]))) for z in at])
@@ -83,7 +99,16 @@ def test_the_slab_moves_without_jumps():
 
 
 def test_split_gives_the_same_rows():
-    task = SetTask(name="keep", eta=ETA, sigma=ETA[:2], lower=[-1, -2], upper=[2.0, 3.0], rate=0.1, gain=[0.5, 2])
+    task = SetTask(
+        name="keep",
+        eta=ETA,
+        sigma=ETA[:2],
+        lower=[-1, -2],
+        upper=[2.0, 3.0],
+        rate=0.1,
+        gain=[0.5, 2],
+        kinematics="vehicle",
+    )
     eta = [0.4, 3.0, 0, 0.7]
     whole = rows_at(task, [ETA], [eta])
     parts = [rows_at(part, [ETA], [eta])[0] for part in task.split()]
@@ -95,7 +120,7 @@ def test_split_gives_the_same_rows():
 
 
 def test_a_stack_holds_both_kinds():
-    band = SetTask(name="band", eta=ETA, sigma=ETA[2], lower=-0.5, upper=-0.1)
+    band = SetTask(name="band", eta=ETA, sigma=ETA[2], lower=-0.5, upper=-0.1, kinematics="vehicle")
     go = position_task(ETA, [1.0, 2.0])
     stack = Stack((band, go))
     assert stack.names == ("band", "position")
@@ -136,9 +161,9 @@ def test_units():
     ]
     assert {t.unit for t in tasks} == {"m"}
     assert heading_task(ETA, 0.0).unit == line_of_sight_task(ETA, [1.0, 2.0]).unit == "rad"
-    assert Task(name="own", eta=ETA, sigma=ETA[0]).unit == ""
+    assert Task(name="own", eta=ETA, sigma=ETA[0], kinematics="vehicle").unit == ""
     with pytest.raises(InputError, match="task own: unit"):
-        Task(name="own", eta=ETA, sigma=ETA[0], unit=3)
+        Task(name="own", eta=ETA, sigma=ETA[0], unit=3, kinematics="vehicle")
 
 
 @pytest.mark.parametrize(
@@ -159,7 +184,7 @@ def test_units():
     ],
 )
 def test_bad_sets_are_refused_by_name(change, says):
-    good = {"name": "keep", "eta": ETA, "sigma": ETA[:2], "lower": -1.0, "upper": 2.0}
+    good = {"name": "keep", "eta": ETA, "kinematics": "vehicle", "sigma": ETA[:2], "lower": -1.0, "upper": 2.0}
     with pytest.raises(InputError) as caught:
         SetTask(**(good | change))
     assert says in str(caught.value)
@@ -177,11 +202,10 @@ def test_bad_rate_limits_are_refused_by_name(limit, kind, says):
 
 
 @pytest.mark.parametrize("sigma", [None, "x", ca.MX.sym("x")])
-@pytest.mark.parametrize("make", [lambda s: Task(name="odd", eta=ETA, sigma=s),
-                                  lambda s: SetTask(name="odd", eta=ETA, sigma=s, lower=0.0, upper=1.0)])  # fmt: skip
-def test_what_is_no_expression_is_refused_by_name(make, sigma):
+@pytest.mark.parametrize(("kind", "bounds"), [(Task, {}), (SetTask, {"lower": 0.0, "upper": 1.0})])
+def test_what_is_no_expression_is_refused_by_name(kind, bounds, sigma):
     with pytest.raises(InputError, match="task odd: sigma"):
-        make(sigma)
+        kind(name="odd", eta=ETA, sigma=sigma, kinematics="vehicle", **bounds)
 
 
 @pytest.mark.parametrize("mass", [None, "heavy", [[1, 2], [3]]])

@@ -32,7 +32,7 @@ TASKS = [
     clearance_task(ETA, POINT, margin=0.4),
     distance_task(ETA, POINT, distance=0.5),
     line_of_sight_task(ETA, POINT),
-    Task(name="own", eta=ETA, sigma=ca.vertcat(ETA[0] * ca.sin(ETA[3]), ETA[2] ** 2 + ETA[1])),
+    Task(name="own", eta=ETA, sigma=ca.vertcat(ETA[0] * ca.sin(ETA[3]), ETA[2] ** 2 + ETA[1]), kinematics="vehicle"),
 ]
 
 
@@ -134,7 +134,7 @@ def test_symbols_beside_eta_are_held_fixed():
     ],
 )
 def test_bad_tasks_are_refused_by_name(change, says):
-    good = {"name": "reach", "eta": ETA, "sigma": ETA[:2]}
+    good = {"name": "reach", "eta": ETA, "sigma": ETA[:2], "kinematics": "vehicle"}
     with pytest.raises(InputError) as caught:
         Task(**(good | change))
     assert says in str(caught.value)

@@ -1,5 +1,7 @@
 """Tasks, limits and barriers of any number of velocities."""
 
+from functools import partial
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from surctl.tasks import (
     AccelerationLimit,
     ActuatorLimits,
     Barrier,
+    BrakingBarrier,
     HalfPlane,
+    SetTask,
     Stack,
     Task,
     ThrustLimit,
@@ -65,6 +69,22 @@ def test_widths_that_do_not_fit_are_refused() -> None:
     with pytest.raises(InputError, match="task two: has different kinematics from task arm"):
         Stack((arm, Task(name="two", eta=q, sigma=q[1], kinematics=2 * np.eye(3))))
     joints = ca.SX.sym("q", 4)
+    for make in (partial(Task, sigma=joints[3]), partial(SetTask, sigma=joints[3], lower=0.0, upper=1.0)):
+        with pytest.raises(InputError, match="task wrist: kinematics: is missing, and eta has four entries; give"):
+            make(name="wrist", eta=joints)
+    for barrier in (partial(Barrier, alpha=1.0), partial(BrakingBarrier, deceleration=0.2, reaction=0.5)):
+        with pytest.raises(InputError, match="limit wrist: kinematics: is missing, and eta has four entries; give"):
+            barrier("wrist", joints, h=joints[3])
+    for eta_, word in ((q, "vehicle"), (joints, "vessel")):
+        with pytest.raises(InputError, match=f"task wrist: kinematics = '{word}': is not known; give"):
+            Task(name="wrist", eta=eta_, sigma=eta_[0], kinematics=word)
+    sigma = ca.cos(joints[0]) + joints[3]
+    free = Task(name="tool", eta=joints, sigma=sigma, kinematics=ca.SX.eye(4))
+    body = Task(name="tool", eta=joints, sigma=sigma, kinematics="vehicle")
+    at = ca.Function("at", [joints], [free.jacobian(), body.jacobian()])([0.5, 0, 0, 1.0])
+    rate = -np.sin(0.5)
+    np.testing.assert_allclose(at[0], [[rate, 0, 0, 1]])
+    np.testing.assert_allclose(at[1], [[rate * np.cos(1.0), -rate * np.sin(1.0), 0, 1]])
     turned = Task(name="wrist", eta=joints, sigma=joints[3], target=0.4, kinematics=np.eye(4))
     assert check_task(turned).rank == 1  # no heading, so a full turn may change its reference
     with pytest.raises(InputError, match="not the pose x, y, z, psi"):

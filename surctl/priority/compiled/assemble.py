@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Call, Program, Routine, lower
+from surctl.ir import Call, Program, Routine, lower, lower_named
 from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.runner import PriorityStep, bound
 from surctl.priority.compiled.step import priority_step
-from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
+from surctl.priority.problem import CROSSING, Level, PriorityProblem, Row, build_problem
 from surctl.priority.settings import Fallback, Mode
+from surctl.priority.solver.stages import RELAXED
 from surctl.tasks import Kind, Limit, LimitRow, SetTask, Stack
 
 __all__ = ["AssembledStep", "Assembly", "assemble"]
@@ -36,7 +37,9 @@ class Assembly:
             J (K·n,), the Jacobians of all levels with K rows together, row by row; lower (K,) and upper (K,), the
             bounds of J v for the velocity v; rows (m·(n + 3),), the m constraint rows; box (2n,), the bounds of v.
             Without limits, the function returns one constraint row that is always satisfied. The box contains the
-            actuator limits that bound a single velocity for all values of the inputs.
+            actuator limits that bound a single velocity for all values of the inputs. The last output, moved (m,), is 0
+            for a row that stands as written. If its bounds cross (see `assemble`), it is by how much a velocity within
+            the returned bounds violates the row as written.
     """
 
     stack: Stack
@@ -52,7 +55,7 @@ class Assembly:
                 values; the message names the task and the row of its Jacobian, or the limit.
         """
         arguments = self._checked(values)
-        J, lower, upper, rows, _ = (np.array(part).reshape(-1) for part in self.function.call(arguments))
+        J, lower, upper, rows, _, moved = (np.array(part).reshape(-1) for part in self.function.call(arguments))
         levels, start, n = [], 0, self.stack.velocities
         for task, shape in zip(self.stack.tasks, self.shapes, strict=True):
             end = start + shape.rows
@@ -67,7 +70,8 @@ class Assembly:
             Row(row.name, row.kind, entry[:n], float(entry[n]), float(entry[n + 1]))
             for row, entry in zip(self.limits, table, strict=False)
         ]
-        return build_problem(levels, limits)
+        amounts = {row.name: float(by) for row, by in zip(self.limits, moved, strict=False) if by > 0.0}
+        return build_problem(levels, limits, moved=amounts)
 
     def step(
         self, mode: Mode = "projected", *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
@@ -111,9 +115,11 @@ class AssembledStep(PriorityStep):
 
     Attributes:
         inputs: one array for each input, by name. The mapping is read-only; write the values into the arrays.
+        moved (m,): output; by how much v must violate each limit, because its bounds cross those of a harder one.
     """
 
     inputs: Mapping[str, Array]
+    moved: Array
 
     def __init__(
         self, assembly: Assembly, mode: Mode, *, sweeps: int = 1, damping: float = 0.0, fallback: Fallback = "exact"
@@ -130,8 +136,10 @@ class AssembledStep(PriorityStep):
         step = priority_step(
             mode, n=n, levels=assembly.shapes, rows=places, sweeps=sweeps, damping=damping, fallback=fallback
         )
-        inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), step))
-        self._take(mode, n, assembly.shapes, outputs[: len(step.inputs)], outputs[len(step.inputs) :])
+        inputs, outputs, self.solve, self.compiled = bound(_fused(lower(assembly.function), step, mode))
+        places = len(step.inputs)
+        self._take(mode, n, assembly.shapes, outputs[:places], outputs[places + 1 :])
+        self.moved = outputs[places]
         self.level_names = assembly.stack.names
         self.row_names = tuple(row.name for row in assembly.limits)
         self.inputs = MappingProxyType(dict(zip(assembly.sizes, inputs, strict=True)))
@@ -144,20 +152,38 @@ class AssembledStep(PriorityStep):
         )
 
 
-def _fused(stack: Program, step: Routine) -> Routine:
+def _fused(stack: Program, step: Routine, mode: Mode) -> Routine:
     inputs = tuple(name for name, _ in stack.inputs)
     between = tuple(name for name, _ in step.inputs)
     outputs = tuple(name for name, _ in step.outputs)
+    raw = tuple("status_found" if name == "status" else name for name in outputs)
+    moved, status = ca.SX.sym("moved", dict(stack.outputs)["moved"]), ca.SX.sym("status")
+    eased = ca.logic_and(ca.mmax(moved) > 0, status < RELAXED)
+    outcome = status if mode == "nsb" else ca.if_else(eased, RELAXED, status)
     return Routine(
         f"assembled_{step.name}",
         stack.inputs,
-        (Call(stack, inputs, between), Call(step, between, outputs)),
-        (*between, *outputs),
+        (
+            Call(stack, inputs, (*between, "moved")),
+            Call(step, between, raw),
+            Call(
+                lower_named("moved_rows", {"moved": moved, "status": status}, {"outcome": outcome}),
+                ("moved", "status_found"),
+                ("status",),
+            ),
+        ),
+        (*between, "moved", *outputs),
     )
 
 
 def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str, ca.SX]) -> Assembly:
     """Build one function that evaluates the tasks of a stack and the limits.
+
+    Bounds that cross are moved, by the same rule in `Assembly.problem` and in the compiled step, and the limit is named
+    as relaxed. (1) If lower > upper in one row, as for a damper outside its joint limit, both bounds become the value
+    between them that is nearest to 0. So a velocity never exceeds a bound that allows 0. (2) If actuator limits on a
+    single velocity exclude each other, the earlier limit in `limits` is harder: the later one becomes the point of the
+    earlier ones that is nearest to it. Write physical limits first, then limits such as dampers.
 
     Args:
         stack: tasks and set-based tasks.
@@ -205,8 +231,9 @@ def assemble(stack: Stack, limits: Sequence[Limit] = (), *, inputs: Mapping[str,
             )
         if row.name in (other.name for other in rows[:i]):
             raise InputError("names two limits", key=f"limit {row.name}", remedy="rename one of them")
-    outputs = [*_stacked(slabs), _table(rows, stack.velocities), _box(rows, stack.velocities)]
-    names = ["J", "lower", "upper", "rows", "box"]
+    agreed, box, moved = _agreed(rows, stack.velocities)
+    outputs = [*_stacked(slabs), _table(agreed, stack.velocities), box, moved]
+    names = ["J", "lower", "upper", "rows", "box", "moved"]
     dense = [ca.densify(output) for output in outputs]
     function = ca.Function("assembly", list(inputs.values()), dense, [f"in_{k}" for k in range(len(inputs))], names)
     return Assembly(stack, rows, {name: int(symbol.numel()) for name, symbol in inputs.items()}, function)
@@ -246,22 +273,26 @@ def _table(rows: Sequence[LimitRow], n: int) -> ca.SX:
     return ca.vertcat(*lines) if lines else ca.vertcat(ca.SX.zeros(n), -ca.inf, ca.inf, 0)
 
 
-def _box(rows: Sequence[LimitRow], n: int) -> ca.SX:
-    # if two limits of a velocity conflict, both bounds are their midpoint
+def _agreed(rows: Sequence[LimitRow], n: int) -> tuple[list[LimitRow], ca.SX, ca.SX]:
+    """Return the rows with bounds that do not cross, the box (2n,), and by how much each row had to be moved (m,)."""
     low, high = [ca.SX(-ca.inf)] * n, [ca.SX(ca.inf)] * n
+    agreed, moved = [], []
     for row in rows:
+        crossed, between = row.lower > row.upper, ca.fmin(ca.fmax(0, row.upper), row.lower)
+        lower, upper = ca.if_else(crossed, between, row.lower), ca.if_else(crossed, between, row.upper)
         entries = [j for j in range(n) if not row.a[j].is_zero()]
-        if row.kind != "actuator" or len(entries) != 1:
-            continue
-        (j,) = entries
-        a, lower, upper = row.a[j], row.lower, row.upper
-        used = a != 0
-        by = ca.if_else(used, a, 1)
-        ends = (ca.if_else(a > 0, lower / by, upper / by), ca.if_else(a > 0, upper / by, lower / by))
-        low[j] = ca.fmax(low[j], ca.if_else(used, ends[0], -ca.inf))
-        high[j] = ca.fmin(high[j], ca.if_else(used, ends[1], ca.inf))
-    both = list(zip(low, high, strict=True))
-    return ca.vertcat(
-        *(ca.if_else(lo > hi, 0.5 * (lo + hi), lo) for lo, hi in both),
-        *(ca.if_else(lo > hi, 0.5 * (lo + hi), hi) for lo, hi in both),
-    )
+        if row.kind == "actuator" and len(entries) == 1:
+            (j,) = entries
+            a = row.a[j]
+            used = a != 0
+            by = ca.if_else(used, a, 1)
+            first, last = ca.if_else(a > 0, lower / by, upper / by), ca.if_else(a > 0, upper / by, lower / by)
+            apart = ca.logic_and(used, ca.logic_or(first > high[j], last < low[j]))
+            ends = [ca.fmin(ca.fmax(end, low[j]), high[j]) for end in (first, last)]
+            low[j], high[j] = ca.if_else(used, ends[0], low[j]), ca.if_else(used, ends[1], high[j])
+            lower, upper = ca.if_else(apart, low[j] * a, lower), ca.if_else(apart, low[j] * a, upper)
+            crossed = ca.logic_or(crossed, apart)
+        agreed.append(replace(row, lower=lower, upper=upper))
+        by = ca.fmax(row.lower - lower, upper - row.upper)
+        moved.append(ca.if_else(ca.logic_and(crossed, by > CROSSING * (1 + ca.fabs(lower))), by, 0))
+    return agreed, ca.vertcat(*low, *high), ca.vertcat(*moved) if moved else ca.SX.zeros(1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeAlias, cast, get_args
 
 import numpy as np
@@ -103,6 +103,7 @@ class PriorityStep:
         self.v, self.active, self.multipliers, self.opening, self.status, self.count, self.target = outputs
         self.level_names = tuple(f"level {place}" for place in range(1, len(self.levels) + 1))
         self.row_names = tuple(f"row {place}" for place in range(len(self.rows)))
+        self._moved: Mapping[str, float] = {}
 
     @staticmethod
     def of(
@@ -152,6 +153,7 @@ class PriorityStep:
         self.box[:] = polyhedron_of(problem).box
         self.level_names = tuple(level.name for level in problem.levels)
         self.row_names = tuple(row.name for row in problem.rows)
+        self._moved = dict(problem.moved)
 
     @property
     def stage(self) -> Stage:
@@ -159,7 +161,8 @@ class PriorityStep:
         if self.status[0] == 0.0:
             raise InputError("has no solution yet", key="step", remedy="call solve() first")
         stages: tuple[Stage, ...] = get_args(Stage)
-        return stages[int(self.status[0]) - 1]
+        stage = stages[int(self.status[0]) - 1]
+        return "relaxed" if self._moved and self.mode != "nsb" and stage in ("met", "limited") else stage
 
     def binding(self) -> tuple[tuple[str, float], ...]:
         """Return (name, Lagrange multiplier) of the active limits, in their units; positive at an upper bound.

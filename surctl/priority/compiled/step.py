@@ -18,6 +18,7 @@ import numpy as np
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled.cascade import cascade
+from surctl.priority.compiled.confirmation import confirmation
 from surctl.priority.compiled.last_projection import last_projection
 from surctl.priority.compiled.level_shape import LevelShape, StackShape
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
@@ -46,6 +47,7 @@ def priority_step(
     damping: float = 0.0,
     precision: Precision = FLOAT64,
     named: bool = True,
+    confirm: bool = True,
     fallback: Fallback = "exact",
 ) -> Routine:
     """Return the routine that computes the velocity v of one control period for a priority mode.
@@ -61,14 +63,18 @@ def priority_step(
     multipliers of the active rows, for rows of length 1, in min ½‖J v − x‖² if the row limits a task, otherwise in min
     ½‖v − target‖²; opening (1,), the amount by which the bounds of soft rows are moved outwards; status (1,): MET
     (level 1 is met as well as its Jacobian allows), LIMITED (level 1 is met as well as the constraint rows allow),
-    RELAXED (soft rows are relaxed), CLAMPED (v is only clipped to the box), or BOUNDED (the bounded fallback was used;
-    no active rows are reported); count (1,), number of iterations; target (n,), the velocity that v approaches as far
-    as level 1 and the limits allow.
+    RELAXED (soft rows are relaxed), CLAMPED (v is only clipped to the box), BOUNDED (the bounded fallback was used; no
+    active rows are reported), or UNCONFIRMED (see below); count (1,), number of iterations; target (n,), the velocity
+    that v approaches as far as level 1 and the limits allow.
 
     The projection on a set-based level leaves a velocity w unchanged if J w is inside the bounds, and otherwise moves w
     to the nearest bound; so v does not jump. In mode lexicographic, the numbers m + 1, m + 2, … in `active` denote
     set-based levels at their bounds, in the order of the levels. In mode nsb, the status is MET if v is finite, v
     ignores limits and box, and target is v.
+
+    UNCONFIRMED replaces MET, LIMITED and RELAXED if v satisfies the limits but was not shown to be optimal: the
+    residual of a strict level, the distance to the target, or the opening may be more than `optimality.LOSS`·(1 +
+    value) above the least possible. This check runs after the solver and uses only its result (module `confirmation`).
 
     With damping λ, every projection of a velocity w on a level minimises λ²‖z − w‖² + ‖J z − x‖² over z; in mode
     projected this includes the last projection, within the limits. The result is exact while ‖J‖ of the first level is
@@ -90,6 +96,8 @@ def priority_step(
             runs; the other modes use the tolerances for double.
         named: if False, mode projected does not list in `active` the constraint rows that limit task 1, which saves
             time.
+        confirm: if False, the status is never UNCONFIRMED, which saves time. The bounded fallback, tolerances for float
+            and mode nsb have no such check.
         fallback: "exact", or "bounded" for modes filter and projected without damping. If limits and task 1 are
             incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not optimal, at constant
             cost; see module `solver.bounded`.
@@ -124,8 +132,16 @@ def priority_step(
     steps = _MODES[mode](shape, rows, settings)
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     start = Call(gate(shape), _STACK, ("sound", "zero", "none"))
-    end = Call(_finish(n, boxed=mode != "nsb"), (*_RAW, "sound", "box"), OUTPUTS)
-    return Routine(f"{mode}_step", inputs, (start, *steps, end), OUTPUTS)
+    finish = _finish(n, boxed=mode != "nsb")
+    if mode == "nsb" or not confirm or fallback != "exact" or precision != FLOAT64:
+        end: tuple[Step, ...] = (Call(finish, (*_RAW, "sound", "box"), OUTPUTS),)
+    else:
+        strict = {"filter": 0, "projected": 1, "lexicographic": len(levels)}[mode]
+        last = confirmation(shape, rows, strict=strict, damping=damping if mode == "projected" else 0.0)
+        raw = tuple("status_found" if name == "status" else name for name in OUTPUTS)
+        checked = (*_STACK, "rows", "v", "opening", "status_found", "target")
+        end = (Call(finish, (*_RAW, "sound", "box"), raw), Call(last, checked, ("status",)))
+    return Routine(f"{mode}_step", inputs, (start, *steps, *end), OUTPUTS)
 
 
 @dataclass(frozen=True)

@@ -31,22 +31,24 @@ from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = [
-    "CAP",
-    "OPEN_CAP",
     "certificate",
     "in_blocks",
     "kernel",
     "lanes_of",
+    "most_iterations",
     "reduced_kernel",
     "row_by_row",
     "search",
 ]
 
-CAP = 40
-"""Largest number of iterations."""
 
-OPEN_CAP = 80
-"""Largest number of iterations if the opening is unknown too, because every soft row can then become active."""
+def most_iterations(space: Space) -> int:
+    """Return the largest number of iterations of a search; it grows with the number of unknowns d.
+
+    A row that enters costs one iteration, and every row that leaves again one more. If the opening is unknown too,
+    every soft row can become active, so the number is doubled.
+    """
+    return (2 if space.opening else 1) * max(40, 8 * space.d)
 
 
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
@@ -84,7 +86,7 @@ def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
     Inputs: rows (rows·(n + 3),), constraint rows in blocks, each a (of length 1 or 0), lower, upper, soft; base (n +
     1,); skip, nonzero to return the base with status `SKIPPED`; Z (n·d,), row by row, with orthonormal columns, or an
     orthogonal projector; Z is absent if t is unknown. Outputs: point (n + 1,); numbers and multipliers (d,) of the
-    active rows; status, 0 if the iteration limit `cap` (None: `CAP` or `OPEN_CAP`) was reached, and the point then
+    active rows; status, 0 if the iteration limit `cap` (None: `most_iterations`) was reached, and the point then
     violates rows; count, number of iterations.
     """
     n, d = space.n, space.d
@@ -152,7 +154,7 @@ def search(space: Space, rows: int, cap: int | None = None) -> Routine:
     width = space.row
     names = tuple(name for name, _ in free)
     state = tuple(name for name, _ in _state(space))
-    most = (OPEN_CAP if space.opening else CAP) if cap is None else cap
+    most = most_iterations(space) if cap is None else cap
     steps = (
         Call(_start(space), ("base", "skip"), tuple(f"{name}_first" for name in state[:-2])),
         *_price(space, rows, "_first"),

@@ -21,10 +21,10 @@ __all__ = ["SafePoint", "Stage", "idle_row", "least_distance", "nearest_to_zero"
 
 Array: TypeAlias = NDArray[np.float64]
 Runner: TypeAlias = Callable[..., list[Array]]
-Stage: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded"]
+Stage: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded", "unconfirmed"]
 """met: v meets the task and satisfies all constraint rows. limited: the task is met as well as the rows allow. relaxed:
 soft rows are relaxed. clamped: v is only clipped to the box. bounded: v comes from the bounded fallback, see module
-`bounded`."""
+`bounded`. unconfirmed: only in a priority step: v was not shown to be optimal."""
 
 _STAGES: tuple[Stage, ...] = get_args(Stage)
 _BUCKET = 8  # rows are padded to a multiple of this, to limit the number of compiled sizes

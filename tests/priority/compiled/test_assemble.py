@@ -34,7 +34,7 @@ def walls() -> list[HalfPlane]:
 
 @pytest.fixture(scope="module")
 def assembly() -> Assembly:
-    depth = SetTask(name="depth", eta=eta, sigma=eta[2], lower=-0.4, upper=-0.1)
+    depth = SetTask(name="depth", eta=eta, sigma=eta[2], lower=-0.4, upper=-0.1, kinematics="vehicle")
     stack = Stack((depth, line_of_sight_task(eta, goal), position_task(eta, goal)))
     limits = [VelocityBox([-0.22] * 4, [0.22, 0.22, 0.1, 0.5]), *walls()]
     return assemble(stack, limits, inputs=INPUTS)
@@ -82,7 +82,7 @@ def test_the_problem_has_the_names_and_numbers_of_stack_and_limits(assembly: Ass
 
 def test_the_box_is_that_of_the_problem() -> None:
     scaled = HalfPlane("slow", ca.vertcat(0, -2.0, 0, 0), 0.1, kind="actuator")  # v >= -0.05
-    below = HalfPlane("against", ca.vertcat(1.0, 0, 0, 0), -0.4, kind="actuator")  # u <= -0.4, against u >= -0.2
+    below = HalfPlane("against", ca.vertcat(1.0, 0, 0, 0), -0.4, kind="actuator")  # u <= -0.4, but first u >= -0.2
     by_symbol = HalfPlane("symbol", ca.vertcat(0, 0, 0, planes[3]), planes[4], kind="actuator")
     limits = [VelocityBox([-0.2] * 4, [0.3] * 4), scaled, below, by_symbol]
     made = assemble(Stack((depth_task(eta, -0.2),)), limits, inputs=INPUTS)
@@ -93,7 +93,7 @@ def test_the_box_is_that_of_the_problem() -> None:
         for name, value in values.items():
             tick.inputs[name][:] = value
         tick.solve()
-        np.testing.assert_allclose(tick.box, [[-0.3, -0.05, -0.2, low], [-0.3, 0.3, 0.3, high]], atol=1e-15)
+        np.testing.assert_allclose(tick.box, [[-0.2, -0.05, -0.2, low], [-0.2, 0.3, 0.3, high]], atol=1e-15)
 
 
 def test_two_ticks_do_not_share_their_arrays(assembly: Assembly) -> None:
@@ -160,7 +160,7 @@ def test_inputs_and_values_are_checked(assembly: Assembly) -> None:
 
 
 def test_a_set_of_two_rows_is_to_be_split() -> None:
-    place = SetTask(name="place", eta=eta, sigma=eta[:2], lower=-1.0, upper=1.0)
+    place = SetTask(name="place", eta=eta, sigma=eta[:2], lower=-1.0, upper=1.0, kinematics="vehicle")
     with pytest.raises(InputError, match=r"task place.*split\(\)"):
         assemble(Stack((place,)), inputs=INPUTS).step()
     tick = assemble(Stack(place.split()), inputs=INPUTS).step("nsb")

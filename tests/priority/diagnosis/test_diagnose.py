@@ -39,8 +39,8 @@ DISTANCE = distance_task(ETA, POINT, distance=0.5)
 SAME = distance_task(ETA, POINT, distance=0.5, name="same")
 FAR = distance_task(ETA, OTHER, distance=1.0, name="far")
 SIGHT = line_of_sight_task(ETA, POINT)
-MIXED = Task(name="mixed", eta=ETA, sigma=ETA[0] + ETA[1] + ETA[3])
-CROSS = Task(name="cross", eta=ETA, sigma=ETA[0] - ETA[1])
+MIXED = Task(name="mixed", eta=ETA, sigma=ETA[0] + ETA[1] + ETA[3], kinematics="vehicle")
+CROSS = Task(name="cross", eta=ETA, sigma=ETA[0] - ETA[1], kinematics="vehicle")
 LIBRARY = (DEPTH, HEADING, POSITION, VELOCITY, SPACE, DISTANCE, SAME, FAR, SIGHT, MIXED, CROSS)
 
 
@@ -185,7 +185,7 @@ def test_a_task_singular_by_itself_is_not_blamed_on_those_above():
 
 
 def test_a_jacobian_that_loses_rank_is_kinematic_even_below_other_tasks():
-    folded = Task(name="folded", eta=ETA, sigma=ca.vertcat(ETA[0] + ETA[1], ETA[0] + ETA[1] ** 2))
+    folded = Task(name="folded", eta=ETA, sigma=ca.vertcat(ETA[0] + ETA[1], ETA[0] + ETA[1] ** 2), kinematics="vehicle")
     found = look(DEPTH, folded, parameters=())  # rows (1, 1) and (1, 2y): parallel at y = 0.5
     (singular,) = found.singularities
     assert (singular.task, singular.kind, singular.symptom) == ("folded", "kinematic", "strength")
@@ -193,7 +193,7 @@ def test_a_jacobian_that_loses_rank_is_kinematic_even_below_other_tasks():
 
 
 def test_an_inactive_task_is_not_singular():
-    switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0))
+    switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0), kinematics="vehicle")
     for above in (POSITION, MIXED):
         assert look(above, switched, parameters=()).singularities == ()
     off = look(POSITION, switched, region=([-2, -2, -1, -3], [-1, 2, 0, 3]), parameters=())
@@ -203,7 +203,7 @@ def test_an_inactive_task_is_not_singular():
 
 
 def test_a_task_met_at_some_samples_only_is_not_met():
-    switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0), target=1.0)
+    switched = Task(name="switched", eta=ETA, sigma=ca.fmax(ETA[0], 0.0), target=1.0, kinematics="vehicle")
     (level,) = look(switched, parameters=()).levels
     assert level.met == "by neither law"
     assert level.strict.largest == pytest.approx(1.0) and level.strict.where["x"] < 0
@@ -294,4 +294,4 @@ def test_bad_numbers_and_tasks_that_are_not_finite_are_refused():
         with pytest.raises(InputError, match=next(iter(bad))):
             look(DEPTH, **bad)
     with pytest.raises(InputError, match=r"task root: is not finite at x = -"):
-        look(Task(name="root", eta=ETA, sigma=ca.sqrt(ETA[0])), parameters=())
+        look(Task(name="root", eta=ETA, sigma=ca.sqrt(ETA[0]), kinematics="vehicle"), parameters=())

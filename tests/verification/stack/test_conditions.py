@@ -14,7 +14,7 @@ REGION = ([1.0, 1.0, -1.0, -3.0], [3.0, 2.0, 0.0, 3.0])
 
 
 def linear(name: str, row: list[float], gain: float = 1.0) -> Task:
-    return Task(name=name, eta=ETA, sigma=ca.dot(ca.SX(row), ETA), gain=gain)
+    return Task(name=name, eta=ETA, sigma=ca.dot(ca.SX(row), ETA), gain=gain, kinematics="vehicle")
 
 
 def told(*tasks: Task, region: object = REGION) -> StackConditions:

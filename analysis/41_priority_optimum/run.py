@@ -1,0 +1,109 @@
+"""Study 41: is the velocity of a priority step optimal, or does the status say that it may not be?
+
+    python analysis/41_priority_optimum/run.py [--quick] [--count 20000] [--only 4 7 10 14 20] [--seed 0]
+
+Prints Markdown. The exit status is 0 if every limit holds, 1 otherwise, and 2 for a bad option or without a C compiler.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from draws import CLASSES, QUICK, SIZES, Size, draw
+from reference import best, least_opening, opened, worse
+
+from surctl.errors import ToolMissing
+from surctl.ir.compiler import find_compiler
+from surctl.priority import Mode, PriorityProblem, PriorityStep, Settings, solve
+from surctl.priority.optimality import is_least
+
+TOLERANCE = 1e-6
+SHARE = {4: 2, 7: 10, 10: 10, 14: 20, 20: 40}
+"""One of so many problems is also solved by `solve`, which takes longer than the compiled step."""
+
+COLUMNS = ("worse, no word", "unproved", "unconfirmed", "worse, unconfirmed", "compared")
+"""worse: than a reference, by more than the tolerance. unproved: neither shown to be optimal by `is_least` nor called
+unconfirmed. compared: problems with a reference solution that satisfies the limits to 1e-11."""
+
+
+def main(arguments: list[str]) -> int:
+    """Run the campaign; return the exit status."""
+    parser = argparse.ArgumentParser(description="optimal, or a status that says it may not be")
+    parser.add_argument("--quick", action="store_true", help="75 small problems of each mode")
+    parser.add_argument("--count", type=int, default=20_000, help="problems of each number of velocities")
+    parser.add_argument("--only", type=int, nargs="+", default=list(SIZES), choices=list(SIZES))
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    if options.count < 1 or options.seed < 0:
+        parser.error("--count is at least 1, --seed at least 0")
+    try:
+        find_compiler()
+    except ToolMissing as missing:
+        print(missing, file=sys.stderr)
+        return 2
+    sizes = [QUICK] if options.quick else [SIZES[n] for n in options.only]
+    modes: tuple[Mode, ...] = ("lexicographic", "projected")
+    print("| n | mode | class | problems | " + " | ".join(COLUMNS) + " | `solve`: problems | ", end="")
+    print(" | ".join(COLUMNS) + " |\n" + "|---" * (9 + len(COLUMNS)) + "|")
+    began, silent = time.process_time(), 0
+    for size in sizes:
+        for mode in modes:
+            count = 75 if options.quick else options.count * (4 if mode == "lexicographic" else 1) // 5
+            silent += _campaign(size, mode, count, options.seed, 3 if options.quick else SHARE[size.n])
+    print(f"\nWorse than a reference without the status `unconfirmed`, or unproved without it: {silent}", end="")
+    print("." if silent == 0 else ", FAILED.", f"Processor time {time.process_time() - began:.0f} s.")
+    return 0 if silent == 0 else 1
+
+
+def _campaign(size: Size, mode: Mode, count: int, seed: int, share: int) -> int:
+    """Print one row per class; return the number of solutions that are worse, or unproved, without a word."""
+    step, silent = PriorityStep(mode, n=size.n, levels=size.shapes, rows=size.rows), 0
+    for place, kind in enumerate(CLASSES):
+        seen = {"step": Counter[str](), "solve": Counter[str]()}
+        for k in range(count // len(CLASSES)):
+            problem = draw(np.random.default_rng([seed, size.n, place, k]), size, kind)
+            step.load(problem)
+            step.solve()
+            where = f"n={size.n} {mode} {kind} {k}"
+            seen["step"] += _judged(problem, mode, step.v, step.target, step.stage, float(step.opening[0]), where)
+            if k % share == 0:
+                got = solve(problem, mode=mode)
+                by = max((got.relaxed[r.name] for r in problem.rows if r.name in got.relaxed), default=0.0)
+                seen["solve"] += _judged(problem, mode, got.v, got.target, got.status, by, f"solve {where}")
+        cells = [f"{c['problems']} | " + " | ".join(str(c[name]) for name in COLUMNS) for c in seen.values()]
+        print(f"| {size.n} | {mode} | {kind} | {' | '.join(cells)} |", flush=True)
+        silent += sum(c[name] for c in seen.values() for name in COLUMNS[:2])
+    return silent
+
+
+def _judged(
+    problem: PriorityProblem, mode: Mode, v: np.ndarray, target: np.ndarray, status: str, opening: float, where: str
+) -> Counter[str]:
+    strict = len(problem.levels) if mode == "lexicographic" else 1
+    allowed = opened(problem, opening) if opening > 0.0 else problem
+    found = [level.residual(v) for level in problem.levels[:strict]]
+    others = best(allowed, strict)
+    lost = any(worse(found, other) for other in others)
+    if opening > 0.0:
+        lost = lost or opening > least_opening(problem) + TOLERANCE * (1.0 + opening)
+    result = Counter[str]({"problems": 1, "unconfirmed": int(status == "unconfirmed"), "compared": bool(others)})
+    if status == "unconfirmed":
+        result["worse, unconfirmed"] += lost
+        return result
+    proved = is_least(v, problem, settings=Settings(mode), target=target, tol=TOLERANCE)
+    result["worse, no word"] += lost
+    result["unproved"] += not proved
+    if lost or not proved:
+        print(f"{where}: {status}, lost {lost}, proved {proved}, {np.round(found, 9).tolist()}", file=sys.stderr)
+    return result
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
