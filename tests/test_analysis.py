@@ -32,7 +32,7 @@ SWEEP = ANALYSIS / "02_gain_sweep" / "run.py"
 SOLVER = ANALYSIS / "03_least_distance" / "run.py"
 COMPILED = ANALYSIS / "06_compiled_modes" / "run.py"
 MODES = ANALYSIS / "04_priority_modes" / "run.py"
-OPTIMUM = ANALYSIS / "41_priority_optimum" / "run.py"
+OPTIMUM = ANALYSIS / "42_priority_optimum" / "run.py"
 SCALE = ANALYSIS / "08_sweep_scale" / "run.py"
 TUNING = ANALYSIS / "09_tuning" / "run.py"
 SONAR = ANALYSIS / "10_sonar_filters" / "run.py"
@@ -328,14 +328,14 @@ def test_the_study_of_mutants(
 
 
 def test_the_study_of_mutants_of_the_checker() -> None:
-    done = run(ANALYSIS / "41_checker_mutants" / "run.py", "--quick")
+    done = run(ANALYSIS / "38_checker_mutants" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     [(name, count, caught)] = [row for row in table(done.stdout) if row[0] == "`definite`"]
     assert int(count) >= 15 and count == caught.strip(" |"), name
 
 
 def test_a_mutant_of_the_checker_changes_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(ANALYSIS / "41_checker_mutants"))
+    monkeypatch.syspath_prepend(str(ANALYSIS / "38_checker_mutants"))
     changes = importlib.import_module("operators").changes
     source = """
 def check(numbers, low):
@@ -384,7 +384,7 @@ def test_the_study_of_what_the_checker_needs() -> None:
 
 
 def test_the_study_of_certificates_and_bundles() -> None:
-    done = run(ANALYSIS / "41_belonging" / "run.py", "--quick")
+    done = run(ANALYSIS / "37_belonging" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "4 pairs unchanged, 40 changes, 0 wrong answers" in done.stdout
 

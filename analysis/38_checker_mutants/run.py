@@ -1,8 +1,8 @@
-"""Study 41: do the tests detect a wrong checker? A mutant of every line of `certcheck` that decides or rounds.
+"""Study 38: do the tests detect a wrong checker? A mutant of every line of `certcheck` that decides or rounds.
 
-    python analysis/41_checker_mutants/run.py                  # all mutants; known results are not computed again
-    python analysis/41_checker_mutants/run.py --module region  # those of a module
-    python analysis/41_checker_mutants/run.py --quick          # those of a small module, with its own tests, anew
+    python analysis/38_checker_mutants/run.py                  # all mutants; known results are not computed again
+    python analysis/38_checker_mutants/run.py --module region  # those of a module
+    python analysis/38_checker_mutants/run.py --quick          # those of a small module, with its own tests, anew
 
 Prints Markdown; --write writes the README from it. Status 0 if every mutant is caught, 1 if one survives, 2 for a bad
 option or tests that fail without a mutant.

@@ -1,6 +1,6 @@
-"""Study 41: does a certificate belong to a controller only if it is about this controller?
+"""Study 37: does a certificate belong to a controller only if it is about this controller?
 
-    python analysis/41_belonging/run.py [--quick] [--changes N] [--seed N] [--write]
+    python analysis/37_belonging/run.py [--quick] [--changes N] [--seed N] [--write]
 
 Prints Markdown. The exit status is 0 if every certificate belongs to its bundle, and none does after a change of
 meaning; 1 otherwise.

@@ -1,6 +1,6 @@
-"""Study 41: is the velocity of a priority step optimal, or does the status say that it may not be?
+"""Study 42: is the velocity of a priority step optimal, or does the status say that it may not be?
 
-    python analysis/41_priority_optimum/run.py [--quick] [--count 20000] [--only 4 7 10 14 20] [--seed 0]
+    python analysis/42_priority_optimum/run.py [--quick] [--count 20000] [--only 4 7 10 14 20] [--seed 0]
 
 Prints Markdown. The exit status is 0 if every limit holds, 1 otherwise, and 2 for a bad option or without a C compiler.
 """
