@@ -21,7 +21,7 @@ COLUMN_TITLES = {
     "min_clearance_m_worst": "least clearance (high is good)",
     "effort_n": "mean thrust (low is good)",
     "delay_margin_s": "least delay margin (high is good)",
-    "disk_margin": "least disk margin (high is good)",
+    "disk_margin": "disk margin at the worst corner (high is good)",
     "feasible": "feasible (1) or not (0)",
 }
 
