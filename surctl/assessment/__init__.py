@@ -2,9 +2,9 @@
 
 from surctl.assessment.assessment import Assessment, Figure, Line, Part, Subject, assess
 from surctl.assessment.comparison import Comparison
-from surctl.assessment.loop import LoopAnalysis, analyse_loop, unstable_text
+from surctl.assessment.loop import LoopAnalysis
 from surctl.assessment.mission import Mission
-from surctl.assessment.motion import DEFAULT_REGIONS, judged_contact
+from surctl.assessment.motion import DEFAULT_REGIONS
 
 __all__ = [
     "DEFAULT_REGIONS",
@@ -16,8 +16,5 @@ __all__ = [
     "Mission",
     "Part",
     "Subject",
-    "analyse_loop",
     "assess",
-    "judged_contact",
-    "unstable_text",
 ]

@@ -311,7 +311,7 @@ def tune(
 
 def _compared(plan: Plan, tuned: Gains) -> Comparison:
     from surctl.assessment import Comparison, assess
-    from surctl.study import assessed
+    from surctl.study.conduct import assessed
 
     before, after = (assess(assessed(plan, gains)) for gains in (plan.gains, tuned))
     return Comparison(before, after)

@@ -90,7 +90,7 @@ def lqr_start(
         >>> from surctl.vehicle import load_vehicle
         >>> gains = lqr_start(load_vehicle("sur400"), cruise=0.15, dt=0.05)
         >>> {name: round(value, 2) for name, value in gains.items()}
-        {'k1': 0.14, 'k2': 0.19, 'k_psi': 0.41, 'k_r': 2.26, 'k_v': 0.61, 'lookahead': 0.85}
+        {'k1': 0.24, 'k2': 0.28, 'k_psi': 0.6, 'k_r': 4.51, 'k_v': 1.18, 'lookahead': 0.56}
     """
     if not vehicle["Fv_max"] > 0:
         problem = f"{vehicle.name} has no sway force, and these gains are those of laws that move in any direction"

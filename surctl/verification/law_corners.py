@@ -88,7 +88,7 @@ def law_corners(
         >>> boat = load_vehicle("otter")
         >>> result = law_corners(build_law("steered"), boat, derived_gains(boat, cruise=0.77), cruise=0.77)
         >>> result.stable, round(result.nominal.disk, 2), result.corner
-        (True, 0.83, 'mass -5%, drag -20%')
+        (True, 0.66, 'mass +5%, drag -20%')
     """
     nominal = law_loop(law, vehicle, gains, cruise=cruise, at=at)
     tried = corners(vehicle, uncertainty)

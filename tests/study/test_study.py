@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import xarray
 
-from surctl.assessment import assess, unstable_text
+from surctl.assessment import assess
+from surctl.assessment.loop import unstable_text
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
 from surctl.simulation import LIBRARY as SCENARIOS
