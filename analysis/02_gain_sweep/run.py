@@ -49,6 +49,7 @@ class Config(Strict):
     """The contents of config.toml."""
 
     gains: str
+    k_psi: float
     workers: int
     knee: float
     same_clearance: float
@@ -101,7 +102,7 @@ def main(arguments: list[str]) -> int:
 
 def study(config: Config, grid: Grid, out: Path) -> int:
     """Sweep, print and save; return 0 if every statement holds."""
-    gains = load_gains(config.gains)
+    gains = load_gains(config.gains).with_values({"k_psi": config.k_psi})
     swept = run_sweep(config, grid, gains)
     print_table(swept)
     print_pick(swept, "The sweep", {"gain file": gains})
