@@ -23,9 +23,11 @@ from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
 from surctl.simulation import Case, Run, load_scenario, simulate
 from surctl.simulation.metrics import avoidance_intervals
-from surctl.tuning import DELAY_FLOOR, DISK_FLOOR, Axis, LocalExecutor, SweepTable, grid, sweep
+from surctl.tuning import Axis, LocalExecutor, SweepTable, grid, sweep
 from surctl.vehicle import load_vehicle
 from surctl.verification import loop_margins
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.margins import LEAST_DELAY_MARGIN
 
 CONFIG = Path(__file__).with_name("config.toml")
 SHOWN = ("deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "delay_margin_s", "disk_margin", "score")
@@ -47,6 +49,7 @@ class Config(Strict):
     """The contents of config.toml."""
 
     gains: str
+    k_psi: float
     workers: int
     knee: float
     same_clearance: float
@@ -99,7 +102,7 @@ def main(arguments: list[str]) -> int:
 
 def study(config: Config, grid: Grid, out: Path) -> int:
     """Sweep, print and save; return 0 if every statement holds."""
-    gains = load_gains(config.gains)
+    gains = load_gains(config.gains).with_values({"k_psi": config.k_psi})
     swept = run_sweep(config, grid, gains)
     print_table(swept)
     print_pick(swept, "The sweep", {"gain file": gains})
@@ -163,8 +166,8 @@ def remark(swept: SweepTable, i: int, j: int) -> str:
     reasons = {
         "touches": swept.column("min_clearance_m_worst")[i, j] <= 0,
         "does not arrive": swept.column("reached_worst")[i, j] < 0.5,
-        "delay margin": swept.column("delay_margin_s")[i, j] < DELAY_FLOOR,
-        "disk margin": swept.column("disk_margin")[i, j] < DISK_FLOOR,
+        "delay margin": swept.column("delay_margin_s")[i, j] < LEAST_DELAY_MARGIN,
+        "disk margin": swept.column("disk_margin")[i, j] < LEAST_DISK_MARGIN,
     }
     return next((reason for reason, holds in reasons.items() if holds), "")
 

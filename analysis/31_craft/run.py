@@ -31,11 +31,10 @@ from surctl.simulation import (
     straight_mission,
     two_leg_mission,
 )
-from surctl.tuning import DERIVED_MARGIN, default_cruise, gains_for
+from surctl.tuning import default_cruise, gains_for
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import law_loop
-from surctl.verification.cascade import build_cascade
-from surctl.verification.linear import disk_margin, open_loop
+from surctl.verification import law_corners
+from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin
 
 
 @dataclass(frozen=True)
@@ -84,15 +83,10 @@ class Row:
 
 
 def shown_margin(vehicle: Vehicle, gains: Gains, cruise: float) -> float:
-    """Return the disk margin of all loops at once; 0 if the loop is unstable.
-
-    For a craft without sway force, it is the margin of all thrust loops of the sampled loop with its law.
-    """
+    """Return the disk margin at the worst corner of the vehicle's ranges; 0 if the loop is unstable there."""
     if vehicle["Fv_max"] == 0:
-        loop = law_loop(build_law(default_law(vehicle)), vehicle, gains, cruise=cruise)
-        return loop.disk.guaranteed if loop.stable else 0.0
-    cascade = build_cascade(vehicle, gains.values, cruise=cruise, dt=DT)
-    return disk_margin(open_loop(cascade, "both"), "both").guaranteed
+        return law_corners(build_law(default_law(vehicle)), vehicle, gains, cruise=cruise).disk
+    return corner_margin(vehicle, gains.values, cruise=cruise, dt=DT, proved=True).margin
 
 
 def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
@@ -104,7 +98,7 @@ def examined(craft: Craft, vehicle: Vehicle, *, seeds: int) -> Row:
         speed = derivation.bearable
         gains, derivation = gains_for(None, vehicle, cruise=speed, own=own)
     held = shown_margin(vehicle, gains, speed)
-    defects = [] if held >= DERIVED_MARGIN else [f"disk margin {held:.2f} at {speed:g} m/s"]
+    defects = [] if held >= LEAST_DISK_MARGIN else [f"disk margin {held:.2f} at {speed:g} m/s"]
     runs = []
     size = mission_size(vehicle, gains, cruise=speed)
     for mission in (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -13,13 +13,16 @@ from surctl.cli.activity import progress
 from surctl.cli.gains_choice import GAINS_HELP, choose_gains
 from surctl.cli.law_option import choose_law, law_option
 from surctl.cli.next_export import MISSION
-from surctl.cli.output import as_json, finish
+from surctl.cli.output import as_json, finish, finite
 from surctl.cli.priority_options import priority_options
 from surctl.cli.scene_export import export_scene
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
 from surctl.cli.system_export import SystemExport, export_system
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.thruster_options import split_faults
+
+if TYPE_CHECKING:
+    from surctl.simulation import Run
 
 __all__ = ["export"]
 
@@ -265,6 +268,7 @@ def export(
         "failure": failure(run),
     }
     evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof, statuses=record.status, period=built.dt)
+    evidence["assessment"] = _assessed(run, sensing)
     # a bundle appears when it is complete and checked, at once
     files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), out)
     result: dict[str, Any] = {
@@ -319,6 +323,18 @@ _RUN_OPTIONS = (
 def _again(command: str) -> str:
     """Return the command that simulates the replayed run in Python, without the exported controller."""
     return command.partition(" --controller ")[0]
+
+
+def _assessed(run: Run, sensing: str) -> dict[str, Any]:
+    """Return what is assessed of the exported law, without the region of attraction, as data for the manifest."""
+    from surctl.assessment import Mission, assess
+
+    law, mission = run.law, run.scenario
+    speeds = (mission.cruise, mission.cap)
+    kind: dict[str, Any] = {"sensing": sensing, "barrier": law.barrier, "movers": law.movers, "runs": (run,)}
+    subject = Mission(run.vehicle, run.gains, *speeds, law.ref, law.guidance, (mission,), law.dt, **kind)
+    data: dict[str, Any] = finite(assess(subject, parts=["loop", "no contact", "runs"]).to_dict())
+    return data
 
 
 def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:

@@ -95,34 +95,32 @@ def linear_warning(
     model: Vehicle | None = None,
     crab: str = "",
 ) -> tuple[dict[str, Any] | None, list[str]]:
-    """Return the stability and the estimated disk margin of the linear loop of a run as data, and lines about a defect.
+    """Return the stability and the disk margin of the linear loop of a run as data, and lines about a defect.
 
-    There are lines if the loop is unstable, or if the disk margin of all loops is below the one that `surctl verify`
-    requires. The data is None if the law has no linear loop, or if the thrust cannot hold the speed (which lint
-    reports). `crab` is appended to the first line.
+    There are lines if the loop is unstable, or if the disk margin is below the least one. The data is None if the law
+    has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended to the first
+    line.
     """
     from surctl.errors import InputError
     from surctl.verification.cascade import has_cascade
-    from surctl.verification.linear import LEAST_DISK_MARGIN, estimated_margin, slowest_mode
+    from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin, slowest_mode
 
     if not has_cascade(law, guidance):
         return None, []
     try:
-        margin = estimated_margin(vehicle, gains, cruise=cruise, dt=dt, model=model)
+        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model)
     except InputError:
         return None, []
-    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": margin > 0, "disk_margin": margin}
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": margin, "corner": corner}
     if margin >= LEAST_DISK_MARGIN:
         return data, []
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model)
-    data["mode"] = mode.to_dict()
-    if margin > 0:
-        head = (
-            f"  the linear loop at this speed has a disk margin of {margin:.2f} only (at least {LEAST_DISK_MARGIN:g})"
-        )
-    else:
-        head = "  the linear loop at this speed is unstable"
-    return data, [f"{head}{crab}:", *(f"    {line.strip()}" for line in mode.lines())]
+    data |= {"stable": mode.stable, "mode": mode.to_dict()}
+    if mode.stable:
+        word = f"has a disk margin of {margin:.2f}" if margin > 0 else "is unstable"
+        return data, [f"  the linear loop at this speed {word} at {corner} (at least {LEAST_DISK_MARGIN:g}){crab}"]
+    head = f"  the linear loop at this speed is unstable{crab}:"
+    return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
 
 
 def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:

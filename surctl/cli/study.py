@@ -88,15 +88,14 @@ def study(
         check_pictures()
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
         result = conduct(plan, out, workers=workers, progress=progress, command=command, film=film, saving=saving)
-    lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}"]
+    lines = [f"study {result.plan.name}: {'passed' if result.passed else 'NOT passed'}: {result.assessment.banner}"]
     lines += [] if plan.derivation is None else [f"started from {line.strip()}" for line in plan.derivation.lines()]
-    marks = {True: "ok  ", False: "FAIL", None: "    "}
-    lines += [f"{marks[note.passed]} {note.text}" for note in result.notes]
+    lines += [f"{line.mark} {line.text}" for line in result.notes]
     loops = result.loops
     lines += ["", f"{'loop':<12} {'gain':>10} {'phase':>10} {'delay':>10} {'disk':>6}"] if loops.margins else []
-    if loops.mode is not None and not loops.stable:
-        lines.append(f"unstable      loop {loops.mode.loop}; margins of an unstable loop are 0")
-    for m in loops.margins if loops.stable else ():
+    if loops.margins and not loops.margins[0].stable:
+        lines.append("unstable      margins of an unstable loop are 0")
+    for m in loops.margins if loops.margins and loops.margins[0].stable else ():
         lines.append(_margin_line(m))
     lines += ["", *(claim_line(v) for v in result.verdicts), *(refusal_line(v) for v in result.inapplicable)]
     lines += ["", f"gains  {result.gain_file}", f"code   {out / 'export'}"]

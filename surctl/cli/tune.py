@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from surctl.cli.system_tune import tune_own_system
 from surctl.cli.vehicle_choice import at_hand
 
 if TYPE_CHECKING:
+    from surctl.assessment import Comparison
     from surctl.control import Gains
     from surctl.simulation import Case, Scenario
     from surctl.study import Plan
@@ -276,13 +278,26 @@ def tune(
     ]
     result["not_judged"] = [goal.name for goal in unjudged]
     result["caps"] = caps = _caps(cases, {**plan.gains.values, **tuning.result.gains})
+    progress("assessment of start and tuned gains ...")
+    comparison = _compared(replace(plan, guidance=cases[0].guidance), tuned_gains(tuning))
+    result["assessment"] = comparison.to_dict()
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
     with saving("plots"):
         from surctl.report import save_tuning  # loads matplotlib only now
 
         pictures = save_tuning(tuning, out)
-    lines = [*summary(tuning), *derived, *omitted, *caps, "", f"gains {gains_path}", f"all   {everything}"]
+    lines = [
+        *comparison.lines(),
+        "",
+        *summary(tuning),
+        *derived,
+        *omitted,
+        *caps,
+        "",
+        f"gains {gains_path}",
+        f"all   {everything}",
+    ]
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = pairs[0]
     about = at_hand(mission, robot, str(gains_path))
@@ -301,6 +316,14 @@ def tune(
             [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else _look(missed, str(gains_path), options)
         )
     finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
+
+
+def _compared(plan: Plan, tuned: Gains) -> Comparison:
+    from surctl.assessment import Comparison, assess
+    from surctl.study.conduct import assessed
+
+    before, after = (assess(assessed(plan, gains)) for gains in (plan.gains, tuned))
+    return Comparison(before, after)
 
 
 def _needs_page(scenario: str | None) -> str:

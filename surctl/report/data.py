@@ -70,8 +70,8 @@ class ReportData:
         sweep: the parameter sweep that selected the gains, or None.
         export: the exported controller, or None.
         seconds: computing time [s] of each part of the study.
-        summary: lines of the summary, each with True (holds), False (fails) or None (does not count towards the
-            result); see `Check`.
+        summary: lines of the summary, see `Check`.
+        banner: the verdict in one sentence; empty: one that counts the lines.
         gains_file: name of the gain file with these gains, for the option `--gains`; empty if there is none.
         film: whether MuJoCo's pictures of the scene are shown beside the plan view of the decisive run.
 
@@ -98,6 +98,7 @@ class ReportData:
     export: ExportSummary | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     summary: tuple[Check | tuple[bool | None, str], ...] = ()
+    banner: str = ""
     gains_file: str = ""
     film: bool = False
 
@@ -118,6 +119,7 @@ class ReportData:
 
     @property
     def passed(self) -> bool | None:
-        """Return False if a line of the summary fails, True if lines hold and no line fails, None if no line counts."""
-        outcomes = [line[0] for line in self.summary if line[0] is not None]
-        return all(outcomes) if outcomes else None
+        """Return False if a line of the summary fails, None if one is open or none counts, True otherwise."""
+        lines = [Check(*line) for line in self.summary]
+        outcomes = [line.good for line in lines if line.good is not None or line.open]
+        return False if False in outcomes else None if None in outcomes or not outcomes else True

@@ -33,14 +33,16 @@ class Check(NamedTuple):
     """A line of the summary.
 
     Attributes:
-        good: True if the line holds, False if it fails, None if it does not count towards the result.
+        good: True if the line holds, False if it fails, None if it is open or does not count towards the result.
         text: the sentence on the line.
         anchor: anchor of the section or heading with the details; empty for none.
+        open: whether the line counts towards the result, but is not decided.
     """
 
     good: bool | None
     text: str
     anchor: str = ""
+    open: bool = False
 
 
 @dataclass(frozen=True)

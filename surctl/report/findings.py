@@ -68,7 +68,7 @@ def _loops_sentence(margins: Sequence[LoopMargins]) -> str:
 
 
 def _together_row(data: ReportData, side: LinearSide) -> Row:
-    disk = min(side.disks, key=lambda d: d.guaranteed)
+    disk = min(side.disks[:2], key=lambda d: d.guaranteed)
     low, high = (number(v, digits=3) for v in disk.gain)
     held = (
         f"All loops together stay stable with gain factors from {low} to {high}, or with phase errors up to "

@@ -132,8 +132,13 @@ def _largest(data: GoalBars) -> float:
     return float(np.max(both[np.isfinite(both)], initial=1.0))
 
 
+_SCORE = "score: worst soft goal over its limit or its start [1]"
+
+
 def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
     """Plot score and mean thrust of the Pareto-optimal gain sets, with the start gains and the tuned gains marked.
+
+    A hollow mark is a set that misses hard goals, which neither axis shows.
 
     Example:
         >>> from surctl.control import load_gains
@@ -146,9 +151,9 @@ def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
         >>> ax = plot_front(tuning)
         >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
-        ('what the tuning found', 'score [1]', 'mean thrust [N]')
+        ('what the tuning found', 'score: worst soft goal over its limit or its start [1]', 'mean thrust [N]')
     """
-    ax = dress(ax or new_axes(5.6, 4.2), title="what the tuning found", x="score [1]", y="mean thrust [N]")
+    ax = dress(ax or new_axes(5.6, 4.2), title="what the tuning found", x=_SCORE, y="mean thrust [N]")
     start = tuning.hand.evaluation.normalised[0]
     front = tuning.front
     score, effort = front.score(start), front.evaluation.effort
@@ -157,7 +162,19 @@ def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
     for pool, mark, colour, label in ((tuning.hand, "s", MUTED, "start gains"), (tuning.tuned, "D", AVOIDING, "tuned")):
         at, thrust = float(pool.score(start)[0]), float(pool.evaluation.effort[0])
         if np.isfinite([at, thrust]).all():
-            ax.plot(at, thrust, mark, color=colour, markersize=8, label=label, linestyle="none", zorder=3)
+            held = bool((pool.constraints <= 0).all())
+            text, face = (label, colour) if held else (f"{label} (hard goals missed)", "none")
+            ax.plot(
+                at,
+                thrust,
+                mark,
+                color=colour,
+                markerfacecolor=face,
+                markersize=8,
+                label=text,
+                linestyle="none",
+                zorder=3,
+            )
     ax.axvline(1.0, color=BAD, linewidth=1.0, zorder=0)
     ax.margins(0.1)
     legend_above(ax, columns=3)

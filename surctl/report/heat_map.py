@@ -21,7 +21,7 @@ COLUMN_TITLES = {
     "min_clearance_m_worst": "least clearance (high is good)",
     "effort_n": "mean thrust (low is good)",
     "delay_margin_s": "least delay margin (high is good)",
-    "disk_margin": "least disk margin (high is good)",
+    "disk_margin": "disk margin at the worst corner (high is good)",
     "feasible": "feasible (1) or not (0)",
 }
 
@@ -49,7 +49,7 @@ def plot_heat_map(
         >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
         >>> ax = plot_heat_map(table, "disk_margin")
         >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
-        ('least disk margin (high is good)', 'k_v [1/s]', 'lookahead [m]')
+        ('disk margin at the worst corner (high is good)', 'k_v [1/s]', 'lookahead [m]')
     """
     names = [axis.name for axis in table.axes]
     if not table.is_grid or len(names) < 2:

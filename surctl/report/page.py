@@ -81,8 +81,8 @@ def render_sections(
         version: version of this package.
         command: the command line that produced the page; may be empty.
         outcome: class (`good`, `bad` or `note`) and text of the first line.
-        summary: lines of the summary, see `Check`. Lines that fail come first, lines that do not count towards the
-            result come last. If a section is folded, all lines except those that fail are folded too.
+        summary: lines of the summary, see `Check`. Lines that fail come first, then those that are open; lines
+            that do not count towards the result come last. If a section is folded, the other lines are folded too.
         sections: the sections in reading order.
 
     Example:
@@ -112,7 +112,7 @@ def render_sections(
     scripts = [name for name, needed in (("fold.js", folds), ("player.js", plays)) if needed]
     script = "".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in scripts)
     lines = _linked(summary, sections)
-    hidden = [line for line in lines if folds and line.good is not False]
+    hidden = [line for line in lines if folds and line.good is not False and not line.open]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     page = environment.get_template("page.html")
     return page.render(
@@ -137,10 +137,11 @@ def _linked(summary: Sequence[Check | tuple[bool | None, str]], sections: Sequen
     there = {section.anchor for section in sections} | {h.anchor for section in sections for h in section.headings}
     linked = []
     for line in summary:
-        good, text, anchor = Check(*line)
+        good, text, anchor, undecided = Check(*line)
         whole = anchor.partition("-")[0]  # the section, if the page does not show this part of it
-        linked.append(Check(good, text, anchor if anchor in there else whole if whole in there else ""))
-    return sorted(linked, key=lambda check: (check.good is None, check.good))
+        linked.append(Check(good, text, anchor if anchor in there else whole if whole in there else "", undecided))
+    order = {False: 0, None: 1, True: 2}
+    return sorted(linked, key=lambda check: 3 if check.good is None and not check.open else order[check.good])
 
 
 def _counted(lines: Sequence[Check]) -> str:
@@ -181,12 +182,14 @@ def _subject(data: ReportData) -> str:
 
 
 def _outcome(data: ReportData) -> tuple[str, str]:
+    style, sign = {False: ("bad", "✗"), None: ("note", "•"), True: ("good", "✓")}[data.passed]
     failed = sum(line[0] is False for line in data.summary)
-    if failed:
-        return "bad", f"✗ {failed} {'check fails' if failed == 1 else 'checks fail'}."
-    if data.passed is None:
-        return "note", "• No check counts towards the result."
-    return "good", "✓ All checks hold."
+    words = {
+        False: f"{failed} {'check fails' if failed == 1 else 'checks fail'}.",
+        None: "No check counts towards the result.",
+        True: "All checks hold.",
+    }
+    return style, f"{sign} {data.banner or words[data.passed]}"
 
 
 def write_page(data: ReportData, path: Path | str, *, runs: Section | None = None) -> Path:

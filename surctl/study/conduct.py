@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from surctl import __version__
+from surctl.assessment import Assessment, Line, Mission, assess
 from surctl.control import Gains, Law, build_law, law_source, write_gains
 from surctl.export import ExportedFile, SilReport
 from surctl.files import prepare_folder, write_file
 from surctl.ir import find_compiler
 from surctl.simulation import Run, simulate
 from surctl.study.loops import Loops, loops_of
-from surctl.study.notes import Note, left_out, summary
+from surctl.study.notes import left_out, summary
 from surctl.study.plan import Leg, Plan
 from surctl.study.shipping import Shipment, shipping, with_perception
-from surctl.tuning import LocalExecutor, SweepTable, grid, sweep
+from surctl.tuning import LocalExecutor, SweepTable, grid, has_tuned, sweep
 from surctl.verification import (
     Inapplicable,
     Verdict,
@@ -41,8 +42,7 @@ class Study:
     """A finished study.
 
     Attributes:
-        passed: whether every line of the summary that counts towards the result passes.
-        notes: the lines of the study's summary.
+        assessment: the figures and the lines of the summary, worst first.
         runs: simulated runs with true positions and with sonar, in the plan's order.
         inapplicable: claims that do not concern the vehicle, each with the reason; such a claim counts as failed if the
             plan names it.
@@ -64,15 +64,20 @@ class Study:
     replayed: tuple[Run, ...]
     files: tuple[ExportedFile, ...]
     sil: tuple[SilReport, ...]
-    notes: tuple[Note, ...]
+    assessment: Assessment
     report: Path | None
     gain_file: Path
     seconds: dict[str, float]
 
     @property
     def passed(self) -> bool:
-        """Whether every summary note that counts towards the result passes."""
-        return all(note.passed is not False for note in self.notes)
+        """Whether no line that counts towards the result fails."""
+        return self.assessment.passed is not False
+
+    @property
+    def notes(self) -> tuple[Line, ...]:
+        """The lines of the summary, worst first."""
+        return self.assessment.lines
 
     def to_dict(self) -> dict[str, Any]:
         """Return the study as plain data; the writer converts numbers that are not finite."""
@@ -81,6 +86,8 @@ class Study:
             "study": self.plan.name,
             "vehicle": self.plan.vehicle.name,
             "passed": self.passed,
+            "banner": self.assessment.banner,
+            "figures": self.assessment.to_dict()["figures"],
             "summary": [asdict(note) for note in self.notes],
             "gains": {
                 "file": str(self.gain_file),
@@ -176,8 +183,13 @@ def conduct(
             gain_file = write_file(out / "gains.toml", write_gains(swept.gains))
         with clock("export"):
             shipment = stack.enter_context(shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
-        with clock("margins"):
-            loops = loops_of(plan, swept.gains, dt=laws[0].dt)
+        with clock("runs"):
+            leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), swept, progress)
+        runs = tuple(run for _, run in leg_runs)
+        deciding = tuple(leg.misfit is None and run.sensing == _sensing(plan) for leg, run in leg_runs)
+        with clock("assessment"):
+            assessment = assess(assessed(plan, swept.gains, runs=runs, extra=tuple(not each for each in deciding)))
+            loops = loops_of(plan, swept.gains, assessment.sources["loop"], dt=laws[0].dt)
         with clock("claims"):
             # claims about braking take a minute and stay undecided: check them only if the plan names them
             fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
@@ -187,12 +199,10 @@ def conduct(
             if not law_source(plan.law).parts:  # the claims are about parts of the built-in laws
                 named = plan.claims or ()
                 applicable, inapplicable = (), tuple(Inapplicable(name, _NO_PART, "this law") for name in named)
+            elif plan.claims is None and not has_tuned(plan.vehicle):  # the paper's claims are about its own robot
+                applicable, inapplicable = (), ()
             verdicts = tuple(decide(claim) for claim in applicable if plan.claims or claim.paper)
             regions = _unprovable_regions(plan, swept.gains, speeds=(fastest.cruise, fastest.cap))
-        with clock("runs"):
-            leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), swept, progress)
-        runs = tuple(run for _, run in leg_runs)
-        deciding = tuple(leg.misfit is None and run.sensing == "truth" for leg, run in leg_runs)
         sonar_runs = [run for leg, run in leg_runs if leg.misfit is None and run.sensing == _sensing(plan)]
         replayed = tuple(run for run in sonar_runs if shipment.carries(run))
         with clock("pictures of the runs"):  # in parallel with the compiler
@@ -204,8 +214,8 @@ def conduct(
                 gains=swept.gains,
                 speeds=(fastest.cruise, fastest.cap),
                 margins=loops.margins,
-                linear=loops.sides,
-                poles=loops.poles,
+                linear=loops.analysis.sides,
+                poles=loops.analysis.poles,
                 loops=loops.responses,
                 gains_file=str(gain_file),
                 verdicts=verdicts,
@@ -221,21 +231,26 @@ def conduct(
                 section = runs_section(data)
         with clock("software in the loop"):
             sil = shipment.replayed(replayed)
-    notes = summary(
+    assessment = summary(
         plan,
         swept,
+        assessment,
         loops,
         (*verdicts, *inapplicable),
-        tuple(zip(runs, deciding, strict=True)),
+        runs,
         sil,
     )
-    notes += left_out([run for run in sonar_runs if run not in replayed])
+    assessment = assessment.with_lines(left_out([run for run in sonar_runs if run not in replayed]))
     with clock("report"), saving("report"):
         data = replace(
             data,
             export=_export_summary(plan, shipment, replayed, sil),
             seconds=dict(clock.seconds),
-            summary=tuple(Check(note.passed, note.text, note.about) for note in notes),
+            banner=assessment.banner,
+            summary=tuple(
+                Check(line.passed if line.counts else None, line.text, line.about, line.rank == 1)
+                for line in assessment.lines
+            ),
         )
         report = write_page(data, out / "report.html", runs=section)
     seconds = dict(clock.seconds)
@@ -250,10 +265,28 @@ def conduct(
         replayed,
         shipment.files,
         sil,
-        notes,
+        assessment,
         report,
         gain_file,
         seconds,
+    )
+
+
+def assessed(plan: Plan, gains: Gains, *, runs: tuple[Run, ...] | None = None, extra: tuple[bool, ...] = ()) -> Mission:
+    """Return the subject of a study: its vehicle with these gains, in the missions that count; see `Mission`."""
+    fastest = max((leg.scenario for leg in plan.deciding), key=lambda scenario: scenario.cruise)
+    return Mission(
+        plan.vehicle,
+        gains,
+        fastest.cruise,
+        fastest.cap,
+        plan.law,
+        plan.guidance,
+        tuple(leg.scenario for leg in plan.deciding),
+        sensing="truth" if plan.unheard else None,
+        hulls=tuple(leg.vehicle for leg in plan.deciding),
+        runs=runs,
+        extra=extra,
     )
 
 

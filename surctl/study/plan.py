@@ -199,7 +199,7 @@ def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: boo
         >>> plan.vehicle.name, [leg.scenario.name for leg in plan.legs]
         ('sur540-flooded', ['tank-static', 'tank-speed-015', 'pool-static', 'pool-behind'])
         >>> [(axis.name, axis.values) for axis in plan.axes]
-        [('lookahead', (0.3, 0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0, 2.5))]
+        [('lookahead', (0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0)), ('margin', (0.065,)), ('k_psi', (0.4, 0.6))]
     """
     if vehicle is not None:
         if file is not None:

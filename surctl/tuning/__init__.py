@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from surctl.tuning.axes import SEED, Axis, Span, parse_axis
     from surctl.tuning.cegis import Tuning, tune
     from surctl.tuning.derived import (
-        DERIVED_MARGIN,
         Derivation,
         default_cruise,
         derive_gains,
@@ -53,13 +52,10 @@ if TYPE_CHECKING:
     from surctl.tuning.sweep import TABLE, sweep
     from surctl.tuning.system_goals import load_loop_goals
     from surctl.tuning.systems import SystemTuning, tune_system
-    from surctl.tuning.table import DELAY_FLOOR, DISK_FLOOR, SweepTable, SweptAxis, load_sweep
+    from surctl.tuning.table import SweepTable, SweptAxis, load_sweep
 
 __all__ = [
-    "DELAY_FLOOR",
-    "DERIVED_MARGIN",
     "DESIGNS",
-    "DISK_FLOOR",
     "LIBRARY",
     "LOOP_GOAL_KEYS",
     "SEED",
@@ -164,8 +160,7 @@ load_at_first_use(
     {
         "axes": "SEED Axis Span parse_axis",
         "cegis": "Tuning tune",
-        "derived": "DERIVED_MARGIN Derivation default_cruise derive_gains derived_gains gains_for has_tuned"
-        " shared_gains",
+        "derived": "Derivation default_cruise derive_gains derived_gains gains_for has_tuned shared_gains",
         "design": "DESIGNS Design grid make_design saltelli spread",
         "evaluation": "Condition Evaluation check_goals conditions corners evaluate figures judged_goals scope",
         "executors": "DaskExecutor Executor LocalExecutor",
@@ -192,6 +187,6 @@ load_at_first_use(
         "sweep": "TABLE sweep",
         "system_goals": "load_loop_goals",
         "systems": "SystemTuning tune_system",
-        "table": "DELAY_FLOOR DISK_FLOOR SweepTable SweptAxis load_sweep",
+        "table": "SweepTable SweptAxis load_sweep",
     },
 )

@@ -1,9 +1,9 @@
 """Gains that follow from a vehicle: explicit formulae, a check by the margins of the loop, and a small search.
 
 The formulae give the bandwidths of the inner loops from the delay of the thrust, and everything else from the inner
-loops, the thrust, the hull and the cruise speed. Each formula is a line of `rule`. The check is the disk margin of all
-loops at once (thrust commands and measured pose together) of the loop with exact Jacobians, and the stability of the
-exactly sampled loop with one period of delay. If the check fails, a search changes k_v, k_r and k_psi.
+loops, the thrust, the hull and the cruise speed. Each formula is a line of `rule`. A search changes k_v, k_r and k_psi
+until the nominal loop has a margin at thrust commands and measured pose together, and then, if needed, until the disk
+margin at the worst corner of the vehicle's ranges is at least `LEAST_DISK_MARGIN`.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from surctl.control import GAINS, Gains, GainSpec, build_law, default_law, law_s
 from surctl.errors import InputError
 from surctl.ir.stored_numbers import stored_numbers
 from surctl.tuning.hashed import HashedVehicle
+from surctl.tuning.inner_search import searched_inner
 from surctl.tuning.vehicle_rule import DEPENDENT, held_speed, inner_start, munk_rate, rule, top_speed
-from surctl.vehicle import LIBRARY, Vehicle, load_vehicle, plant_parameters
+from surctl.vehicle import LIBRARY, Vehicle, load_vehicle
 from surctl.vehicle.linearise import check_cruise
-from surctl.verification import law_loop
-from surctl.verification.cascade import Cascade, build_cascade, build_cascades
-from surctl.verification.linear import disk_margin, open_loop, radius_of, screened_peaks
+from surctl.verification import law_corners
+from surctl.verification.linear import (
+    LEAST_DISK_MARGIN,
+    corner_margin,
+)
 
 __all__ = [
-    "DERIVED_MARGIN",
     "Derivation",
     "default_cruise",
     "derive_gains",
@@ -38,23 +40,10 @@ __all__ = [
     "shared_gains",
 ]
 
-DERIVED_MARGIN = 0.4
-"""Disk margin of all loops at once that derived gains must reach: all gains off by 33 %, or all phases by 23 deg."""
-
 TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")
 """The built-in vehicles for which the gain set `default` was chosen."""
 
 _DT = 0.05  # [s] control period of the built-in laws
-_TARGET = 0.42  # margin at which the search stops: the frequencies of its grid miss up to 3 % of a peak
-_SAFE = 0.405  # margin on the same grid that counts for the bearable speed
-_FACTORS = (1.6, 1.25, 1.1)  # of the three gains in the neighbourhoods of the search
-_NEIGHBOURS = np.array(  # exponents of the factor for k_v, k_r, k_psi
-    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [0, 1, -1], [1, 1, 1]]
-)
-_NEIGHBOURS = np.vstack([_NEIGHBOURS, -_NEIGHBOURS]).astype(float)
-_LEAST, _MOST = np.array([0.7, 0.5, 0.5]), np.array([2.0, 4.0, 4.0])  # bounds of the search, as shares of the formulae
-_ROUNDS = 4  # largest number of neighbourhoods for each factor
-_SLOW = 0.25  # share of the cruise speed at which the margin is checked too
 _CRUISE_SHARE = 0.35  # cruise speed as a share of the top speed, if no mission states one
 _HELD = 0.9  # largest share of the top speed for which gains are derived
 _MUNK_DELAY = 0.34  # product of Munk rate and delay at which the margin is about reached
@@ -62,7 +51,6 @@ _BRACKET, _BEARABLE_STEPS = 1.2, 6
 _LOWERED = 10  # largest number of times that the result is lowered by 2 %
 # ratio and number of the speeds tried for a craft without sway force, and bisections that follow (0.5 %)
 _SLOWER, _SLOWER_SPEEDS, _SLOWER_STEPS = 0.85, 9, 5
-_UNSTABLE = 1e-3  # margin of an unstable loop in the search
 
 Array = NDArray[np.float64]
 
@@ -76,8 +64,8 @@ class Derivation:
         vehicle: name of the vehicle.
         cruise: cruise speed [m/s] for which the gains were derived.
         dt: control period [s].
-        disk_margin: disk margin of all loops at once at the cruise speed, shown at all frequencies; 0 if unstable.
-        bearable: largest speed [m/s] found, at most `cruise`, with a disk margin of `DERIVED_MARGIN`; 0 if none.
+        disk_margin: disk margin at the cruise speed and the worst corner of the vehicle's ranges; 0 if unstable.
+        bearable: largest speed [m/s] found, at most `cruise`, with the least disk margin; 0 if none.
         searched: whether the formulae alone did not suffice and the search changed the gains.
         munk: growth rate [1/s] of the turn that the Munk moment causes without control; 0 if m22 ≤ m11.
     """
@@ -94,7 +82,7 @@ class Derivation:
     @property
     def reached(self) -> bool:
         """Whether the gains have the required disk margin at the cruise speed."""
-        return self.disk_margin >= DERIVED_MARGIN
+        return self.disk_margin >= LEAST_DISK_MARGIN
 
     def lines(self) -> list[str]:
         """Return one line about the gains; if the margin is missed, a second line with the bearable speed."""
@@ -104,7 +92,7 @@ class Derivation:
         where = f"up to at least {self.bearable:.3g} m/s" if self.bearable > 0 else "at no speed"
         return [
             head,
-            f"  warning: derived gains reach {DERIVED_MARGIN:g} {where}; for {self.cruise:.3g} m/s, {self.remedy}",
+            f"  warning: derived gains reach {LEAST_DISK_MARGIN:g} {where}; for {self.cruise:.3g} m/s, {self.remedy}",
         ]
 
     @property
@@ -130,7 +118,7 @@ class Derivation:
             "vehicle": self.vehicle,
             "cruise_m_per_s": self.cruise,
             "disk_margin": self.disk_margin,
-            "required": DERIVED_MARGIN,
+            "required": LEAST_DISK_MARGIN,
             "reached": self.reached,
             "bearable_m_per_s": self.bearable,
             "searched": self.searched,
@@ -159,7 +147,7 @@ def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
         >>> from surctl.vehicle import load_vehicle
         >>> gains = derived_gains(load_vehicle("bluerov2-vonbenzon"), cruise=0.17)
         >>> gains.name, gains.provenance
-        ('derived', 'derived from the vehicle bluerov2-vonbenzon at 0.17 m/s, disk margin of all loops ...')
+        ('derived', 'derived from the vehicle bluerov2-vonbenzon at 0.17 m/s, disk margin ...')
     """
     return derive_gains(vehicle, cruise=cruise, dt=dt).gains
 
@@ -167,8 +155,8 @@ def derived_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Gains:
 def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivation:
     """Derive gains from mass, drag, thrust, lag and hull of a vehicle, control period and cruise speed.
 
-    The formulae are those of `vehicle_rule.rule`. If they miss the disk margin `DERIVED_MARGIN`, a search over k_v, k_r
-    and k_psi in fixed steps follows; the result depends on nothing but the arguments. If no gains have the margin, the
+    The formulae are those of `vehicle_rule.rule`. If they miss the margins (see the module), a search over k_v, k_r and
+    k_psi in fixed steps follows; the result depends on nothing but the arguments. If no gains have the margin, the
     result has the gains with the largest margin, and the largest speed at which the margin is reached.
 
     Args:
@@ -183,7 +171,7 @@ def derive_gains(vehicle: Vehicle, *, cruise: float, dt: float = _DT) -> Derivat
         >>> from surctl.tuning import derive_gains
         >>> from surctl.vehicle import load_vehicle
         >>> fast = derive_gains(load_vehicle("bluerov2-wu"), cruise=0.47)
-        >>> fast.reached, fast.bearable < 0.25
+        >>> fast.reached, 0.3 < fast.bearable < 0.36
         (False, True)
     """
     for key, value in (("cruise", cruise), ("dt", dt)):
@@ -271,18 +259,19 @@ def _derive(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
 def _derivation(hashed: HashedVehicle, cruise: float, dt: float) -> Derivation:
     if (vehicle := hashed.vehicle.at_speed(cruise))["Fv_max"] == 0:
         return _steered(vehicle, cruise, dt)
-    inner, _ = _searched(vehicle, cruise, dt)
+    inner, _ = searched_inner(vehicle, cruise, dt)
     searched = bool(np.any(inner != inner_start(vehicle, cruise=cruise, dt=dt)))
-    margin = _shown(vehicle, inner, cruise, dt)
-    bearable = _bearable(vehicle, cruise, dt, inner) if margin < DERIVED_MARGIN else cruise
+    values = rule(vehicle, inner, cruise=cruise, dt=dt)
+    margin = float(np.nan_to_num(corner_margin(vehicle, values, cruise=cruise, dt=dt, proved=True).margin))
+    bearable = _bearable(vehicle, cruise, dt, inner) if margin < LEAST_DISK_MARGIN else cruise
     gains = _named(vehicle, inner, cruise, dt, margin)
     return Derivation(gains, vehicle.name, cruise, dt, margin, bearable, searched, munk_rate(vehicle, cruise))
 
 
 def _named(vehicle: Vehicle, inner: Array, cruise: float, dt: float, margin: float) -> Gains:
     values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    reached = f"disk margin of all loops {margin:.2f}" if margin > 0 else "UNSTABLE"
-    reached += "" if margin >= DERIVED_MARGIN else f", below {DERIVED_MARGIN:g}"
+    reached = f"disk margin {margin:.2f}" if margin > 0 else "UNSTABLE"
+    reached += "" if margin >= LEAST_DISK_MARGIN else f", below {LEAST_DISK_MARGIN:g}"
     provenance = f"derived from the vehicle {vehicle.name} at {cruise:.3g} m/s, {reached}"
     return Gains("derived", {name: values[name] for name in GAINS}, provenance)
 
@@ -293,41 +282,19 @@ def _steered(vehicle: Vehicle, cruise: float, dt: float) -> Derivation:
     def margin(speed: float) -> float:
         law = default_law(vehicle)
         gains = _named(vehicle, inner_start(vehicle.at_speed(speed), cruise=speed, dt=dt), speed, dt, 1.0)
-        loop = law_loop(build_law(law, dt=dt), vehicle, gains.with_own(law_source(law).gains), cruise=speed)
-        return float(np.nan_to_num(loop.disk.guaranteed)) if loop.stable else 0.0
+        loops = law_corners(build_law(law, dt=dt), vehicle, gains.with_own(law_source(law).gains), cruise=speed)
+        return float(np.nan_to_num(loops.disk))
 
     reached, bearable = margin(cruise), cruise
-    if reached < DERIVED_MARGIN:
+    if reached < LEAST_DISK_MARGIN:
         slower = [float(f"{cruise * _SLOWER**k:.3g}") for k in range(1, _SLOWER_SPEEDS)]
-        bearable = next((speed for speed in slower if margin(speed) >= DERIVED_MARGIN), 0.0)
+        bearable = next((speed for speed in slower if margin(speed) >= LEAST_DISK_MARGIN), 0.0)
         high = min(bearable / _SLOWER, cruise)
         for _ in range(_SLOWER_STEPS if bearable > 0 else 0):
             at = float(f"{(bearable + high) / 2:.3g}")
-            bearable, high = (at, high) if margin(at) >= DERIVED_MARGIN else (bearable, at)
+            bearable, high = (at, high) if margin(at) >= LEAST_DISK_MARGIN else (bearable, at)
     gains = _named(vehicle, inner_start(vehicle, cruise=cruise, dt=dt), cruise, dt, reached)
     return Derivation(gains, vehicle.name, cruise, dt, reached, bearable, False, munk_rate(vehicle, cruise))
-
-
-def _searched(vehicle: Vehicle, cruise: float, dt: float, near: Array | None = None) -> tuple[Array, float]:
-    """Return the inner gains (3,) of the formulae, or better ones, and their estimated margin.
-
-    The search goes to the best neighbour until the margin is reached or none is better; then the steps become smaller.
-    The gains stay within `_LEAST` and `_MOST` times those of the formulae. `near` is the result at a similar speed.
-    """
-    start = inner_start(vehicle, cruise=cruise, dt=dt)
-    best, factors = (start, _FACTORS) if near is None else (near, _FACTORS[1:])
-    margin = float(_margins(vehicle, best[None], cruise, dt, above=0.0)[0])
-    for factor in factors:
-        for _ in range(_ROUNDS):
-            if margin >= _TARGET:
-                return best, margin
-            around = np.clip(best * factor**_NEIGHBOURS, start * _LEAST, start * _MOST)
-            values = _margins(vehicle, around, cruise, dt, above=margin)
-            at = int(np.argmax(values))
-            if values[at] <= margin:
-                break
-            best, margin = around[at], float(values[at])
-    return best, margin
 
 
 def _bearable(vehicle: Vehicle, cruise: float, dt: float, inner: Array) -> float:
@@ -340,8 +307,8 @@ def _bearable(vehicle: Vehicle, cruise: float, dt: float, inner: Array) -> float
     delay = vehicle["thrust_lag"] + 1.5 * dt
     speed = min(_MUNK_DELAY * cruise / max(munk_rate(vehicle, cruise) * delay, 1e-9), cruise / _BRACKET)
     for _ in range(_BEARABLE_STEPS):
-        inner, margin = _searched(vehicle, speed, dt, inner if high < cruise else None)
-        low, high = (speed, high) if margin >= _SAFE else (low, speed)
+        inner, margin = searched_inner(vehicle, speed, dt, inner if high < cruise else None)
+        low, high = (speed, high) if margin >= LEAST_DISK_MARGIN else (low, speed)
         if low == 0.0:
             speed = high / _BRACKET
         elif high > _BRACKET * low:
@@ -350,46 +317,7 @@ def _bearable(vehicle: Vehicle, cruise: float, dt: float, inner: Array) -> float
             speed = (low + high) / 2
     speed = float(np.floor(low * 1000) / 1000)
     for _ in range(_LOWERED):  # without a similar speed to start from, the search may end elsewhere
-        if speed <= 0 or _searched(vehicle, speed, dt)[1] >= _SAFE:
+        if speed <= 0 or searched_inner(vehicle, speed, dt)[1] >= LEAST_DISK_MARGIN:
             return speed
         speed = float(np.floor(speed * 980) / 1000)
     return 0.0
-
-
-def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above: float) -> Array:
-    """Return estimates (n,) of the disk margin of all loops at once for n inner gain sets (n, 3).
-
-    The margin is the least of two speeds; the second speed is evaluated only where the first margin is larger than
-    `above`. An unstable loop gets a number below 0.001 that is the larger, the slower its pole grows.
-    """
-    worst = _estimates(vehicle, inner, cruise, dt, speed=cruise)
-    better = np.flatnonzero(worst > max(above, _UNSTABLE))
-    if better.size:
-        worst[better] = np.minimum(worst[better], _estimates(vehicle, inner[better], cruise, dt, speed=_SLOW * cruise))
-    return worst
-
-
-def _estimates(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, speed: float) -> Array:
-    cascades = _cascades(vehicle, inner, cruise, speed, dt)
-    peaks = screened_peaks(open_loop(cascades, "both"))
-    growth = np.maximum(cascades.poles[:, 0].real, 0.0)
-    return np.where(np.isfinite(peaks), 1 / peaks, _UNSTABLE / (1 + growth))
-
-
-def _cascades(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float) -> Cascade:
-    rows = [rule(vehicle, one, cruise=cruise, dt=dt) for one in inner]
-    plant = np.tile(plant_parameters(vehicle), (len(inner), 1))
-    gains = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    form = vehicle.form
-    return build_cascades(
-        plant, gains, cruise=np.full(len(inner), speed), dt=dt, model=plant, form=form, model_form=form
-    )
-
-
-def _shown(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> float:
-    """Return the disk margin at the cruise speed, shown at all frequencies; 0 if the sampled loop is unstable."""
-    values = rule(vehicle, inner, cruise=cruise, dt=dt)
-    delayed, plain = (build_cascade(vehicle, values, cruise=cruise, dt=dt, delay=d) for d in (None, 0.0))
-    if not delayed.stable or radius_of(plain, dt, 1) >= 1:
-        return 0.0
-    return float(np.nan_to_num(disk_margin(open_loop(delayed, "both")).guaranteed))

@@ -14,11 +14,10 @@ from surctl.tuning.refine import refine
 from surctl.vehicle import Vehicle, linearise, plant_parameters
 from surctl.verification import CASCADE_GAINS, build_cascade, linear_table
 from surctl.verification.cascade import build_cascades, has_cascade
-from surctl.verification.linear import slowest_mode
+from surctl.verification.linear import LEAST_DISK_MARGIN, slowest_mode
 
 __all__ = ["lqr_start", "starting_sets"]
 
-_DISK_FLOOR = 0.6  # least disk margin of a start, as in a sweep: 33° and a factor 1.86 at once
 _DEVIATION = (0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.2)  # largest deviations, of equal weight: m, rad, m/s, rad/s
 _MILDER = 2.0  # factor on R as long as the disk margin is too small
 _OUTER = np.array([0.5**0.5] * 4 + [1.0] * 4)  # factor on Q applied together with the factor on R
@@ -63,7 +62,7 @@ def _horizon(cases: Sequence[Case]) -> int:
 def lqr_start(
     vehicle: Vehicle, *, cruise: float, dt: float, q: ArrayLike | None = None, r: ArrayLike | None = None
 ) -> dict[str, float]:
-    """Return the `CASCADE_GAINS` nearest to an LQR of the vehicle with a disk margin of at least 0.6 in every loop.
+    """Return the `CASCADE_GAINS` nearest to an LQR of the vehicle with the least disk margin.
 
     The regulator (python-control's `lqr`) neglects thrust lag and delay and feeds back every state to every thrust, but
     the cascade has only six gains. The six gains are fitted by least squares in their logarithms. The fit compares the
@@ -91,7 +90,7 @@ def lqr_start(
         >>> from surctl.vehicle import load_vehicle
         >>> gains = lqr_start(load_vehicle("sur400"), cruise=0.15, dt=0.05)
         >>> {name: round(value, 2) for name, value in gains.items()}
-        {'k1': 0.14, 'k2': 0.19, 'k_psi': 0.41, 'k_r': 2.26, 'k_v': 0.61, 'lookahead': 0.85}
+        {'k1': 0.24, 'k2': 0.28, 'k_psi': 0.6, 'k_r': 4.51, 'k_v': 1.18, 'lookahead': 0.56}
     """
     if not vehicle["Fv_max"] > 0:
         problem = f"{vehicle.name} has no sway force, and these gains are those of laws that move in any direction"
@@ -109,7 +108,7 @@ def lqr_start(
         gains = _fit(vehicle, np.asarray(K), state_weights, cruise=cruise, dt=dt)
         table = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt, columns=["disk_margin"])
         margin = float(table["disk_margin"][0])
-        if margin >= _DISK_FLOOR:
+        if margin >= LEAST_DISK_MARGIN:
             return gains
         if margin > best[0] or not best[1]:
             best = margin, gains
@@ -121,14 +120,14 @@ def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
 
     The error names the cruise speed or the control period if one of them alone is the reason.
     """
-    missing = f"no fitted cascade has a disk margin of {_DISK_FLOOR:g}"
+    missing = f"no fitted cascade has a disk margin of {LEAST_DISK_MARGIN:g}"
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
     if not mode.stable:
         why = "" if mode.cause is None else f", because of the {mode.cause}"
         problem = f"{missing}: all are unstable{why}"
         return InputError(problem, key="cruise", value=cruise, remedy=f"it is stable {mode.remedy}")
     quick = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt / 4, columns=["disk_margin"])
-    if quick["disk_margin"][0] >= _DISK_FLOOR:
+    if quick["disk_margin"][0] >= LEAST_DISK_MARGIN:
         return InputError(f"{missing} at the control period of {dt:g} s", key="dt", value=dt, remedy="shorten it")
     return InputError(missing, key="cruise", value=cruise, remedy="lower the cruise speed, or start from a gain file")
 

@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from surctl.control import Gains, GainSpec
 from surctl.errors import InputError, nearest
+from surctl.verification.linear.disk import LEAST_DISK_MARGIN
+from surctl.verification.margins import LEAST_DELAY_MARGIN
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["DELAY_FLOOR", "DISK_FLOOR", "SweepTable", "SweptAxis", "load_sweep"]
-
-DELAY_FLOOR = 0.2  # [s] least delay margin of a feasible point: four control periods (design choice)
-DISK_FLOOR = 0.6  # least disk margin of a feasible point: 33° and a gain factor 1.86 at once (design choice)
+__all__ = ["SweepTable", "SweptAxis", "load_sweep"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +164,7 @@ def judged(columns: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[np.f
     """
     feasible = (columns["reached_worst"] > 0.5) & (columns["min_clearance_m_worst"] > 0)
     if "delay_margin_s" in columns:
-        feasible &= (columns["delay_margin_s"] >= DELAY_FLOOR) & (columns["disk_margin"] >= DISK_FLOOR)
+        feasible &= (columns["delay_margin_s"] >= LEAST_DELAY_MARGIN) & (columns["disk_margin"] >= LEAST_DISK_MARGIN)
     return {"score": columns["strayed"] + columns["time_ratio"], "feasible": feasible.astype(float)}
 
 

@@ -14,11 +14,7 @@ from surctl.verification.law_loop import LawLoop, law_loop
 from surctl.verification.linear.corners import corners
 from surctl.verification.operating_point import OperatingPoint
 
-__all__ = ["DRAG_SPREAD", "MASS_SPREAD", "LawCorners", "law_corners"]
-
-MASS_SPREAD, DRAG_SPREAD = 0.05, 0.2
-"""Relative uncertainty of all masses and of all drag coefficients of a vehicle whose file states no ranges (*chosen*).
-"""
+__all__ = ["LawCorners", "law_corners"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,19 +42,19 @@ class LawCorners:
 
     @property
     def disk(self) -> float:
-        """Least disk margin of all thrust loops over the corners; 0 if one is unstable."""
-        return self.worst.disk.guaranteed if self.worst.stable else 0.0
+        """The disk margin at the worst corner; 0 if one is unstable."""
+        return self.worst.disk
 
     def lines(self) -> list[str]:
         """Return lines of text: the nominal loop, then the worst corner."""
         left = f"; at {self.unable} of them the thrust cannot hold the speed" if self.unable else ""
-        word = f"disk margin of all thrust loops {self.disk:.2f}" if self.worst.stable else "UNSTABLE"
+        word = f"disk margin {self.disk:.2f}" if self.worst.stable else "UNSTABLE"
         return [*self.nominal.lines(), f"  worst of {self.text}{left}: {word} at {self.corner}"]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the analysis as plain data for JSON."""
-        worst = {**self.worst.to_dict(), "disk_margin": self.disk, "corner": self.corner, "of": self.text}
-        return {**self.nominal.to_dict(), "disk_margin": self.nominal.disk.guaranteed, "worst": worst}
+        worst = {**self.worst.to_dict(), "corner": self.corner, "of": self.text}
+        return {**self.nominal.to_dict(), "worst": worst}
 
 
 def law_corners(
@@ -91,13 +87,11 @@ def law_corners(
         >>> from surctl.verification import law_corners
         >>> boat = load_vehicle("otter")
         >>> result = law_corners(build_law("steered"), boat, derived_gains(boat, cruise=0.77), cruise=0.77)
-        >>> result.stable, round(result.nominal.disk.guaranteed, 2), result.corner
-        (True, 0.83, 'mass -5%, drag -20%')
+        >>> result.stable, round(result.nominal.disk, 2), result.corner
+        (True, 0.66, 'mass +5%, drag -20%')
     """
     nominal = law_loop(law, vehicle, gains, cruise=cruise, at=at)
-    stated = uncertainty is None and any(one.range is not None for one in vehicle.parameters.values())
-    spread = MASS_SPREAD if uncertainty is None else uncertainty
-    tried = corners(vehicle) if stated else corners(vehicle, spread, drag=DRAG_SPREAD if uncertainty is None else None)
+    tried = corners(vehicle, uncertainty)
     worst, label, unable = nominal, "the nominal vehicle", 0
     for plant in tried.vehicles[1:]:
         try:
@@ -114,4 +108,4 @@ def _severity(loop: LawLoop) -> float:
     # beyond 1, an unstable loop; below, 1 − disk margin / 2
     if not loop.stable:
         return 1.0 + float(np.abs(loop.poles).max())
-    return 1.0 - loop.disk.guaranteed / 2
+    return 1.0 - loop.disk / 2

@@ -13,7 +13,7 @@ followed), do not belong to the loop.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -78,9 +78,19 @@ class LawLoop:
         return system_margins(self.linear)
 
     @cached_property
-    def disk(self) -> DiskMargin:
-        """Disk margin of all thrust commands together."""
-        return system_disk_margin(self.linear, *self.linear.names.commands)
+    def disks(self) -> tuple[DiskMargin, ...]:
+        """Disk margins of all loops at once, at the thrust commands and at the measured pose."""
+        pose = [name for name in self.linear.names.outputs if name in STATE_NAMES[:4]]
+        places = [self.linear.names.commands, *([tuple(pose)] if pose else [])]
+        return tuple(
+            replace(system_disk_margin(self.linear, *signals), place=place)
+            for place, signals in zip(("thrust", "measurement"), places, strict=False)
+        )
+
+    @property
+    def disk(self) -> float:
+        """All loops at once, the lesser disk margin of commands and measurements; 0 if unstable, NaN if unknown."""
+        return float(np.min([each.guaranteed for each in self.disks])) if self.stable else 0.0
 
     @property
     def stable(self) -> bool:
@@ -98,7 +108,8 @@ class LawLoop:
             notes.append(f"  caution: {slopes} there; the margins are those of their mean")
         if not self.stable:
             return [f"{head}UNSTABLE, largest pole |z| = {abs(self.poles[0]):.5f}", *notes]
-        lines = [f"{head}stable, disk margin of all thrust loops {self.disk.guaranteed:.2f}"]
+        disks = ", ".join(f"{each.guaranteed:.2f} ({each.place})" for each in self.disks)
+        lines = [f"{head}stable, disk margin {self.disk:.2f}; all loops at once: {disks}"]
         for m in self.margins:
             gain = f"gain {m.least_gain:.2g} to {m.gain_margin:.2g}"
             phase = "phase never lost" if np.isinf(m.phase_margin_deg) else f"phase {m.phase_margin_deg:.0f} deg"
@@ -112,6 +123,8 @@ class LawLoop:
             "law": self.law,
             "cruise_m_per_s": self.cruise,
             "stable": self.stable,
+            "disk_margin": self.disk,
+            "disk_margins": [each.to_dict() for each in self.disks],
             "largest_pole": float(np.abs(self.poles[0])),
             "place": self.place or None,
             "free": list(self.free),

@@ -7,9 +7,10 @@ The computation for all points together is about a hundred times faster than pyt
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,8 @@ from surctl.vehicle import PARAMETERS, PLANT_PARAMETERS, TERMS, PlantForm, Vehic
 from surctl.vehicle.dynamics import PAPER, trim_function
 from surctl.vehicle.linearise import can_hold
 from surctl.verification.cascade import CASCADE_GAINS, LOOP_NAMES, Cascade, broken_loops, build_cascades, check_positive
+from surctl.verification.linear.corners import corners
+from surctl.verification.linear.worst import least_disk
 from surctl.verification.loops import crossings_of, shape_of
 from surctl.verification.steps import STEP_NAMES, step_figures
 
@@ -54,8 +57,12 @@ _MARGINS = {
     "gain_margin": MetricSpec("1", "least factor > 1 on the loop gain that destabilises", "high"),
     "phase_margin_deg": MetricSpec("deg", "least extra phase lag that destabilises", "high"),
     "delay_margin_s": MetricSpec("s", "least extra delay that destabilises", "high"),
-    "disk_margin": MetricSpec("1", "radius of the balanced disk margin, 0 to 2", "high"),
+    "disk_margin": MetricSpec("1", "disk margin of one loop alone, nominal vehicle, 0 to 2", "high"),
 }
+_LEAST = {name: name for name in _MARGINS} | {"disk_margin": "single_loop_disk_margin"}
+"""Name of the least value of each margin over the single loops."""
+_SINGLE = {least: name for name, least in _LEAST.items()}
+
 _SHAPES = {
     "sensitivity_peak": MetricSpec("1", "largest |S| over frequency", "low"),
     "rejection_rad_per_s": MetricSpec("rad/s", "frequency up to which |S| is at most -3 dB", "high"),
@@ -64,7 +71,12 @@ _SHAPES = {
 LINEAR_METRICS: Mapping[str, MetricSpec] = {
     "slowest_pole_per_s": MetricSpec("1/s", "largest real part of a closed-loop pole", "low"),
     "least_damping": MetricSpec("1", "least damping ratio of the closed-loop poles; 1 if all poles are real", "high"),
-    **{name: MetricSpec(m.unit, f"{m.meaning}, least over all loops", m.better) for name, m in _MARGINS.items()},
+    "disk_margin": MetricSpec(
+        "1", "disk margin: all loops at once, at commands or measurements, worst corner of the ranges, 0 to 2", "high"
+    ),
+    **{
+        _LEAST[name]: MetricSpec(m.unit, f"{m.meaning}, least over all loops", m.better) for name, m in _MARGINS.items()
+    },
     **{
         f"{name}.{loop}": MetricSpec(m.unit, f"{m.meaning}, loop {loop}", m.better)
         for loop in LOOP_NAMES
@@ -95,6 +107,9 @@ def linear_table(
 ) -> dict[str, NDArray[np.float64]]:
     """Compute the linear metrics of n operating points; return one array (n,) for every requested metric.
 
+    The disk margin is that of `verification.linear.corner_margin`; parameters in `values` are exact. All other metrics
+    are those of the plant.
+
     At an unstable point the margins have the values that `LoopMargins` states for an unstable loop (1, 0, 0, 0);
     sensitivity peak, settling time and overshoot are infinite; the rejection frequency is 0; and the crossover is NaN.
     If the vehicle's thrust cannot hold the cruise speed, the point has no linear model and every column is NaN.
@@ -123,7 +138,7 @@ def linear_table(
         >>> gains = load_gains("default").values
         >>> table = linear_table(load_vehicle("sur400"), {"k_v": [1.0, 2.0, 4.0]}, base=gains, cruise=0.15, dt=0.05)
         >>> table["disk_margin"].round(2).tolist(), table["delay_margin_s"].round(2).tolist()
-        ([0.81, 0.76, 0.48], [0.54, 0.44, 0.17])
+        ([0.76, 0.74, 0.46], [0.54, 0.44, 0.17])
     """
     for name in columns:
         if name not in LINEAR_METRICS:
@@ -135,11 +150,41 @@ def linear_table(
     def fill(chunk: NDArray[np.intp]) -> None:
         figures = _figures(points.cascade(chunk), dt=dt, columns=columns)
         for name in columns:
-            table[name][chunk] = figures[name]
+            if name in figures:
+                table[name][chunk] = figures[name]
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, chunks))
+        if "disk_margin" in columns:
+            exact = {name.partition(".")[2] for name in values}
+            tried = [
+                read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle)
+                for v in corners(vehicle, known=exact).vehicles
+            ]
+            able = np.flatnonzero(points.feasible)
+            table["disk_margin"][able] = list(pool.map(lambda k: _disk_margin(tried, int(k)), able))
     return table
+
+
+def _disk_margin(tried: Sequence[Points], k: int) -> float:
+    # of point k, over the corners that can hold the speed
+    groups = [[one for one in tried if one.holds(k) and one.lagged(k) is lagged] for lagged in (True, False)]
+    delayed, plain = ([_together(group, k, delay) for group in groups if group] for delay in (None, 0.0))
+    return least_disk(delayed, plain, dt=tried[0].dt)[0]
+
+
+def _together(group: Sequence[Points], k: int, delay: float | None) -> Cascade:
+    first = group[0]
+    return build_cascades(
+        np.array([one.plant[k] for one in group]),
+        {name: np.repeat(column[k], len(group)) for name, column in first.gains.items()},
+        cruise=np.repeat(first.cruise[k], len(group)),
+        dt=first.dt,
+        model=np.array([one.model[k] for one in group]),
+        delay=delay,
+        form=first.form,
+        model_form=first.model_form,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +207,15 @@ class Points:
         """The number n of points."""
         return len(self.cruise)
 
-    @property
+    def holds(self, k: int) -> bool:
+        """Return whether the trim thrust of point k lies strictly inside the thrust limits."""
+        return bool(self.feasible[k])
+
+    def lagged(self, k: int) -> bool:
+        """Return whether the plant of point k has thrust lag."""
+        return bool(self.plant[k, _PLACES["thrust_lag"]] > 0)
+
+    @cached_property
     def feasible(self) -> NDArray[np.bool_]:
         """Whether the trim thrust at cruise lies strictly inside the thrust limits, (n,)."""
         nu = np.zeros((self.count, 4))
@@ -256,13 +309,13 @@ def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[s
     damping = np.where(poles.imag != 0, -poles.real / np.where(size > 0, size, 1), 1.0)
     figures = {"slowest_pole_per_s": poles[:, 0].real, "least_damping": damping.min(axis=1)}
     stable = poles[:, 0].real < -1e-9
-    requested = {name.partition(".")[0] for name in columns}
+    requested = {_SINGLE.get(name, name.partition(".")[0]) for name in columns if name != "disk_margin"}
     nothing = {"gain_margin": 1.0, "phase_margin_deg": 0.0, "delay_margin_s": 0.0, "disk_margin": 0.0}
     if requested & nothing.keys():
         for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):
             margins = crossings_of(loop, highest=np.pi / dt)
             figures |= {f"{m}.{name}": np.where(stable, getattr(margins, m), left) for m, left in nothing.items()}
-        figures |= {m: np.min([figures[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
+        figures |= {_LEAST[m]: np.min([figures[f"{m}.{name}"] for name in LOOP_NAMES], axis=0) for m in nothing}
     nowhere = {"sensitivity_peak": np.inf, "rejection_rad_per_s": 0.0, "crossover_rad_per_s": np.nan}
     if requested & nowhere.keys():
         for name, loop in zip(LOOP_NAMES, broken_loops(cascade), strict=True):

@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from surctl.verification.loops import Crossings, Loop, crossings_of
 
-__all__ = ["LoopMargins", "margins_from", "margins_of"]
+__all__ = ["LEAST_DELAY_MARGIN", "LoopMargins", "margins_from", "margins_of"]
+
+LEAST_DELAY_MARGIN = 0.2
+"""Least delay margin [s] of each loop alone, in every check, goal and search: four control periods (*chosen*)."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """`surctl verify --cruise` with several speeds."""
 
+from surctl.assessment import Mission, assess
 from surctl.cli.linear_part import linear_part, over_speeds
 from surctl.control import load_gains
 from surctl.vehicle import load_vehicle
@@ -10,7 +11,8 @@ GAINS = load_gains("default").values
 
 
 def parts(vehicle, *speeds):
-    return [linear_part(load_vehicle(vehicle), GAINS, cruise=u, dt=0.05, uncertainty=0.0) for u in speeds]
+    missions = [Mission(load_vehicle(vehicle), load_gains("default"), u, max(speeds)) for u in speeds]
+    return [linear_part(assess(mission, parts=["loop"]), mission) for mission in missions]
 
 
 def test_every_speed_is_judged_and_the_worst_named():

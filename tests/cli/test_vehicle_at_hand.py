@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from surctl.assessment import Mission, assess
 from surctl.cli.linear_part import linear_part as linear_side_of
 from surctl.cli.next_export import export_command
 from surctl.cli.single_run import failure, linear_part
@@ -56,8 +57,8 @@ def test_speeds_are_those_given_else_the_scenario_s() -> None:
 
 
 def test_a_cruise_beyond_the_thrust_is_refused_if_asked_for_and_else_not_applicable() -> None:
-    about = {"cruise": 3.0, "dt": 0.05, "uncertainty": 0.0}
-    found = linear_side_of(WU, GAINS.values, **about)
+    mission = Mission(WU, GAINS, cruise=3.0, cap=5.0)
+    found = linear_side_of(assess(mission, parts=["loop"]), mission)
     assert found.stable is None and "not applicable to this vehicle, because a cruise at 3 m/s" in found.lines[0]
     with pytest.raises(InputError, match=r"--cruise = 3\.0: .*thrust"):
         check_held((3.0,), WU, cap=5.0, key="--cruise")
@@ -126,7 +127,7 @@ def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
     near, slow = (replace(mission, cruise=u, time_limit=0.5) for u in (0.2, 0.1))
     for scenario, stable, told in (
         (fast, False, "unstable"),
-        (near, True, "a disk margin of 0.01 only"),
+        (near, True, "unstable at mass +5%, drag"),
         (slow, True, ""),
     ):
         run = simulate(scenario, WU, gains=GAINS, law=build_law())

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 import xarray
 
+from surctl.assessment import assess
+from surctl.assessment.loop import unstable_text
 from surctl.control import build_law, load_gains
 from surctl.errors import InputError
 from surctl.simulation import LIBRARY as SCENARIOS
 from surctl.simulation import simulate
 from surctl.study import conduct, load_plan
+from surctl.study.conduct import assessed
 from surctl.study.loops import loops_of
-from surctl.study.notes import summary, unstable_text
+from surctl.study.notes import summary
 from surctl.study.shipping import with_perception
 from surctl.vehicle import LIBRARY, load_vehicle
 from surctl.verification.linear import slowest_mode
@@ -47,6 +50,9 @@ values = [0.5, 0.8]
 [[sweep.axes]]
 gain = "k_v"
 values = [1.5]
+[[sweep.axes]]
+gain = "margin"
+values = [0.06]
 """
 
 
@@ -65,13 +71,16 @@ def test_the_main_job_ends_well(study):
     verdicts = [(v["claim"], v["verdict"], v["expected"]) for v in data["verdicts"]]
     assert verdicts == [("v1-printed", "refuted", "refuted"), ("v1-corrected", "proved", "proved")]
     assert {m["name"] for m in data["margins"]} >= {"surge", "sway", "heave", "yaw", "cross_track"}
+    assert data["banner"] == "All that is assessed holds."
+    assert data["figures"]["disk_margin"]["value"] == data["linear"]["worst"]["disk_margin"]
+    assert data["figures"]["region_m"]["value"] > 0 and data["figures"]["contact_margin_m"]["value"] >= 0
 
 
-def test_runs_with_true_positions_decide_and_sonar_ones_are_shown(study):
+def test_runs_by_sonar_decide_and_those_with_true_positions_are_shown(study):
     runs = {(r["scenario"], r["sensing"]): r for r in study.json["runs"]}
     assert set(runs) == {("pool-behind", how) for how in ("truth", "sonar")}
     for (_, sensing), run in runs.items():
-        assert run["decides"] == (sensing == "truth")
+        assert run["decides"] == (sensing == "sonar")
         assert run["vehicle"] == "sur400"
         if run["decides"]:
             assert run["reached"]
@@ -129,7 +138,9 @@ def test_the_cruise_speeds_of_the_study_are_those_of_its_sweep_its_summary_and_i
     told = data["linear"]["speeds"]
     assert speeds["passed"] is True and [row["cruise_m_per_s"] for row in told["at"]] == [0.05, 0.15]
     with xarray.open_dataset(folder / "surctl-out" / "sweep.nc") as table:
-        picked = table.sel({axis: data["gains"]["values"][axis] for axis in ("lookahead", "k_v")}, method="nearest")
+        picked = table.sel(
+            {axis: data["gains"]["values"][axis] for axis in ("lookahead", "k_v", "margin")}, method="nearest"
+        )
         assert float(picked["sensitivity_peak"]) == pytest.approx(told["worst"]["sensitivity_peak"]["value"])
         assert picked["disk_margin_at_m_per_s"].shape == ()
 
@@ -268,14 +279,16 @@ def test_an_unstable_loop_is_named_with_its_remedy():
 def test_a_study_of_an_own_law_judges_nothing_of_another() -> None:
     need_compiler()
     plan = load_plan(str(OWN_LAW / "wall_study.toml"), trust=True)
-    loops = loops_of(plan, plan.gains, dt=0.05)
-    assert loops.mode is None and loops.law is not None and loops.law.nominal.place.startswith("the steady motion at")
+    assessment = assess(assessed(plan, plan.gains), parts=["loop"])
+    one = assessment.sources["loop"]
+    assert one.mode is None and one.law is not None and one.law.nominal.place.startswith("the steady motion at")
+    loops = loops_of(plan, plan.gains, one, dt=0.05)
     run = simulate(plan.legs[0].scenario, plan.vehicle, gains=plan.gains, law=build_law(plan.law))
     table = swept({"k_wall": (0.2, 0.4)}, {"score": np.array([1.0, 2.0]), "feasible": np.ones(2)})
-    notes = {note.about: note for note in summary(plan, table, loops, (), [(run, True)], ())}
-    assert notes["margins"].passed and notes["margins"].text.startswith("margins about the steady motion at ")
-    assert notes["claims"].passed is None
-    assert notes["runs-1"].passed
+    notes = {note.about: note for note in summary(plan, table, assessment, loops, (), [run], ()).lines}
+    assert "disk margin 0.27" in notes["margins"].text and notes["margins"].passed is False  # at a corner
+    assert notes["margins"].text.startswith("margins about the steady motion at ")
+    assert "claims" not in notes
 
 
 def test_a_study_that_names_no_gains_starts_from_those_of_its_vehicle() -> None:
@@ -285,7 +298,7 @@ def test_a_study_that_names_no_gains_starts_from_those_of_its_vehicle() -> None:
     assert plan.derivation is not None and plan.derivation.reached
     scale = {name: plan.gains[name] / load_gains("default")[name] for name in ("lookahead", "k_v")}
     axes = {axis.name: axis.values for axis in plan.axes}
-    assert axes["lookahead"] == pytest.approx([scale["lookahead"] * v for v in (0.3, 0.5, 0.8, 1.2)], rel=0.01)
-    assert axes["k_v"] == pytest.approx([scale["k_v"] * v for v in (1.0, 1.5, 2.0, 2.5)], rel=0.01)
+    assert axes["lookahead"] == pytest.approx([scale["lookahead"] * v for v in (0.5, 0.8, 1.2)], rel=0.01)
+    assert axes["k_v"] == pytest.approx([scale["k_v"] * v for v in (1.0, 1.5, 2.0)], rel=0.01)
     assert load_plan().by([plan.vehicle]).gains == plan.gains, "surctl tune --vehicle starts there too"
     assert plan.by([load_vehicle("sur540-flooded")]).gains == load_gains("default")

@@ -188,7 +188,7 @@ def test_a_sweep_takes_the_worst_of_its_speeds_and_names_it():
         worst = np.max if spec.better == "low" else np.min
         assert table[name] == pytest.approx(worst([at[u][name] for u in SPEEDS], axis=0), rel=1e-12), name
     margins = np.array([at[u]["disk_margin"] for u in SPEEDS])
-    assert margins[:, 0].max() - margins[:, 0].min() > 0.02, "the first point depends on the speed"
+    assert margins[:, 0].max() - margins[:, 0].min() > 0.01, "the first point depends on the speed"
     assert table["disk_margin_at_m_per_s"][0] == SPEEDS[int(margins[:, 0].argmin())]
     one = Evaluation(cases, names, (0,), 1, (cases[0].scenario.cruise,))(0, points)
     assert one[:, :-1].tolist() == Evaluation(cases, names, (0,), 1)(0, points).tolist()

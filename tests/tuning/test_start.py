@@ -13,7 +13,8 @@ from surctl.simulation import Case, load_scenario
 from surctl.tuning import Goal, Request, conditions, gain_ranges
 from surctl.tuning.start import lqr_start, starting_sets
 from surctl.vehicle import load_vehicle
-from surctl.verification import CASCADE_GAINS, loop_margins
+from surctl.verification import CASCADE_GAINS
+from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin
 
 ABOUT = {"cruise": 0.15, "dt": 0.05}
 
@@ -23,7 +24,7 @@ def test_the_start_is_stable_with_the_stated_disk_margin(name: str) -> None:
     vehicle = load_vehicle(name)
     gains = lqr_start(vehicle, **ABOUT)
     assert tuple(gains) == CASCADE_GAINS
-    assert min(m.disk_margin for m in loop_margins(vehicle, gains, **ABOUT)) >= 0.6
+    assert corner_margin(vehicle, gains, **ABOUT).margin >= LEAST_DISK_MARGIN
     load_gains("default").with_values(gains)
 
 

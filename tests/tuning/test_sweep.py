@@ -18,7 +18,6 @@ from surctl.errors import InputError
 from surctl.simulation import METRICS, load_scenario, store
 from surctl.simulation.store import ChunkStore
 from surctl.tuning import (
-    DISK_FLOOR,
     Axis,
     LocalExecutor,
     Span,
@@ -36,6 +35,7 @@ from surctl.tuning import (
 from surctl.tuning.executors import DaskExecutor
 from surctl.tuning.sweep import run_chunks
 from surctl.tuning.table import judged
+from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.processes import run_python
 from tests.tools import PATIENCE
 from tests.tuning import stub
@@ -291,7 +291,7 @@ def test_feasible_takes_arrival_clearance_and_margins():
     columns = ones | {
         "reached_worst": np.array([1, 0, 1, 1, 1]),
         "min_clearance_m_worst": np.array([0.1, 0.1, 0.0, 0.1, 0.1]),
-        "disk_margin": np.array([DISK_FLOOR, 1, 1, np.nextafter(DISK_FLOOR, 0), np.nan]),
+        "disk_margin": np.array([LEAST_DISK_MARGIN, 1, 1, np.nextafter(LEAST_DISK_MARGIN, 0), np.nan]),
     }
     assert judged(columns)["feasible"].tolist() == [1, 0, 0, 0, 0]
 

@@ -9,7 +9,6 @@ from surctl.verification.linear.disk import (
     screened_peaks,
     structured_bounds,
 )
-from surctl.verification.linear.estimate import estimated_margin
 from surctl.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
 from surctl.verification.linear.margin_speed import margin_speed
 from surctl.verification.linear.modes import Mode, bearable_speed, cap_above_bearable, slowest_mode
@@ -18,6 +17,7 @@ from surctl.verification.linear.places import DISK_PLACES, open_loop
 from surctl.verification.linear.sampled import SampledLimits, largest_period, radius_of, sampled_limits, sampled_poles
 from surctl.verification.linear.sensitivity import Sensitivity, sensitivity_of
 from surctl.verification.linear.side import LinearSide, Pole, linear_side, worst_linear_side
+from surctl.verification.linear.worst import corner_margin, least_disk
 
 __all__ = [
     "DISK_PLACES",
@@ -33,11 +33,12 @@ __all__ = [
     "bearable_speed",
     "cap_above_bearable",
     "closed_system",
+    "corner_margin",
     "corners",
     "disk_margin",
     "disk_profile",
-    "estimated_margin",
     "largest_period",
+    "least_disk",
     "linear_side",
     "loop_system",
     "margin_speed",

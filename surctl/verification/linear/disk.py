@@ -28,12 +28,18 @@ from numpy.typing import NDArray
 from surctl.ir.stored_numbers import stored_numbers
 from surctl.verification.linear.open_loop import OpenLoop
 
-__all__ = ["LEAST_DISK_MARGIN", "DiskMargin", "disk_margin", "disk_profile", "screened_peaks", "structured_bounds"]
+__all__ = [
+    "LEAST_DISK_MARGIN", "DiskMargin", "disk_margin", "disk_profile", "quick_disk_margin", "screened_peaks",
+    "structured_bounds",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
 LEAST_DISK_MARGIN = 0.3
-"""Disk margin that `surctl verify` requires at every corner: all gains off by 26 %, or all phases off by 17 deg."""
+"""Least disk margin, in every check, goal and search: all gains off by 26 %, or all phases off by 17 deg, at once.
+
+The *disk margin* is that of all loops opened at once, the lesser of the margins at the commands and at the
+measurements, at the worst corner of the vehicle's ranges."""
 Complex = NDArray[np.complex128]
 
 _LOWEST, _HIGHEST = 1e-4, 1e3  # [rad/s]
@@ -107,15 +113,13 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
     closed = loop.complementary()
     if not np.all(np.linalg.eigvals(closed.A).real < -1e-9):
         return DiskMargin.unstable(place)
-    grid = np.concatenate([[0.0], np.geomspace(_LOWEST, _HIGHEST, _POINTS)])
-    coarse = _balanced(_sensitivity(closed, grid))[1]
     least, where = 0.5, np.inf  # lower bound of μ at ω → ∞, where M → ½ I
     level = 0.5
-    open_ends = _refined(closed, grid, _local_peaks(coarse))
+    open_ends = _peaks_of(closed)
     for _ in range(_ROUNDS):
         for omega in open_ends:
             upper, lower, _ = structured_bounds(_sensitivity(closed, np.array([omega]))[0])
-            level = max(level, upper * (1 + _EXCESS), 0.5 * (1 + _EXCESS))
+            level = max(level, _level(upper))
             if lower > least:
                 least, where = lower, omega
         higher = _uncovered(closed, level)
@@ -130,6 +134,26 @@ def disk_margin(loop: OpenLoop, place: str = "") -> DiskMargin:
         level *= 1 + _EXCESS / 4  # raise the level, because rounding decides if it lies just below the peak
     nothing = float("nan")
     return DiskMargin(place, True, nothing, 1 / least, where, (nothing, nothing), nothing)
+
+
+def quick_disk_margin(loop: OpenLoop) -> float:
+    """Return the disk margin of a stable loop without the proof between frequencies, in a tenth of the time.
+
+    It is the number that `disk_margin` guarantees, unless the grid of frequencies misses the peak.
+    """
+    closed = loop.complementary()
+    matrices = (_sensitivity(closed, np.array([omega]))[0] for omega in _peaks_of(closed))
+    return 1 / max(_level(float(np.linalg.norm(d[:, None] * M / d, 2))) for M in matrices for d in (_scaling(M),))
+
+
+def _level(upper: float) -> float:
+    # for the proof, above the highest peak found and above μ at ω → ∞
+    return max(upper, 0.5) * (1 + _EXCESS)
+
+
+def _peaks_of(closed: OpenLoop) -> list[float]:
+    grid = np.concatenate([[0.0], np.geomspace(_LOWEST, _HIGHEST, _POINTS)])
+    return _refined(closed, grid, _local_peaks(_balanced(_sensitivity(closed, grid))[1]))
 
 
 def stored_disk_margin(loop: OpenLoop, place: str) -> DiskMargin:

@@ -25,6 +25,7 @@ __all__ = [
     "check_delay",
     "largest_period",
     "open_transition",
+    "radii_of",
     "radius_of",
     "sampled_limits",
     "sampled_poles",
@@ -149,6 +150,11 @@ def _sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
 def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
     """Return the spectral radius of the sampled loop: the largest |z| of its poles."""
     return float(_radius(undelayed, delay, _held(undelayed, period)))
+
+
+def radii_of(undelayed: Cascade, period: float, delay: int) -> Array:
+    """Return the spectral radius (k,) of the sampled loop of each of k cascades."""
+    return _radius(undelayed, delay, _held(undelayed, period))
 
 
 def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:

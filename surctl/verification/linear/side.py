@@ -67,8 +67,11 @@ class LinearSide:
 
     @property
     def disk(self) -> float:
-        """The least disk margin over the places where the loops are opened; 0 if unstable, NaN if none is known."""
-        return min((d.guaranteed for d in self.disks if not np.isnan(d.guaranteed)), default=float("nan"))
+        """The disk margin: all loops at once, the lesser of commands and measurements; 0 if unstable, NaN if unknown.
+
+        For a margin at both places together, see the last of `disks`.
+        """
+        return float(np.min([d.guaranteed for d in self.disks[:2]])) if self.stable else 0.0
 
     @property
     def stable(self) -> bool:
@@ -83,6 +86,7 @@ class LinearSide:
         return {
             "of": self.of,
             "stable": self.stable,
+            "disk_margin": self.disk,
             "disk_margins": [d.to_dict() for d in self.disks],
             "poles": [vars(p) for p in self.poles],
             "slowest_per_s": self.slowest_per_s,
@@ -96,12 +100,12 @@ class LinearSide:
         if not self.stable:
             where = f" at the corner {self.corner}: pole {self.slowest_per_s:.3g} 1/s" if self.corner else ""
             return [f"linear loop of {self.of}: UNSTABLE{where}"]
-        disks = ", ".join(f"{_margin(d)} ({d.place})" for d in self.disks)
+        disks = ", ".join(f"{_number(d.guaranteed)} ({d.place})" for d in self.disks)
         none, one, two = (_seconds(t) for t in self.sampled.largest_period_s)
         return [
             f"linear loop of {self.of}:",
-            f"  disk margin of all loops at once: {disks}; slowest pole {self.slowest_per_s:.3g} 1/s, least damping "
-            f"{self.least_damping:.2f}",
+            f"  disk margin {_number(self.disk)}; all loops at once: {disks}; slowest pole {self.slowest_per_s:.3g} "
+            f"1/s, least damping {self.least_damping:.2f}",
             *([f"  least disk margin at the corner {self.corner}"] if self.corner else []),
             f"  sampled: stable up to a control period of {none} without delay, {one} with one period of delay, {two} "
             f"with two; at a period of {self.sampled.period_s:g} s stable with up to {self.sampled.delay_periods} "
@@ -162,7 +166,7 @@ def worst_linear_side(
     if slowest[fastest].max() >= 0:
         bad = groups[fastest][int(np.argmax(slowest[fastest]))]
     else:
-        bad = lowest[int(np.argmin([d.guaranteed for d in disks]))]
+        bad = lowest[int(np.argmin([d.guaranteed for d in disks[:2]]))]
     every = [_poles(poles) for group in delayed for poles in group.poles]
     beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
     return LinearSide(
@@ -232,8 +236,8 @@ def _poles(poles: NDArray[np.complex128]) -> tuple[Pole, ...]:
     )
 
 
-def _margin(disk: DiskMargin) -> str:
-    return "not determined" if np.isnan(disk.guaranteed) else f"{disk.guaranteed:.2f}"
+def _number(margin: float) -> str:
+    return "not determined" if np.isnan(margin) else f"{margin:.2f}"
 
 
 def _seconds(period: float) -> str:

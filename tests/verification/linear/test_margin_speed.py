@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from surctl.assessment import Mission, assess
 from surctl.cli.linear_part import linear_part, speed_lines
 from surctl.control import load_gains
 from surctl.vehicle import Vehicle, load_vehicle
@@ -20,8 +21,11 @@ def ranged() -> Vehicle:
 
 
 def test_an_unstable_corner_is_named_with_loop_and_remedy_and_a_cap_above_the_speeds_is_flagged() -> None:
-    part = linear_part(ranged(), GAINS, cruise=0.2, dt=0.05, uncertainty=0.0)
-    assert "disk margin of all loops 0.01, UNSTABLE at m11 = 15 kg, m22 = 27 kg" in part.lines[0]
+    mission = Mission(ranged(), load_gains("default"), cruise=0.2, cap=0.22)
+    assessment = assess(mission, parts=["loop"])
+    assert assessment.passed is False and "UNSTABLE at the corner m11 = 15 kg, m22 = 27 kg" in assessment.banner
+    part = linear_part(assessment, mission)
+    assert part.stable is False and assessment.figures["nominal_disk_margin"].value > 0
     text = "\n".join(part.lines)
     assert "loop yaw; UNSTABLE at 0.2 m/s" in text and "stable with k_psi" in text
     assert part.data["linear"]["worst"]["corner"] == "m11 = 15 kg, m22 = 27 kg"

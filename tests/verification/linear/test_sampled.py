@@ -96,7 +96,8 @@ def test_masses_of_surge_and_sway_that_differ_may_turn_it_broadside() -> None:
     together, apart = corners(VEHICLE), corners(VEHICLE, alike=False)
     assert (len(together.vehicles), len(apart.vehicles)) == (33, 65)
     assert all(v["m11"] == v["m22"] for v in together.vehicles)
-    assert len(corners(load_vehicle("sur400")).vehicles) == 1  # its file states no ranges
+    assert corners(load_vehicle("sur400")).labels[1] == "mass -5%, drag -20%"  # its file states no ranges
+    assert len(corners(VEHICLE, known=["m11", "m22", "m33", "m44", "Nr", "Xuu"]).vehicles) == 1
     found = worst_linear_side(apart, GAINS, dt=0.05, **ABOUT)
     assert not found.stable and "UNSTABLE" in found.lines()[0]
 

@@ -1,0 +1,187 @@
+"""An assessment: every figure and verdict about one subject, in the form that every page, command and status reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+__all__ = ["Assessment", "Figure", "Line", "Part", "Subject", "assess"]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that describes a subject.
+
+    Attributes:
+        name: key of the figure, the same in every table, file and page.
+        value: the number; NaN if it could not be determined.
+        unit, meaning: as in a table head.
+        better: whether high or low values are better; None if neither is.
+        least: least sufficient value (largest, if low is better); None if there is none.
+        where: the corner, loop or mission that decides the value; may be empty.
+    """
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+    better: Literal["high", "low"] | None
+    least: float | None = None
+    where: str = ""
+
+    @property
+    def enough(self) -> bool:
+        """Whether the value is sufficient; a value that could not be determined is not."""
+        if self.least is None:
+            return True
+        return bool(self.value >= self.least if self.better == "high" else self.value <= self.least)
+
+    def worse(self, before: Figure) -> bool:
+        """Return whether the value is worse than that of `before` by more than rounding; NaN is the worst."""
+        if self.better is None or np.isnan(before.value):
+            return False
+        if np.isnan(self.value):
+            return True
+        lost = self.value - before.value if self.better == "low" else before.value - self.value
+        return bool(lost > 1e-9 + 1e-6 * abs(before.value))
+
+
+@dataclass(frozen=True)
+class Line:
+    """One verdict of an assessment as a sentence.
+
+    Attributes:
+        passed: whether it holds; None if that is not known.
+        text: the sentence.
+        about: the part of a page that shows the details; may be empty.
+        counts: whether the line counts towards the result; a remark does not.
+    """
+
+    passed: bool | None
+    text: str
+    about: str = ""
+    counts: bool = True
+
+    @property
+    def rank(self) -> int:
+        """0 for a line that fails, 1 for one that is not decided, 2 for one that holds, 3 for a remark."""
+        return 3 if not self.counts else {False: 0, None: 1, True: 2}[self.passed]
+
+    @property
+    def mark(self) -> str:
+        """The line's mark in front of its text in a terminal."""
+        return ("FAIL", "open", "ok  ", "    ")[self.rank]
+
+
+class Part(NamedTuple):
+    """Figures and lines of one part of an assessment, and the objects that they come from, for details on a page."""
+
+    figures: tuple[Figure, ...]
+    lines: tuple[Line, ...]
+    source: Any = None
+
+
+class Subject(Protocol):
+    """What is assessed: the parts by name, each a function that computes it."""
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+
+    def parts(self) -> Mapping[str, Callable[[], Part]]:
+        """Return the parts that concern the subject, cheapest first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """What is known about a subject.
+
+    Attributes:
+        subject: its name.
+        figures: figures by name.
+        lines: verdicts, worst first.
+        sources: objects behind each part, by name of the part.
+        omitted: parts that were not assessed.
+    """
+
+    subject: str
+    figures: Mapping[str, Figure]
+    lines: tuple[Line, ...]
+    sources: Mapping[str, Any]
+    omitted: tuple[str, ...] = ()
+
+    def with_lines(self, lines: Collection[Line]) -> Assessment:
+        """Return the assessment with further lines, of a page that knows more about the subject."""
+        return Assessment(self.subject, self.figures, _sorted([*self.lines, *lines]), self.sources, self.omitted)
+
+    @property
+    def passed(self) -> bool | None:
+        """False if a line fails, None if one is not decided (or none counts), True if all that count hold."""
+        ranks = [line.rank for line in self.lines if line.counts]
+        return (False, None, True)[min(ranks, default=1)]
+
+    @property
+    def failures(self) -> list[str]:
+        """The texts of the lines that fail."""
+        return [line.text for line in self.lines if line.rank == 0]
+
+    @property
+    def banner(self) -> str:
+        """The verdict in one sentence: the worst line, and how many others are like it."""
+        if self.passed is True:
+            return "All that is assessed holds."
+        like = [line for line in self.lines if line.rank == (0 if self.passed is False else 1)]
+        if not like:
+            return "Nothing is assessed."
+        more = f" (and {len(like) - 1} more)" if len(like) > 1 else ""
+        lead = "Fails" if self.passed is False else "Nothing fails; open"
+        return f"{lead}: {like[0].text}{more}"
+
+    def weakest(self, count: int) -> tuple[Line, ...]:
+        """Return the worst lines that count, at most `count`."""
+        return tuple(line for line in self.lines if line.counts)[:count]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the assessment as plain data for JSON; the writer converts numbers that are not finite."""
+        return {
+            "subject": self.subject,
+            "passed": self.passed,
+            "banner": self.banner,
+            "figures": {name: asdict(figure) for name, figure in self.figures.items()},
+            "lines": [asdict(line) for line in self.lines],
+            "not_assessed": list(self.omitted),
+        }
+
+
+def assess(subject: Subject, *, parts: Collection[str] | None = None) -> Assessment:
+    """Assess a subject.
+
+    Args:
+        subject: what is assessed, such as a `Mission`.
+        parts: names of the parts to compute; None: all. The assessment says which parts of the subject are omitted.
+
+    Example:
+        >>> from surctl.assessment import Mission, assess
+        >>> from surctl.control import load_gains
+        >>> from surctl.vehicle import load_vehicle
+        >>> robot = Mission(load_vehicle("sur400"), load_gains("default"), cruise=0.15, cap=0.22)
+        >>> result = assess(robot, parts=["loop"])
+        >>> result.passed, result.figures["disk_margin"].where, result.omitted
+        (True, 'mass -5%, drag -20%', ('region',))
+    """
+    known = subject.parts()
+    done = {name: compute() for name, compute in known.items() if parts is None or name in parts}
+    figures = {figure.name: figure for part in done.values() for figure in part.figures}
+    lines = [line for part in done.values() for line in part.lines]
+    omitted = tuple(name for name in known if name not in done)
+    lines += [Line(None, f"{name}: not assessed", counts=False) for name in omitted]
+    sources = {name: part.source for name, part in done.items()}
+    return Assessment(subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(sources), omitted)
+
+
+def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:
+    return tuple(sorted(lines, key=lambda line: line.rank))

@@ -1,0 +1,249 @@
+"""The linear part of a mission's assessment: margins, poles and sampling of the loop of any law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from surctl.assessment.assessment import Figure, Line, Part
+from surctl.control import Gains, Law, build_law, law_source
+from surctl.errors import InputError
+from surctl.guidance import Guidance
+from surctl.own_code import label
+from surctl.simulation import Disturbance, Run, Scenario, mission_size, simulate, stop_reason, straight_mission
+from surctl.vehicle import Vehicle
+from surctl.vehicle.linearise import check_cruise
+from surctl.verification import (
+    LawCorners,
+    LoopMargins,
+    closed_loop_poles,
+    law_corners,
+    steady_motion,
+    worst_margins,
+)
+from surctl.verification.cascade import has_cascade
+from surctl.verification.linear import (
+    LEAST_DISK_MARGIN,
+    LinearSide,
+    Mode,
+    corners,
+    linear_side,
+    slowest_mode,
+    worst_linear_side,
+)
+from surctl.verification.margins import LEAST_DELAY_MARGIN
+
+__all__ = ["LoopAnalysis", "analyse_loop", "loop_part"]
+
+
+@dataclass(frozen=True, eq=False)
+class LoopAnalysis:
+    """The linear analysis of a law about a cruise or a steady motion, at the nominal vehicle and at the worst corner.
+
+    Attributes:
+        cruise: cruise speed [m/s].
+        margins: margins of each loop alone, of the nominal vehicle, or the least over a stated uncertainty.
+        sides: all loops together, nominal and worst corner; empty for a law that is linearised numerically.
+        poles: closed-loop poles [rad/s] of the nominal vehicle; None for such a law.
+        mode: the slowest or most unstable mode; None for such a law.
+        law: the sampled loop of such a law, or None.
+        unjudged: the reason why there is no analysis; else empty.
+        failed: whether that reason is a failure of the law.
+    """
+
+    cruise: float
+    margins: tuple[LoopMargins, ...] = ()
+    sides: tuple[LinearSide, ...] = ()
+    poles: Any = None
+    mode: Mode | None = None
+    law: LawCorners | None = None
+    unjudged: str = ""
+    failed: bool = False
+    uncertainty: float | None = None
+
+    @property
+    def stable(self) -> bool | None:
+        """Whether the loop is stable, also at the worst corner; None if there is no analysis."""
+        if self.law is not None:
+            return self.law.stable
+        return all(side.stable for side in self.sides) if self.sides else None
+
+    def part(self) -> Part:
+        """Return the figures and the verdict."""
+        if self.unjudged:
+            line = Line(False if self.failed else None, f"margins: not judged, because {self.unjudged}", "margins")
+            return Part((), (replace(line, counts=self.failed),), self)
+        figures = self._figures()
+        return Part(figures, (self._line({figure.name: figure for figure in figures}),), self)
+
+    def _figures(self) -> tuple[Figure, ...]:
+        if self.law is not None:
+            nominal, worst, corner = self.law.nominal.disk, self.law.disk, self.law.corner
+            slowest = (_rate(self.law.nominal), _rate(self.law.worst))
+        else:
+            first, last = self.sides
+            nominal, worst, corner = first.disk, last.disk, last.corner or "the nominal vehicle"
+            slowest = (first.slowest_per_s, last.slowest_per_s)
+        delay = min(self.margins, key=lambda m: m.delay_margin_s)
+        single = min(self.margins, key=lambda m: m.disk_margin)
+        which = f"mass and drag off by ±{self.uncertainty:.0%}" if self.uncertainty else "nominal vehicle"
+        alone = f"of one loop alone, {which}"
+        return (
+            Figure("disk_margin", worst, "1", _DISK, "high", LEAST_DISK_MARGIN, corner),
+            Figure("nominal_disk_margin", nominal, "1", "disk margin of the nominal vehicle", "high"),
+            Figure(
+                "single_loop_disk_margin", single.disk_margin, "1", f"least disk margin {alone}",
+                "high", where=single.name,
+            ),
+            Figure(
+                "delay_margin_s", delay.delay_margin_s, "s", f"least delay margin {alone}",
+                "high", LEAST_DELAY_MARGIN, delay.name,
+            ),
+            Figure("slowest_pole_per_s", slowest[0], "1/s", "largest real part of a pole, nominal vehicle", "low"),
+            Figure("corner_slowest_pole_per_s", slowest[1], "1/s", "largest real part of a pole, corners", "low"),
+        )  # fmt: skip
+
+    def _line(self, figures: dict[str, Figure]) -> Line:
+        place = f"at {self.cruise:g} m/s"
+        if self.law is not None and self.law.nominal.place:
+            place = f"about {self.law.nominal.place}"
+        disk, nominal, delay = (figures[n] for n in ("disk_margin", "nominal_disk_margin", "delay_margin_s"))
+        if self.stable is False:
+            text = f"the linear loop {place} is UNSTABLE"
+            if nominal.value > 0:
+                text += f" at the corner {disk.where}; the nominal disk margin is {nominal.value:.2f}"
+            elif self.mode is not None:
+                text += f" (loop {self.mode.loop}): {unstable_text(self.mode)}"
+            else:
+                text += "; lower the cruise speed"
+            return Line(False, text, "margins")
+        short = [
+            f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough
+        ]
+        value = "not determined" if np.isnan(disk.value) else f"{disk.value:.2f}"
+        text = f"margins {place}: disk margin {value} at the worst corner, {nominal.value:.2f} nominal; least delay "
+        text += f"margin {delay.value:.2f} s ({delay.where})"
+        if short:
+            text += f"; required: {', '.join(short)} (worst corner: {disk.where})"
+        return Line(not short, text, "margins")
+
+
+_DISK = "all loops at once, at commands or measurements, at the worst corner of the vehicle's ranges"
+
+
+def unstable_text(mode: Mode) -> str:
+    """Return the dominant states of an unstable mode, its pole, and what stabilises the loop, as text."""
+    states = ", ".join(f"{name} {share:.0%}" for name, share in list(mode.participation.items())[:3])
+    return f"pole {mode.real:.3g} 1/s, dominant states {states}; stable {mode.remedy}"
+
+
+def loop_part(*arguments: Any, **options: Any) -> Part:
+    """Return the part of an assessment; for the arguments see `analyse_loop`."""
+    return analyse_loop(*arguments, **options).part()
+
+
+def analyse_loop(
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    law: str,
+    cruise: float,
+    dt: float | None = None,
+    guidance: Guidance = "los",
+    uncertainty: float | None = None,
+    missions: Sequence[Scenario] = (),
+) -> LoopAnalysis:
+    """Return the linear analysis of a law.
+
+    A law with the built-in cascade is linearised by formulae, a law that steers numerically about a straight cruise,
+    any other law numerically about the steadiest motion of a run.
+
+    Args:
+        vehicle: nominal plant and model of the controller.
+        gains: the gains.
+        law: reference of the law.
+        cruise: cruise speed [m/s].
+        dt: control period [s]; None: that of the law.
+        guidance: guidance of the law.
+        uncertainty: relative error of mass and drag; None: the ranges of the vehicle file, or the default (`corners`).
+        missions: scenarios of the run, the first with a steady motion, without waves and drift; none: a straight path
+            in open water.
+
+    Raises:
+        InputError: the law is a user's own and fails.
+    """
+    source = law_source(law)
+    built = build_law(law, guidance=guidance) if dt is None else build_law(law, guidance=guidance, dt=dt)
+    if source.steering is None and has_cascade(law, guidance):
+        try:
+            check_cruise(vehicle, cruise)
+        except InputError as error:
+            return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
+        speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt}
+        values = gains.values
+        return LoopAnalysis(
+            cruise,
+            worst_margins(vehicle, values, uncertainty=uncertainty or 0.0, **speeds),
+            (
+                linear_side(vehicle, values, **speeds),
+                worst_linear_side(corners(vehicle, uncertainty), values, **speeds),
+            ),
+            closed_loop_poles(vehicle, values, **speeds),
+            slowest_mode(vehicle, values, **speeds),
+            uncertainty=uncertainty,
+        )
+    own = gains.with_own(source.gains)
+    if source.steering is not None:
+        try:
+            loops = law_corners(built, vehicle, own, cruise=cruise, uncertainty=uncertainty)
+        except InputError as error:
+            return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
+        return LoopAnalysis(cruise, loops.nominal.margins, law=loops)
+    return _about_runs(built, vehicle, own, cruise=cruise, uncertainty=uncertainty, missions=missions)
+
+
+def _about_runs(
+    law: Law,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    cruise: float,
+    uncertainty: float | None,
+    missions: Sequence[Scenario],
+) -> LoopAnalysis:
+    reason = ""
+    for mission in missions or (None,):
+        run = _run(law, vehicle, gains, cruise=cruise, mission=mission)
+        if run.metrics.stopped_because == "fault":
+            why = f"the run of {run.scenario.name} ended with a fault: {stop_reason(run)}"
+            return LoopAnalysis(cruise, unjudged=why, failed=True)
+        try:
+            at = steady_motion(run)
+            loops = law_corners(law, vehicle, gains, cruise=cruise, uncertainty=uncertainty, at=at)
+        except InputError as error:
+            reason = reason or _reason(error, cruise)
+            continue
+        return LoopAnalysis(at.speed, loops.nominal.margins, law=loops)
+    return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
+
+
+def _reason(error: InputError, cruise: float) -> str:
+    which = f"a cruise at {cruise:g} m/s" if error.key in (None, "cruise") else error.key
+    return f"{which} {error.problem}"
+
+
+def _rate(loop: Any) -> float:
+    # continuous rate [1/s] of the slowest pole of a sampled loop
+    return float(np.log(np.abs(loop.poles[0])) / loop.linear.dt)
+
+
+def _run(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> Run:
+    if mission is None:
+        scenario = straight_mission(vehicle, cruise=cruise, size=mission_size(vehicle, gains, cruise=cruise))
+    else:
+        calm = Disturbance(current_m_per_s=mission.disturbance.current_m_per_s)
+        scenario = replace(mission, cruise=cruise, cap=max(mission.cap, cruise), disturbance=calm)
+    return simulate(scenario, vehicle, gains=gains, law=law)

@@ -1,0 +1,69 @@
+"""One number for one figure: assessment, sweep columns, derived gains, `verify`, `simulate`, for drawn vehicles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surctl.assessment import Mission, assess
+from surctl.control import Gains, load_gains, write_gains
+from surctl.tuning import derive_gains
+from surctl.vehicle import Vehicle, load_vehicle
+from surctl.verification import linear_table
+from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin
+from tests.cli.process import surctl_here
+
+DT = 0.05
+COLUMNS = ("disk_margin", "single_loop_disk_margin", "delay_margin_s", "slowest_pole_per_s")
+
+
+def drawn(seed: int) -> tuple[Vehicle, Gains, float]:
+    """A vehicle with or without ranges, gains from weak to wild, and a cruise speed."""
+    rng = np.random.default_rng(seed)
+    base = load_vehicle(("sur400", "sur540-flooded", "bluerov2-wu")[seed % 3])
+    values = {n: base[n] * rng.uniform(0.8, 1.25) for n in ("m33", "m44", "Xu", "Nr", "thrust_lag")}
+    parameters = dict(base.parameters)
+    for name, value in values.items():
+        span = parameters[name].range and tuple(float(value / base[name] * end) for end in parameters[name].range)
+        parameters[name] = replace(parameters[name], value=float(value), range=span)
+    gains = load_gains("default")
+    gains = gains.with_values({n: gains[n] * rng.uniform(0.5, 2.0) for n in ("k_v", "k_r", "k_psi", "lookahead", "k1")})
+    return replace(base, name=f"drawn{seed}", parameters=parameters), gains, float(rng.uniform(0.08, 0.2))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_every_source_of_a_figure_has_the_same_number(seed: int) -> None:
+    vehicle, gains, cruise = drawn(seed)
+    result = assess(Mission(vehicle, gains, cruise, 0.3), parts=["loop"])
+    table = linear_table(vehicle, {}, base=gains.values, cruise=cruise, dt=DT, columns=COLUMNS)
+    for name in COLUMNS:
+        assert table[name][0] == pytest.approx(result.figures[name].value, rel=2e-3, abs=1e-9), name
+    disk = result.figures["disk_margin"]
+    fast = corner_margin(vehicle, gains.values, cruise=cruise, dt=DT)
+    assert fast.margin == pytest.approx(disk.value, rel=2e-3) and fast.corner == disk.where
+    assert disk.value <= result.figures["nominal_disk_margin"].value * (1 + 5e-3)
+    assert result.passed is (disk.enough and result.figures["delay_margin_s"].enough)
+
+
+def test_derived_gains_state_the_margin_that_is_assessed() -> None:
+    vehicle, _, cruise = drawn(0)
+    derivation = derive_gains(vehicle, cruise=cruise)
+    result = assess(Mission(vehicle, derivation.gains, cruise, 0.3), parts=["loop"])
+    assert result.figures["disk_margin"].value == derivation.disk_margin
+    assert derivation.reached is (derivation.disk_margin >= LEAST_DISK_MARGIN)
+
+
+@pytest.mark.parametrize("law_gains", ["default", "weak"])
+def test_verify_and_simulate_say_what_is_assessed(law_gains, tmp_path) -> None:
+    vehicle, gains = load_vehicle("bluerov2-wu"), load_gains("default")
+    if law_gains == "weak":
+        gains = gains.with_values({"k_r": 1.0, "k_psi": 1.2})
+    (tmp_path / "g.toml").write_text(write_gains(gains))
+    words = ("--vehicle", "bluerov2-wu", "--gains", "g.toml", "--json")
+    done = surctl_here("verify", "m-norm-corrected", *words, "--cruise", "0.12", cwd=tmp_path)
+    result = assess(Mission(vehicle, gains, 0.12, done.json["cap_m_per_s"]), parts=["loop"])
+    told = done.json["assessment"]
+    assert told["banner"] == result.banner and told["passed"] is result.passed
+    assert {n: f["value"] for n, f in told["figures"].items()} == {n: f.value for n, f in result.figures.items()}
+    assert done.status == int(result.passed is False)
+    assert done.json["linear"]["worst"]["disk_margin"] == told["figures"]["disk_margin"]["value"]
