@@ -79,7 +79,7 @@ def undefined_at(statement: Statement, points: Array) -> tuple[Mapping[str, floa
         if node.op not in ("sqrt", "log", "powr", "asin", "acos"):
             beside = _crossing(statement, gap, points)
             if beside is not None:
-                return beside, _short(node)
+                return beside, f"{_short(node)}, at a pole less than one double away,"
     return None
 
 
