@@ -24,7 +24,7 @@ from surctl.certcheck.document import read
 from surctl.certcheck.law_points import Law as Listing
 from surctl.certcheck.law_points import compare_braking
 from surctl.certcheck.region_claim import read_claim as read_region
-from surctl.control import Law, build_law, load_gains
+from surctl.control import Law, build_law, law_source, load_gains
 from surctl.errors import InputError
 from surctl.export import Bundle, Origin, build_bundle, load_certificates, write_bundle
 from surctl.export.bundle import build_bundle as build_core
@@ -252,6 +252,45 @@ def test_what_the_manifest_does_not_say_is_not_known() -> None:
         table["gains"]["values"] = [row for row in table["gains"]["values"] if row["name"] != "spin"]
 
     assert lacking(without_spin) == (told.format("yaw rate"),)
+
+
+@cache
+def steered() -> tuple[dict[str, Any], Manifest]:
+    """The claim of a steering certificate, and the manifest of the bundle of its law."""
+    claim, law, boat = (
+        read(REGION.with_name("region-steered-20.json"))["claim"],
+        build_law("steered"),
+        load_vehicle("otter"),
+    )
+    gains = load_gains("default").with_own(law_source("steered").gains)
+    mission = replace(MISSION, cruise=claim["law"]["cruise"], cap=claim["law"]["cap"])
+    values = law.gains.unpack(law_numbers(mission, gains, boat))
+    for name in claim["law"].keys() & values.keys() - {"mass", "linear_drag", "quadratic_drag"}:
+        values[name][:] = claim["law"][name]
+    bundle = build_bundle(law, values, origin=Origin(boat, law))
+    return claim, read_manifest(json.loads(bundle.files["manifest.json"]), bundle.files)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "difference"),
+    [
+        ("mass_factor", [0.975, 1.025], ""),
+        ("mass_factor", [1.001, 1.025], "mass: "),
+        ("mass_factor", [0.975, 0.999], "mass: "),
+        ("drag_factor", [1.01, 1.2], "drag: "),
+        ("drag_factor", [0.8, 0.99], "drag: "),
+        ("moment_nm", 1e3, "thrust_limit of yaw: "),
+        ("side_per_m", 0.1, "side force of the fins"),
+        ("speed_m_per_s", [1.11, 1.21], "speed: "),
+        ("speed_m_per_s", [0.99, 1.09], "speed: "),
+    ],
+)
+def test_a_steering_certificate_is_compared_with_the_vehicle(key: str, value: object, difference: str) -> None:
+    claim, manifest = steered()
+    changed = claim | {"vehicle": claim["vehicle"] | {key: value}}
+    result = compare(seal("steering", changed, {}), manifest)
+    assert result.belongs is (not difference), result.differs
+    assert any(text.startswith(difference) for text in result.differs) is bool(difference)
 
 
 def test_the_heading_steered_loop_is_not_what_is_exported() -> None:
