@@ -280,7 +280,7 @@ def steered() -> tuple[dict[str, Any], Manifest]:
         ("drag_factor", [1.01, 1.2], "drag: "),
         ("drag_factor", [0.8, 0.99], "drag: "),
         ("moment_nm", 1e3, "thrust_limit of yaw: "),
-        ("side_per_m", 0.1, "side force of the fins"),
+        ("side_per_m", 0.1, "law: claim.law.fin_share must be 0"),
         ("speed_m_per_s", [1.11, 1.21], "speed: "),
         ("speed_m_per_s", [0.99, 1.09], "speed: "),
     ],
