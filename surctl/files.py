@@ -127,6 +127,15 @@ def require_doubles(path: Path) -> None:
     A statement for a proof must not have another number than the one that is written.
 
     `read_toml` must have read the file.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.files import require_doubles
+        >>> _ = Path("claim.toml").write_text("lower = 0.1000000000000000001")
+        >>> require_doubles(Path("claim.toml"))
+        Traceback (most recent call last):
+        surctl.errors.InputError: claim.toml: lower = '0.1000000000000000001': has digits that a double does not hold; \
+round it, or write it inside an expression, where every number is exact
     """
     table = tomllib.loads(path.read_bytes().decode("utf-8-sig"), parse_float=Decimal)
     waiting: list[tuple[str, object]] = [("", table)]

@@ -27,7 +27,7 @@ from surctl.ir.compiler import FLAGS, find_compiler, tuned_flags
 from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import Space
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED
-from surctl.priority.solver.kernel import CAP, OPEN_CAP, in_blocks, kernel
+from surctl.priority.solver.kernel import in_blocks, kernel, most_iterations
 from surctl.priority.solver.precision import FLOAT32
 from surctl.priority.solver.referee import examine
 from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials, judge
@@ -169,8 +169,8 @@ BARS = {
     **{f"{name}: relaxation above the least one": 1e-8 for name in ("limited", "relaxed")},
     **{f"{name}: task above the least one, where it is clear": 1e-8 for name in ("limited", "relaxed")},
     **{f"{name}: v away from the nearest, where it is clear": 1e-8 for name in ("limited", "relaxed")},
-    "iterations, rows fixed": CAP - 1,
-    "iterations, rows relaxed": OPEN_CAP - 1,
+    "iterations, rows fixed": most_iterations(Space(N, N)) - 1,
+    "iterations, rows relaxed": most_iterations(Space(N, N + 1, opening=True)) - 1,
 }
 
 

@@ -160,8 +160,7 @@ def tune(
     FILE.py:FUNCTION names a system of your own: the first cost is minimised within the bounds of the
     others and a disk margin of 0.3; NAME=V1,V2 gives cases. With --goals, the worst soft goal is minimised.
 
-    Examples: surctl tune; surctl tune my-study.toml --gain k_v=0.5..3 --gain lookahead --goals my-goals.toml;
-    surctl tune --page --scenario pool-behind; surctl tune my-system.py:build --page --goals my-goals.toml
+    Examples: surctl tune my-study.toml --gain k_v=0.5..3 --goals my-goals.toml; surctl tune my-system.py:build --page
     """
     ranges = dict(_gain(text) for text in gain)
     if len(ranges) < len(gain):

@@ -306,12 +306,12 @@ def from_log(
             title = f"{name}, fitted to the first {1 - share:.0%} of {', '.join(log.name for log in logs)}"
             lines.append(f"picture {save_prediction(predictions[0], picture, title=title)}")
 
+    draw = plot if picture else lambda: None
     if fit.refusal:
-        if picture is not None:
-            plot()
+        draw()
         refused = [*lines, f"not written: {fit.refusal}"]
         finish(result | {"refusal": fit.refusal}, refused, as_json=as_json, passed=False)
-    _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=plot if picture else lambda: None)
+    _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=draw)
 
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
@@ -321,14 +321,10 @@ def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
 
     if map_file is not None:
         if frame is not None:
-            remedy = "write log.frame in the map, and omit --frame"
             raise InputError(
-                "cannot be combined with a map, which states the frame",
-                file=map_file,
-                key="--frame",
-                value=frame,
-                remedy=remedy,
-            )
+                "cannot be combined with a map, which states the frame", file=map_file, key="--frame", value=frame,
+                remedy="write log.frame in the map, and omit --frame",
+            )  # fmt: skip
         return read_mapped_log(log, map_file)
     if log.is_dir() or log.suffix.lower() in READERS:
         raise InputError(

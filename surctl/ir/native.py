@@ -36,7 +36,17 @@ class SlowerEngine(UserWarning):
 
 
 def warn_slower(missing: ToolMissing) -> None:
-    """Warn, once for each reason, that a computation starts without compiled code."""
+    """Warn, once for each reason, that a computation starts without compiled code.
+
+    Example:
+        >>> import warnings
+        >>> from surctl.errors import ToolMissing
+        >>> from surctl.ir import warn_slower
+        >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warn_slower(ToolMissing("no C compiler found"))
+        >>> print(caught[0].message)
+        no C compiler found; until then, simulations take up to 100 times as long
+    """
     # one place for all callers: Python shows a warning again only for another place
     warnings.warn(f"{missing}; until then, simulations take up to 100 times as long", SlowerEngine, stacklevel=1)
 

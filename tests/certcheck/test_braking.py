@@ -215,7 +215,7 @@ def test_what_the_law_keeps_is_the_inverse_of_its_own_bound(barrier: Any, obstac
     at = forces(claim, claim.obstacles[0])
     for distance in np.linspace(-0.05, 2.0, 40).tolist():
         bound = float(law(distance))
-        back = checker._bound_distance(claim.law, at, claim.period, Fraction(bound))
+        back = checker.bound_distance(claim.law, at, claim.period, Fraction(bound))
         assert float(back) == pytest.approx(distance, abs=1e-9)
 
 

@@ -13,6 +13,10 @@ import pytest
 from surctl.certcheck import check_document, seal
 
 NAMES = ("van-der-pol", "decay", "map")
+VECTORS = dict.fromkeys(("plant_state", "controller_state", "parameters", "reference", "disturbance"), ())
+LOOP = {key: list(value) for key, value in VECTORS.items()} | {
+    "plant": "a", "controller": "b", "period_s": 0.1, "gains": {},
+}  # fmt: skip
 
 
 @cache
@@ -69,11 +73,12 @@ def test_a_proof_is_accepted(name: str) -> None:
         ("van-der-pol", ("scales",), [0.0, 1.0], "scales"),
         ("van-der-pol", ("scales",), [1.0], "scales"),
         ("van-der-pol", ("proofs",), [], "0 proofs"),
-        ("van-der-pol", ("claim", "about"), ["plant"], "must state the plant"),
-        ("van-der-pol", ("claim", "about"), {"plant": "a", "controller": "b", "gains": []}, "gains by name"),
-        ("van-der-pol", ("claim", "about"), {"plant": "a", "controller": [], "gains": {}}, "can be printed"),
-        ("van-der-pol", ("claim", "about"), {"plant": "a", "controller": "b", "gains": {"k": 1.0}}, "list is missing"),
-        ("van-der-pol", ("claim", "about"), {"plant": "a", "controller": "b", "gains": {"k": []}}, "without a value"),
+        ("van-der-pol", ("claim", "about"), ["plant"], "claim.about must have exactly the keys"),
+        ("van-der-pol", ("claim", "about"), LOOP | {"gains": []}, "gains by name"),
+        ("van-der-pol", ("claim", "about"), LOOP | {"period_s": 0.0}, "state the period"),
+        ("van-der-pol", ("claim", "about"), LOOP | {"controller": []}, "can be printed"),
+        ("van-der-pol", ("claim", "about"), LOOP | {"gains": {"k": 1.0}}, "list is missing"),
+        ("van-der-pol", ("claim", "about"), LOOP | {"reference": [None]}, "finite number"),
         ("decay", ("claim", "function"), "x - 2.5", "inequality"),
         ("decay", ("claim", "initial"), ["x^2 - 4"], "inequality"),
         ("decay", ("claim", "initial"), ["1) - (0"], "cannot be read"),

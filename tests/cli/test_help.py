@@ -40,7 +40,6 @@ QUICK = (
     "surctl list --show sur540-flooded > my-vehicle.toml",
     "surctl new vehicle my-robot",
     "surctl new scenario harbour --out sites/harbour.toml",
-    "surctl lint my-vehicle.toml",
     "surctl lint pool-static --vehicle sur540-flooded",
     "surctl calibrate table-ii",
     "surctl completion bash",

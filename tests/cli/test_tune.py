@@ -123,7 +123,6 @@ MISTAKES = {
     "another kind of file": (("--goals", "small.toml"), "kind"),
     "an unknown guidance": (("--guidance", "ilo"), "'ilos'"),
     "a scenario without the page": (("--scenario", "pool-ahead"), '[[runs]] with scenario = "pool-ahead"'),
-    "gains without the page": (("--gains", "mine.toml"), 'gains = "mine.toml" in a study file'),
     "no trials": (("--trials", "0"), "--trials"),
     "a study without one": (("none.toml",), "no such file"),
 }

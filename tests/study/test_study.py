@@ -196,16 +196,15 @@ def test_a_vehicle_file_flies_the_built_in_study_with_that_vehicle(tmp_path):
     assert "0.020 m inside a wall at the start" in misfits["pool-static"]
 
 
-def test_a_study_that_is_only_tuned_needs_no_sweep(tmp_path):
+def test_a_study_without_a_sweep_has_its_own_gains_as_the_only_point(tmp_path):
     head = 'kind = "study"\nname = "small"\nvehicle = "sur400"\nruns = [{ scenario = "pool-behind" }]\n'
     (tmp_path / "s.toml").write_text(head)
     plan = load_plan(str(tmp_path / "s.toml"))
     assert plan.axes == () and len(plan.deciding) == 1
-    with pytest.raises(InputError, match=r"s\.toml: sweep: is missing.*add axes"):
-        conduct(plan, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    [axis] = plan.grid
+    assert axis.values == (plan.gains[axis.name],)
     done = surctl("lint", "s.toml", "--json", cwd=tmp_path)
-    assert done.json["next"] == ["surctl tune s.toml"]
+    assert done.json["next"] == ["surctl study s.toml", "surctl tune s.toml"]
 
 
 def test_other_vehicles_take_every_scenario_of_a_plan_that_they_fit():

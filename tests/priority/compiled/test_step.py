@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from surctl.errors import InputError, SolverError
-from surctl.ir import compile_block, replay, to_casadi
+from surctl.ir import SlowerEngine, compile_block, replay, to_casadi
 from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
 from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.runner import PriorityStep
@@ -384,7 +384,8 @@ def test_without_a_compiler_the_replay_answers(monkeypatch: pytest.MonkeyPatch) 
     want.load(problem)
     want.solve()
     monkeypatch.setenv("CC", "no-such-compiler")
-    tick = PriorityStep("nsb", n=N, levels=VALUES, rows=M)
+    with pytest.warns(SlowerEngine, match="no-such-compiler"):
+        tick = PriorityStep("nsb", n=N, levels=VALUES, rows=M)
     tick.load(problem)
     tick.solve()
     assert want.compiled and not tick.compiled

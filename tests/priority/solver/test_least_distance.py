@@ -9,6 +9,7 @@ import pytest
 
 import surctl.priority.solver.safe_point as module
 from surctl.errors import InputError, ToolMissing
+from surctl.ir import SlowerEngine
 from surctl.priority import build_problem, least_distance, solve
 from surctl.priority.draws import draw_problem
 from surctl.priority.problem import Row
@@ -106,7 +107,8 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("surctl.ir.native.compile_block", missing)
     module.step_runner.cache_clear()
     try:
-        got = least_distance([3.0, 0.4], **BOX)
+        with pytest.warns(SlowerEngine, match="no C compiler found"):
+            got = least_distance([3.0, 0.4], **BOX)
     finally:
         module.step_runner.cache_clear()
     assert got.v.tobytes() == want.v.tobytes() and got.binding == want.binding
