@@ -26,6 +26,7 @@ PACKAGES = {
     "engine": "Simulate",
     "tuning": "Tune",
     "verification": "Prove",
+    "assessment": "Prove",
     "lyapunov": "Prove",
     "sos": "Prove",
     "certcheck": "Prove",

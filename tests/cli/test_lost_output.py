@@ -33,7 +33,7 @@ DRAWING = {  # command: the files of its result
     ("sweep", "k_v=1,2", "k_r=1,2", "--seeds", "1", "--locus", "k_v", "--workers", "1", "--out", "out"): {
         "nc", "toml",
     },
-    ("verify", "v1-corrected", "--out", "out"): {"json"},
+    ("verify", "v1-corrected", "--vehicle", "sur400", "--out", "out"): {"json"},
     ("calibrate", "table-ii", "--out", "out"): {"csv", "toml"},
     ("sonar-replay", "log.csv", "--out", "out"): {"csv"},
     ("vehicle", "thrusters", "bluerov2-heavy", "--out", "out"): set(),
