@@ -43,6 +43,7 @@ def warn_slower(missing: ToolMissing) -> None:
         >>> from surctl.errors import ToolMissing
         >>> from surctl.ir import warn_slower
         >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warnings.simplefilter("always")
         ...     warn_slower(ToolMissing("no C compiler found"))
         >>> print(caught[0].message)
         no C compiler found; until then, simulations take up to 100 times as long
