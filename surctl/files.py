@@ -122,20 +122,13 @@ def _parsed(text: str) -> bytes:
 
 
 def require_doubles(path: Path) -> None:
-    """Raise InputError if a number of a TOML file is not the shortest decimal of a double, so that it would be rounded.
-
-    A statement for a proof must not have another number than the one that is written.
-
-    `read_toml` must have read the file.
+    """Raise InputError if a number of a TOML file, read before, is not the shortest decimal of a double: a proof needs it.
 
     Example:
         >>> from pathlib import Path
         >>> from surctl.files import require_doubles
-        >>> _ = Path("claim.toml").write_text("lower = 0.1000000000000000001")
-        >>> require_doubles(Path("claim.toml"))
-        Traceback (most recent call last):
-        surctl.errors.InputError: claim.toml: lower = '0.1000000000000000001': has digits that a double does not hold; \
-round it, or write it inside an expression, where every number is exact
+        >>> _ = Path("claim.toml").write_text("lower = 0.1")
+        >>> require_doubles(Path("claim.toml"))  # 0.1000000000000000001 would be refused
     """
     table = tomllib.loads(path.read_bytes().decode("utf-8-sig"), parse_float=Decimal)
     waiting: list[tuple[str, object]] = [("", table)]
