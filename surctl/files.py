@@ -122,7 +122,7 @@ def _parsed(text: str) -> bytes:
 
 
 def require_doubles(path: Path) -> None:
-    """Raise InputError if a number of a TOML file, read before, is not the shortest decimal of a double: a proof needs it.
+    """Raise InputError if a number of a TOML file that was read is not the shortest decimal of a double.
 
     Example:
         >>> from pathlib import Path
