@@ -81,6 +81,7 @@ def examine(found: list[Pair], count: int, seed: int) -> tuple[list[str], bool]:
                 print(f"{number + 1} of {count} changes, {len(wrong)} wrong", file=sys.stderr, flush=True)
             if said == "belongs":
                 wrong.append(f"{pair.name}: {change.kind}: {change.what}")
+                print(wrong[-1], file=sys.stderr, flush=True)
     words = ("differs", "not bound", "rejected", "refused", "belongs")
     lines = ["| change | number | " + " | ".join(words) + " |", "|---|---|" + "---|" * len(words)]
     for kind, row in sorted(answers.items()):

@@ -25,7 +25,7 @@ from surctl.priority import Mode, PriorityProblem, PriorityStep, Settings, solve
 from surctl.priority.optimality import is_least
 
 TOLERANCE = 1e-6
-SHARE = {4: 2, 7: 10, 10: 10, 14: 20, 20: 40}
+SHARE = {4: 10, 7: 20, 10: 20, 14: 40, 20: 40}
 """One of so many problems is also solved by `solve`, which takes longer than the compiled step."""
 
 COLUMNS = ("worse, no word", "unproved", "unconfirmed", "worse, unconfirmed", "compared")

@@ -110,7 +110,7 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
 
 
 def _units(ports: Sequence[Port], entries: Sequence[Any]) -> dict[str, str]:
-    """Return the unit of each state by the name that the claim gives it."""
+    """Return the unit of each entry of a vector by the name that the claim gives it."""
     units: list[str] = []
     for port in ports:
         each = [unit.strip() for unit in port.unit.split(",")]
@@ -350,11 +350,17 @@ class _Comparison(Comparison):
         if unknown or set(places) != states or len(places) != len(states):
             self.differs.append("dynamics: the certificate does not say which state of the loop each of its states is")
             return
-        units = {**_units(lists[1].vectors["state"], vectors["plant_state"]),
-                 **_units(lists[0].vectors["state"], vectors["controller_state"])}  # fmt: skip
-        for row in self.claim["states"]:
-            if units[row["name"]] != row["unit"]:
-                self.differs.append(f"{row['name']}: in {row['unit']} certified, in {units[row['name']]} exported")
+        controller, plant, measured = (listed.vectors for listed in lists)
+        known = {port.name for port in measured["outputs"]}
+        ports = (plant["state"], controller["state"], controller["gains"], plant["parameters"],
+                 [port for port in controller["inputs"] if port.name not in known], plant["disturbances"])  # fmt: skip
+        units: dict[str, str] = {}
+        for key, of_vector in zip(_VECTORS, ports, strict=True):
+            units |= _units(of_vector, vectors[key])
+        for row in rows:
+            if units.get(row["name"]) != row["unit"]:
+                have = units.get(row["name"], "no number")
+                self.differs.append(f"{row['name']}: in {row['unit']} certified, in {have} exported")
         if self.claim["time"] != "continuous":
             self.differs.append("time: the loop of a bundle is compared in continuous time only")
         if self.take("name") != lists[1].text.partition("\n")[0].removeprefix("program ").removeprefix("routine "):
