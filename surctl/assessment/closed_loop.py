@@ -22,7 +22,9 @@ __all__ = ["ClosedLoop", "Region"]
 class Region(Protocol):
     """A claim about a region of attraction with its verdict, such as `surctl.lyapunov.Solution`."""
 
-    falsified: float | None
+    @property
+    def falsified(self) -> float | None:
+        """Return the least level at which a counterexample is known."""
 
     @property
     def verdict(self) -> Literal["proved", "refuted", "unknown"]:
