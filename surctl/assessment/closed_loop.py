@@ -78,7 +78,7 @@ class ClosedLoop:
 
     def _loop(self) -> Part:
         run_numbers(self.system, self.values)  # a mistake is raised, unlike a loop without equilibrium
-        checked_ranges(self.system, self.ranges or {})
+        checked_ranges(self.system, self.system.ranges if self.ranges is None else self.ranges)
         try:
             corners = system_corners(self.system, self.values, self.ranges)
         except InputError as error:
