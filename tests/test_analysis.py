@@ -85,6 +85,15 @@ def test_the_cycles_of_a_loop_of_known_length_are_counted() -> None:
     assert done.stdout.strip() == "- a loop of known length is counted to the last instruction: holds"
 
 
+def test_the_study_of_one_verdict() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "43_one_verdict" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    pages = {row[0]: int(row[1]) for row in table(done.stdout) if len(row) == 2 and row[1].isdigit()}
+    assert {"verify", "sweep", "simulate", "tune", "lint", "design page", "export", "study", "report"} == set(pages)
+    assert min(pages.values()) > 0
+
+
 def test_the_study_of_sessions_with_an_autopilot() -> None:
     need_compiler()
     need_module("pymavlink")
@@ -796,8 +805,10 @@ def examine_example(example: str) -> None:
     assert "sweep: 100 runs" in done.stdout and "command 0.0e+00, state 0.0e+00" in done.stdout
     if example in ("pendulum_lqr", "bluerov2_attitude"):  # the proofs of the others take too long for the quick form
         assert re.search(r"^claim, .*: (proved|refuted)", done.stdout, re.MULTILINE)
-    [chosen] = re.findall(r"^disk margin, .*: ([\d.]+), at least 0.75", done.stdout, re.MULTILINE)
-    assert float(chosen) >= 0.75
+    [(chosen, least)] = re.findall(
+        r"^disk margin at the worst corner: ([\d.]+), at least ([\d.]+)", done.stdout, re.MULTILINE
+    )
+    assert float(chosen) >= float(least) > 0
     row = r"^(?:\S+): gain factor below (\S+?)(?: \(and above (\S+)\))?, phase (\S+) deg, .*, disk margin (\S+)$"
     margins = re.findall(row, done.stdout, re.MULTILINE)
     assert len(margins) >= 3

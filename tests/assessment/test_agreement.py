@@ -31,7 +31,7 @@ def drawn(seed: int) -> tuple[Vehicle, Gains, float]:
     return replace(base, name=f"drawn{seed}", parameters=parameters), gains, float(rng.uniform(0.08, 0.2))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))  # 43_one_verdict: hundreds
 def test_every_source_of_a_figure_has_the_same_number(seed: int) -> None:
     vehicle, gains, cruise = drawn(seed)
     result = assess(Mission(vehicle, gains, cruise, 0.3), parts=["loop"])
