@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from surctl.assessment.assessment import Figure, Line, Part
+from surctl.assessment.assessment import Assumption, Figure, Line, Part
+from surctl.assessment.assumptions import assumptions
 from surctl.control import Gains, Law, build_law, law_source
 from surctl.errors import InputError
 from surctl.guidance import Guidance
@@ -52,6 +53,7 @@ class LoopAnalysis:
         law: the sampled loop of such a law, or None.
         unjudged: the reason why there is no analysis; else empty.
         failed: whether that reason is a failure of the law.
+        assumptions: defaults on which the analysis depends.
     """
 
     cruise: float
@@ -63,6 +65,7 @@ class LoopAnalysis:
     unjudged: str = ""
     failed: bool = False
     uncertainty: float | None = None
+    assumptions: tuple[Assumption, ...] = ()
 
     @property
     def stable(self) -> bool | None:
@@ -77,7 +80,8 @@ class LoopAnalysis:
             line = Line(False if self.failed else None, f"margins: not judged, because {self.unjudged}", "margins")
             return Part((), (replace(line, counts=self.failed),), self)
         figures = self._figures()
-        return Part(figures, (self._line({figure.name: figure for figure in figures}),), self)
+        line = self._line({figure.name: figure for figure in figures})
+        return Part(figures, (line,), self, self.assumptions)
 
     def _figures(self) -> tuple[Figure, ...]:
         if self.law is not None:
@@ -194,6 +198,7 @@ def analyse_loop(
             closed_loop_poles(vehicle, values, **speeds),
             slowest_mode(vehicle, values, **speeds),
             uncertainty=uncertainty,
+            assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
         )
     own = gains.with_own(source.gains)
     if source.steering is not None:
@@ -201,7 +206,8 @@ def analyse_loop(
             loops = law_corners(built, vehicle, own, cruise=cruise, uncertainty=uncertainty)
         except InputError as error:
             return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
-        return LoopAnalysis(cruise, loops.nominal.margins, law=loops)
+        assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, uncertainty=uncertainty)
+        return LoopAnalysis(cruise, loops.nominal.margins, law=loops, assumptions=assumed)
     return _about_runs(built, vehicle, own, cruise=cruise, uncertainty=uncertainty, missions=missions)
 
 
@@ -226,7 +232,8 @@ def _about_runs(
         except InputError as error:
             reason = reason or _reason(error, cruise)
             continue
-        return LoopAnalysis(at.speed, loops.nominal.margins, law=loops)
+        assumed = assumptions(vehicle, None, cruise=at.speed, dt=law.dt, uncertainty=uncertainty)
+        return LoopAnalysis(at.speed, loops.nominal.margins, law=loops, assumptions=assumed)
     return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
 
 

@@ -46,13 +46,25 @@ def _file_findings(loaded: object) -> list[Finding]:
     if isinstance(loaded, Vehicle):
         free = undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
         text = "no drag, but thrust: the speed has no bound; state the drag, or fit it to a log (vehicle from-log)"
-        return [*(Finding("warning", f"drag ({axis})", text) for axis in free), *thruster_findings(loaded)]
+        undriven = [Finding("warning", f"drag ({axis})", text) for axis in free]
+        return [*undriven, *thruster_findings(loaded), *_assumption_findings(loaded)]
     if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
         cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
         if cruise >= cap:
             text = f"the cruise speed of {cruise:g} m/s is not below the cap of {cap:g} m/s"
             return [Finding("error", "cruise_m_per_s", text)]
     return []
+
+
+def _assumption_findings(vehicle: Vehicle, gains: Gains | None = None, cruise: float = 1.0) -> list[Finding]:
+    """Return the defaults that decide the margins, with the margins of these gains at the cruise speed [m/s]."""
+    from surctl.assessment import assumptions
+    from surctl.simulation import Finding
+
+    values = gains.values if gains is not None and vehicle["Fv_max"] > 0 else None
+    found = assumptions(vehicle, values, cruise=cruise, dt=_CONTROL_PERIOD)
+    advice = "" if values else "; surctl verify --vehicle FILE says how much the margin depends on it"
+    return [Finding("info", one.name, one.text + advice) for one in found]
 
 
 def _cap_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
@@ -139,9 +151,11 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     if kind == "scenario":
         scenario = load_scenario(path)
         robot = load_vehicle(choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word)
+        gains = gains_for(None, robot, cruise=scenario.cruise)[0]
         problems = [
             *findings(scenario, robot),
-            *_cap_findings(scenario, robot, gains_for(None, robot, cruise=scenario.cruise)[0]),
+            *_cap_findings(scenario, robot, gains),
+            *_assumption_findings(robot, gains, scenario.cruise),
         ]
     elif kind == "study":
         plan = load_plan(path)

@@ -177,7 +177,7 @@ def solve(
     if step.tried:
         reason += f"; not proved either: {'; '.join(step.tried)}"
     if not step.instead:
-        reason += f"; the time limit was {time_limit:g} s of processor time "
+        reason += f"; the time limit was {time_limit:g} s of processor time"
     seconds = solution.seconds + time.perf_counter() - began
     return replace(solution, reason=reason, instead=step.instead, seconds=seconds)
 

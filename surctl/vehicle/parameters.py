@@ -20,7 +20,10 @@ from surctl.vehicle.thruster_file import axis_limits, common_lag, read_actuators
 from surctl.vehicle.thruster_limits import largest_forces
 from surctl.vehicle.thrusters import Actuators
 
-__all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
+__all__ = ["DEFAULTED", "LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
+
+DEFAULTED = "default of this toolkit"
+"""Provenance of a parameter that the vehicle file does not state."""
 
 LIBRARY = Path(__file__).parent / "library"
 
@@ -276,7 +279,7 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
                 key=f"{spec.table}.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-        parameters[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
+        parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 

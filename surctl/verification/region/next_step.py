@@ -74,10 +74,10 @@ def weaker(statement: RegionStatement, *, cruise: float | None, cap: float | Non
     speed = statement.cruise_m_per_s if cruise is None or own else cruise
     most = statement.cap_m_per_s if cap is None or own else cap
 
-    def changed(words: str, share: float = 1.0, **changes: Any) -> Weaker:
-        slow = {"cruise_m_per_s": share * speed, "cap_m_per_s": share * most} if own else {}
+    def changed(words: str, slower: float = 1.0, /, **changes: Any) -> Weaker:
+        slow = {"cruise_m_per_s": slower * speed, "cap_m_per_s": slower * most} if own else {}
         one = shorter(statement).model_copy(update={**changes, **slow})
-        return Weaker(words, one, share * speed, share * most)
+        return Weaker(words, one, slower * speed, slower * most)
 
     if statement.at_rest:
         yield changed("without a start at rest", at_rest=False)
