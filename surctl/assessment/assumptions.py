@@ -42,19 +42,19 @@ def assumptions(
         ('of mass ±5% and of drag ±20%', True)
     """
     margin = partial(_margin, gains=gains, cruise=cruise, dt=dt, uncertainty=uncertainty)
-    found = []
+    assumed = []
     for name, parameter in vehicle.parameters.items():
         if parameter.provenance == DEFAULTED and parameter.value:
             values = (vehicle.with_values({name: share * parameter.value}) for share in (0.5, 1.0, 2.0))
             half, same, double = (margin(one) for one in values)
             unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-            found.append(Assumption(name, f"= {parameter.value:g}{unit}", (half, same, double)))
+            assumed.append(Assumption(name, f"= {parameter.value:g}{unit}", (half, same, double)))
     if corners(vehicle, uncertainty).assumed:
         half, same, double = (margin(vehicle, spread=share) for share in (0.5, 1.0, 2.0))
-        found.append(
+        assumed.append(
             Assumption("ranges", f"of mass ±{MASS_SPREAD:.0%} and of drag ±{DRAG_SPREAD:.0%}", (half, same, double))
         )
-    return tuple(found)
+    return tuple(assumed)
 
 
 def _margin(

@@ -62,9 +62,9 @@ def _assumption_findings(vehicle: Vehicle, gains: Gains | None = None, cruise: f
     from surctl.simulation import Finding
 
     values = gains.values if gains is not None and vehicle["Fv_max"] > 0 else None
-    found = assumptions(vehicle, values, cruise=cruise, dt=_CONTROL_PERIOD)
+    assumed = assumptions(vehicle, values, cruise=cruise, dt=_CONTROL_PERIOD)
     advice = "" if values else "; surctl verify --vehicle FILE says how much the margin depends on it"
-    return [Finding("info", one.name, one.text + advice) for one in found]
+    return [Finding("info", one.name, one.text + advice) for one in assumed]
 
 
 def _cap_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:

@@ -34,12 +34,12 @@ def next_step(problem: Problem, *, seconds: float, seed: int = 0) -> NextStep:
         return NextStep("", ())  # no quadratic function exists, so the attempts would fail too
     trials = list(_weaker(problem))
     for number, (words, one) in enumerate(trials):
-        found = find_stability(
+        result = find_stability(
             one.dynamics, function=one.function, level=one.level, rate=one.rate, first=True,
             time_limit=seconds / len(trials), seed=seed,
         )  # fmt: skip
-        if found.verdict == "proved" and found.claim is not None:
-            level = f"level = {every_digit(found.claim.level)}"
+        if result.verdict == "proved" and result.claim is not None:
+            level = f"level = {every_digit(result.claim.level)}"
             text = words if one.function is None or one.level is not None else f"{words}, {level}" if words else level
             return NextStep(text, tuple(tried for tried, _ in trials[:number]))
     return NextStep("", tuple(words or "a lower level" for words, _ in trials))

@@ -245,15 +245,15 @@ def prove_statement(
         return proof
     for other in REGION_CLAIMS.values():
         strong = _claim_or_none(other, vehicle, gains, cruise, cap) if other.loop == statement.loop else None
-        if type(strong) is type(claim) and strong.name != claim.name and implies(strong, claim):
-            found = _prove(shorter(other), strong, seed=seed)
-            if found.verdict == "proved":
-                return replace(found, claim=claim, by=strong.name, seconds=proof.seconds + found.seconds)
+        if strong is not None and strong.name != claim.name and implies(strong, claim):
+            result = _prove(shorter(other), strong, seed=seed)
+            if result.verdict == "proved":
+                return replace(result, claim=claim, by=strong.name, seconds=proof.seconds + result.seconds)
     tried = []
     for words, one, slow, most in weaker(statement, cruise=cruise, cap=cap):
-        found = _prove(one, one.claim(vehicle, gains, cruise=slow, cap=most), seed=seed)
-        if found.verdict == "proved":
-            return replace(proof, reason=f"{proof.reason}; proved {words}: from {found.offset:.3g} m beside the path")
+        result = _prove(one, one.claim(vehicle, gains, cruise=slow, cap=most), seed=seed)
+        if result.verdict == "proved":
+            return replace(proof, reason=f"{proof.reason}; proved {words}: from {result.offset:.3g} m beside the path")
         tried.append(words)
     return replace(proof, reason=f"{proof.reason}; nor is it proved {', or '.join(tried)}")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import fields
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,6 @@ from surctl.verification.region.statement import RegionStatement
 from surctl.verification.region.turning import TurningClaim
 
 __all__ = ["Weaker", "implies", "shorter", "weaker"]
-
-C = TypeVar("C", RegionClaim, TurningClaim)
 
 _RANGES = frozenset({"mass_factor", "drag_factor"})
 _RANGES_OF_CRUISE = frozenset({"mass", "linear", "quadratic", "lag"})
@@ -31,12 +29,14 @@ _CURRENTS = {
 }
 
 
-def implies(strong: C, weak: C) -> bool:
+def implies(strong: RegionClaim | TurningClaim, weak: RegionClaim | TurningClaim) -> bool:
     """Return whether a proof of one claim about a cruise also proves another one about the same loop.
 
     The ranges of `strong` contain those of `weak`, its disturbances and its decay rate are at least as large, its
     thrust is at most as large, and everything else is equal.
     """
+    if type(strong) is not type(weak):
+        return False
     ranges = _RANGES | (_RANGES_OF_CRUISE if isinstance(strong, RegionClaim) else frozenset())
     for key in (field.name for field in fields(strong)):
         a: Any = getattr(strong, key)
