@@ -8,7 +8,7 @@ from functools import partial
 from surctl.assessment.assessment import Assumption
 from surctl.errors import InputError
 from surctl.vehicle import Vehicle
-from surctl.vehicle.parameters import DEFAULTED
+from surctl.vehicle.specs import DEFAULTED
 from surctl.verification.linear import corner_margin, corners
 from surctl.verification.linear.corners import DRAG_SPREAD, MASS_SPREAD
 

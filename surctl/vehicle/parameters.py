@@ -15,15 +15,12 @@ from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
-from surctl.vehicle.specs import NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+from surctl.vehicle.specs import DEFAULTED, NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
 from surctl.vehicle.thruster_file import axis_limits, common_lag, read_actuators
 from surctl.vehicle.thruster_limits import largest_forces
 from surctl.vehicle.thrusters import Actuators
 
-__all__ = ["DEFAULTED", "LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
-
-DEFAULTED = "default of this toolkit"
-"""Provenance of a parameter that the vehicle file does not state."""
+__all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
 
 LIBRARY = Path(__file__).parent / "library"
 

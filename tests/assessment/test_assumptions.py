@@ -10,7 +10,7 @@ import pytest
 from surctl.assessment import Mission, assess, assumptions
 from surctl.control import load_gains
 from surctl.vehicle import Vehicle, load_vehicle
-from surctl.vehicle.parameters import DEFAULTED
+from surctl.vehicle.specs import DEFAULTED
 from surctl.verification.linear import corner_margin
 from tests.cli.process import surctl_here
 
