@@ -1,6 +1,7 @@
 """One assessment of a subject: every page, command and status reads its figures and verdicts here."""
 
-from surctl.assessment.assessment import Assessment, Figure, Line, Part, Subject, assess
+from surctl.assessment.assessment import Assessment, Assumption, Figure, Line, Part, Subject, assess
+from surctl.assessment.assumptions import assumptions
 from surctl.assessment.closed_loop import ClosedLoop
 from surctl.assessment.comparison import Comparison
 from surctl.assessment.loop import LoopAnalysis
@@ -10,6 +11,7 @@ from surctl.assessment.motion import DEFAULT_REGIONS
 __all__ = [
     "DEFAULT_REGIONS",
     "Assessment",
+    "Assumption",
     "ClosedLoop",
     "Comparison",
     "Figure",
@@ -19,4 +21,5 @@ __all__ = [
     "Part",
     "Subject",
     "assess",
+    "assumptions",
 ]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
-__all__ = ["Assessment", "Figure", "Line", "Part", "Subject", "assess"]
+__all__ = ["Assessment", "Assumption", "Figure", "Line", "Part", "Subject", "assess"]
 
 
 @dataclass(frozen=True)
@@ -77,12 +77,38 @@ class Line:
         return ("FAIL", "open", "ok  ", "    ")[self.rank]
 
 
+@dataclass(frozen=True)
+class Assumption:
+    """A value that is assumed because the vehicle file states none.
+
+    Attributes:
+        name: the parameter, or "ranges".
+        value: the assumed value, in words.
+        margins: disk margin at the worst corner with half of the value, the value, and double of it; NaN if it was not
+            computed or the vehicle cannot hold the cruise speed.
+    """
+
+    name: str
+    value: str
+    margins: tuple[float, float, float]
+
+    @property
+    def text(self) -> str:
+        """The assumption and its influence as one sentence."""
+        text = f"assumption: {self.name} {self.value}, because the vehicle file states none"
+        if np.isnan(self.margins).all():
+            return text
+        half, value, double = ("none" if np.isnan(m) else f"{m:.2f}" for m in self.margins)
+        return f"{text}; disk margin {value}, {half} with half of it, {double} with double"
+
+
 class Part(NamedTuple):
-    """Figures and lines of one part of an assessment, and the objects that they come from, for details on a page."""
+    """Figures and lines of one part of an assessment, the objects that they come from, and the defaults it assumes."""
 
     figures: tuple[Figure, ...]
     lines: tuple[Line, ...]
     source: Any = None
+    assumptions: tuple[Assumption, ...] = ()
 
 
 class Subject(Protocol):
@@ -106,6 +132,7 @@ class Assessment:
         lines: verdicts, worst first.
         sources: objects behind each part, by name of the part.
         omitted: parts that were not assessed.
+        assumptions: defaults on which the figures depend; each is also a remark among the lines.
     """
 
     subject: str
@@ -113,10 +140,11 @@ class Assessment:
     lines: tuple[Line, ...]
     sources: Mapping[str, Any]
     omitted: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
 
     def with_lines(self, lines: Collection[Line]) -> Assessment:
         """Return the assessment with further lines, of a page that knows more about the subject."""
-        return Assessment(self.subject, self.figures, _sorted([*self.lines, *lines]), self.sources, self.omitted)
+        return replace(self, lines=_sorted([*self.lines, *lines]))
 
     @property
     def passed(self) -> bool | None:
@@ -154,6 +182,7 @@ class Assessment:
             "figures": {name: asdict(figure) for name, figure in self.figures.items()},
             "lines": [asdict(line) for line in self.lines],
             "not_assessed": list(self.omitted),
+            "assumptions": [asdict(assumption) for assumption in self.assumptions],
         }
 
 
@@ -179,8 +208,12 @@ def assess(subject: Subject, *, parts: Collection[str] | None = None) -> Assessm
     lines = [line for part in done.values() for line in part.lines]
     omitted = tuple(name for name in known if name not in done)
     lines += [Line(None, f"{name}: not assessed", counts=False) for name in omitted]
+    assumed = tuple(one for part in done.values() for one in part.assumptions)
+    lines += [Line(None, one.text, "margins", counts=False) for one in assumed]
     sources = {name: part.source for name, part in done.items()}
-    return Assessment(subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(sources), omitted)
+    return Assessment(
+        subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(sources), omitted, assumed
+    )
 
 
 def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:

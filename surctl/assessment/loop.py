@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from surctl.assessment.assessment import Figure, Line, Part
+from surctl.assessment.assessment import Assumption, Figure, Line, Part
+from surctl.assessment.assumptions import assumptions
 from surctl.assessment.figures import loop_figures, loop_line
 from surctl.control import Gains, Law, build_law, law_source
 from surctl.errors import InputError
@@ -49,6 +50,7 @@ class LoopAnalysis:
         law: the sampled loop of such a law, or None.
         unjudged: the reason why there is no analysis; else empty.
         failed: whether that reason is a failure of the law.
+        assumptions: defaults on which the analysis depends.
     """
 
     cruise: float
@@ -60,6 +62,7 @@ class LoopAnalysis:
     unjudged: str = ""
     failed: bool = False
     uncertainty: float | None = None
+    assumptions: tuple[Assumption, ...] = ()
 
     @property
     def stable(self) -> bool | None:
@@ -80,7 +83,7 @@ class LoopAnalysis:
         mode = self.mode
         why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
         line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
-        return Part(tuple(figures.values()), (line,), self)
+        return Part(tuple(figures.values()), (line,), self, self.assumptions)
 
     def _figures(self) -> dict[str, Figure]:
         if self.law is not None:
@@ -154,6 +157,7 @@ def analyse_loop(
             closed_loop_poles(vehicle, values, **speeds),
             slowest_mode(vehicle, values, **speeds),
             uncertainty=uncertainty,
+            assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
         )
     own = gains.with_own(source.gains)
     if source.steering is not None:
@@ -161,7 +165,8 @@ def analyse_loop(
             loops = law_corners(built, vehicle, own, cruise=cruise, uncertainty=uncertainty)
         except InputError as error:
             return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
-        return LoopAnalysis(cruise, loops.nominal.margins, law=loops)
+        assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, uncertainty=uncertainty)
+        return LoopAnalysis(cruise, loops.nominal.margins, law=loops, assumptions=assumed)
     return _about_runs(built, vehicle, own, cruise=cruise, uncertainty=uncertainty, missions=missions)
 
 
@@ -186,7 +191,8 @@ def _about_runs(
         except InputError as error:
             reason = reason or _reason(error, cruise)
             continue
-        return LoopAnalysis(at.speed, loops.nominal.margins, law=loops)
+        assumed = assumptions(vehicle, None, cruise=at.speed, dt=law.dt, uncertainty=uncertainty)
+        return LoopAnalysis(at.speed, loops.nominal.margins, law=loops, assumptions=assumed)
     return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
 
 

@@ -40,7 +40,7 @@ def region_part(vehicle: Vehicle, gains: Gains, *, law: str, cruise: float, cap:
         Figure("region_within_m", sizes[1], "m", "distance within which the motion ends, proved", "low"),
     )
     named = tuple(Figure(f.name, f.value, f.unit, f.meaning, f.better, where=claim.name) for f in figures)
-    return Part(named, (Line(True if proved else None, f"{claim.name}: {proof.sentence}", "region"),), proof)
+    return Part(named, (Line(True if proof.useful else None, f"{claim.name}: {proof.sentence}", "region"),), proof)
 
 
 def judged_contact(

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from surctl.assessment import Mission
     from surctl.simulation import Finding
     from surctl.study import Plan
+    from surctl.vehicle import Vehicle
 
 __all__ = ["lint"]
 
@@ -44,7 +45,8 @@ def _file_findings(loaded: object) -> list[Finding]:
     if isinstance(loaded, Vehicle):
         free = undamped({key: parameter.value for key, parameter in loaded.parameters.items()})
         text = "no drag, but thrust: the speed has no bound; state the drag, or fit it to a log (vehicle from-log)"
-        return [*(Finding("warning", f"drag ({axis})", text) for axis in free), *thruster_findings(loaded)]
+        undriven = [Finding("warning", f"drag ({axis})", text) for axis in free]
+        return [*undriven, *thruster_findings(loaded), *_assumption_findings(loaded)]
     if isinstance(loaded, RegionStatement) and loaded.loop == "cruise":
         cruise, cap = loaded.cruise_m_per_s, loaded.cap_m_per_s
         if cruise >= cap:
@@ -53,15 +55,27 @@ def _file_findings(loaded: object) -> list[Finding]:
     return []
 
 
+def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
+    """Return the defaults that decide the margins of a vehicle."""
+    from surctl.assessment import assumptions
+    from surctl.simulation import Finding
+
+    advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
+    assumed = assumptions(vehicle, None, cruise=1.0, dt=1.0)  # without gains there are no margins
+    return [Finding("info", one.name, one.text + advice) for one in assumed]
+
+
 def _loop_findings(mission: Mission) -> list[Finding]:
-    """Return a warning for each margin that does not suffice, and for a cap above the largest stable speed."""
+    """Return margins that do not suffice, a cap above the largest stable speed, and the defaults that decide."""
     from surctl.assessment import assess
     from surctl.simulation import Finding
 
     keys = {"cap": "cap_m_per_s", "margins": "gains"}
-    lines = [line for line in assess(mission, parts=["loop"]).lines if line.passed is False or line.about == "cap"]
+    result = assess(mission, parts=["loop"])
+    lines = [line for line in result.lines if line.passed is False or line.about == "cap"]
     gains = f"with the gains {mission.gains.name!r}"
-    return [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
+    warnings = [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
+    return [*warnings, *(Finding("info", one.name, one.text) for one in result.assumptions)]
 
 
 def _goal_findings(plan: Plan) -> list[Finding]:

@@ -151,7 +151,8 @@ def prove_regions(
             out.mkdir(parents=True, exist_ok=True)
             files.append(out / f"{name}.json")
             proof.write(files[-1])
-    lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
+    marks = ["ok  " if p.useful else "open" if p.verdict == "proved" else "FAIL" for p in proofs]
+    lines = [f"{mark} {p.claim.name:<22} {p.sentence}" for mark, p in zip(marks, proofs, strict=True)]
     lines += [refusal_line(one) for one in refused.values()]
     data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
     known = {statement.name for statement in stated.values()}

@@ -291,7 +291,7 @@ def _proved(
         volume = candidate.volume * (levels[low] / bound.level) ** (len(d.states) / 2)
         return StabilityResult("proved", "", proved, bound, candidate.label, volume, 0.0)
     verdict: Literal["refuted", "unknown"] = "unknown"
-    reason = "the time limit was reached" if decision is None else decision.reason
+    reason = "the time limit was reached before any level was tried" if decision is None else decision.reason
     if level is not None and decision is not None and decision.verdict == "refuted":
         verdict = "refuted"
     return StabilityResult(verdict, reason, decision, bound, candidate.label, 0.0, 0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 from surctl.errors import InputError
@@ -13,15 +14,18 @@ from surctl.lyapunov.claims import Safety, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import at_equilibrium, equilibria
+from surctl.lyapunov.next_step import next_step
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.safety import decide_safety
 from surctl.lyapunov.search import find_stability
+from surctl.lyapunov.switching import limits_sentence
 from surctl.verification.formula import parse, text_of
 from surctl.verification.formula.text import decimal_text
 
 __all__ = ["Solution", "solve"]
 
 _SHOWN = 400  # characters of a printed rate
+_HELP, _HELP_MOST = 0.25, 15.0  # share of the time limit for weaker claims, and the most [s]
 _MULTIPLIERS = ("0", "-1", "-0.1", "1", "-10")
 
 
@@ -39,8 +43,8 @@ class Solution:
         seconds: duration [s].
         counterexample: values of the variables where a condition of the claim fails; empty unless the verdict is
             `refuted`, or if the linearisation refutes it.
-        instead: what would be proved in the place of a refuted function, as entries of the file; empty if nothing is
-            known.
+        instead: what is proved in the place of a refuted function or an undecided claim, as entries of the file; empty
+            if nothing is known.
     """
 
     problem: Problem
@@ -92,7 +96,17 @@ class Solution:
         if self.falsified is not None and self.verdict == "proved" and self.level is not None:
             share = self.level / self.falsified
             lines.append(f"  level {self.level:g} is {100 * share:.1f} % of the least level with a counterexample")
+        if self.limits:
+            lines.append(f"  {self.limits}")
         return [*lines, *([f"  {self.reason}"] if self.reason else []), *then]
+
+    @cached_property
+    def limits(self) -> str:
+        """That no limit of the rates acts in a proved region; empty if one acts, or if the rates have none."""
+        claim = None if self.decision is None or self.verdict != "proved" or self.vacuous else self.decision.claim
+        if claim is None or isinstance(claim, Safety):
+            return ""
+        return limits_sentence(claim.dynamics, claim.function, claim.level, self.dynamics)
 
     @property
     def dynamics(self) -> Dynamics:
@@ -116,6 +130,7 @@ class Solution:
             "level": claim.get("level"),
             "rate": claim.get("rate"),
             "falsified_level": self.falsified,
+            "limits": self.limits or None,
             "search": self.origin or None,
             "seconds": self.seconds,
         }
@@ -135,7 +150,8 @@ def solve(
         problem: the problem. Without `function`, a function is searched; without `level`, the largest level that can be
             proved; without `multiplier` of a stated barrier, several numbers are tried.
         first: whether the first region that is proved is enough.
-        time_limit: limit of the processor time [s].
+        time_limit: limit of the processor time [s]. If a claim about a region is not decided, weaker ones are tried for
+            a quarter of it, at most 15 s, to name one that is proved.
         seed: seed of the random numbers.
         progress: function that receives a line of progress from time to time.
 
@@ -156,6 +172,23 @@ def solve(
         >>> solution.verdict, round(solution.falsified, 3), solution.decision.claim.level >= 0.9
         ('proved', 1.0, True)
     """
+    solution = _solved(problem, first, time_limit, seed, progress)
+    if solution.verdict != "unknown" or problem.kind != "lyapunov":
+        return solution
+    began = time.perf_counter()
+    step = next_step(solution.problem, seconds=min(_HELP * time_limit, _HELP_MOST), seed=seed)
+    reason = solution.reason
+    if step.tried:
+        reason += f"; not proved either: {'; '.join(step.tried)}"
+    if not step.instead:
+        reason += f"; the time limit was {time_limit:g} s of processor time"
+    seconds = solution.seconds + time.perf_counter() - began
+    return replace(solution, reason=reason, instead=step.instead, seconds=seconds)
+
+
+def _solved(
+    problem: Problem, first: bool, time_limit: float, seed: int, progress: Callable[[str], None] | None
+) -> Solution:
     began = time.perf_counter()
     if problem.sought:
         problem = replace(problem, dynamics=at_equilibrium(problem.dynamics, seed=seed))

@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, pick, read_toml, validate
-from surctl.vehicle.specs import NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
+from surctl.vehicle.specs import DEFAULTED, NEEDED_TO_TILT, PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
 from surctl.vehicle.thruster_file import axis_limits, common_lag, read_actuators
 from surctl.vehicle.thruster_limits import largest_forces
 from surctl.vehicle.thrusters import Actuators
@@ -276,7 +276,7 @@ def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
                 key=f"{spec.table}.{name}",
                 remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
             )
-        parameters[name] = Parameter(spec.default, spec.unit, None, "default of this toolkit")
+        parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
     ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
     return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
 

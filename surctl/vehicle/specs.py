@@ -23,7 +23,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
 
-__all__ = ["AXES", "NEEDED_TO_TILT", "PARAMETERS", "TERMS", "ParameterSpec", "PlantForm", "parameter_spec", "undamped"]
+__all__ = [
+    "AXES",
+    "DEFAULTED",
+    "NEEDED_TO_TILT",
+    "PARAMETERS",
+    "TERMS",
+    "ParameterSpec",
+    "PlantForm",
+    "parameter_spec",
+    "undamped",
+]
 
 
 @dataclass(frozen=True)
@@ -46,6 +56,9 @@ class ParameterSpec:
     default: float | None = None
     signed: bool = False
 
+
+DEFAULTED = "default of this toolkit"
+"""Provenance of a parameter that the vehicle file does not state."""
 
 PARAMETERS: Mapping[str, ParameterSpec] = {
     "radius": ParameterSpec("hull", "m", "hull radius"),

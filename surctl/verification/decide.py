@@ -25,6 +25,7 @@ __all__ = ["confirmed", "decide"]
 
 _INSIDE = 1e-9  # first distance by which a point is moved into the domain, in the constraint's unit
 _MOVES = 6
+_TOLERANCES, _HELP = (1e-6, 1e-3), 0.1  # tried for an undecided claim; share of its time limit for each
 _SAMPLES = 1024  # in the search for points at which the claim has no value
 _MOVED = 16  # number of the worst violating points that are moved
 
@@ -50,7 +51,8 @@ def decide(
         samples: number of samples of the falsifier.
         starts: number of local searches of the falsifier.
         seed: seed of the falsifier's samples.
-        time_limit: time limit of the prover [s].
+        time_limit: time limit of the prover [s]. For an undecided claim of a file, the reason names a tolerance with
+            which it is proved; the search for one takes at most a fifth of the limit.
         progress: function that receives a line of progress from time to time.
 
     Raises:
@@ -63,6 +65,25 @@ def decide(
         v1-printed refuted
         v1-corrected proved
     """
+    verdict = _decide(claim, samples, starts, seed, time_limit, progress)
+    if verdict.verdict != "unknown" or claim.exact is None:
+        return verdict
+    began = time.perf_counter()
+    wider = [each for each in _TOLERANCES if each > claim.tolerance]
+    for tolerance in wider:
+        looser = replace(claim, tolerance=tolerance)
+        if _decide(looser, samples, starts, seed, _HELP * time_limit, None).verdict == "proved":
+            text = f"proved with tolerance = {tolerance:g}, the share of the larger side by which left may exceed right"
+            break
+    else:
+        text = f"not proved with tolerance = {wider[-1]:g} either" if wider else ""
+    reason = "; ".join(filter(None, (verdict.open_ends, text)))
+    return replace(verdict, open_ends=reason, seconds=verdict.seconds + time.perf_counter() - began)
+
+
+def _decide(
+    claim: Claim, samples: int, starts: int, seed: int, time_limit: float, progress: Callable[[str], None] | None
+) -> Verdict:
     began = time.perf_counter()
     empty: InputError | None = None
     try:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import pytest
@@ -102,6 +105,31 @@ def test_what_is_true_is_proved_as_it_stands(
 
 def test_a_branch_that_is_not_taken_must_be_defined_too(tmp_path: Path) -> None:
     assert verdict(tmp_path, "select(x, 0, 0, 0*log(x))", "0", (-1, 1)).verdict == "unknown"
+
+
+@pytest.mark.parametrize(("least", "words"), [(0.5, "either"), (2e-3, "proved with tolerance = 0.001"), (0.0, "")])
+def test_an_undecided_claim_names_a_tolerance_with_which_it_is_proved(
+    least: float, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # sides of size 5: the largest slack of the tolerances is 5e-3
+    module = sys.modules["surctl.verification.decide"]
+    check, prove = module.check_document, module.prove
+
+    allowed: list[float] = []
+
+    def noted(claim: Any, *, slack: float, **options: Any) -> Any:
+        allowed.append(slack)
+        return prove(claim, slack=slack, **options)
+
+    def refusing(document: dict[str, Any]) -> Any:
+        checked = check(document)
+        return checked if allowed[-1] >= least else replace(checked, accepted=False, reason="why")
+
+    monkeypatch.setattr(module, "check_document", refusing)
+    monkeypatch.setattr(module, "prove", noted)
+    found = verdict(tmp_path, "x^2 - 5", "4", (-2, 2))
+    assert (found.verdict == "proved") is (least == 0.0)
+    assert words in found.open_ends and (not words or found.open_ends.startswith("the checker rejects the proof: why"))
 
 
 def test_a_claim_about_nothing_is_called_vacuous(tmp_path: Path) -> None:

@@ -33,11 +33,13 @@ class Corners:
         vehicles: the plants.
         text: description of the vehicles that fits into a sentence, such as "the corners of …".
         labels: for each vehicle, the parameters in which it differs from the nominal vehicle, as text.
+        assumed: whether neither the vehicle file nor the caller states how far mass and drag may be off.
     """
 
     vehicles: tuple[Vehicle, ...]
     text: str
     labels: tuple[str, ...] = ()
+    assumed: bool = False
 
     def label(self, vehicle: Vehicle) -> str:
         """Return the label of one of the vehicles; its name if the vehicles have no labels."""
@@ -46,7 +48,12 @@ class Corners:
 
 
 def corners(
-    vehicle: Vehicle, uncertainty: float | None = None, *, alike: bool = True, known: Collection[str] = ()
+    vehicle: Vehicle,
+    uncertainty: float | None = None,
+    *,
+    alike: bool = True,
+    known: Collection[str] = (),
+    spread: float = 1.0,
 ) -> Corners:
     """Return the nominal vehicle and the corners of its uncertainty.
 
@@ -62,6 +69,7 @@ def corners(
         alike: whether to vary the masses of surge and sway together if the vehicle file gives them equal values and
             equal ranges. False varies the two masses independently; a difference matters, because the Munk moment turns
             a body broadside if its sway mass exceeds its surge mass.
+        spread: factor of ±5 % and ±20 %.
 
     Raises:
         InputError: the uncertainty is out of range.
@@ -77,7 +85,8 @@ def corners(
         labels = tuple(_label(one, free) for one in vehicles)
         text = f"the {len(vehicles)} corners of its parameter ranges{tied}"
         return Corners((vehicle, *vehicles), text, ("nominal", *labels))
-    mass, drag = (MASS_SPREAD, DRAG_SPREAD) if uncertainty is None else (uncertainty, uncertainty)
+    assumed = uncertainty is None
+    mass, drag = (spread * MASS_SPREAD, spread * DRAG_SPREAD) if uncertainty is None else (uncertainty, uncertainty)
     if not 0 <= mass < 1:
         raise InputError(
             "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
@@ -88,7 +97,7 @@ def corners(
     off = f"mass and drag off by ±{mass:.0%}"
     if drag != mass:
         off = f"mass off by ±{mass:.0%} and drag by ±{drag:.0%}"
-    return Corners((vehicle, *scaled), f"the corners with {off}", ("nominal", *labels))
+    return Corners((vehicle, *scaled), f"the corners with {off}", ("nominal", *labels), assumed)
 
 
 def _groups(vehicle: Vehicle, *, alike: bool) -> list[tuple[str, ...]]:

@@ -36,8 +36,10 @@ def corner_margin(
     dt: float,
     model: Vehicle | None = None,
     proved: bool = False,
+    uncertainty: float | None = None,
+    spread: float = 1.0,
 ) -> CornerMargin:
-    """Return the disk margin at the worst corner of the vehicle's ranges.
+    """Return the disk margin at the worst corner of the vehicle's ranges, or of `uncertainty` (see `corners`).
 
     It is the margin of `worst_linear_side`; unless `proved`, without the proof between frequencies.
 
@@ -52,7 +54,7 @@ def corner_margin(
         >>> [round(corner_margin(rov, gains, cruise=u, dt=0.05).margin, 2) for u in (0.1, 0.47)]
         [0.51, 0.0]
     """
-    tried = corners(vehicle)
+    tried = corners(vehicle, uncertainty, spread=spread)
     able = [v for v, can in zip(tried.vehicles, can_cruise(tried.vehicles, cruise), strict=True) if can]
     if not able or able[0] is not vehicle:
         problem = "needs more thrust than the vehicle has"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from surctl.control import Gains
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.vehicle import Vehicle
+from surctl.verification.region.claim import RegionClaim
 from surctl.verification.region.heading import HeadingClaim
 from surctl.verification.region.heading_proof import prove_heading
+from surctl.verification.region.next_step import implies, shorter, weaker
 from surctl.verification.region.proof import RegionProof, prove_region
 from surctl.verification.region.statement import RegionStatement
 from surctl.verification.region.steering import SteeringClaim
@@ -230,10 +233,44 @@ def prove_statement(
 ) -> RegionProof:
     """Prove a region claim for a vehicle and gains, with the search effort that the statement sets.
 
+    If the search finds no proof of a claim about a cruise, a proof of a stronger claim of the library is one too. If
+    there is none, the reason names a weaker claim that is proved, with its number.
+
     Raises:
         InputError, NotApplicable: `RegionStatement.claim` raises this error.
     """
     claim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+    proof = _prove(statement, claim, seed=seed)
+    if proof.verdict == "proved" or not isinstance(claim, (RegionClaim, TurningClaim)):
+        return proof
+    for other in REGION_CLAIMS.values():
+        strong = _claim_or_none(other, vehicle, gains, cruise, cap) if other.loop == statement.loop else None
+        if strong is not None and strong.name != claim.name and implies(strong, claim):
+            result = _prove(shorter(other), strong, seed=seed)
+            if result.verdict == "proved":
+                return replace(result, claim=claim, by=strong.name, seconds=proof.seconds + result.seconds)
+    tried = []
+    for words, one, slow, most in weaker(statement, cruise=cruise, cap=cap):
+        result = _prove(one, one.claim(vehicle, gains, cruise=slow, cap=most), seed=seed)
+        if result.verdict == "proved":
+            return replace(proof, reason=f"{proof.reason}; proved {words}: from {result.offset:.3g} m beside the path")
+        tried.append(words)
+    return replace(proof, reason=f"{proof.reason}; nor is it proved {', or '.join(tried)}")
+
+
+def _claim_or_none(
+    statement: RegionStatement, vehicle: Vehicle, gains: Gains, cruise: float | None, cap: float | None
+) -> RegionClaim | TurningClaim | None:
+    try:
+        claim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+    except (InputError, NotApplicable):
+        return None
+    return claim if isinstance(claim, (RegionClaim, TurningClaim)) else None
+
+
+def _prove(
+    statement: RegionStatement, claim: RegionClaim | HeadingClaim | TurningClaim | SteeringClaim, *, seed: int
+) -> RegionProof:
     if isinstance(claim, HeadingClaim):
         return prove_heading(claim, rounds=statement.attempts, cells=statement.cells)
     if isinstance(claim, SteeringClaim):

@@ -29,6 +29,7 @@ from surctl.verification.region.turning_search import turning_search
 __all__ = ["RegionProof", "prove_region"]
 
 _DIGITS = 7
+_SHRUNK = 2 / 3  # largest share of the offset within which the motion ends, for a region that is of use
 _PROGRAMS = 16  # least number of programs of the turning search, if there are as many attempts
 
 
@@ -47,6 +48,7 @@ class RegionProof(Certified):
         ratios: ratio of the certified level to the least level with a counterexample, and ratio of the certified level
             to the level of thrust saturation; None if the falsifier has no model of the claim.
         rest_offset: largest |y_e| [m] in the region for x_e = 0 and a vehicle at rest; None if the claim states none.
+        by: name of the stronger claim that the certificate states, if it is not the claim itself.
     """
 
     claim: RegionClaim | HeadingClaim | TurningClaim | SteeringClaim
@@ -57,12 +59,20 @@ class RegionProof(Certified):
     extent: float = 0.0
     ratios: LevelRatios | None = None
     rest_offset: float | None = None
+    by: str = ""
+
+    @property
+    def useful(self) -> bool:
+        """Whether the claim is proved and the motion ends within two thirds of the distance from which it starts."""
+        return self.verdict == "proved" and self.ultimate_bound[1] <= _SHRUNK * self.offset
 
     @property
     def sentence(self) -> str:
         """Return the verdict in one line."""
         if self.verdict != "proved":
             return f"unknown: {self.reason}"
+        if self.by:
+            return f"{replace(self, by='').sentence}; by the stronger claim {self.by}"
         x, y = self.ultimate_bound
         if isinstance(self.claim, SteeringClaim):
             low, high = self.claim.speed
@@ -72,8 +82,9 @@ class RegionProof(Certified):
                 f"checked in {self.check_seconds:.2f} s"
             )
         rest = "" if self.rest_offset is None else f" ({self.rest_offset:.3g} m for a start at rest)"
+        lead = "proved" if self.useful else "proved, but the region hardly shrinks"
         return (
-            f"proved: from {self.offset:.3g} m beside the path{rest}, the Lyapunov function decays at "
+            f"{lead}: from {self.offset:.3g} m beside the path{rest}, the Lyapunov function decays at "
             f"{self.claim.rate:g}/s until the robot is within {x:.3g} m along and {y:.3g} m across the path; "
             f"checked in {self.check_seconds:.2f} s" + ("" if self.ratios is None else f"; {self.ratios.sentence}")
         )
@@ -88,6 +99,8 @@ class RegionProof(Certified):
             "extent_m": self.extent,
             "level_ratios": None if self.ratios is None else self.ratios._asdict(),
             "rate_per_s": self.claim.rate,
+            "useful": self.useful,
+            "by_stronger_claim": self.by or None,
             "seconds": self.seconds,
             "check_seconds": self.check_seconds,
         }

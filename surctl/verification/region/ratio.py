@@ -30,7 +30,7 @@ class LevelRatios(NamedTuple):
         """Return a sentence that states both ratios."""
         return (
             f"certified level: {self.falsifier:.0%} of the smallest level with a counterexample, {self.thrust:.0%} of "
-            "the level at which thrust saturates"
+            "the level at which thrust saturates" + (", so no thrust limit acts in it" if self.thrust < 1 else "")
         )
 
 
