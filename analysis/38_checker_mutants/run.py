@@ -202,6 +202,7 @@ class Campaign:
     def __init__(self, tried: Sequence[Mutant], *, workers: int, patience: float, anew: bool) -> None:
         self.tried, self.workers, self.patience, self.anew = tried, workers, patience, anew
         self.results: dict[Mutant, Result] = {}
+        self.values: dict[tuple[str, str], Any] = {}  # of the fixtures of whole files, by file and name
         self.error = "the tests cannot be loaded"
 
     def pytest_collection(self) -> None:
@@ -211,6 +212,19 @@ class Campaign:
         settings.register_profile("mutants", settings(), phases=[Phase.explicit, Phase.generate], database=None)
         settings.load_profile("mutants")
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
+        """Return the value that a fixture of a whole file had without a mutant, if it is known."""
+        value = self.values.get((fixturedef.baseid, fixturedef.argname))
+        if value is not None:
+            fixturedef.cached_result = value, fixturedef.cache_key(request), None
+        return value
+
+    def pytest_fixture_post_finalizer(self, fixturedef: Any) -> None:
+        """Store the value of a fixture of a whole file."""
+        if fixturedef.scope == "module" and fixturedef.cached_result and fixturedef.cached_result[2] is None:
+            self.values.setdefault((fixturedef.baseid, fixturedef.argname), fixturedef.cached_result[0])
+
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Run the mutants."""
         try:
@@ -219,6 +233,11 @@ class Campaign:
             self.error = str(error)
             return True
         self.error = ""
+        for item in sorted(session.items, key=lambda item: calls[item.nodeid][0]):
+            fixtures = (found[-1] for found in item._fixtureinfo.name2fixturedefs.values())  # type: ignore[attr-defined]
+            if any(f.scope == "module" and f.baseid == item.parent.nodeid and (f.baseid, f.argname) not in self.values
+                   for f in fixtures):  # fmt: skip
+                passes(item, None)
         gc.freeze()
         items = {item.nodeid: item for item in session.items}
         known: dict[str, tuple[str, str]] = json.loads(CAUGHT.read_text()) if CAUGHT.is_file() else {}
@@ -242,8 +261,8 @@ class Campaign:
                     by = json.loads(file.read() or json.dumps(SLOW))
                 result = self.results[mutant] = Result(by, used.ru_utime + used.ru_stime)
                 if result.caught:
-                    known[mutant.id] = mutant.digest(by), by
-                    CAUGHT.write_text(json.dumps(known))
+                    stored = json.loads(CAUGHT.read_text()) if CAUGHT.is_file() else {}  # others may run at once
+                    CAUGHT.write_text(json.dumps(stored | {mutant.id: (mutant.digest(by), by)}))
                 else:
                     print(f"{mutant.id}: {by or 'survives'}", file=sys.__stderr__, flush=True)
         return True
