@@ -52,10 +52,11 @@ def test_nothing_proves_that_0_is_not_negative() -> None:
     ("changed", "says"),
     [
         ({"blocks": [ZERO] * 601}, "too many sums of squares"),
+        ({"blocks": [ONE | {"factors": ["l0"] * 5}]}, "a sum of squares has 5 factors beside it"),
         ({"facts": [None] * 61}, "the proof has 2 variables and 61 inequalities"),
         ({"symbols": [f"exp({k}*x)" for k in range(41)]}, "the proof has 41 variables"),
         *(({"symbols": ["x", text]}, "symbol 1 does not have the form")
-          for text in ("3", "x + y", "y^2", "x*y", "2*x")),
+          for text in ("3", "x + y", "y^2", "x*y", "pi*y", "2*x")),
         ({"relations": [{"symbol": 0, "monomials": [], "factors": [[1, 1]]}], "symbols": ["sin(x)", "cos(x)"]},
          "a relation has a wrong number of factors"),
         ({"relations": [{"symbol": 0, "monomials": [[0, 0]] * 2, "factors": [[0, 1]] * 2}],
