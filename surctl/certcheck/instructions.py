@@ -334,7 +334,7 @@ def _loop(
 
     def step(scope: _Scope) -> None:
         points = max([scope[name].shape[1] for name in order], default=1)
-        now = [_by_lane(scope[name], lanes) for name in carried]
+        now = [_by_lane(np.broadcast_to(scope[name], (sizes[name], points)), lanes) for name in carried]
         pieces = [scope[name].reshape(count, -1, lanes, scope[name].shape[1]) for name in sliced]
         apart = [scope[name].reshape(count, lanes, -1, scope[name].shape[1]) for name in spread]
         rows: list[list[Array]] = [[] for _ in stacked]

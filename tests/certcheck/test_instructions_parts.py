@@ -59,7 +59,9 @@ def test_a_program_with_a_wrong_word(old: str, new: str) -> None:
 
 @pytest.mark.parametrize(
     ("routine", "program", "old", "new"),
-    [(CALL, SQUARE, "out c", "outs c"), (CALL, SQUARE, "in a 2", "in b 1"), (CALL, SQUARE, "c = call", "a = call"),
+    [(CALL, SQUARE, "out c", "outs c"), (CALL, SQUARE, "in a 2", "in b 1"),
+     (CALL, SQUARE, "c = call {0} b\nout c", "a = call {0} b\nout a"),
+
      (CALL, SQUARE, "c = call", "c d = call"), (CALL, SQUARE, "{0} b", "{0} a"),
      *((GATHER, "", old, new) for old, new in (
          ("width 2", "wide 2"), ("lanes 1", "lane 1"), ("in at 1", "in at 2"), ("in a 4", "in a 3"),
@@ -109,13 +111,13 @@ def test_the_vectors_have_the_sizes_of_the_list() -> None:
     [("d = gather c b width 1 lanes 1", [[3, 1, 1]]), ("k = call {1} b\nd = gather k b width 1 lanes 1", [[0, 1, 4]]),
      ("e f = call {2} c\nd = gather x f width 1 lanes 1", [[1, 2, 3]]), ("d = call {3} c b", [[3, 4, 5]]),
      ("e f = call {2} c\n"
-      "d = loop {4} count 2 index 0 until None carried f sliced fixed b spread lanes 1", [[1, 3, 5]])],
+      "u d = loop {4} count 2 index 0 until None carried f sliced fixed b spread lanes 1", [[1, 1, 1], [1, 2, 3]])],
 )  # fmt: skip
 def test_numbers_of_a_list_are_the_same_at_all_points(routine: str, expected: list[list[float]]) -> None:
     """A block without inputs computes one number, which goes with the numbers of all points."""
     pair = "program p\nin0 k 2\nv0 = in0[0]\nv1 = in0[1]\nout0 e v0\nout1 f v1\n"
     both = "program s\nin0 k 2\nin1 b 1\nv0 = in0[0]\nv1 = in1[0]\nv2 = add v0 v1\nout0 y v2\n"
-    programs = [NUMBERS, SQUARE, pair, both, STEP]
+    programs = [NUMBERS, SQUARE, pair, both, f"{STEP}out1 row v0\n"]
     used = [NUMBERS, *(p for k, p in enumerate(programs[1:], 1) if f"{{{k}}}" in routine)]
     keys = [read_list(program).key for program in programs]
     text = f"routine r\nin x 2\nin b 1\nc = call {{0}}\n{routine}\nout d\n".format(*keys)
