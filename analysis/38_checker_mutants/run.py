@@ -40,6 +40,15 @@ QUICK = "definite"
 CAUGHT = Path("surctl-out") / "checker-mutants.json"  # by mutant: a digest and the test that caught it
 CALLS = Path("surctl-out") / "checker-calls.json"  # by digest of a file of tests: the functions that each test calls
 SLOW = "takes too long"
+_FIRST = "the first operation of a table has no operands, so it is a number or a variable"
+EQUIVALENT = {
+    "expressions: ExpressionTable.total: return all(self._is_total(self.entries[at]) for at in self.needed(roots)) -> "
+    "return all(self._is_total(self.entries[at]) for at in [*(self.needed(roots))][1:])": _FIRST,
+    "motion: Motion._continuous: table.needed(roots) -> [*(table.needed(roots))][1:]": _FIRST,
+    "identity: Exact._reduced: atom = max(squared, key=lambda k: (len(k), k)) -> "
+    "atom = min(squared, key=lambda k: (len(k), k))": "each square is replaced, in whichever order",
+}
+"""By name of a mutant that changes no verdict: the reason. They are not run."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +211,7 @@ class Campaign:
     def __init__(self, tried: Sequence[Mutant], *, workers: int, patience: float, anew: bool) -> None:
         self.tried, self.workers, self.patience, self.anew = tried, workers, patience, anew
         self.results: dict[Mutant, Result] = {}
+        self.values: dict[tuple[str, str], Any] = {}  # of the fixtures of whole files, by file and name
         self.error = "the tests cannot be loaded"
 
     def pytest_collection(self) -> None:
@@ -211,6 +221,19 @@ class Campaign:
         settings.register_profile("mutants", settings(), phases=[Phase.explicit, Phase.generate], database=None)
         settings.load_profile("mutants")
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Any:
+        """Return the value that a fixture of a whole file had without a mutant, if it is known."""
+        value = self.values.get((fixturedef.baseid, fixturedef.argname))
+        if value is not None:
+            fixturedef.cached_result = value, fixturedef.cache_key(request), None
+        return value
+
+    def pytest_fixture_post_finalizer(self, fixturedef: Any) -> None:
+        """Store the value of a fixture of a whole file."""
+        if fixturedef.scope == "module" and fixturedef.cached_result and fixturedef.cached_result[2] is None:
+            self.values.setdefault((fixturedef.baseid, fixturedef.argname), fixturedef.cached_result[0])
+
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         """Run the mutants."""
         try:
@@ -219,11 +242,16 @@ class Campaign:
             self.error = str(error)
             return True
         self.error = ""
+        for item in sorted(session.items, key=lambda item: calls[item.nodeid][0]):
+            fixtures = (found[-1] for found in item._fixtureinfo.name2fixturedefs.values())  # type: ignore[attr-defined]
+            if any(f.scope == "module" and f.baseid == item.parent.nodeid and (f.baseid, f.argname) not in self.values
+                   for f in fixtures):  # fmt: skip
+                passes(item, None)
         gc.freeze()
         items = {item.nodeid: item for item in session.items}
         known: dict[str, tuple[str, str]] = json.loads(CAUGHT.read_text()) if CAUGHT.is_file() else {}
         running: dict[int, tuple[Mutant, int]] = {}
-        waiting = list(self.tried)[::-1]
+        waiting = [mutant for mutant in self.tried[::-1] if mutant.id not in EQUIVALENT]
         while waiting or running:
             while waiting and len(running) < self.workers:
                 mutant = waiting.pop()
@@ -231,7 +259,7 @@ class Campaign:
                 if not self.anew and first in items and digest == mutant.digest(first):
                     self.results[mutant] = Result(first, 0.0)
                     continue
-                tests = sorted(_tests(mutant, calls), key=lambda test, first=first: (test != first, calls[test][0]))
+                tests = sorted(_tests(mutant, calls), key=lambda test, first=first: (test != first, _cost(calls[test])))
                 chosen = [items[test] for test in tests]
                 process, pipe = forked(lambda m=mutant, chosen=chosen: attempt(m, chosen, self.patience))
                 running[process] = mutant, pipe
@@ -242,11 +270,16 @@ class Campaign:
                     by = json.loads(file.read() or json.dumps(SLOW))
                 result = self.results[mutant] = Result(by, used.ru_utime + used.ru_stime)
                 if result.caught:
-                    known[mutant.id] = mutant.digest(by), by
-                    CAUGHT.write_text(json.dumps(known))
+                    stored = json.loads(CAUGHT.read_text()) if CAUGHT.is_file() else {}  # others may run at once
+                    CAUGHT.write_text(json.dumps(stored | {mutant.id: (mutant.digest(by), by)}))
                 else:
                     print(f"{mutant.id}: {by or 'survives'}", file=sys.__stderr__, flush=True)
         return True
+
+
+def _cost(calls: tuple[float, list[str]]) -> float:
+    """Return a measure of how late a test comes: short tests that call few functions are the first."""
+    return calls[0] * len(calls[1])
 
 
 def _tests(mutant: Mutant, calls: dict[str, tuple[float, list[str]]]) -> list[str]:
@@ -265,23 +298,28 @@ def attempt(mutant: Mutant, tests: Sequence[pytest.Item], patience: float) -> st
     return next(failed, "")
 
 
-def printed(results: dict[Mutant, Result]) -> str:
+def printed(tried: Sequence[Mutant], results: dict[Mutant, Result]) -> str:
     """The tables."""
     modules: dict[str, Counter[str]] = {}
     for mutant, result in results.items():
         modules.setdefault(mutant.module, Counter()).update(["mutants", *["caught"] * result.caught])
     caught = sum(result.caught for result in results.values())
-    lines = [f"{caught} of {len(results)} mutants are caught.", "", "| module | mutants | caught |", "|---|---|---|"]
+    same = [mutant for mutant in tried if mutant.id in EQUIVALENT]
+    lines = [f"{caught} of {len(results)} mutants are caught; {len(same)} others change no verdict.", "",
+             "| module | mutants | caught |", "|---|---|---|"]  # fmt: skip
     lines += [f"| `{name}` | {n['mutants']} | {n['caught']} |" for name, n in sorted(modules.items())]
     kinds = Counter(mutant.change.kind for mutant in results)
     lines += ["", "| the mutant | number |", "|---|---|", *(f"| {k} | {n} |" for k, n in sorted(kinds.items()))]
-    open_ = [(m, r) for m, r in results.items() if not r.caught]
-    if open_:
-        lines += ["", "| survives | instead of | with |", "|---|---|---|"]
-        for mutant, _ in open_:
+    open_ = [m for m, r in results.items() if not r.caught]
+    for what, rows in (
+        ("survives", [(m, "") for m in open_]),
+        ("changes nothing", [(m, EQUIVALENT[m.id]) for m in same]),
+    ):
+        lines += ["", f"| {what} | instead of | with | because |", "|---|---|---|---|"] if rows else []
+        for mutant, reason in rows:
             change = mutant.change
             texts = (f"`{text.replace('|', '∣')}`" for text in (change.old, change.new))
-            lines.append(f"| `{mutant.module}`, {change.function} | {' | '.join(texts)} |")
+            lines.append(f"| `{mutant.module}`, {change.function} | {' | '.join(texts)} | {reason} |")
     return "\n".join(lines)
 
 
@@ -310,7 +348,7 @@ def main(words: Sequence[str] | None = None) -> int:
     if campaign.error:
         print(f"error: {campaign.error}", file=sys.stderr)
         return 2
-    text = printed({mutant: campaign.results[mutant] for mutant in tried})
+    text = printed(tried, {mutant: campaign.results[mutant] for mutant in tried if mutant in campaign.results})
     print(text)
     if given.write:
         folder = Path(__file__).parent

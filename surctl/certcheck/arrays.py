@@ -69,7 +69,7 @@ def proved_together(
         for root in roots:
             needed, left = expressions.needed([root]), np.flatnonzero(~done[among])
             step = _MOST // (len(needed) * (len(low) + 1))
-            if step < FEWEST or any(expressions.entries[at].op in _OTHERS for at in needed):
+            if step < FEWEST or not {expressions.entries[at].op for at in needed}.isdisjoint(_OTHERS):
                 continue
             for begin in range(0, len(left), step):
                 part = left[begin : begin + step]

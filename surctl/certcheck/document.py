@@ -250,7 +250,7 @@ def _first_inexact(text: str) -> tuple[str, str]:
             return error
 
     waiting = [("", json.loads(text, parse_float=mark))]
-    while waiting:
+    while True:  # there is one
         key, value = waiting.pop()
         if met and value is met[0]:
             return key.lstrip("."), str(value)
@@ -258,7 +258,6 @@ def _first_inexact(text: str) -> tuple[str, str]:
             waiting += [(f"{key}.{_short(name)}", entry) for name, entry in value.items()]
         elif isinstance(value, list):
             waiting += [(f"{key}[{k}]", entry) for k, entry in enumerate(value) if not isinstance(entry, float)]
-    raise AssertionError("every number is exact")
 
 
 def _short(text: str) -> str:

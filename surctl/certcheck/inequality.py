@@ -124,8 +124,6 @@ class Inequality:
 
     def _branches(self) -> list[int]:
         """Return the distinct abs, max, min and select entries: of the left side, the right side, the constraints."""
-        if not any(self.expressions.entries[at].op in BRANCHES for at in self.expressions.needed(self.parts)):
-            return []
         met, visited, waiting = list[int](), set[int](), list(reversed(self.parts))
         while waiting:
             at = waiting.pop()
@@ -351,7 +349,7 @@ def _bends_down(bend: list[list[Interval]], free: list[bool]) -> bool:
     m = [[None if bend[i][j] is None else libmp.mpi_neg(bend[i][j]) for j in keep] for i in keep]
     for k in range(len(keep)):
         pivot = m[k][k]
-        if pivot is None or not above(pivot) or libmp.finf in pivot:
+        if pivot is None or not above(pivot):
             return False
         for i in range(k + 1, len(keep)):
             for j in range(k + 1, len(keep)):

@@ -194,7 +194,7 @@ def _constant(word: str) -> float:
 
 
 def _load(word: str, sizes: Sequence[int]) -> tuple[int, int]:
-    match = re.fullmatch(r"in(\d{1,6})\[(\d{1,6})\]", word)
+    match = re.fullmatch(r"in([0-9]{1,6})\[([0-9]{1,6})\]", word)
     if match is None:
         raise ValueError(word)
     vector, entry = int(match[1]), int(match[2])
@@ -224,7 +224,7 @@ def _inputs(lines: Sequence[str], mark: str) -> tuple[list[str], tuple[int, ...]
 
 
 def _whole(word: str, least: int, most: int) -> int:
-    if not re.fullmatch(r"\d{1,7}", word) or not least <= int(word) <= most:
+    if not re.fullmatch("[0-9]{1,7}", word) or not least <= int(word) <= most:
         raise ValueError(word)
     return int(word)
 
@@ -255,7 +255,7 @@ def _routine(lines: Sequence[str], blocks: Mapping[str, Block]) -> Block:
             depth = max(depth, 1 + block.depth)
             step, shapes, turns = (_call if kind == "call" else _loop)(block, rest, sizes, targets)
             operations += turns * block.operations
-        if len(shapes) != len(targets) or set(targets) & sizes.keys() or max(shapes, default=0) > _LARGEST:
+        if set(targets) & sizes.keys():
             raise ValueError(line)
         sizes |= dict(zip(targets, shapes, strict=True))
         steps.append(step)
@@ -334,7 +334,7 @@ def _loop(
 
     def step(scope: _Scope) -> None:
         points = max([scope[name].shape[1] for name in order], default=1)
-        now = [_by_lane(scope[name], lanes) for name in carried]
+        now = [_by_lane(np.broadcast_to(scope[name], (sizes[name], points)), lanes) for name in carried]
         pieces = [scope[name].reshape(count, -1, lanes, scope[name].shape[1]) for name in sliced]
         apart = [scope[name].reshape(count, lanes, -1, scope[name].shape[1]) for name in spread]
         rows: list[list[Array]] = [[] for _ in stacked]

@@ -62,8 +62,8 @@ class Same:
     slack: float
 
     def apart(self, first: Array, second: Array) -> Array:
-        """Return at which points (n,) any row differs by more than rounding, relative to the largest number."""
-        scale = max(float(np.max(np.abs(first), initial=0.0)), float(np.max(np.abs(second), initial=0.0)))
+        """Return at which points (n,) any row differs by more than rounding, relative to the second's largest."""
+        scale = float(np.max(np.abs(second), initial=0.0))
         within = np.abs(first - second) <= self.slack * scale
         return np.asarray(~np.all(within, axis=0))
 

@@ -85,7 +85,7 @@ def compare_dynamics(
     ):
         moves = isinstance(entry, str)
         own = claimed[entry] if isinstance(entry, str) else np.zeros(_POINTS)
-        most = _SLACK * max(np.max(np.abs(own)), np.max(np.abs(rate))) if moves else _RESTS * scale
+        most = _SLACK * np.max(np.abs(rate)) if moves else _RESTS * scale
         apart = ~(np.abs(own - rate) <= most + rounding)
         if apart.any():
             at = int(np.argmax(apart))

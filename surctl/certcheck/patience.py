@@ -26,7 +26,7 @@ MEMORY = 24_000_000
 
 @dataclass
 class _Limits:
-    seconds: float = math.inf
+    seconds: float = 0.0  # up to `end`, for the message
     end: float = math.inf
     memory: float = math.inf
     held: int = 0

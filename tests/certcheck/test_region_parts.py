@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from itertools import islice
+from math import isqrt
 from pathlib import Path
 from typing import Any
 
@@ -432,3 +433,18 @@ def test_roots_in_the_bounds_of_a_shell_are_rounded_to_the_safe_side(monkeypatch
             change = mp.sqrt(k1**2 * (1 + off**2) + (exact(cap) / ahead) ** 2) * exact(steepest * claim.place_error)
             still = exact(steady.total + claim.force + claim.mass_model * claim.k_v * claim.velocity_error)
             assert exact(at.held) >= 2 * (still + change)
+
+
+def test_the_share_of_a_thrust_deviation_stays_below_the_limit_to_the_last_digit() -> None:
+    """What remains of the thrust lies between √g, the deviation, and a root of g that is rounded down."""
+    claim, _, steady = parts()
+    free = Trim(steady.omega, steady.command, *(Fraction(0),) * 4)
+    gain, digits = claim.mass_model * claim.k_v, 10**9
+    for number in range(200, 212):
+        g = Fraction(number)
+        cov = [[g / gain**2 * (i == j == 2) for j in range(4)] for i in range(4)]
+        fine = Fraction(isqrt(number * digits**4), digits**2)
+        middle = (fine + Fraction(isqrt(number * digits**2), digits)) / 2
+        tight = replace(claim, thrust=middle / 2)
+        share = _thrust_share(tight, free, cov, [(Fraction(0),) * 3], (Fraction(0),), Fraction(1))
+        assert share**2 * g <= tight.thrust**2

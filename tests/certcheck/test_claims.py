@@ -1,0 +1,179 @@
+"""The readers of claims about motion: each entry has one form, and a claim with another one is refused by name."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Callable
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surctl.certcheck import braking_claim, check_document, heading_claim, region_claim, steering_claim, turning_claim
+from surctl.certcheck.document import Rejected, seal
+from surctl.certcheck.region_claim import number
+from surctl.certcheck.turning_claim import factors, read_terms
+from tests.certcheck.altering import put, value_of
+
+READERS: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "region": (region_claim.read_claim, "region-cruise-ranges"),
+    "turning": (turning_claim.read_claim, "region-turning-20"),
+    "steering": (steering_claim.read_claim, "region-steered-20"),
+    "heading": (heading_claim.read_claim, "region-heading-ranges"),
+    "braking": (braking_claim.read_claim, "braking-inertia-ranges"),
+}
+
+
+@cache
+def stored(kind: str) -> Any:
+    return json.loads(Path(__file__).with_name(f"{READERS[kind][1]}.json").read_text())["claim"]
+
+
+def refuses(kind: str, path: tuple[Any, ...], value: Any, says: str | None = None) -> None:
+    with pytest.raises(Rejected, match=says):
+        READERS[kind][0](put(copy.deepcopy(stored(kind)), path, value))
+
+
+def lists(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """Where lists of numbers, or of such lists, stand."""
+    if isinstance(value, dict):
+        return [place for key, entry in value.items() for place in lists(entry, (*path, key))]
+    if not isinstance(value, list) or not value or isinstance(value[0], str):
+        return []
+    return [path, *(place for at, entry in enumerate(value) for place in lists(entry, (*path, at)))]
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_every_list_of_a_claim_has_its_length(kind: str) -> None:
+    READERS[kind][0](stored(kind))
+    for path in lists(stored(kind)):
+        value = value_of(stored(kind), path)
+        for wrong in (None, value[:-1], [*value, value[-1]], "ab", {}):
+            refuses(kind, path, wrong)
+
+
+RANGES = [
+    *(("region", key) for key in ("mass_kg", "linear_drag", "quadratic_drag", "lag_s")),
+    *(("braking", key) for key in ("mass_kg", "linear_drag", "quadratic_drag")),
+    *(("turning", key) for key in ("mass_factor", "drag_factor", "lag_s")),
+    *(("steering", key) for key in ("mass_factor", "drag_factor", "speed_m_per_s")),
+    *(("heading", key) for key in heading_claim._RANGES),
+]
+
+
+@pytest.mark.parametrize(("kind", "key"), RANGES)
+def test_a_range_is_least_then_largest(kind: str, key: str) -> None:
+    says = "must be a range above 0" if (kind, key) == ("turning", "lag_s") else "the least value exceeds the largest"
+    refuses(kind, ("vehicle", key), [2.0, 1.0], says)
+
+
+@pytest.mark.parametrize(
+    ("kind", "path", "value", "says"),
+    [
+        *((kind, ("system",), "other", "claim.system 'other' is not known") for kind in READERS),
+        *((kind, ("excludes",), ["another"], "claim.excludes differs") for kind in READERS if kind != "braking"),
+        ("braking", ("assumes",), [], "claim.assumes or claim.lemmas differs"),
+        ("braking", ("lemmas",), [], "claim.assumes or claim.lemmas differs"),
+        *((kind, (key,), value, f"claim.{key} is not a SHA-256") for kind in READERS
+          for key in ("sha256_vehicle", "sha256_law") for value in (3, None, "A" * 64, "0" * 63)
+          if (kind, key) != ("heading", "sha256_law")),
+        *((kind, ("law", key), 0.1, "must be 0: the certified loop has no integral action")
+          for kind, key in (("region", "k_i"), ("turning", "k_i"), ("steering", "k_i"), ("braking", "k_i_per_s2"))),
+        ("region", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must not start at 0"),
+        ("region", ("motion", "ultimate_bound_m"), [0.1], "ultimate_bound_m must be"),
+        ("turning", ("vehicle", "mass_asymmetry"), 2.0, "an asymmetry must be below 2"),
+        ("turning", ("vehicle", "drag_asymmetry"), 2.0, "an asymmetry must be below 2"),
+        ("turning", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must be a range above 0"),
+        *(("steering", ("vehicle", "terms"), {**terms, "m24": 1.0}, f"{next(iter(terms))} is not covered")
+          for terms in ({"m12": 1.0}, {"m14": 1.0}, {"Y0": 1.0}, {"N0": 1.0}, {"Yu": 1.0}, {"Nuu": 1.0})),
+        ("steering", ("vehicle", "terms"), {"m24": 1.0, "Yu": 1.0}, "Yu is not covered"),
+        ("steering", ("law", "fin_share"), 0.5, "fin_share must be 0 without a side force"),
+        ("steering", ("law", "fin_share"), 1.0, "fin_share must be 0 without a side force"),
+        ("steering", ("vehicle", "side_per_m"), 0.5, "fin_share must be 0 without a side force"),
+        ("braking", ("vehicle", "drag"), "other", "claim.vehicle.drag must be one of"),
+        ("braking", ("vehicle", "mass_ratio"), 0.9, "must be at least 1"),
+        ("braking", ("encounter", "obstacles_m_per_s"), [0.0, 0.0], "obstacles_m_per_s must rise"),
+        ("braking", ("encounter", "obstacles_m_per_s"), [0.1, 0.0], "obstacles_m_per_s must rise"),
+        ("braking", ("encounter", "obstacles_m_per_s"), [], "must be a list of 1 to 12 numbers"),
+        ("braking", ("encounter", "obstacles_m_per_s"), [0.1 * k for k in range(13)], "must be a list of 1 to 12"),
+        ("braking", ("table", "speeds_m_per_s"), None, "must be a list of 1 to 12 numbers"),
+        ("braking", ("law", "barrier"), "other", "claim.law.barrier must be one of"),
+        ("braking", ("law", "stopping", "lightest_kg"), 1e6, "lightest_kg exceeds heaviest_kg"),
+    ],
+)  # fmt: skip
+def test_an_entry_of_another_form_is_named(kind: str, path: tuple[Any, ...], value: Any, says: str) -> None:
+    refuses(kind, path, value, says)
+
+
+def test_a_current_does_not_go_with_lag_or_held_commands() -> None:
+    claim = copy.deepcopy(stored("region"))
+    claim["vehicle"].update(current_m_per_s=0.01, lag_s=[0.0, 0.0])
+    claim["law"].update(period_s=0.0)
+    region_claim.read_claim(claim)
+    for part, key, value in (("vehicle", "lag_s", [0.1, 0.1]), ("law", "period_s", 0.05)):
+        with pytest.raises(Rejected, match="a current with lag or with held commands is not supported"):
+            region_claim.read_claim(put(copy.deepcopy(claim), (part, key), value))
+
+
+@pytest.mark.parametrize("name", ["closed_m", "distance_m", "needed_m"])
+def test_a_table_has_a_row_for_each_speed_and_a_column_for_each_obstacle(name: str) -> None:
+    table = stored("braking")["table"][name]
+    for rows in (table[:-1], [*table, table[0]], dict(enumerate(table)), None):
+        refuses("braking", ("table", name), rows, "must have one row for each speed")
+    for at in range(len(table)):
+        rows = [[*row, 1.0] if k == at else row for k, row in enumerate(table)]
+        refuses("braking", ("table", name), rows, "must have one column for each obstacle")
+
+
+def test_a_side_force_of_fins_has_the_share_1() -> None:
+    claim = copy.deepcopy(stored("steering"))
+    claim["law"]["fin_share"], claim["vehicle"]["side_per_m"] = 1.0, -0.5
+    claim["vehicle"]["terms"] = {"m24": 1.0, "Yu": 0.0}
+    assert steering_claim.read_claim(claim).finned
+
+
+def test_numbers_are_decimals_of_a_limited_size() -> None:
+    assert number(0.1, "it") == Fraction(1, 10) and number(0, "it") == 0 and number(1e-18, "it", above=True)
+    assert number(-3, "it", least=-(10**9)) == -3
+    for value in (True, "1", None, float("nan"), float("inf"), 10**30):
+        with pytest.raises(Rejected, match="it must be a finite number"):
+            number(value, "it")
+    for value, more in ((-0.1, {}), (0.0, {"above": True}), (0.9, {"least": 1}), (1, {"least": 1, "above": True})):
+        with pytest.raises(Rejected, match=r"it must be (above|at least) [01], not"):
+            number(value, "it", **more)  # type: ignore[arg-type]
+    for value in (1e30, 9e-19):
+        with pytest.raises(Rejected, match="it is too large or too close to 0"):
+            number(value, "it")
+
+
+def test_terms_of_a_vehicle_are_those_beside_equation_3() -> None:
+    assert read_terms({"m24": -1.0, "Yrr": 2.0}) == {"m24": -1, "Yrr": 2}
+    for terms in (None, ["m24"], "m24", {f"m{k}": 1.0 for k in range(1000)}):
+        with pytest.raises(Rejected, match="terms must be an object"):
+            read_terms(terms)
+    for name in ("m11", "Xu", "x", "m24 ", "", "thrust_lag"):
+        for terms in ({name: 1.0, "m24": 1.0}, {"m24": 1.0, name: 1.0}):
+            with pytest.raises(Rejected, match="is not a term beside equation"):
+                read_terms(terms)
+
+
+def test_the_vertices_hold_all_pairs_that_differ_by_at_most_the_asymmetry() -> None:
+    """Each vertex is a pair of the set, and the two extreme pairs are among the vertices."""
+    for share in (Fraction(1, 20), Fraction(1, 2), Fraction(3, 2)):
+        ends = Fraction(4, 5), Fraction(6, 5)
+        found = factors(ends, share, 2)
+        for a, b in found:
+            assert all(ends[0] <= end <= ends[1] for end in (a, b))
+            assert abs(a - b) <= share * (a + b) / 2
+        widest = max(found, key=lambda pair: (pair[0] - pair[1], pair))
+        assert widest[0] == ends[1] and widest[1] == max(ends[0], ends[1] * (2 - share) / (2 + share))
+        lowest = min(found, key=lambda pair: (pair[1], -pair[0]))
+        assert lowest == (min(ends[1], ends[0] * (2 + share) / (2 - share)), ends[0])
+
+
+@pytest.mark.parametrize("kind", ["document", "patience", "", "os", "region.x"])
+def test_a_kind_is_one_of_those_that_are_checked(kind: str) -> None:
+    assert check_document(seal(kind, {}, {})).reason == f"the kind {kind!r} is not known to this checker"
