@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from surctl.assessment.assessment import Figure, Line, Part
+from surctl.assessment.figures import loop_figures, loop_line
 from surctl.control import Gains, Law, build_law, law_source
 from surctl.errors import InputError
 from surctl.guidance import Guidance
@@ -26,7 +25,6 @@ from surctl.verification import (
 )
 from surctl.verification.cascade import has_cascade
 from surctl.verification.linear import (
-    LEAST_DISK_MARGIN,
     LinearSide,
     Mode,
     corners,
@@ -34,7 +32,6 @@ from surctl.verification.linear import (
     slowest_mode,
     worst_linear_side,
 )
-from surctl.verification.margins import LEAST_DELAY_MARGIN
 
 __all__ = ["LoopAnalysis", "analyse_loop", "loop_part"]
 
@@ -77,61 +74,24 @@ class LoopAnalysis:
             line = Line(False if self.failed else None, f"margins: not judged, because {self.unjudged}", "margins")
             return Part((), (replace(line, counts=self.failed),), self)
         figures = self._figures()
-        return Part(figures, (self._line({figure.name: figure for figure in figures}),), self)
+        place = f"at {self.cruise:g} m/s"
+        if self.law is not None and self.law.nominal.place:
+            place = f"about {self.law.nominal.place}"
+        mode = self.mode
+        why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
+        line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
+        return Part(tuple(figures.values()), (line,), self)
 
-    def _figures(self) -> tuple[Figure, ...]:
+    def _figures(self) -> dict[str, Figure]:
         if self.law is not None:
             nominal, worst, corner = self.law.nominal.disk, self.law.disk, self.law.corner
-            slowest = (_rate(self.law.nominal), _rate(self.law.worst))
+            slowest = (self.law.nominal.slowest_per_s, self.law.slowest_per_s)
         else:
             first, last = self.sides
             nominal, worst, corner = first.disk, last.disk, last.corner or "the nominal vehicle"
             slowest = (first.slowest_per_s, last.slowest_per_s)
-        delay = min(self.margins, key=lambda m: m.delay_margin_s)
-        single = min(self.margins, key=lambda m: m.disk_margin)
         which = f"mass and drag off by ±{self.uncertainty:.0%}" if self.uncertainty else "nominal vehicle"
-        alone = f"of one loop alone, {which}"
-        return (
-            Figure("disk_margin", worst, "1", _DISK, "high", LEAST_DISK_MARGIN, corner),
-            Figure("nominal_disk_margin", nominal, "1", "disk margin of the nominal vehicle", "high"),
-            Figure(
-                "single_loop_disk_margin", single.disk_margin, "1", f"least disk margin {alone}",
-                "high", where=single.name,
-            ),
-            Figure(
-                "delay_margin_s", delay.delay_margin_s, "s", f"least delay margin {alone}",
-                "high", LEAST_DELAY_MARGIN, delay.name,
-            ),
-            Figure("slowest_pole_per_s", slowest[0], "1/s", "largest real part of a pole, nominal vehicle", "low"),
-            Figure("corner_slowest_pole_per_s", slowest[1], "1/s", "largest real part of a pole, corners", "low"),
-        )  # fmt: skip
-
-    def _line(self, figures: dict[str, Figure]) -> Line:
-        place = f"at {self.cruise:g} m/s"
-        if self.law is not None and self.law.nominal.place:
-            place = f"about {self.law.nominal.place}"
-        disk, nominal, delay = (figures[n] for n in ("disk_margin", "nominal_disk_margin", "delay_margin_s"))
-        if self.stable is False:
-            text = f"the linear loop {place} is UNSTABLE"
-            if nominal.value > 0:
-                text += f" at the corner {disk.where}; the nominal disk margin is {nominal.value:.2f}"
-            elif self.mode is not None:
-                text += f" (loop {self.mode.loop}): {unstable_text(self.mode)}"
-            else:
-                text += "; lower the cruise speed"
-            return Line(False, text, "margins")
-        short = [
-            f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough
-        ]
-        value = "not determined" if np.isnan(disk.value) else f"{disk.value:.2f}"
-        text = f"margins {place}: disk margin {value} at the worst corner, {nominal.value:.2f} nominal; least delay "
-        text += f"margin {delay.value:.2f} s ({delay.where})"
-        if short:
-            text += f"; required: {', '.join(short)} (worst corner: {disk.where})"
-        return Line(not short, text, "margins")
-
-
-_DISK = "all loops at once, at commands or measurements, at the worst corner of the vehicle's ranges"
+        return loop_figures((nominal, worst), slowest, self.margins, corner=corner, which=which)
 
 
 def unstable_text(mode: Mode) -> str:
@@ -233,11 +193,6 @@ def _about_runs(
 def _reason(error: InputError, cruise: float) -> str:
     which = f"a cruise at {cruise:g} m/s" if error.key in (None, "cruise") else error.key
     return f"{which} {error.problem}"
-
-
-def _rate(loop: Any) -> float:
-    # continuous rate [1/s] of the slowest pole of a sampled loop
-    return float(np.log(np.abs(loop.poles[0])) / loop.linear.dt)
 
 
 def _run(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> Run:

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from surctl.assessment.assessment import Figure, Line, Part
+from surctl.assessment.figures import SATURATED
 from surctl.control import CASCADE, Barrier, Gains, Movers, law_source
 from surctl.errors import NotApplicable
 from surctl.own_code import label
@@ -21,8 +22,6 @@ __all__ = ["DEFAULT_REGIONS", "contact_part", "judged_contact", "region_part", "
 
 DEFAULT_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")
 """The region claims of an assessment, strongest assumption first; the first that applies is the one of a vehicle."""
-
-_SATURATED = 0.5  # share of time at a thrust limit above which the linear figures do not describe a run
 
 
 def region_part(vehicle: Vehicle, gains: Gains, *, law: str, cruise: float, cap: float) -> Part:
@@ -106,7 +105,7 @@ def runs_part(runs: Sequence[Run], *, extra: Sequence[bool] = ()) -> Part:
         text = f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}: {m.stopped_because} at {m.time_s:.1f} s"
         text += f", least clearance {m.min_clearance_m:.3f} m"
         lines.append(Line(m.reached and m.min_clearance_m > 0, text, f"runs-{place}", counts=not beside))
-        if m.axis_saturated_share > _SATURATED:
+        if m.axis_saturated_share > SATURATED:
             full = f"a thrust is at its limit {m.axis_saturated_share:.0%} of the time"
             text = f"{run.scenario.name}, {run.sensing}: {full}, so the linear margins do not describe this run"
             lines.append(Line(None, text, f"runs-{place}", counts=not beside))

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from surctl.cli.activity import progress
-from surctl.cli.output import finish
+from surctl.cli.output import finish, finite
 from surctl.cli.system_option import assigned, load_system
 from surctl.cli.system_simulate import cost_data, cost_lines, end_text
 
@@ -44,6 +44,7 @@ def export_system(
     Raises:
         InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
     """
+    from surctl.assessment import ClosedLoop, assess
     from surctl.errors import InputError, nearest
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.check import STEPS, check_builds
@@ -104,13 +105,16 @@ def export_system(
         "text": end_text(own, record),
         "failure": record.lost if record.stopped == LOST else None,
     }
+    assessment = assess(ClosedLoop(own.system, values, record=record))
     evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof)
+    evidence["assessment"] = finite(assessment.to_dict())
     files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), options.out)
     largest = max(part.absolute for part in (sil.tau, sil.state, sil.telemetry))
     passed = sil.exact and record.stopped != LOST
     passed = passed and (report is None or report.passed) and (proof is None or proof.proved)
     lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
-    lines += [*cost_lines(own.system, record.figures), sil.summary()]
+    lines += [*cost_lines(own.system, record.figures), *(f"{line.mark} {line.text}" for line in assessment.lines)]
+    lines.append(sil.summary())
     lines += [] if proof is None else ["", proof.summary()]
     lines += [] if report is None else ["", report.summary()]
     data = {
@@ -124,6 +128,7 @@ def export_system(
         "stopped": record.stopped,
         "duration_s": record.duration,
         "costs": cost_data(own.system, record.figures),
+        "assessment": assessment.to_dict(),
         "largest_difference": largest,
         "sil": sil.to_dict(),
     }

@@ -58,11 +58,13 @@ class RegionWords:
         return Problem(dynamics, "lyapunov", function, numbers["level"], numbers["rate"])
 
 
-def region_words(words: Sequence[str]) -> tuple[list[str], RegionWords | None]:
-    """Separate the words about a region of attraction from the others; None if there are none.
+def region_words(
+    words: Sequence[str],
+) -> tuple[list[str], RegionWords | None, dict[str, tuple[float, float]]]:
+    """Separate the words about a region of attraction (None if there are none) and the ranges from the others.
 
     Raises:
-        InputError: a range is not LOW..HIGH, a name is given twice, or there is a range but no `within.STATE`.
+        InputError: a range is not LOW..HIGH, a name is given twice, or a claim is stated without `within.STATE`.
     """
     from surctl.errors import InputError, nearest
 
@@ -86,12 +88,12 @@ def region_words(words: Sequence[str]) -> tuple[list[str], RegionWords | None]:
         else:
             others.append(word)
     if not within:
-        if ranges or claim:
-            key = next(iter(ranges), f"{_CLAIM}{next(iter(claim), '')}")
+        if claim:
+            key = f"{_CLAIM}{next(iter(claim))}"
             remedy = "add within.STATE=LOW..HIGH for every state"
             raise InputError("asks for a region of attraction, whose box is missing", key=key, remedy=remedy)
-        return others, None
-    return others, RegionWords(within, ranges, claim)
+        return others, None, ranges
+    return others, RegionWords(within, ranges, claim), ranges
 
 
 def _once(table: Mapping[str, object], key: str, name: str) -> None:

@@ -13,6 +13,7 @@ from surctl.cli.system_option import OwnSystem, assigned, command_line, load_sys
 from surctl.cli.system_simulate import cost_data, cost_lines, end_text
 
 if TYPE_CHECKING:
+    from surctl.lyapunov import Solution
     from surctl.tuning.design import Design
 
 __all__ = ["study_system"]
@@ -31,22 +32,23 @@ def study_system(
 ) -> None:
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
+    from surctl.assessment import ClosedLoop, assess
     from surctl.cli.system_region import region_words
     from surctl.cli.system_sweep import best_line, best_points
-    from surctl.cli.system_verify import linear_loop
+    from surctl.cli.system_verify import loop_data, mode_text, resting
     from surctl.errors import InputError
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
     from surctl.lyapunov import solve
-    from surctl.report.system_page import SystemStudy, render_system_page
+    from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system, simulate_system
 
     own = load_system(words)
     own.exported_name(reserved=reserved)
     axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
-    others, region = region_words([word for word in own.settings if word not in stated])
+    others, region, uncertain = region_words([word for word in own.settings if word not in stated])
     duration, values = own.seconds(seconds), assigned(others)
     problem = None if region is None else region.problem(own.system, values)
     axes = axes or _default_axes(own, values)
@@ -61,14 +63,17 @@ def study_system(
     files = write_bundle(bundle, out / "export")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
-    try:
-        linear, why = linear_loop(own, values), ""
-    except InputError as error:
-        linear, why = None, error.problem
-    solution = None
-    if problem is not None:
+
+    def solved() -> Solution:
         progress("region of attraction")
-        solution = solve(problem, progress=progress)
+        return solve(problem, progress=progress)
+
+    subject = ClosedLoop(
+        own.system, values, {**own.system.ranges, **uncertain}, record, region=None if problem is None else solved
+    )
+    assessment = assess(subject).with_lines([export_line(sil)])
+    loop, solution = assessment.sources["loop"], assessment.sources.get("region")
+    judged = not isinstance(loop, InputError)
     runs, best, swept = None, {}, {}
     if design is not None:
         progress(f"sweep of {len(design.points)} points")
@@ -77,12 +82,8 @@ def study_system(
         best = best_points(own, design, runs)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
-        title=f"Study of {own.title}", record=record, resting={} if linear is None else linear.resting,
-        stable=None if linear is None else linear.stable, mode=why if linear is None else linear.mode,
-        margins=() if linear is None else linear.margins,
-        disks=[] if linear is None else [margin.line(what) for what, margin in linear.together.items()],
-        solution=solution,
-        claim=[] if solution is None else [" ".join(line.split()) for line in solution.lines()],
+        title=f"Study of {own.title}", record=record, assessment=assessment,
+        resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
         swept=swept, runs=runs, best=[best_line(own, name, row) for name, row in best.items()], sil=sil,
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
@@ -95,18 +96,18 @@ def study_system(
     report: Path | None = None
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
-    marks = {True: "ok  ", False: "FAIL", None: "    "}
-    lines = [f"study {own.title}: {'passed' if study.passed else 'NOT passed'}"]
-    lines += [f"{marks[check.good]} {check.text}" for check in study.checks]
+    passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
+    lines = [f"study {own.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
+    lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [end_text(own, record), *cost_lines(own.system, record.figures), *study.best]
     lines += ["", f"code   {out / 'export'} ({len(files)} files)", *([f"report {report}"] if report else [])]
     data: dict[str, Any] = {
         **own.names,
-        "passed": study.passed,
-        "checks": [{"passed": check.good, "text": check.text} for check in study.checks],
+        "passed": passed,
+        "assessment": assessment.to_dict(),
         "stopped": record.stopped,
         "costs": cost_data(own.system, record.figures),
-        "linear": None if linear is None else linear.data,
+        "linear": loop_data(own, loop) if judged else None,
         "region": None if solution is None else solution.to_dict(),
         "best": best,
         "sil": sil.to_dict(),
@@ -116,7 +117,7 @@ def study_system(
     if best:
         at = next(iter(best.values()))["at"]
         then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
-    finish(data, lines, as_json=as_json, passed=study.passed, then=then if study.passed else ())
+    finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
 
 
 def _default_axes(own: OwnSystem, values: Mapping[str, object]) -> list[str]:

@@ -24,6 +24,7 @@ _NAMED = 5  # largest number of points that a line names
 
 def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | None, out: Path, as_json: bool) -> None:
     """Simulate a run at each point of the grid in compiled code; print each cost's range and best point."""
+    from surctl.assessment import ClosedLoop, assess
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
@@ -41,10 +42,13 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     table = write_csv(out / "sweep.csv", _columns(own, design, runs))
     dataset = _write_dataset(own, design, runs, out / "sweep.nc", seconds=duration)
     best = best_points(own, design, runs)
+    loops = {name: assess(ClosedLoop(own.system, row["at"])) for name, row in best.items()}
+    best = {name: row | {"assessment": loops[name].to_dict()} for name, row in best.items()}
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
     lines = [f"{own.title}: {len(design.points)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(own, design, runs)
-    lines += [best_line(own, name, row) for name, row in best.items()]
+    for name, row in best.items():
+        lines += [best_line(own, name, row), *(f"  {line.mark} {line.text}" for line in loops[name].lines)]
     if lost:
         named = "; ".join(_point(design, k) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")

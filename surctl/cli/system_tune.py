@@ -31,7 +31,8 @@ def tune_own_system(
     goals: str | None,
     as_json: bool,
 ) -> None:
-    """Search gains, write them, and print costs and disk margin; exit with status 1 if a bound is violated."""
+    """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
+    from surctl.assessment import ClosedLoop, Comparison, assess
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
@@ -60,11 +61,17 @@ def tune_own_system(
     except InputError as error:
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
     table = write_csv(file, {name: [value] for name, value in result.gains.items()})
+    first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
+    run = duration if own.system.costs else None
+    comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
     runs = f", runs of {duration:g} s" if own.system.costs else ""
     lines = [
         f"{own.title}: {result.trials} gain sets{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
         f"gains {table}",
+        "",
+        "of the first case:",
+        *comparison.lines(),
     ]
     data = {
         **own.names,
@@ -72,7 +79,7 @@ def tune_own_system(
         "objective": result.objective,
         "best": {"gains": dict(result.gains), "costs": cost_data(own.system, result.costs)},
         "before": dict(result.before),
-        "disk_margin": result.disk_margin,
+        "assessment": comparison.to_dict(),
         "least_disk_margin": result.least_disk_margin,
         "goals": [] if result.goals is None else [score.to_dict() for score in result.goals.scores],
         "unmet": list(result.unmet),

@@ -4,30 +4,29 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from surctl.cli.activity import progress, timed
 from surctl.cli.output import finish
 from surctl.cli.system_option import OwnSystem, assigned, command_line, load_system
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from surctl.ir import Layout
+    from surctl.lyapunov import Solution
     from surctl.system import Operating, System
-    from surctl.verification.linear.disk import DiskMargin
-    from surctl.verification.margins import LoopMargins
+    from surctl.verification.system_corners import SystemCorners, SystemLoop
 
-__all__ = ["LinearResults", "linear_loop", "verify_system"]
+__all__ = ["loop_data", "loop_lines", "mode_text", "resting", "verify_system"]
 
 
 def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
     """Print equilibrium, sampled closed-loop poles and margins, and prove a region of attraction if its box is given.
 
-    The exit status is 1 if the loop is unstable, or if no region is proved.
+    The exit status is 1 if a margin is too small at a corner of the ranges, or if no region is proved.
     """
+    from surctl.assessment import ClosedLoop, assess
     from surctl.cli.motion_verify import write_solution
     from surctl.cli.system_region import region_words
     from surctl.errors import InputError
@@ -35,8 +34,9 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.lyapunov import solve
 
     own = load_system(words)
-    others, region = region_words(own.settings)
+    others, region, uncertain = region_words(own.settings)
     values = assigned(others)
+    uncertain = {**own.system.ranges, **uncertain}
     if out is not None:
         if region is None:
             remedy = "add within.STATE=LOW..HIGH for every state, or drop it"
@@ -47,13 +47,21 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             )
         prepare_folder(out)
     problem = None if region is None else region.problem(own.system, values)
-    linear = linear_loop(own, values)
-    stable, lines = linear.stable, linear.lines
-    data = {**own.names, "values": {name: value.ravel().tolist() for name, value in values.items()}, **linear.data}
-    passed, certificates = stable, list[str]()
-    if problem is not None:
+
+    def solved() -> Solution:
         with timed("region of attraction", time_limit):
-            solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+            return solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+
+    subject = ClosedLoop(own.system, values, uncertain, region=None if problem is None else solved)
+    assessment = assess(subject)
+    loop = assessment.sources["loop"]
+    if isinstance(loop, InputError):
+        raise loop
+    lines, data = loop_lines(own, loop), loop_data(own, loop)
+    data |= {"values": {name: value.ravel().tolist() for name, value in values.items()}}
+    certificates = list[str]()
+    solution = assessment.sources.get("region")
+    if solution is not None:
         lines += ["region of attraction of the control law in continuous time:", *solution.lines()]
         data["region"] = solution.to_dict()
         if out is not None:
@@ -61,72 +69,54 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             data["region"]["files"] = written
             lines += [f"  {path}" for path in written]
             certificates = written[:1]
-        passed = stable and solution.verdict == "proved"
+    lines += [f"{line.mark} {line.text}" for line in assessment.lines]
+    passed = assessment.passed is True
+    data = {**own.names, **data, "assessment": assessment.to_dict()}
     settings = [word for word in others if not word.startswith("start.")]
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
     then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
     finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
 
 
-class LinearResults(NamedTuple):
-    """Equilibrium, sampled poles and margins of a system.
-
-    Attributes:
-        resting: (label, value, unit) of every number at the equilibrium, by kind.
-        stable: whether the linear loop is stable.
-        mode: what the slowest mode does, as text.
-        margins: margins of the loops opened at one command.
-        together: disk margin of all commands, and of all commands and measurements, opened at once.
-        lines, data: the results as text and for JSON.
-    """
-
-    resting: Mapping[str, Sequence[tuple[str, float, str]]]
-    stable: bool
-    mode: str
-    margins: Sequence[LoopMargins]
-    together: Mapping[str, DiskMargin]
-    lines: list[str]
-    data: dict[str, Any]
-
-
-def linear_loop(own: OwnSystem, values: Mapping[str, ArrayLike]) -> LinearResults:
-    """Return the linear loop about the equilibrium.
-
-    Raises:
-        InputError: no equilibrium was found.
-    """
-    from surctl.system import find_equilibrium, linearise
-    from surctl.verification.sampled_margins import system_disk_margin, system_margins
-
-    at = find_equilibrium(own.system, values)
-    linear = linearise(own.system, values, at=at)
-    poles = linear.poles()
-    commands = linear.channels()[: own.system.commands.size]
-    margins = system_margins(linear, *commands)
-    together = {"commands": system_disk_margin(linear, *commands)} if len(commands) > 1 else {}
-    together["commands and measurements"] = system_disk_margin(linear)
-    stable = together["commands and measurements"].stable
-    mode = _slowest(complex(poles[0]), own.system.dt)
-    resting = _equilibrium(own.system, at)
+def loop_lines(own: OwnSystem, loop: SystemCorners) -> list[str]:
+    """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
+    nominal, period = loop.nominal, own.system.dt
     lines = [f"{own.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
-    lines += [f"  {kind} {label} = {value:.6g} {unit}" for kind, rows in resting.items() for label, value, unit in rows]
-    lines.append(f"sampled every {own.system.dt:g} s: {'stable' if stable else 'UNSTABLE'}, {len(poles)} poles")
-    lines.append(f"  slowest mode: {_mode_text(mode)}")
-    if stable:
-        lines += ["loop opened at a command, all others closed:", *(f"  {m.line()}" for m in margins)]
-        lines += [margin.line(what) for what, margin in together.items()]
-    data = {
-        "equilibrium": {kind: {label: value for label, value, _ in rows} for kind, rows in resting.items()},
-        "stable": stable,
-        "poles": [[float(pole.real), float(pole.imag)] for pole in poles],
-        "slowest_mode": mode,
-        "margins": [margin.to_dict() for margin in margins],
-        "disk_margins": [margin.to_dict() for margin in together.values()],
+    lines += [
+        f"  {kind} {label} = {value:.6g} {unit}"
+        for kind, rows in resting(own.system, nominal.at).items()
+        for label, value, unit in rows
+    ]
+    stable = "stable" if nominal.stable else "UNSTABLE"
+    lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
+    lines.append(f"  slowest mode: {mode_text(nominal)}")
+    if nominal.stable:
+        lines += ["each loop alone, opened at one signal, all others closed:"]
+        lines += [f"  {margin.line()}" for margin in nominal.margins]
+        lines += [margin.line(margin.place) for margin in nominal.disks]
+    if loop.count:
+        word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else "UNSTABLE"
+        lines.append(f"worst of the {loop.count} corners of the ranges: {word} at {loop.corner}")
+    return lines
+
+
+def loop_data(own: OwnSystem, loop: SystemCorners) -> dict[str, Any]:
+    """Return equilibrium, poles and margins as plain data for JSON."""
+    nominal = loop.nominal
+    return {
+        "equilibrium": {
+            kind: {label: value for label, value, _ in rows} for kind, rows in resting(own.system, nominal.at).items()
+        },
+        "stable": nominal.stable,
+        "poles": [[float(pole.real), float(pole.imag)] for pole in nominal.poles],
+        "slowest_mode": _slowest(nominal),
+        "margins": [margin.to_dict() for margin in nominal.margins],
+        "disk_margins": [margin.to_dict() for margin in nominal.disks],
+        "worst": {"stable": loop.stable, "disk_margin": loop.disk, "corner": loop.corner, "corners": loop.count},
     }
-    return LinearResults(resting, stable, _mode_text(mode), margins, together, lines, data)
 
 
-def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:
+def resting(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:
     """Return (label, value, unit) of every number at the equilibrium, by kind."""
     from surctl.system import entry_labels, entry_units
 
@@ -142,8 +132,9 @@ def _equilibrium(system: System, at: Operating) -> dict[str, list[tuple[str, flo
     }
 
 
-def _slowest(pole: complex, dt: float) -> dict[str, Any]:
-    """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of a sampled pole."""
+def _slowest(loop: SystemLoop) -> dict[str, Any]:
+    """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of the slowest pole."""
+    pole, dt = complex(loop.poles[0]), loop.linear.dt
     size = abs(pole)
     rate = math.log(size) / dt if size > 0.0 else -math.inf
     return {
@@ -154,7 +145,9 @@ def _slowest(pole: complex, dt: float) -> dict[str, Any]:
     }
 
 
-def _mode_text(mode: dict[str, Any]) -> str:
+def mode_text(loop: SystemLoop) -> str:
+    """Return what the slowest mode does, as text."""
+    mode = _slowest(loop)
     constant, frequency = mode["time_constant_s"], mode["frequency_rad_per_s"]
     change = f"{'decays' if constant >= 0 else 'grows'} with time constant {abs(constant):.4g} s"
     beat = f", oscillates at {frequency:.4g} rad/s" if frequency > 0 else ""

@@ -83,7 +83,7 @@ def serve_system_page(
     from surctl.tuning import judge_loops, load_loop_goals
 
     own = load_system(words)
-    others, region = region_words(own.settings)
+    others, region, uncertain = region_words(own.settings)
     about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
     values = listed(others)
     swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
@@ -106,7 +106,7 @@ def serve_system_page(
 
     bench = SystemBench(
         own.system, own.word, duration, ranges_of(own, ranges), places, about_loop,
-        None if region is None else problem, own.origin,
+        None if region is None else problem, own.origin, {**own.system.ranges, **uncertain},
     )  # fmt: skip
     start = {one.name: one.value for one in bench.sliders}
     loops = {point: bench.loop(start, point) for point in bench.points}

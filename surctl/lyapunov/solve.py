@@ -59,6 +59,11 @@ class Solution:
         return self.decision.document if self.decision is not None and self.verdict == "proved" else {}
 
     @property
+    def level(self) -> float | None:
+        """Level of the claim about a region; None if no function was found, or the claim has no level."""
+        return None if self.decision is None else self.decision.claim.plain().get("level")
+
+    @property
     def vacuous(self) -> str:
         """Why a proved claim says nothing, as the checker finds; empty if it says something."""
         return self.decision.vacuous if self.decision is not None and self.verdict == "proved" else ""
@@ -84,10 +89,9 @@ class Solution:
             f"  {letter} = {text_of(claim.function)}{f', from: {self.origin}' if self.origin else ''}",
             *stated_lines(claim.dynamics, claim.kind),
         ]
-        level = claim.plain().get("level")
-        if self.falsified is not None and self.verdict == "proved" and level is not None:
-            share = level / self.falsified
-            lines.append(f"  level {level:g} is {100 * share:.1f} % of the least level with a counterexample")
+        if self.falsified is not None and self.verdict == "proved" and self.level is not None:
+            share = self.level / self.falsified
+            lines.append(f"  level {self.level:g} is {100 * share:.1f} % of the least level with a counterexample")
         return [*lines, *([f"  {self.reason}"] if self.reason else []), *then]
 
     @property

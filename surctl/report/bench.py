@@ -12,11 +12,21 @@ from typing import Any
 
 import numpy as np
 
+from surctl.assessment import DEFAULT_REGIONS, Assessment, Mission, assess
 from surctl.control import Gains, law_source, load_gains, write_gains
 from surctl.errors import InputError, NotApplicable
 from surctl.files import write_file
 from surctl.own_code import is_own, label
-from surctl.report.design_bench import RunView, Slider, SlowView, View, activity, gain_file, replaceable
+from surctl.report.design_bench import (
+    RunView,
+    Slider,
+    SlowView,
+    View,
+    activity,
+    assessed_lines,
+    gain_file,
+    replaceable,
+)
 from surctl.report.panel import Curve, Panel, Shade
 from surctl.report.plan_view import plot_run
 from surctl.report.region_plots import plot_region
@@ -45,12 +55,10 @@ from surctl.verification import (
     decide,
     steady_motion,
 )
-from surctl.verification.region import RegionProof, RegionStatement, applicable_region, prove_statement
+from surctl.verification.region import RegionProof, RegionStatement, applicable_region
 
 __all__ = ["Bench", "save_gains"]
 
-_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")  # from the strongest assumption on
-_STARTS = 16  # start values of the search: some seconds of work
 _PATIENCE = 10.0  # [s] time limit of each proof
 _RUN_FIGURES = (
     "time_s",
@@ -105,11 +113,6 @@ class Bench:
         """Return vehicle, scenario, law and gains."""
         about = f"{self.vehicle.name} in {self.scenario.name}, law {label(self.case.law)}"
         return f"{about}, true positions, seed 0, gains from {self.base.name}"
-
-    @property
-    def slow(self) -> str:
-        """Return the label of the button that decides the claims; empty for a law without claims."""
-        return "Check the claims for these gains" if law_source(self.case.law).parts else ""
 
     @property
     def speeds(self) -> tuple[float, ...]:
@@ -257,34 +260,28 @@ class Bench:
         decided = [decide(c, time_limit=_PATIENCE) for c in claims]
         return (*decided, *(Inapplicable.of(name, reason) for name, reason in refused.items()))
 
-    def region(self, values: Mapping[str, float]) -> RegionProof | NotApplicable:
-        """Return the proof of the region claim that suits the vehicle, or the reason why none does."""
-        statement = self._statement(values)
-        if isinstance(statement, NotApplicable):
-            return statement
-        if "attempts" in statement.model_fields_set:  # other claims search without start values
-            statement = statement.model_copy(update={"attempts": min(statement.attempts, _STARTS)})
-        cruise, cap = self.scenario.cruise, self.scenario.cap
-        return prove_statement(statement, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
-
     def _statement(self, values: Mapping[str, float]) -> RegionStatement | NotApplicable:
         cruise, cap = self.scenario.cruise, self.scenario.cap
-        return applicable_region(_REGIONS, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
+        return applicable_region(DEFAULT_REGIONS, self.vehicle, self.gains(values), cruise=cruise, cap=cap)
+
+    def assess(self, values: Mapping[str, float]) -> Assessment:
+        """Return the assessment of these gains in the scenario, with true positions."""
+        speeds = (self.scenario.cruise, self.scenario.cap)
+        missions = {"scenarios": (self.scenario,), "runs": (self.simulate(values),), "sensing": "truth"}
+        return assess(Mission(self.vehicle, self.gains(values), *speeds, self.case.law, **missions))
 
     def decide(self, values: Mapping[str, float]) -> SlowView:
-        """Return the verdicts on the claims as lines, and the certified region with the least falsified level."""
+        """Return the assessment and the verdicts on the claims; the picture shows the certified region."""
+        assessment = self.assess(values)
         marks = {"proved": "good", "refuted": "bad"}
-        lines = [
+        claims = [
             (f"{v.claim}: {v.sentence}", "none")
             if isinstance(v, Inapplicable)
             else (f"{v.claim.name}: {v.verdict}", marks.get(v.verdict, "none"))
-            for v in self.verdicts(values)
+            for v in (self.verdicts(values) if law_source(self.case.law).parts else ())
         ]
-        region = self.region(values)
-        if isinstance(region, NotApplicable):
-            return SlowView([*lines, (f"region of attraction: {region}", "none")])
-        lines.append((f"{region.claim.name}: {region.sentence}", marks.get(region.verdict, "none")))
-        if region.verdict != "proved":
+        lines, region = [*assessed_lines(assessment), *claims], assessment.sources["region"]
+        if not isinstance(region, RegionProof) or region.verdict != "proved":
             return SlowView(lines)
         ratio = 0.0 if region.ratios is None else region.ratios.falsifier
         figure = plot_region(region.certificate(), falsified=1 / ratio if ratio > 0 else None)

@@ -15,16 +15,21 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
+from surctl.assessment.assessment import Assessment, assess
+from surctl.assessment.closed_loop import ClosedLoop
 from surctl.errors import InputError
 from surctl.files import quoted, read_toml, write_file
 from surctl.ir import Layout
-from surctl.lyapunov import Problem, solve
+from surctl.lyapunov import solve
 from surctl.report.motion_plots import plot_motion
 from surctl.report.panel import Curve, Panel
 from surctl.system import LinearLoop, Record, System, entry_labels, entry_units, linearise, run_system
 from surctl.tuning.loop_goals import LoopGoal
 
-__all__ = ["DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activity", "gain_file", "replaceable"]
+__all__ = [
+    "DesignBench", "RunView", "Slider", "SlowView", "SystemBench", "activity", "assessed_lines", "gain_file",
+    "replaceable",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -90,10 +95,6 @@ class DesignBench(Protocol):
     def goals(self) -> Sequence[LoopGoal]:
         """Return the goals about the loop."""
 
-    @property
-    def slow(self) -> str:
-        """Return the label of the button for what takes seconds; empty for none."""
-
     def loop(self, values: Values, point: str) -> LinearLoop:
         """Return the linear loop at an operating point."""
 
@@ -126,6 +127,7 @@ class SystemBench:
         goals: goals about the loop.
         region: problem of the region of attraction for given gains, or None.
         about: further identity for saved gains, such as the SHA-256 of the file.
+        uncertain: ranges of uncertain numbers; None: those that the system declares.
     """
 
     system: System
@@ -136,6 +138,7 @@ class SystemBench:
     goals: tuple[LoopGoal, ...] = ()
     region: Any = None
     about: Mapping[str, str] = field(default_factory=dict)
+    uncertain: Mapping[str, tuple[float, float]] | None = None
 
     @property
     def title(self) -> str:
@@ -146,11 +149,6 @@ class SystemBench:
     def points(self) -> tuple[str, ...]:
         """Return the names of the operating points."""
         return tuple(self.places)
-
-    @property
-    def slow(self) -> str:
-        """Return the label of the button that proves the region."""
-        return "" if self.region is None else "Prove the region for these gains"
 
     @property
     def sliders(self) -> tuple[Slider, ...]:
@@ -187,25 +185,20 @@ class SystemBench:
                 )
         return RunView(rows, _signal_panels(runs))
 
+    def assess(self, values: Values) -> Assessment:
+        """Return the assessment at the first operating point."""
+        numbers = {**next(iter(self.places.values())), **values}
+        region = None if self.region is None else lambda: solve(self.region(values), time_limit=30.0)
+        return assess(ClosedLoop(self.system, numbers, self.uncertain, seconds=self.seconds, region=region))
+
     def decide(self, values: Values) -> SlowView:
-        """Prove the region of attraction; the picture shows it with the least level that has a counterexample."""
-        problem: Problem = self.region(values)
-        solution = solve(problem, time_limit=30.0)
-        mark = {"proved": "good", "refuted": "bad"}.get(solution.verdict, "none")
-        lines = [(f"{solution.verdict} ({solution.seconds:.1f} s)", mark)]
-        if solution.reason:
-            lines.append((solution.reason, ""))
-        if solution.decision is None:
+        """Assess the gains; the picture shows a region of attraction with the least level that has a counterexample."""
+        assessment = self.assess(values)
+        lines, solution = assessed_lines(assessment), assessment.sources.get("region")
+        if solution is None or solution.level is None:
             return SlowView(lines)
-        claim = solution.decision.claim
-        lines.append((claim.statement, ""))
-        level = claim.plain().get("level")
-        if level is None:
-            return SlowView(lines)
-        if solution.falsified is not None:
-            share = 100 * level / solution.falsified
-            lines.append((f"{share:.1f} % of the least level with a counterexample, {solution.falsified:.4g}", ""))
-        figure = plot_motion(solution.dynamics, claim.function, level=level, falsified=solution.falsified)
+        function, level = solution.decision.claim.function, solution.level
+        figure = plot_motion(solution.dynamics, function, level=level, falsified=solution.falsified)
         return SlowView(lines, (figure, "Region of attraction: certified level, and the least level that is falsified"))
 
     def command(self, values: Values, view: View) -> str:
@@ -271,6 +264,17 @@ def replaceable(path: Path, kind: str) -> Path:
             "is another kind of file, which would be overwritten", key="save", value=str(path), remedy=remedy
         )
     return path
+
+
+def assessed_lines(assessment: Assessment) -> list[tuple[str, str]]:
+    """Return banner, lines and figures of an assessment with their marks."""
+    marks = ("bad", "none", "good", "")
+    lines = [(assessment.banner, marks[{False: 0, None: 1, True: 2}[assessment.passed]])]
+    lines += [(line.text, marks[line.rank]) for line in assessment.lines]
+    for f in assessment.figures.values():
+        where = f", at {f.where}" if f.where else ""
+        lines.append((f"{f.name} = {_quantity(f.value, f.unit)}: {f.meaning}{where}", ""))
+    return lines
 
 
 def activity(values: Array, dt: float, unit: str) -> str:

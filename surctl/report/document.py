@@ -9,6 +9,7 @@ from typing import ClassVar, Literal, NamedTuple
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from surctl.assessment.assessment import Assessment
 from surctl.report.theme import png
 
 __all__ = [
@@ -22,6 +23,8 @@ __all__ = [
     "Player",
     "Section",
     "Table",
+    "checks_of",
+    "marked",
     "outcome_cell",
     "picture",
 ]
@@ -43,6 +46,19 @@ class Check(NamedTuple):
     text: str
     anchor: str = ""
     open: bool = False
+
+
+def checks_of(assessment: Assessment) -> tuple[Check, ...]:
+    """Return the lines of an assessment, worst first, as those of a summary."""
+    return tuple(
+        Check(line.passed if line.counts else None, line.text, line.about, line.rank == 1) for line in assessment.lines
+    )
+
+
+def marked(passed: bool | None, banner: str) -> tuple[str, str]:
+    """Return style and text of the first line of a page."""
+    style, sign = {False: ("bad", "✗"), None: ("note", "•"), True: ("good", "✓")}[passed]
+    return style, f"{sign} {banner}"
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from surctl.files import write_file
 from surctl.report.data import ReportData
-from surctl.report.document import Check, Section
+from surctl.report.document import Check, Section, marked
 from surctl.report.evidence_sections import claims_section, decisive_section, runs_section
 from surctl.report.findings import findings_section
 from surctl.report.sections import (
@@ -182,14 +182,13 @@ def _subject(data: ReportData) -> str:
 
 
 def _outcome(data: ReportData) -> tuple[str, str]:
-    style, sign = {False: ("bad", "✗"), None: ("note", "•"), True: ("good", "✓")}[data.passed]
     failed = sum(line[0] is False for line in data.summary)
     words = {
         False: f"{failed} {'check fails' if failed == 1 else 'checks fail'}.",
         None: "No check counts towards the result.",
         True: "All checks hold.",
     }
-    return style, f"{sign} {data.banner or words[data.passed]}"
+    return marked(data.passed, data.banner or words[data.passed])
 
 
 def write_page(data: ReportData, path: Path | str, *, runs: Section | None = None) -> Path:

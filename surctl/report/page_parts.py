@@ -66,7 +66,6 @@ def page(bench: DesignBench, *, nonce: str, token: str) -> str:
             f"{' checked' if k < 3 else ''}> {escape(p)}</label>"
             for k, p in enumerate(bench.points)
         ),
-        "slow": f'<button id="slow" type="button">{escape(bench.slow)}</button>' if bench.slow else "",
     }
     text = (_TEMPLATES / "design.html").read_text(encoding="utf-8")
     for name, value in parts.items():
@@ -157,7 +156,15 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
             cells = (point, m.name, _margin(m.gain_margin), _margin(m.phase_margin_deg), _margin(m.delay_margin_s),
                      _margin(m.disk_margin), _margin(m.crossover_rad_s))  # fmt: skip
             rows.append(cells if m.stable else (point, m.name, "unstable", "", "", "", ""))
-    head = ("operating point", "opened at", "gain margin", "phase [deg]", "delay [s]", "disk", "crossover [rad/s]")
+    head = (
+        "operating point",
+        "opened at",
+        "gain margin",
+        "phase [deg]",
+        "delay [s]",
+        "disk margin of this loop alone",
+        "crossover [rad/s]",
+    )
     name, values = request["locus"], _values(bench, request["values"])
     slider = {one.name: one for one in bench.sliders}[name]
     grid = _positions(slider, _LOCUS)

@@ -7,19 +7,30 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from surctl.assessment.assessment import Assessment, Line
+from surctl.errors import InputError
 from surctl.export import SilReport
 from surctl.ir import Layout
-from surctl.lyapunov import Solution
-from surctl.report.document import Block, Cell, Check, Paragraph, Pictures, Section, Table, outcome_cell, picture
+from surctl.report.document import (
+    Block,
+    Cell,
+    Paragraph,
+    Pictures,
+    Section,
+    Table,
+    checks_of,
+    marked,
+    outcome_cell,
+    picture,
+)
 from surctl.report.motion_plots import plot_motion
 from surctl.report.page import render_sections
 from surctl.report.system_plot import plot_record
 from surctl.report.system_plots import plot_dependence
 from surctl.report.words import number
-from surctl.system import ENDED, LOST, Record, Runs, entry_labels, entry_units
-from surctl.verification import LoopMargins
+from surctl.system import Record, Runs, entry_labels, entry_units
 
-__all__ = ["SystemStudy", "render_system_page"]
+__all__ = ["SystemStudy", "export_line", "render_system_page"]
 
 
 @dataclass(frozen=True)
@@ -29,13 +40,9 @@ class SystemStudy:
     Attributes:
         title: names of plant and controller.
         record: the run.
+        assessment: what is assessed of the system, with the comparison of C and Python.
         resting: (label, value, unit) of every number at the equilibrium, by kind; empty if there is none.
-        stable: whether the linear loop about the equilibrium is stable; None if it is not judged.
-        mode: what the slowest mode does; without an equilibrium, why the margins are not judged.
-        margins: margins of the loops opened at one command.
-        disks: lines with the disk margins of loops opened at once.
-        solution: the region of attraction; None if none was requested.
-        claim: lines that state the solution.
+        mode: what the slowest mode does.
         swept: numbers (n,) of the runs of the sweep by name; empty if nothing was swept.
         runs: the runs of the sweep.
         best: lines with the best point of each cost.
@@ -46,13 +53,9 @@ class SystemStudy:
 
     title: str
     record: Record
+    assessment: Assessment
     resting: Mapping[str, Sequence[tuple[str, float, str]]]
-    stable: bool | None
     mode: str
-    margins: Sequence[LoopMargins]
-    disks: Sequence[str]
-    solution: Solution | None
-    claim: Sequence[str]
     swept: Mapping[str, ArrayLike]
     runs: Runs | None
     best: Sequence[str]
@@ -60,37 +63,12 @@ class SystemStudy:
     commands: Mapping[str, str]
     version: str
 
-    @property
-    def checks(self) -> list[Check]:
-        """Return the lines of the summary."""
-        record, sil = self.record, self.sil
-        ended = f"the run ends after {record.duration:.6g} s ({record.lost or record.stopped})"
-        checks = [Check(True if record.stopped == ENDED else False if record.stopped == LOST else None, ended, "run")]
-        for name, cost in record.system.costs.items():
-            if cost.at_most is not None:
-                text = (
-                    f"{name} = {number(record.figures[name])} {cost.unit}, at most {number(cost.at_most)} {cost.unit}"
-                )
-                checks.append(Check(record.figures[name] <= cost.at_most, text, "run"))
-        if self.stable is None:
-            checks.append(Check(None, f"margins not judged: {self.mode}", "margins"))
-        else:
-            disk = f"; {self.disks[0]}" if self.stable and self.disks else ""
-            text = f"the sampled linear loop is {'stable' if self.stable else 'UNSTABLE'}{disk}"
-            checks.append(Check(self.stable, text, "margins"))
-        if self.solution is not None:
-            checks.append(Check(self.solution.verdict == "proved", f"region of attraction: {self.claim[0]}", "region"))
-        most = max(sil.tau.mixed, sil.state.mixed, sil.telemetry.mixed)
-        text = (
-            f"C and Python differ by at most {most:.1e} over {sil.steps} steps, {sil.fault_cases} invalid inputs tried"
-        )
-        checks.append(Check(sil.passed, text, "export"))
-        return checks
 
-    @property
-    def passed(self) -> bool:
-        """Return whether no line of the summary fails."""
-        return all(check.good is not False for check in self.checks)
+def export_line(sil: SilReport) -> Line:
+    """Return the verdict on the exported C."""
+    most = max(sil.tau.mixed, sil.state.mixed, sil.telemetry.mixed)
+    text = f"C and Python differ by at most {most:.1e} over {sil.steps} steps, {sil.fault_cases} invalid inputs tried"
+    return Line(sil.passed, text, "export")
 
 
 def render_system_page(study: SystemStudy) -> str:
@@ -98,16 +76,15 @@ def render_system_page(study: SystemStudy) -> str:
 
     `surctl study FILE.py:FUNCTION --seconds S` writes it.
     """
-    failed = sum(check.good is False for check in study.checks)
-    outcome = ("bad", f"✗ {failed} {'check fails' if failed == 1 else 'checks fail'}.")
+    assessment = study.assessment
     system = study.record.system
     return render_sections(
         title=study.title,
         subject=f"Plant {system.plant.name}, controller {system.controller.name}, control period {system.dt:g} s.",
         version=study.version,
         command=study.commands["study"],
-        outcome=outcome if failed else ("good", "✓ All checks hold."),
-        summary=study.checks,
+        outcome=marked(assessment.passed, assessment.banner),
+        summary=checks_of(assessment),
         sections=[section for section in _sections(study) if section.blocks],
     )
 
@@ -141,8 +118,13 @@ def _run(study: SystemStudy) -> tuple[Block, ...]:
 
 
 def _margins(study: SystemStudy) -> tuple[Block, ...]:
-    if study.stable is None:
-        return (Paragraph(f"Not judged: {study.mode}.", "note"),)
+    loop = study.assessment.sources["loop"]
+    if isinstance(loop, InputError):
+        return (Paragraph(f"Not judged: {loop.problem}.", "note"),)
+    figures = tuple(
+        (Cell(f.name, code=True), Cell(number(f.value), number=True), f.unit, f.meaning, f.where)
+        for f in study.assessment.figures.values()
+    )
     rest = tuple(
         (kind, Cell(label, code=True), Cell(number(value, digits=6), number=True), unit)
         for kind, rows in study.resting.items()
@@ -154,28 +136,31 @@ def _margins(study: SystemStudy) -> tuple[Block, ...]:
             *(Cell(number(v), number=True) for v in (
                 m.gain_margin, m.least_gain, m.phase_margin_deg, m.delay_margin_s, m.disk_margin)),
         )
-        for m in study.margins
+        for m in loop.nominal.margins
     )  # fmt: skip
     heads = (
         "opened at", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
-        "disk margin [1]",
+        "disk margin of this loop alone [1]",
     )  # fmt: skip
-    text = "The sampled loop, linear about its equilibrium, is opened at one command while all others stay closed."
+    text = "The sampled loop, linear about its equilibrium, is opened at one signal while all others stay closed."
+    together = [margin.line(margin.place) for margin in loop.nominal.disks if loop.nominal.stable]
     return (
+        Table("Figures of the assessment", ("figure", "value", "unit", "meaning", "worst at"), figures),
         Paragraph(text),
         Table("Margins", heads, rows),
-        *map(Paragraph, study.disks if study.stable else ()),
+        *map(Paragraph, together),
         Paragraph(f"Slowest mode: {study.mode}."),
         Table("Equilibrium", ("kind", "entry", "value", "unit"), rest),
     )
 
 
 def _region(study: SystemStudy) -> tuple[Block, ...]:
-    solution = study.solution
+    solution = study.assessment.sources.get("region")
     if solution is None:
         return ()
-    proved = solution.verdict == "proved"
-    blocks: list[Block] = [Paragraph(study.claim[0], "good" if proved else "bad"), *map(Paragraph, study.claim[1:])]
+    first, *others = (" ".join(line.split()) for line in solution.lines())
+    mark = {"proved": "good", "refuted": "bad"}.get(solution.verdict, "")
+    blocks: list[Block] = [Paragraph(first, mark), *map(Paragraph, others)]
     claim = None if solution.decision is None else solution.decision.claim
     if claim is not None and hasattr(claim, "level"):
         figures = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)

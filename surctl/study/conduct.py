@@ -167,8 +167,8 @@ def conduct(
         >>> study.verdicts[0].verdict, study.runs[0].metrics.stopped_because, study.sil[0].passed
         ('proved', 'reached', True)
     """
-    from surctl.report import Check, ReportData, runs_section, write_page
-    from surctl.report.document import Section
+    from surctl.report import ReportData, runs_section, write_page
+    from surctl.report.document import Section, checks_of
 
     find_compiler()
     prepare_folder(out)
@@ -247,10 +247,7 @@ def conduct(
             export=_export_summary(plan, shipment, replayed, sil),
             seconds=dict(clock.seconds),
             banner=assessment.banner,
-            summary=tuple(
-                Check(line.passed if line.counts else None, line.text, line.about, line.rank == 1)
-                for line in assessment.lines
-            ),
+            summary=checks_of(assessment),
         )
         report = write_page(data, out / "report.html", runs=section)
     seconds = dict(clock.seconds)

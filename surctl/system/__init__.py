@@ -24,6 +24,7 @@ from surctl.system.plant_linear import linearise_plant
 from surctl.system.record import Record, run_system
 from surctl.system.record_file import save_record
 from surctl.system.runs import Runs, periods, simulate_system
+from surctl.system.saturation import unresponsive
 from surctl.system.to_control import to_control
 from surctl.system.values import every_combination
 
@@ -63,4 +64,5 @@ __all__ = [
     "simulate_system",
     "system_from_control",
     "to_control",
+    "unresponsive",
 ]

@@ -20,7 +20,7 @@ from surctl.system.plant_linear import plant_slopes
 from surctl.system.undefined import undefined_operation
 from surctl.system.values import RunNumbers, run_numbers
 
-__all__ = ["Linearisation", "Operating", "find_equilibrium", "linearise", "loop_names"]
+__all__ = ["Linearisation", "Operating", "find_equilibrium", "law_function", "linearise", "loop_names"]
 
 Array = NDArray[np.float64]
 
@@ -257,7 +257,7 @@ class _Rest:
 def _functions(system: System) -> dict[str, ca.Function]:
     """Return the functions of a system that `_Rest` evaluates; gains and parameters are arguments of them."""
     plant, controller = system.plant, system.controller
-    law = _law_function(controller)
+    law = law_function(controller)
     x, f = ca.SX.sym("x", plant.state.size), ca.SX.sym("f", system.commands.size)
     y, r = ca.SX.sym("y", plant.measurements.size), ca.SX.sym("r", system.references.size)
     d, p = ca.SX.sym("d", plant.disturbances.size), ca.SX.sym("p", plant.parameters.size)
@@ -286,8 +286,8 @@ def _functions(system: System) -> dict[str, ca.Function]:
     }
 
 
-def _law_function(controller: SampledController) -> ca.Function:
-    # (x, u, p) → (command, next state, …)
+def law_function(controller: SampledController) -> ca.Function:
+    """Return the function (x, u, p) → (command, next state, …) of a controller."""
     if not isinstance(controller, Controller):
         return to_casadi(controller.block)
     symbols = [

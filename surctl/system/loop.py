@@ -99,6 +99,8 @@ class System:
             default the references are r.
         disturbance: function that returns each disturbance at time t [s] from t and constants d, which a run sets; by
             default the disturbances are d.
+        ranges: lower and upper bound of uncertain numbers by name (see `run_numbers`), such as `plant.mass`; margins
+            are judged at every corner of them.
 
     Raises:
         InputError: a port is not connected, or is connected to a port of another shape or unit.
@@ -131,6 +133,7 @@ class System:
     stops: Mapping[str, Callable[[Signals], Any]] = field(default_factory=dict)
     reference: Callable[[ca.SX, Parts], Any] | None = field(default=None, repr=False)
     disturbance: Callable[[ca.SX, Parts], Any] | None = field(default=None, repr=False)
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key, part, attribute, remedy in (
@@ -143,12 +146,12 @@ class System:
             remedy = f"give a whole number from 1 to {_MOST}"
             raise InputError("is not a number of steps", key="substeps", value=self.substeps, remedy=remedy)
         object.__setattr__(self, "substeps", int(self.substeps))
-        tables: tuple[tuple[str, Any], ...] = (("costs", self.costs), ("stops", self.stops))
+        tables: tuple[tuple[str, Any], ...] = (("costs", self.costs), ("stops", self.stops), ("ranges", self.ranges))
         for kind, table in tables:
             if not isinstance(table, Mapping):
                 remedy = 'write {"name": …}'
                 raise InputError(f"is of type {type(table).__name__}", key=kind, remedy=remedy)
-            for name in table:
+            for name in table if kind != "ranges" else ():
                 identifier(name)
             object.__setattr__(self, kind, MappingProxyType(dict(table)))
         layouts = (

@@ -13,12 +13,14 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout
 from surctl.system.loop import System
 from surctl.system.parts import entry_units
+from surctl.units import is_number
 
-__all__ = ["RunNumbers", "check_scalar", "every_combination", "place_of", "run_numbers", "unit_of"]
+__all__ = ["RunNumbers", "check_scalar", "checked_ranges", "every_combination", "place_of", "run_numbers", "unit_of"]
 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
 _NAMED = 4  # largest number of entries that a message names
+_MOST_RANGES = 6  # uncertain numbers, which have 64 corners
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,33 @@ def check_scalar(system: System, name: str) -> None:
     if size > 1:
         entries = ", ".join(f"{name}[{k}]" for k in range(min(size, _NAMED))) + ", …" * (size > _NAMED)
         raise InputError(f"has {size} entries", key=name, remedy=f"name one: {entries}")
+
+
+def checked_ranges(
+    system: System, ranges: Mapping[str, tuple[float, float]], *, key: str = "ranges."
+) -> dict[str, tuple[float, float]]:
+    """Return the ranges of uncertain numbers of a system, after a check.
+
+    Args:
+        system: the closed loop.
+        ranges: lower and upper bound of single numbers, by name as in `run_numbers`.
+        key: what a message writes in front of the name.
+
+    Raises:
+        InputError: a name is unknown or denotes several numbers, a range is not valid, or there are too many.
+    """
+    checked = {}
+    for name, ends in ranges.items():
+        check_scalar(system, name)
+        pair: Array = np.asarray(ends, dtype=object)
+        if pair.shape != (2,) or not all(map(is_number, pair)) or not pair[0] <= pair[1]:
+            remedy = "give (low, high), two finite numbers with low <= high"
+            raise InputError("is not a range", key=f"{key}{name}", value=ends, remedy=remedy)
+        checked[name] = (float(pair[0]), float(pair[1]))
+    if len(checked) > _MOST_RANGES:
+        remedy = f"keep the {_MOST_RANGES} that matter most"
+        raise InputError(f"are {len(checked)}: every corner is judged", key=key.rstrip("."), remedy=remedy)
+    return checked
 
 
 def unit_of(system: System, name: str) -> str:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.system import ENDED, System, every_combination, linearise, simulate_system
+from surctl.system import ENDED, System, every_combination, simulate_system
 from surctl.system.values import check_scalar, run_numbers
 from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores
 from surctl.verification.linear.disk import LEAST_DISK_MARGIN
-from surctl.verification.sampled_margins import system_disk_margin
+from surctl.verification.system_corners import system_corners
 
 __all__ = ["SystemTuning", "tune_system"]
 
@@ -39,8 +39,8 @@ class SystemTuning:
         gains: the chosen gains by name; if no gain set satisfies all bounds, the gains that are nearest to the bounds.
         costs: costs of the chosen gains as means over the cases; infinite if a run ends early.
         before: costs of the system's own gains.
-        disk_margin: disk margin of the sampled loop at the first case, with all commands opened at once; None if the
-            loop has no equilibrium there.
+        disk_margin: disk margin of all loops at once, at commands or measurements, at the worst corner of the ranges
+            that the system declares, at the first case; None if the loop has no equilibrium there.
         least_disk_margin: bound of the disk margin.
         trials: number of gain sets simulated.
         unmet: names of the bounds that the chosen gains break; empty if the tuning succeeded.
@@ -71,9 +71,7 @@ class SystemTuning:
         margin = "not judged, there is no equilibrium" if self.disk_margin is None else f"{self.disk_margin:.3f}"
         lines += [] if self.goals is None else self.goals.lines()
         mark = self._mark("disk margin")
-        return [
-            *lines, f"{mark}disk margin, all commands opened at once: {margin}, at least {self.least_disk_margin:g}"
-        ]  # fmt: skip
+        return [*lines, f"{mark}disk margin at the worst corner: {margin}, at least {self.least_disk_margin:g}"]
 
     def _mark(self, name: str) -> str:
         return "NOT MET  " if name in self.unmet else ""
@@ -112,7 +110,8 @@ def tune_system(
             the numbers of the system. Costs are means over the cases.
         objective: cost to minimise; default: the first cost of the system.
         trials: number of gain sets.
-        least_disk_margin: least disk margin with all commands opened at once; 0 for no bound.
+        least_disk_margin: least disk margin of all loops at once, at commands or measurements, at the worst corner of
+            the ranges that the system declares; 0 for no bound.
         seed: seed of the search.
         threads: number of threads that share the runs.
         goals: goals about the loop.
@@ -321,14 +320,12 @@ class _Search:
         return scores[:, 0] if self.objective == GOALS else figures[:, list(self.system.costs).index(self.objective)]
 
     def margin(self, gains: Array) -> float | None:
-        """Return the disk margin at the first case with all commands opened at once; None without an equilibrium."""
+        """Return the disk margin at the first case, at the worst corner of the ranges; None without an equilibrium."""
         first = {name: a if a.ndim == 0 else a[:1] for name, a in self.cases.items()}
         try:
-            linear = linearise(self.system, {**first, **dict(zip(self.names, gains.tolist(), strict=True))})
+            return system_corners(self.system, {**first, **dict(zip(self.names, gains.tolist(), strict=True))}).disk
         except InputError:
             return None
-        commands = [label for label in linear.channels() if label.partition("[")[0] in self.system.commands]
-        return float(system_disk_margin(linear, *commands).guaranteed)
 
     def _nominal(self, name: str) -> float:
         gains, (port, _, entry) = self.system.controller.gains, name.partition("[")

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         worst_place,
         worst_text,
     )
+    from surctl.verification.system_corners import SystemCorners, system_corners
     from surctl.verification.verdict import Inapplicable, Verdict
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "Replay",
     "Setting",
     "SonarMargins",
+    "SystemCorners",
     "Variable",
     "Verdict",
     "VerdictWord",
@@ -84,6 +86,7 @@ __all__ = [
     "speeds_text",
     "steady_motion",
     "sweep_locus",
+    "system_corners",
     "system_disk_margin",
     "system_margins",
     "worst_margins",
@@ -115,6 +118,7 @@ load_at_first_use(
         "setting": "Setting setting_from",
         "sonar_margins": "SonarMargins sonar_margins",
         "speeds": "OverSpeeds check_held cruise_speeds over_speeds speeds_text worst_place worst_text",
+        "system_corners": "SystemCorners system_corners",
         "verdict": "Inapplicable Verdict",
     },
 )

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from surctl.control import Gains, Law
 from surctl.errors import InputError
 from surctl.vehicle import Vehicle
@@ -26,6 +24,7 @@ class LawCorners:
         worst: the loop with the least disk margin, or an unstable one.
         corner: the parameters of the worst corner, as text.
         text: description of all corners.
+        slowest_per_s: largest real part [1/s] of a pole over all corners.
         unable: number of corners at which the thrust cannot hold the cruise speed; they are left out.
     """
 
@@ -33,6 +32,7 @@ class LawCorners:
     worst: LawLoop
     corner: str
     text: str
+    slowest_per_s: float
     unable: int = 0
 
     @property
@@ -92,20 +92,14 @@ def law_corners(
     """
     nominal = law_loop(law, vehicle, gains, cruise=cruise, at=at)
     tried = corners(vehicle, uncertainty)
-    worst, label, unable = nominal, "the nominal vehicle", 0
+    worst, label, unable, slowest = nominal, "the nominal vehicle", 0, nominal.slowest_per_s
     for plant in tried.vehicles[1:]:
         try:
             loop = law_loop(law, plant, gains, cruise=cruise, model=vehicle, at=at)
         except InputError:  # the thrust cannot hold the speed
             unable += 1
             continue
-        if _severity(loop) > _severity(worst):
+        slowest = max(slowest, loop.slowest_per_s)
+        if loop.severity > worst.severity:
             worst, label = loop, tried.label(plant)
-    return LawCorners(nominal, worst, label, tried.text, unable)
-
-
-def _severity(loop: LawLoop) -> float:
-    # beyond 1, an unstable loop; below, 1 − disk margin / 2
-    if not loop.stable:
-        return 1.0 + float(np.abs(loop.poles).max())
-    return 1.0 - loop.disk / 2
+    return LawCorners(nominal, worst, label, tried.text, slowest, unable)

@@ -13,7 +13,7 @@ followed), do not belong to the loop.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -28,10 +28,10 @@ from surctl.own_code import label
 from surctl.system import LinearLoop, LoopNames
 from surctl.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
 from surctl.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
-from surctl.verification.linear.disk import DiskMargin
 from surctl.verification.margins import LoopMargins
 from surctl.verification.operating_point import OperatingPoint
-from surctl.verification.sampled_margins import system_disk_margin, system_margins
+from surctl.verification.sampled_loop import SampledLoop
+from surctl.verification.sampled_margins import system_margins
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ _KINK = 0.01  # relative difference of one-sided derivatives that is reported
 
 
 @dataclass(frozen=True, eq=False)
-class LawLoop:
+class LawLoop(SampledLoop):
     """The linear sampled loop of a law about a cruise.
 
     Attributes:
@@ -67,35 +67,17 @@ class LawLoop:
     free: tuple[str, ...] = ()
     kink: float = 0.0
 
-    @cached_property
-    def poles(self) -> NDArray[np.complex128]:
-        """Poles z of the closed loop, largest first."""
-        return self.linear.poles()
+    @property
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """The thrust commands, and the measured pose if the law uses it."""
+        names = self.linear.names
+        pose = tuple(name for name in names.outputs if name in STATE_NAMES[:4])
+        return {"thrust": names.commands} | ({"measurement": pose} if pose else {})
 
     @cached_property
     def margins(self) -> tuple[LoopMargins, ...]:
-        """Margins of each loop, opened at a thrust command or a measurement."""
+        """Margins of each loop alone, opened at a thrust command or a measurement."""
         return system_margins(self.linear)
-
-    @cached_property
-    def disks(self) -> tuple[DiskMargin, ...]:
-        """Disk margins of all loops at once, at the thrust commands and at the measured pose."""
-        pose = [name for name in self.linear.names.outputs if name in STATE_NAMES[:4]]
-        places = [self.linear.names.commands, *([tuple(pose)] if pose else [])]
-        return tuple(
-            replace(system_disk_margin(self.linear, *signals), place=place)
-            for place, signals in zip(("thrust", "measurement"), places, strict=False)
-        )
-
-    @property
-    def disk(self) -> float:
-        """All loops at once, the lesser disk margin of commands and measurements; 0 if unstable, NaN if unknown."""
-        return float(np.min([each.guaranteed for each in self.disks])) if self.stable else 0.0
-
-    @property
-    def stable(self) -> bool:
-        """Whether every pole lies inside the unit circle."""
-        return bool(np.all(np.abs(self.poles) < 1))
 
     def lines(self) -> list[str]:
         """Return lines of text with the margins of each loop."""

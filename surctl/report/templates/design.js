@@ -104,7 +104,6 @@ function ask() {
   $("proofs").textContent = "";
 }
 $("goals-section").hidden = !about.goals;
-$("slow-section").hidden = !$("slow");
 $("undo").addEventListener("click", undo);
 $("redo").addEventListener("click", redo);
 $("reset").addEventListener("click", () => { values = { ...start }; remember(); show(); ask(); });
@@ -124,7 +123,7 @@ $("load").addEventListener("click", async () => {
     values = { ...values, ...found.values }; remember(); show(); ask(); message(found.message, false);
   } catch (error) { message(`error: ${error.message}`, true); }
 });
-$("slow")?.addEventListener("click", async () => {
+$("slow").addEventListener("click", async () => {
   $("slow").disabled = true;
   $("proofs").textContent = "Working …";
   const version = fresh;
