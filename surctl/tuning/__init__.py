@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
+    from surctl.tuning.assessed import ASSESSED
     from surctl.tuning.axes import SEED, Axis, Span, parse_axis
     from surctl.tuning.cegis import Tuning, tune
     from surctl.tuning.derived import (
@@ -29,8 +30,9 @@ if TYPE_CHECKING:
         scope,
     )
     from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
+    from surctl.tuning.finals import CHECKED, Finals, check_finals
     from surctl.tuning.goal_file import LIBRARY, GoalTable
-    from surctl.tuning.goals import Goal, goals_at, goals_from_tables, load_goals
+    from surctl.tuning.goals import Goal, goals_at, goals_from_tables, load_goals, with_floor
     from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
     from surctl.tuning.law_goals import case_loop
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
@@ -55,6 +57,8 @@ if TYPE_CHECKING:
     from surctl.tuning.table import SweepTable, SweptAxis, load_sweep
 
 __all__ = [
+    "ASSESSED",
+    "CHECKED",
     "DESIGNS",
     "LIBRARY",
     "LOOP_GOAL_KEYS",
@@ -72,6 +76,7 @@ __all__ = [
     "Effort",
     "Evaluation",
     "Executor",
+    "Finals",
     "GainRange",
     "Goal",
     "GoalTable",
@@ -111,6 +116,7 @@ __all__ = [
     "build_cases",
     "case_loop",
     "check_column",
+    "check_finals",
     "check_goals",
     "conditions",
     "corners",
@@ -153,19 +159,22 @@ __all__ = [
     "tuned_gains",
     "tuning_dict",
     "value_text",
+    "with_floor",
 ]
 
 load_at_first_use(
     __name__,
     {
+        "assessed": "ASSESSED",
         "axes": "SEED Axis Span parse_axis",
         "cegis": "Tuning tune",
         "derived": "Derivation default_cruise derive_gains derived_gains gains_for has_tuned shared_gains",
         "design": "DESIGNS Design grid make_design saltelli spread",
         "evaluation": "Condition Evaluation check_goals conditions corners evaluate figures judged_goals scope",
         "executors": "DaskExecutor Executor LocalExecutor",
+        "finals": "CHECKED Finals check_finals",
         "goal_file": "LIBRARY GoalTable",
-        "goals": "Goal goals_at goals_from_tables load_goals",
+        "goals": "Goal goals_at goals_from_tables load_goals with_floor",
         "gradient": "SURROGATES DifferentiableRun prepare",
         "law_goals": "case_loop",
         "loop_frequency_goals": "Effort LoopShape MaxGain Rejection SensitivityBound Tracking",
