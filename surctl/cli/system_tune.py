@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,14 +37,15 @@ def tune_own_system(
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
-    from surctl.tuning.system_goals import load_loop_goals
+    from surctl.tuning.representative import not_representative, step_goals
+    from surctl.tuning.system_goals import load_system_goals
     from surctl.tuning.systems import check_tuning, tune_system
 
     own = load_system(words)
-    about_loop, points = ((), {}) if goals is None else load_loop_goals(goals)
+    about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
     cases, space = _cases(own), ranges_of(own, ranges)
-    check_tuning(own.system, space, cases, goals=about_loop)
+    check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
     file = out / "gains.csv"
@@ -56,22 +58,34 @@ def tune_own_system(
         with stoppable(f"the best gains so far are in {file}, without a check of their disk margin"):
             result = tune_system(
                 own.system, duration, space,
-                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points, progress=note,
+                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,
+                run_goals=about_runs, progress=note,
             )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
     table = write_csv(file, {name: [value] for name, value in result.gains.items()})
     first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
-    run = duration if own.system.costs else None
+    run = duration or None
     comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
+    headline, *figures = comparison.lines()
+    doubtful = []
+    limited = comparison.after.figures.get("saturated_share")
+    if limited is not None:
+        linear, costs = [goal.name for goal in step_goals(about_loop)], own.system.costs
+        late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
+        remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
+        limit = f"command {limited.where}"
+        doubtful = not_representative(linear, limited.value, limit=limit, run="the run", remedy=remedy)
     runs = f", runs of {duration:g} s" if own.system.costs else ""
     lines = [
+        headline,
+        *doubtful,
         f"{own.title}: {result.trials} gain sets{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
         f"gains {table}",
         "",
         "of the first case:",
-        *comparison.lines(),
+        *figures,
     ]
     data = {
         **own.names,
@@ -82,6 +96,8 @@ def tune_own_system(
         "assessment": comparison.to_dict(),
         "least_disk_margin": result.least_disk_margin,
         "goals": [] if result.goals is None else [score.to_dict() for score in result.goals.scores],
+        "run_goals": [asdict(goal) for goal in result.run_goals],
+        "not_representative": doubtful,
         "unmet": list(result.unmet),
         "trials": result.trials,
         "gains": str(table),

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
     from surctl.tuning.finals import CHECKED, Finals, check_finals
     from surctl.tuning.goal_file import LIBRARY, GoalTable
+    from surctl.tuning.goal_search import RunGoal
     from surctl.tuning.goals import Goal, goals_at, goals_from_tables, load_goals, with_floor
     from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
     from surctl.tuning.law_goals import case_loop
@@ -52,7 +53,7 @@ if TYPE_CHECKING:
     from surctl.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
     from surctl.tuning.start import lqr_start
     from surctl.tuning.sweep import TABLE, sweep
-    from surctl.tuning.system_goals import load_loop_goals
+    from surctl.tuning.system_goals import load_loop_goals, load_system_goals
     from surctl.tuning.systems import SystemTuning, tune_system
     from surctl.tuning.table import SweepTable, SweptAxis, load_sweep
 
@@ -100,6 +101,7 @@ __all__ = [
     "Rejection",
     "Request",
     "Round",
+    "RunGoal",
     "Score",
     "Sensitivity",
     "SensitivityBound",
@@ -138,6 +140,7 @@ __all__ = [
     "load_goals",
     "load_loop_goals",
     "load_sweep",
+    "load_system_goals",
     "loop_goal",
     "lqr_start",
     "make_design",
@@ -174,6 +177,7 @@ load_at_first_use(
         "executors": "DaskExecutor Executor LocalExecutor",
         "finals": "CHECKED Finals check_finals",
         "goal_file": "LIBRARY GoalTable",
+        "goal_search": "RunGoal",
         "goals": "Goal goals_at goals_from_tables load_goals with_floor",
         "gradient": "SURROGATES DifferentiableRun prepare",
         "law_goals": "case_loop",
@@ -194,7 +198,7 @@ load_at_first_use(
         "space": "TUNED GainRange default_tuned gain_ranges",
         "start": "lqr_start",
         "sweep": "TABLE sweep",
-        "system_goals": "load_loop_goals",
+        "system_goals": "load_loop_goals load_system_goals",
         "systems": "SystemTuning tune_system",
         "table": "SweepTable SweptAxis load_sweep",
     },

@@ -32,7 +32,7 @@ def tuned_gains(tuning: Tuning) -> Gains:
         >>> tuned.name, tuned["k_v"] > gains["k_v"], tuned["lookahead"] == gains["lookahead"]
         ('default-tuned', True, True)
         >>> print(tuned.provenance)
-        chosen by hand: the paper prints no gain; tuned by surctl ...goals: soon: ...; not verified by fresh runs
+        chosen by hand for the built-in law, ...; tuned by surctl ...goals: soon: ...; not verified by fresh runs
     """
     request = tuning.request
     bounds = "; ".join(
