@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ranges_of", "tune_own_system"]
 
+_SO_FAR = "best-so-far.csv"
+
 
 def tune_own_system(
     words: Sequence[str],
@@ -48,7 +50,8 @@ def tune_own_system(
     check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
-    file = out / "gains.csv"
+    file = out / _SO_FAR
+    write_csv(file, {name: [value] for name, value in _nominal(own).items() if name in space})
 
     def note(tried: int, best: Mapping[str, float]) -> None:
         doing(f"{tried} of {trials} gain sets")
@@ -63,7 +66,8 @@ def tune_own_system(
             )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
-    table = write_csv(file, {name: [value] for name, value in result.gains.items()})
+    table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+    file.unlink(missing_ok=True)
     first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
     run = duration or None
     comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
@@ -114,12 +118,9 @@ def tune_own_system(
 def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
-    from surctl.system import entry_labels
     from surctl.tuning.axes import default_range
 
-    gains = own.system.controller.gains
-    nominal = dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
-    result = {}
+    nominal, result = _nominal(own), {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():
         if name not in nominal:
             raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
@@ -127,6 +128,13 @@ def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) 
             raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
         result[name] = default_range(nominal[name]) if ends is None else ends
     return result
+
+
+def _nominal(own: OwnSystem) -> dict[str, float]:
+    from surctl.system import entry_labels
+
+    gains = own.system.controller.gains
+    return dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
 
 
 def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:

@@ -38,10 +38,11 @@ def test_ctrl_c_at_any_moment_is_one_line(moment: int, tmp_path: Path) -> None:
     with Running(["-m", "surctl", *words], cwd=tmp_path) as running:
         running.until(lambda: "gain sets" in running.err)
         if moment > 5:
-            running.until((tmp_path / "out" / "gains.csv").exists)
+            running.until((tmp_path / "out" / "best-so-far.csv").exists)
         time.sleep(0.03 * moment)
         running.send(signal.SIGINT)
         status, err = running.wait(), running.err
     last = err.splitlines()[-1]
     assert status == 130 and last.startswith("surctl: stopped; ") and "Traceback" not in err, err
-    assert moment <= 5 or (tmp_path / "out" / "gains.csv").read_text().startswith("k,q\n")
+    assert not (tmp_path / "out" / "gains.csv").exists()
+    assert moment <= 5 or (tmp_path / "out" / "best-so-far.csv").read_text().startswith("k,q\n")
