@@ -2,7 +2,7 @@
 
     python analysis/44_tuning/run.py [--quick] [--out DIR] [VEHICLE…]
 
-Tunes 13 built-in vehicles at 0.3, 0.5 and 1.0 times the largest cruise speed that derived gains bear, by the command
+Tunes 13 built-in vehicles at 1.0, 0.3 and 0.5 times the largest cruise speed that derived gains bear, by the command
 `surctl tune`, and compares its text with the figures in its file. Prints Markdown. The exit status is 0 if the first
 line names every figure that is worse, and the disk margin at the worst corner is sufficient or the text says why no
 gains have it; else 1. `--quick` tunes one vehicle at one speed.
@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +33,7 @@ VEHICLES = (
     "sur400", "sur540-light", "sur540-flooded", "bluerov2-wu", "bluerov2-vonbenzon", "bluerov2-heavy", "girona500",
     "rexrov", "cybership2", "otter", "remus100", "lauv", "eca-a9",
 )  # fmt: skip
-SHARES = (0.3, 0.5, 1.0)
+SHARES = (1.0, 0.3, 0.5)
 WORDS = ("--trials", "32", "--rounds", "1", "--seeds", "1", "--monte-carlo", "2")
 STUDY = """kind = "study"
 name = "tuning"
@@ -74,9 +75,8 @@ def main(arguments: list[str]) -> int:
     print("| vehicle | cruise [m/s] | disk margin before | after | worse figures | below the least margin | wrong |")
     print("|---|---|---|---|---|---|---|")
     rows = []
-    top = {name: largest_cruise(load_vehicle(name)) for name in vehicles}
     for share, name in product(SHARES[:1] if options.quick else SHARES, vehicles):
-        rows.append(tuned(load_vehicle(name), float(f"{share * top[name]:.3g}"), out / f"{name}-{share:g}"))
+        rows.append(tuned(load_vehicle(name), float(f"{share * largest_cruise(name):.3g}"), out / f"{name}-{share:g}"))
         one = rows[-1]
         cells = (f"{one.before:.3f}", f"{one.after:.3f}", ", ".join(one.worse), one.reason, "; ".join(one.faults))
         print(
@@ -91,8 +91,10 @@ def main(arguments: list[str]) -> int:
     return int(wrong > 0)
 
 
-def largest_cruise(vehicle: Vehicle) -> float:
-    """Return the largest cruise speed [m/s] that derived gains bear; the default one if that is none."""
+@cache
+def largest_cruise(name: str) -> float:
+    """Return the largest cruise speed [m/s] of a vehicle that derived gains bear; the default one if that is none."""
+    vehicle = load_vehicle(name)
     usual = default_cruise(vehicle)
     derivation = derive_gains(vehicle, cruise=2.0 * usual)
     return 2.0 * usual if derivation.reached else derivation.bearable or usual

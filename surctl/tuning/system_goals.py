@@ -105,7 +105,10 @@ def _run_goal(table: GoalTable, system: System | None) -> RunGoal:
         raise InputError("is not a key of a goal on a cost", key=f"{key}.{name}", remedy="leave it out")
     if table.at_most is None:
         raise InputError("needs a bound", key=key, remedy="write at_most = ...")
-    bound = table.at_most.within(system.costs[table.metric].unit).value
+    try:
+        bound = table.at_most.within(system.costs[table.metric].unit).value
+    except InputError as error:
+        raise error.inside(None, f"{key}.at_most.unit") from None
     if not (np.isfinite(bound) and bound > 0):
         raise InputError("must be finite and greater than 0", key=f"{key}.at_most", value=bound, remedy="correct it")
     return RunGoal(table.name, table.metric, bound, table.kind)
