@@ -79,9 +79,7 @@ def main(arguments: list[str]) -> int:
         rows.append(tuned(load_vehicle(name), float(f"{share * largest_cruise(name):.3g}"), out / f"{name}-{share:g}"))
         one = rows[-1]
         cells = (f"{one.before:.3f}", f"{one.after:.3f}", ", ".join(one.worse), one.reason, "; ".join(one.faults))
-        print(
-            f"| {one.vehicle} | {one.cruise:g} | {one.before:.3f} | {one.after:.3f} | {' | '.join(cells)} |", flush=True
-        )
+        print(f"| {one.vehicle} | {one.cruise:g} | {' | '.join(cells)} |", flush=True)
     wrong = sum(bool(one.faults) for one in rows)
     print(
         f"\n{len(rows)} tunings, {wrong} wrong; {sum(bool(one.worse) for one in rows)} name figures that are worse; ",
