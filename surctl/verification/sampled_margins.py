@@ -168,7 +168,8 @@ class _Response:
     def __init__(self, A: Array, B: Array, C: Array, D: Array) -> None:
         from scipy.linalg import schur  # takes a second to import
 
-        self.T, Q = schur(A, output="complex") if len(A) else (A, A)
+        T, Q = schur(A, output="complex") if len(A) else (A, A)
+        self.T: NDArray[np.complex128] = np.asarray(T, dtype=np.complex128)
         self.B, self.C, self.D = Q.conj().T @ B[:, 0], C[0] @ Q, D[0, 0]
 
     def __call__(self, angles: Array) -> NDArray[np.complex128]:
