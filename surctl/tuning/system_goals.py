@@ -98,20 +98,21 @@ def _run_goal(table: GoalTable, system: System | None) -> RunGoal:
     if system is None:
         problem, remedy = "is about a run", "write type = ..., see the guide `Tune the gains`"
         raise InputError(problem, key=f"{key}.metric", value=table.metric, remedy=remedy)
-    if table.metric not in system.costs:
-        remedy = nearest(table.metric or "", system.costs) if system.costs else "give System(..., costs={...})"
-        raise InputError("is not a cost of the system", key=f"{key}.metric", value=table.metric, remedy=remedy)
+    cost = table.metric or ""
+    if cost not in system.costs:
+        remedy = nearest(cost, system.costs) if system.costs else "give System(..., costs={...})"
+        raise InputError("is not a cost of the system", key=f"{key}.metric", value=cost, remedy=remedy)
     for name in sorted(table.model_fields_set - {"name", "metric", "at_most", "kind"}):
         raise InputError("is not a key of a goal on a cost", key=f"{key}.{name}", remedy="leave it out")
     if table.at_most is None:
         raise InputError("needs a bound", key=key, remedy="write at_most = ...")
     try:
-        bound = table.at_most.within(system.costs[table.metric].unit).value
+        bound = table.at_most.within(system.costs[cost].unit).value
     except InputError as error:
         raise error.inside(None, f"{key}.at_most.unit") from None
     if not (np.isfinite(bound) and bound > 0):
         raise InputError("must be finite and greater than 0", key=f"{key}.at_most", value=bound, remedy="correct it")
-    return RunGoal(table.name, table.metric, bound, table.kind)
+    return RunGoal(table.name, cost, bound, table.kind)
 
 
 def _points(tables: tuple[PointTable, ...]) -> dict[str, dict[str, Any]]:

@@ -329,7 +329,7 @@ class _Search:
             len(sets),
             tuple(broken),
             *judged,
-            self.run_goals,
+            run_goals=self.run_goals,
         )
 
     def value(self, figures: Array, scores: Array) -> Array:
