@@ -103,7 +103,7 @@ def main() -> int:
     starts["reference.depth"] = rng.uniform(-2, 2, sets)
     runs = simulate_system(system, 20.0, every_combination(tried, starts))
     print(f"sweep: {len(runs.time):,} runs, {np.mean(runs.stopped == 'time'):.1%} of them to their end")
-    tuned = tune_system(system, 20.0, ranges, cases=starts, trials=3 * sets, least_disk_margin=0.75)
+    tuned = tune_system(system, 20.0, ranges, cases=starts, trials=3 * sets)
     print(*tuned.lines(system), sep="\n")
     linear = linearise(system, {**tuned.gains, **task, "start.z": 2.0, "start.angles": task["reference.attitude"]})
     print(*(margin.line() for margin in system_margins(linear)), sep="\n")

@@ -95,7 +95,7 @@ def main() -> int:
     starts = {name: rng.uniform(*ends, sets) for name, ends in {**cases, "disturbance.wind": (-4, 4)}.items()}
     runs = simulate_system(system, 12.0, every_combination(tried, starts))
     print(f"sweep: {len(runs.time):,} runs, {np.mean(runs.stopped == 'time'):.1%} of them to their end")
-    tuned = tune_system(system, 12.0, ranges, cases=starts, trials=6 * sets, least_disk_margin=0.75)
+    tuned = tune_system(system, 12.0, ranges, cases=starts, trials=6 * sets)
     print(*tuned.lines(system), sep="\n")
     linear = linearise(system, tuned.gains)
     print(*(margin.line() for margin in system_margins(linear)), sep="\n")

@@ -22,7 +22,9 @@ __all__ = ["ClosedLoop", "Region"]
 class Region(Protocol):
     """A claim about a region of attraction with its verdict, such as `surctl.lyapunov.Solution`."""
 
-    falsified: float | None
+    @property
+    def falsified(self) -> float | None:
+        """Return the least level at which a counterexample is known."""
 
     @property
     def verdict(self) -> Literal["proved", "refuted", "unknown"]:
@@ -76,7 +78,7 @@ class ClosedLoop:
 
     def _loop(self) -> Part:
         run_numbers(self.system, self.values)  # a mistake is raised, unlike a loop without equilibrium
-        checked_ranges(self.system, self.ranges or {})
+        checked_ranges(self.system, self.system.ranges if self.ranges is None else self.ranges)
         try:
             corners = system_corners(self.system, self.values, self.ranges)
         except InputError as error:

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from surctl.assessment.assessment import Part
+from surctl.assessment.assessment import Line, Part
 from surctl.assessment.loop import loop_part
 from surctl.assessment.motion import contact_part, region_part, runs_part
 from surctl.control import Barrier, Gains, Movers, build_law, default_law, law_source
 from surctl.guidance import Guidance
 from surctl.simulation import Run, Scenario, Sensing, simulate
 from surctl.vehicle import Vehicle
+from surctl.verification.linear import cap_above
 
 __all__ = ["Mission"]
 
@@ -72,15 +73,7 @@ class Mission:
         """Return the parts of the assessment; those about missions only if there is one."""
         about: dict[str, Any] = {"vehicle": self.vehicle, "gains": self.gains, "law": self.law_ref}
         parts: dict[str, Callable[[], Part]] = {
-            "loop": partial(
-                loop_part,
-                **about,
-                cruise=self.cruise,
-                dt=self.dt,
-                guidance=self.guidance,
-                uncertainty=self.uncertainty,
-                missions=self.scenarios,
-            ),
+            "loop": self._loop,
             "region": partial(region_part, **about, cruise=self.cruise, cap=self.cap),
         }
         if self.scenarios:
@@ -96,6 +89,21 @@ class Mission:
             )
             parts["runs"] = lambda: runs_part(self._runs(), extra=self.extra)
         return parts
+
+    def _loop(self) -> Part:
+        part = loop_part(
+            self.vehicle,
+            self.gains,
+            law=self.law_ref,
+            cruise=self.cruise,
+            dt=self.dt,
+            guidance=self.guidance,
+            uncertainty=self.uncertainty,
+            missions=self.scenarios,
+        )
+        mode = part.source.mode
+        text = None if mode is None else cap_above(self.vehicle, mode.bearable, cap=self.cap)
+        return part if text is None else part._replace(lines=(*part.lines, Line(None, text, "cap", counts=False)))
 
     @property
     def sensed(self) -> Sensing:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from surctl.cli.gains_choice import derive_words
 from surctl.cli.new import write_new
 from surctl.cli.output import FiniteRange, as_json, finish
+
+if TYPE_CHECKING:
+    from surctl.tuning import Derivation
+    from surctl.vehicle import Vehicle
 
 __all__ = ["gains"]
 
@@ -50,7 +55,7 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
         derivation = derive_gains(robot, cruise=default_cruise(robot) if cruise is None else cruise)
     except InputError as error:
         raise error.inside(vehicle, "--cruise" if error.key == "cruise" else None) from None
-    lines = derivation.lines()
+    lines = [*derivation.lines(), *_contact_line(robot, derivation)]
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
     then = []
     if not derivation.reached and derivation.bearable > 0:
@@ -62,3 +67,19 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
         then.append(shlex.join([*words, "--cruise", f"{derivation.cruise:g}"]))
     data = derivation.to_dict() | {"file": None if out is None else str(out)}
     finish(data, lines, as_json=as_json, passed=derivation.reached, then=then)
+
+
+def _contact_line(vehicle: Vehicle, derivation: Derivation) -> list[str]:
+    """Return a line if the no-contact claim needs a larger gain `margin` than the derived one, even in still water."""
+    from surctl.assessment.motion import judged_contact
+    from surctl.control import CASCADE, default_law, law_source
+    from surctl.simulation import mission_size, straight_mission
+    from surctl.verification import Inapplicable
+
+    if CASCADE not in law_source(default_law(vehicle)).parts:
+        return []
+    speeds = {"cruise": derivation.cruise, "size": mission_size(vehicle, derivation.gains, cruise=derivation.cruise)}
+    claim = judged_contact(straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)
+    if isinstance(claim, Inapplicable) or claim.holds:
+        return []
+    return [f"  no contact with obstacles at up to {claim['speed cap']:.3g} m/s in still water: {claim.shortfall}"]

@@ -35,6 +35,7 @@ class LinearPart(NamedTuple):
 
 def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
     """Return the linear part of an assessment: the cascade of formulae, or any other law linearised numerically."""
+    from surctl.control import law_source
 
     loop: LoopAnalysis = assessment.sources["loop"]
     if loop.unjudged:
@@ -47,7 +48,8 @@ def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
         return LinearPart([f"margins: {word}"], unjudged, None, mission.cruise, assessment)
     lines, linear, peak = _law_lines(loop, mission) if loop.law is not None else _cascade_lines(loop, mission)
     data: dict[str, Any] = {"margins": [m.to_dict() for m in loop.margins], "linear": linear}
-    if mission.law_ref == "calm":
+    source = law_source(mission.law_ref)
+    if loop.law is not None and source.scans and "sonar" in source.sensing:
         further, data["by_sonar"] = _by_sonar(mission)
         lines += further
     return LinearPart(lines, data, loop.stable, mission.cruise, assessment, peak)

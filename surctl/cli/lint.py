@@ -12,14 +12,12 @@ import click
 from surctl.cli.output import as_json, finish, printable
 
 if TYPE_CHECKING:
-    from surctl.control import Gains
-    from surctl.simulation import Finding, Scenario
+    from surctl.assessment import Mission
+    from surctl.simulation import Finding
     from surctl.study import Plan
-    from surctl.vehicle import Vehicle
 
 __all__ = ["lint"]
 
-_CONTROL_PERIOD = 0.05  # [s] of the laws that the commands build
 _NEXT = {
     "vehicle": ("tune --vehicle {} --out tuned", "study {}"),
     "gains": ("verify --gains {}", "simulate pool-static --gains {}"),
@@ -55,15 +53,15 @@ def _file_findings(loaded: object) -> list[Finding]:
     return []
 
 
-def _cap_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
-    """Return a warning if the scenario's speed limit exceeds the largest speed with a stable linear loop."""
+def _loop_findings(mission: Mission) -> list[Finding]:
+    """Return a warning for each margin that does not suffice, and for a cap above the largest stable speed."""
+    from surctl.assessment import assess
     from surctl.simulation import Finding
-    from surctl.verification.linear import cap_above_bearable
 
-    if not vehicle["Fv_max"] > 0:  # the linear model is that of laws with sway force
-        return []
-    text = cap_above_bearable(vehicle, gains.values, cap=scenario.cap, dt=_CONTROL_PERIOD)
-    return [] if text is None else [Finding("warning", "cap_m_per_s", f"{text}, with the gains {gains.name!r}")]
+    keys = {"cap": "cap_m_per_s", "margins": "gains"}
+    lines = [line for line in assess(mission, parts=["loop"]).lines if line.passed is False or line.about == "cap"]
+    gains = f"with the gains {mission.gains.name!r}"
+    return [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
 
 
 def _goal_findings(plan: Plan) -> list[Finding]:
@@ -111,6 +109,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     Raises:
         InputError: the file cannot be read, or is of no known kind.
     """
+    from surctl.assessment import Mission
     from surctl.cli.vehicle_choice import choose_vehicle
     from surctl.control import load_gains
     from surctl.errors import InputError
@@ -118,6 +117,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     from surctl.lyapunov import load_problem
     from surctl.simulation import LIBRARY, findings, load_scenario
     from surctl.study import load_plan
+    from surctl.study.conduct import assessed
     from surctl.tuning import gains_for, load_goals, load_loop_goals
     from surctl.vehicle import load_vehicle
     from surctl.verification import load_claim
@@ -139,16 +139,14 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     if kind == "scenario":
         scenario = load_scenario(path)
         robot = load_vehicle(choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word)
-        problems = [
-            *findings(scenario, robot),
-            *_cap_findings(scenario, robot, gains_for(None, robot, cruise=scenario.cruise)[0]),
-        ]
+        gains = gains_for(None, robot, cruise=scenario.cruise)[0]
+        problems = [*findings(scenario, robot), *_loop_findings(Mission(robot, gains, scenario.cruise, scenario.cap))]
     elif kind == "study":
         plan = load_plan(path)
         for leg in plan.legs:
             problems += findings(leg.scenario, leg.vehicle)
-            if has_cascade(plan.law, plan.guidance):
-                problems += _cap_findings(leg.scenario, leg.vehicle, plan.gains)
+        if has_cascade(plan.law, plan.guidance):  # another law is linearised about its runs, which `study` simulates
+            problems += _loop_findings(assessed(plan, plan.gains))
         problems += _goal_findings(plan)
     elif kind in plain:
         problems = _file_findings(plain[kind](path))

@@ -44,7 +44,8 @@ def export_system(
     Raises:
         InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
     """
-    from surctl.assessment import ClosedLoop, assess
+    from surctl.assessment.assessment import assess
+    from surctl.assessment.closed_loop import ClosedLoop
     from surctl.errors import InputError, nearest
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.check import STEPS, check_builds

@@ -29,7 +29,8 @@ _NAMED = 5  # largest number of points that a line names
 
 def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | None, out: Path, as_json: bool) -> None:
     """Simulate a run at each point of the grid in compiled code; print each cost's range and best point."""
-    from surctl.assessment import ClosedLoop, assess
+    from surctl.assessment.assessment import assess
+    from surctl.assessment.closed_loop import ClosedLoop
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv

@@ -26,7 +26,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
 
     The exit status is 1 if a margin is too small at a corner of the ranges, or if no region is proved.
     """
-    from surctl.assessment import ClosedLoop, assess
+    from surctl.assessment.assessment import assess
+    from surctl.assessment.closed_loop import ClosedLoop
     from surctl.cli.motion_verify import write_solution
     from surctl.cli.system_region import region_words
     from surctl.errors import InputError
@@ -49,6 +50,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     problem = None if region is None else region.problem(own.system, values)
 
     def solved() -> Solution:
+        assert problem is not None  # the subject asks only then
         with timed("region of attraction", time_limit):
             return solve(problem, time_limit=time_limit, seed=seed, progress=progress)
 

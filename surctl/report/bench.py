@@ -267,8 +267,9 @@ class Bench:
     def assess(self, values: Mapping[str, float]) -> Assessment:
         """Return the assessment of these gains in the scenario, with true positions."""
         speeds = (self.scenario.cruise, self.scenario.cap)
-        missions = {"scenarios": (self.scenario,), "runs": (self.simulate(values),), "sensing": "truth"}
-        return assess(Mission(self.vehicle, self.gains(values), *speeds, self.case.law, **missions))
+        gains, run = self.gains(values), self.simulate(values)
+        subject = Mission(self.vehicle, gains, *speeds, self.case.law, scenarios=(self.scenario,), runs=(run,))
+        return assess(replace(subject, sensing="truth"))
 
     def decide(self, values: Mapping[str, float]) -> SlowView:
         """Return the assessment and the verdicts on the claims; the picture shows the certified region."""

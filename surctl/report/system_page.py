@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from numpy.typing import ArrayLike
 
@@ -159,8 +160,8 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
     if solution is None:
         return ()
     first, *others = (" ".join(line.split()) for line in solution.lines())
-    mark = {"proved": "good", "refuted": "bad"}.get(solution.verdict, "")
-    blocks: list[Block] = [Paragraph(first, mark), *map(Paragraph, others)]
+    marks: dict[str, Literal["good", "bad"]] = {"proved": "good", "refuted": "bad"}
+    blocks: list[Block] = [Paragraph(first, marks.get(solution.verdict, "")), *map(Paragraph, others)]
     claim = None if solution.decision is None else solution.decision.claim
     if claim is not None and hasattr(claim, "level"):
         figures = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)

@@ -48,7 +48,7 @@ def summary(
         edge = f" (on the edge of the grid in {' and '.join(edges)}: extend the grid there)" if edges else ""
         notes.append(Line(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
     speed = max(leg.scenario.cruise for leg in plan.deciding)
-    notes += _speed_notes(plan, loops)
+    notes += _speed_notes(loops)
     decided = [v for v in verdicts if isinstance(v, Verdict)]
     unexpected = [v.claim.name for v in decided if not v.as_expected]
     counts = Counter(v.verdict for v in decided)
@@ -92,12 +92,8 @@ def _limits(plan: Plan, runs: Sequence[Run]) -> list[Line]:
     ]
 
 
-def _speed_notes(plan: Plan, loops: Loops) -> list[Line]:
+def _speed_notes(loops: Loops) -> list[Line]:
     over, mode, notes = loops.over, loops.analysis.mode, list[Line]()
-    caps = {leg.scenario.cap for leg in plan.deciding}
-    if mode is not None and max(caps) > mode.bearable:
-        text = f"the speed cap, {max(caps):g} m/s, exceeds the bearable speed, {mode.bearable:.3g} m/s; lower the cap"
-        notes.append(_remark(text, "margins"))
     if over is not None:
         names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
         margin_text = ", ".join(

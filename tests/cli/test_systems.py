@@ -166,9 +166,9 @@ def test_the_linear_loop_is_that_of_the_system(file: str) -> None:
     linear = linearise(own(file), {"reference.goal": 0.5}, at=at)
     assert done["equilibrium"]["state"] == dict(zip(("x", "pose[0]", "pose[1]"), at.x, strict=True))
     assert [pole[0] for pole in done["poles"]] == linear.poles().real.tolist() and done["stable"]
-    assert [m["name"] for m in done["margins"]] == ["f", "turn[0]", "turn[1]"]
+    assert [m["name"] for m in done["margins"]] == ["f", "turn[0]", "turn[1]", "x"]  # the law does not use the pose
     assert done["margins"][0]["delay_margin_s"] == system_margins(linear, "f")[0].delay_margin_s
-    assert done["disk_margins"][-1]["guaranteed"] == system_disk_margin(linear).guaranteed
+    assert done["disk_margins"][-1]["guaranteed"] == system_disk_margin(linear, "x").guaranteed
     assert done["slowest_mode"]["time_constant_s"] == pytest.approx(1.0)  # of the pose
     text = run("verify", file, "reference.goal=0.5").stdout
     assert "stable, 3 poles" in text and "f: gain factor below" in text and "m/s" in text and "surge" not in text
@@ -246,7 +246,8 @@ def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> Non
     for text in ("Costs of the run", "Margins", "at the end", "turn[1]", "surctl sweep mine.py:build k=0.5..2:3"):
         assert text in page
     lost = data("study", file, "plant.blow=1", "k=0", "--seconds", "2", "--out", "s", status=1)
-    assert [check["passed"] for check in lost["checks"]].count(False) == 1 and "state x at" in lost["checks"][0]["text"]
+    lines = lost["assessment"]["lines"]
+    assert [line["passed"] for line in lines].count(False) == 1 and "state x at" in lines[0]["text"]
 
 
 MISTAKES = {
@@ -331,7 +332,12 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
     assert found["objective"] == "final"
     assert 0.5 <= found["best"]["gains"]["k"] <= 8.0
     assert found["best"]["costs"]["final"]["value"] < found["before"]["final"]
-    assert found["disk_margin"] > found["least_disk_margin"] == 0.3
+    after, k = found["assessment"]["after"], found["best"]["gains"]["k"]
+    assert after["figures"]["disk_margin"]["value"] > found["least_disk_margin"] == 0.3
+    assert (
+        after["figures"]
+        == data("export", file, "start.x=1", f"k={k!r}", "--seconds", "3", "--out", "c")["assessment"]["figures"]
+    )
     assert "k" in (tmp_path / "t" / "gains.csv").read_text()
     assert found["next"][0].startswith(f"surctl verify {file} k=")
 
@@ -398,7 +404,8 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     for words, says in (
         (["within.y=-1..1"], "within.y: is not a state of the system"),
         (["within.x=1"], "within.x = '1': is not a range; write within.x=-1..1"),
-        (["k=1..2"], "k: asks for a region of attraction, whose box is missing"),
+        (["lyapunov.level=2"], "lyapunov.level: asks for a region of attraction, whose box is missing"),
+        (["k=2..1"], "ranges.k = (2.0, 1.0): is not a range"),
         (["within.x=-1..1", "lyapunov.level=2"], "lyapunov.level: is given without a function"),
         (["within.x=-1..1", "lyapunov.function=z^2"], "'z' at column 1 is not known"),
         (["within.x=1..2"], "has its equilibrium outside its bounds"),

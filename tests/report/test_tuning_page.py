@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import surctl.report.bench as bench_module
+from surctl.assessment import Mission, assess, motion
 from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
@@ -239,7 +239,6 @@ def test_a_region_is_proved_and_drawn_on_request():
         return Problem(dynamics, "lyapunov", None, None, None)
 
     bench = SystemBench(system, "mine.py:build", 1.0, {"k": (0.5, 2.0)}, {"nominal": {}}, (), problem)
-    assert bench.slow.startswith("Prove")
     found = respond(bench, "slow", request(bench))
     assert "surctl verify mine.py:build k=1</code>" in found["html"]
     assert (
@@ -255,7 +254,7 @@ def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
     run = ROBOT.simulate(values)
     assert rows["time_s"][0] == f"{run.metrics.time_s:.4g} s" and rows["outcome"] == ("reached", "good")
     assert rows["goal arrive"][1] == "good" and rows["goal delay margin"][0].startswith("met")
-    assert ROBOT.points == ("0.05 m/s", "0.15 m/s", "0.22 m/s") and ROBOT.slow.startswith("Check")
+    assert ROBOT.points == ("0.05 m/s", "0.15 m/s", "0.22 m/s")
     assert "k_v" in values and '"k_v"' in page(ROBOT, nonce="n", token="t")
     assert all(panel.x == "time [s]" and not panel.log_x for panel in view.panels)
     thrust = next(panel for panel in view.panels if "thrust surge" in panel.title)
@@ -273,9 +272,13 @@ def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
 def test_the_page_of_the_robot_says_which_region_does_not_apply(monkeypatch):
     """That the certified region is drawn with the falsified level is a check of `analysis/40_long_checks`."""
     monkeypatch.setattr(Bench, "verdicts", lambda self, values: ())  # claims have tests of their own
-    monkeypatch.setattr(bench_module, "_REGIONS", ("region-steered-20",))  # about craft without sway force
-    refused = ROBOT.decide({one.name: one.value for one in ROBOT.sliders})
-    assert refused.picture is None and "not applicable" in refused.lines[-1][0]
+    monkeypatch.setattr(motion, "DEFAULT_REGIONS", ("region-steered-20",))  # about craft without sway force
+    values = {one.name: one.value for one in ROBOT.sliders}
+    refused = ROBOT.decide(values)
+    assert refused.picture is None and any("not applicable" in text for text, _ in refused.lines)
+    assessment = assess(Mission(ROBOT.vehicle, ROBOT.gains(values), 0.15, 0.22, ROBOT.case.law), parts=["loop"])
+    margin = assessment.figures["disk_margin"]
+    assert any(text.startswith(f"disk_margin = {margin.value:.4g}: ") for text, _ in refused.lines)
 
 
 def test_a_law_of_ones_own_is_linear_about_its_run():
@@ -292,7 +295,6 @@ def test_a_law_of_ones_own_is_linear_about_its_run():
     assert bench.goals[0].judge(slow).value > 1.5 * bench.goals[0].judge(fast).value
     moved = respond(bench, "run", request(bench, values={**start, "k_wall": 0.4}, points=["its own run"]))
     assert moved["moved"] and bench.version == 2
-    assert bench.slow == ""
 
 
 def test_activity_counts_signs_and_saturation():

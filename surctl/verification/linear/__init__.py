@@ -11,10 +11,10 @@ from surctl.verification.linear.disk import (
 )
 from surctl.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
 from surctl.verification.linear.margin_speed import margin_speed
-from surctl.verification.linear.modes import Mode, bearable_speed, cap_above_bearable, slowest_mode
+from surctl.verification.linear.modes import Mode, bearable_speed, cap_above, cap_above_bearable, slowest_mode
 from surctl.verification.linear.open_loop import OpenLoop
 from surctl.verification.linear.places import DISK_PLACES, open_loop
-from surctl.verification.linear.sampled import SampledLimits, largest_period, radius_of, sampled_limits, sampled_poles
+from surctl.verification.linear.sampled import SampledLimits, largest_period, sampled_limits, sampled_poles
 from surctl.verification.linear.sensitivity import Sensitivity, sensitivity_of
 from surctl.verification.linear.side import LinearSide, Pole, linear_side, worst_linear_side
 from surctl.verification.linear.worst import corner_margin, least_disk
@@ -31,6 +31,7 @@ __all__ = [
     "SampledLimits",
     "Sensitivity",
     "bearable_speed",
+    "cap_above",
     "cap_above_bearable",
     "closed_system",
     "corner_margin",
@@ -44,7 +45,6 @@ __all__ = [
     "margin_speed",
     "open_loop",
     "open_system",
-    "radius_of",
     "sampled_limits",
     "sampled_loop_system",
     "sampled_poles",

@@ -217,7 +217,11 @@ def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: flo
         'the cap of 0.47 m/s is above the bearable speed of ... m/s, up to which the linear loop ... is stable'
         >>> cap_above_bearable(load_vehicle("sur400"), gains, cap=0.22, dt=0.05)
     """
-    bearable = bearable_speed(vehicle, gains, dt=dt)
+    return cap_above(vehicle, bearable_speed(vehicle, gains, dt=dt), cap=cap)
+
+
+def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
+    """Return the line of `cap_above_bearable` for a bearable speed [m/s] that is known."""
     if bearable >= min(cap, _fastest(vehicle), _HIGHEST):
         return None
     stable = f"up to which the linear loop of {vehicle.name} is stable"

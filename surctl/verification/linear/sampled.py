@@ -26,7 +26,6 @@ __all__ = [
     "largest_period",
     "open_transition",
     "radii_of",
-    "radius_of",
     "sampled_limits",
     "sampled_poles",
 ]
@@ -145,11 +144,6 @@ def _sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         borne = delay
     one, two, three = (_largest(undelayed, delay, held) for delay in DELAYS)
     return SampledLimits(period, float(np.max(_radius(undelayed, 1, held(period)))), (one, two, three), borne)
-
-
-def radius_of(undelayed: Cascade, period: float, delay: int) -> float:
-    """Return the spectral radius of the sampled loop: the largest |z| of its poles."""
-    return float(_radius(undelayed, delay, _held(undelayed, period)))
 
 
 def radii_of(undelayed: Cascade, period: float, delay: int) -> Array:

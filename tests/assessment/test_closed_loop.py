@@ -1,0 +1,110 @@
+"""The assessment of a system of one's own: the worst of commands, measurements and corners; run, saturation, region."""
+
+from dataclasses import replace
+from itertools import product
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.assessment import ClosedLoop, assess
+from surctl.errors import InputError
+from surctl.ir import Layout, Port
+from surctl.system import Controller, Cost, Plant, System, linearise, run_system, unresponsive
+from surctl.verification import system_disk_margin, system_margins
+from tests.system.examples import pendulum
+
+RANGES = {"plant.gravity": (6.0, 12.0), "plant.drag": (0.0, 0.5)}
+
+
+def test_the_disk_margin_is_the_least_of_commands_measurements_and_corners() -> None:
+    result = assess(ClosedLoop(replace(pendulum(), ranges=RANGES)))
+    margins = {}
+    for ends in [None, *product(*RANGES.values())]:
+        linear = linearise(pendulum(), {} if ends is None else dict(zip(RANGES, ends, strict=True)))
+        places = (("torque",), ("angle", "rate"))
+        margins[ends] = min(system_disk_margin(linear, *place).guaranteed for place in places)
+    worst = min(margins, key=lambda ends: margins[ends])
+    disk, figures = result.figures["disk_margin"], result.figures
+    assert disk.value == margins[worst] < margins[None] == figures["nominal_disk_margin"].value
+    assert worst is not None and disk.where == f"plant.gravity = {worst[0]:g}, plant.drag = {worst[1]:g}"
+    each = system_margins(linearise(pendulum()), "torque", "angle", "rate")
+    assert figures["delay_margin_s"].value == min(m.delay_margin_s for m in each)
+    assert figures["single_loop_disk_margin"].value == min(m.disk_margin for m in each)
+    assert figures["delay_margin_s"].least == pendulum().dt
+    # ranges that the caller states take the place of those that the system declares
+    alone = assess(ClosedLoop(replace(pendulum(), ranges=RANGES), ranges={}))
+    assert alone.figures["disk_margin"].value == margins[None]
+
+
+def cart(limit: float = 1e3, *, k: float = 2.0, unstable: float = 0.0) -> System:
+    speed, force = Port("speed", (1,), "m/s", "of the cart", 5.0), Port("force", (1,), "N", "drive")
+    lamp = Port("lamp", (1,), "1", "on")
+
+    def ode(x, f, d, p):
+        root = ca.sqrt(1.5 - p["push"]) - ca.sqrt(1.5 - unstable)  # no finite rate beyond
+        return {"speed": p["push"] * x["speed"] + f["force"] + root}
+
+    plant = Plant(
+        "cart", Layout((speed,)), Layout((force, lamp)), ode,
+        parameters=Layout((Port("push", (1,), "1/s", "of the wind", unstable),)),
+    )  # fmt: skip
+    law = Controller(
+        "hold", 0.1, Layout((speed,)), Layout((force, lamp)),
+        lambda x, u, p: {"force": ca.fmin(ca.fmax(-k * u["speed"], -limit), limit), "lamp": 1.0},
+    )  # fmt: skip
+    return System(plant, law, costs={"end": Cost(lambda s: s.x["speed"] ** 2, "final", "m^2/s^2", at_most=0.5)})
+
+
+@pytest.mark.parametrize(("limit", "share"), [(1e3, 0.0), (1.0, None), (0.1, 1.0)])
+def test_a_run_states_costs_and_how_long_commands_do_not_respond(limit: float, share: float | None) -> None:
+    system = cart(limit)
+    record = run_system(system, 3.0)
+    inputs = record.controller[1][:, 0]
+    exact = float(np.mean(2.0 * np.abs(inputs) > limit))
+    assert unresponsive(record) == {"force": exact}  # the lamp never responds, and is no limit
+    assert share is None or exact == share
+    result = assess(ClosedLoop(system, record=record), parts=["run"])
+    assert result.figures["saturated_share"].value == exact
+    assert any("do not describe this run" in line.text for line in result.lines) is (exact > 0.5)
+    assert result.figures["cost.end"].value == record.figures["end"]
+    assert (result.passed is False) is (record.figures["end"] > 0.5)
+
+
+def test_an_unstable_corner_and_one_without_equilibrium_fail() -> None:
+    lines = assess(ClosedLoop(cart(), ranges={"plant.push": (0.0, 5.0)})).lines
+    assert lines[0].passed is False and "no equilibrium at the corner plant.push = 5" in lines[0].text
+    unstable = assess(ClosedLoop(cart(k=0.5), ranges={"plant.push": (0.0, 1.0)}))
+    assert unstable.passed is False and "UNSTABLE at the corner plant.push = 1" in unstable.banner
+    assert unstable.figures["disk_margin"].value == 0 < unstable.figures["nominal_disk_margin"].value
+    assert unstable.figures["corner_slowest_pole_per_s"].value > 0 > unstable.figures["slowest_pole_per_s"].value
+    nowhere = assess(ClosedLoop(cart(), {"plant.push": 2.0}))  # no finite rate anywhere
+    assert nowhere.figures == {} and nowhere.passed is None and "not judged" in nowhere.lines[0].text
+
+
+@pytest.mark.parametrize(
+    ("verdict", "vacuous", "passed"),
+    [("proved", "", True), ("proved", "empty", None), ("unknown", "", None), ("refuted", "", False)],
+)
+def test_a_claimed_region_counts_by_its_verdict(verdict: str, vacuous: str, passed: bool | None) -> None:
+    claim = SimpleNamespace(verdict=verdict, vacuous=vacuous, level=2.0, falsified=8.0, lines=lambda: [f"{verdict} it"])
+    result = assess(ClosedLoop(pendulum(), region=lambda: claim))
+    assert result.passed is passed and any(f"{verdict} it" in line.text for line in result.lines)
+    assert result.figures["region_share"].value == (0.25 if passed else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "problem"),
+    [
+        ({"plant.gravit": (1.0, 2.0)}, "did you mean 'plant.gravity'"),
+        ({"plant.gravity": (2.0, 1.0)}, r"ranges\.plant\.gravity.*is not a range"),
+        ({"plant.gravity": (1.0, float("nan"))}, "is not a range"),
+        ({"plant.gravity": 3.0}, "is not a range"),
+        (dict.fromkeys(["plant.gravity", "plant.drag", "k_angle", "k_rate", "start.angle", "start.rate",
+                        "disturbance.gust"], (1.0, 2.0)), "are 7: every corner is judged; keep the 6"),
+    ],
+)  # fmt: skip
+def test_a_wrong_range_is_named(ranges, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        assess(ClosedLoop(replace(pendulum(), ranges=ranges)))
