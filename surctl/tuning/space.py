@@ -100,7 +100,9 @@ def gain_ranges(
             raise InputError("no such gain", key="--gain", value=name, remedy=nearest(name, base.specs))
     stated = ((name, ends or _default(name, base)) for name, ends in table.items())
     specs = base.specs
-    return tuple(GainRange(name, *ends, specs[name].below, specs[name].zero_allowed) for name, ends in stated)
+    return tuple(
+        GainRange(name, low, high, specs[name].below, specs[name].zero_allowed) for name, (low, high) in stated
+    )
 
 
 def default_tuned(base: Gains) -> tuple[str, ...]:

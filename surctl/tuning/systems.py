@@ -311,11 +311,11 @@ class _Search:
         broken += ["disk margin"] if margin is not None and margin < least else []
         nominal = np.array([self._nominal(name) for name in self.names])
         own = self.costs(nominal[None])[0]
-        judged = [
+        after, before = (
             None if self.goals is None else self.goals.judged(self.names, gains) for gains in (sets[best], nominal)
-        ]
-        if judged[0] is not None:
-            broken += [s.goal.name for s in judged[0].worst() if s.goal.kind == "hard" and not s.judgement.met]
+        )
+        if after is not None:
+            broken += [s.goal.name for s in after.worst() if s.goal.kind == "hard" and not s.judgement.met]
         for goal in self.run_goals:
             share = goal.normalised(figures[best][[list(self.system.costs).index(goal.cost)]])
             broken += [goal.name] if goal.kind == "hard" and not share[0] <= 1 else []
@@ -328,8 +328,9 @@ class _Search:
             least,
             len(sets),
             tuple(broken),
-            *judged,
-            run_goals=self.run_goals,
+            after,
+            before,
+            self.run_goals,
         )
 
     def value(self, figures: Array, scores: Array) -> Array:
