@@ -77,6 +77,19 @@ def test_the_study_of_hostile_gains_and_broken_time() -> None:
     assert next(row[4:] for row in rows if len(row) == 8 and row[0].isdigit()) == ["0"] * 4
 
 
+def test_the_study_of_what_a_tuning_makes_worse(tmp_path: Path) -> None:
+    need_compiler()
+    done = run(ANALYSIS / "44_tuning" / "run.py", "--quick", "--out", str(tmp_path))
+    assert done.returncode == 0, done.stdout + done.stderr
+    (row,) = [row for row in table(done.stdout) if row[0] == "bluerov2-wu"]
+    assert float(row[3]) >= 0.3 and row[6] == ""
+    # the study finds a text that is silent about a figure
+    (text,) = tmp_path.glob("*/text")
+    text.write_text("no figure of the assessment is worse than before\n" + text.read_text().partition("\n")[2])
+    silent = run(ANALYSIS / "44_tuning" / "run.py", "--quick", "--out", str(tmp_path))
+    assert silent.returncode == int(bool(row[4])) == 1 and "first line is silent about" in silent.stdout
+
+
 def test_the_cycles_of_a_loop_of_known_length_are_counted() -> None:
     need("arm-none-eabi-gcc")
     need("qemu-system-arm")

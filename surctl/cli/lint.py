@@ -85,7 +85,7 @@ def _goal_findings(plan: Plan) -> list[Finding]:
     from surctl.tuning import judged_goals, load_goals
 
     built_in = load_goals()
-    left = [goal for goal in judged_goals(plan.goals, plan.sweep_cases)[1] if goal not in built_in]
+    left = [goal for goal in judged_goals(plan.goals, plan.sweep_cases)[2] if goal not in built_in]
     why = f"is not judged, because surctl has no linear model of law {label(plan.law)}"
     why += ': write type = "margins" in place of metric'
     return [Finding("error" if goal.kind == "hard" else "warning", f"goals.{goal.name}", why) for goal in left]

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from surctl.cli.output import finish, saving
+from surctl.cli.activity import doing, progress
+from surctl.cli.output import Stopped, finish, interrupted, saving
 from surctl.cli.system_option import OwnSystem, command_line, load_system
 
 if TYPE_CHECKING:
@@ -19,6 +22,8 @@ __all__ = ["best_line", "best_points", "grid_of", "sweep_system"]
 _SHOWN = 40  # largest number of points in the text output
 _MOST_JSON = 100_000  # largest number of points printed as JSON
 _MOST_REPEATED = 20_000  # largest number of control periods of a run that is repeated in Python
+_SO_FAR = "sweep-so-far.csv"
+_PARTS, _LEAST_PART, _PATIENCE = 50, 64, 10.0  # of a sweep: parts, runs of a part, and seconds between two files
 _NAMED = 5  # largest number of points that a line names
 
 
@@ -29,7 +34,7 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
-    from surctl.system import LOST, simulate_system
+    from surctl.system import LOST
 
     own = load_system(words)
     duration = own.seconds(seconds)
@@ -37,10 +42,10 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
     if as_json and len(design.points) > _MOST_JSON:
         problem = f"would print {len(design.points)} points"
         raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
-    values = {name: design.points[:, k] for k, name in enumerate(design.names)}
     prepare_folder(out)
-    runs = simulate_system(own.system, duration, values, threads=workers or 2)
+    runs = _simulated(own, design, duration, threads=workers or 2, file=out / _SO_FAR)
     table = write_csv(out / "sweep.csv", _columns(own, design, runs))
+    (out / _SO_FAR).unlink(missing_ok=True)
     dataset = _write_dataset(own, design, runs, out / "sweep.nc", seconds=duration)
     best = best_points(own, design, runs)
     loops = {name: assess(ClosedLoop(own.system, row["at"])) for name, row in best.items()}
@@ -74,6 +79,49 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         at = next(iter(best.values()))["at"]
         then = [command_line("simulate", own, *(f"{n}={v!r}" for n, v in at.items()), "--seconds", f"{duration:g}")]
     finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+
+
+def _simulated(own: OwnSystem, design: Design, seconds: float, *, threads: int, file: Path) -> Runs:
+    """Simulate all points in parts; the finished points are in the file after the first part, and every 10 s."""
+    import numpy as np
+
+    from surctl.recorded_write import write_csv
+    from surctl.system import Runs, simulate_system
+    from surctl.system.values import run_numbers
+
+    run_numbers(own.system, {name: design.points[:, k] for k, name in enumerate(design.names)})
+    count, parts, done = len(design.points), list[Runs](), 0
+    size, written = max(_LEAST_PART, -(-count // _PARTS)), -math.inf
+    progress(f"{count} runs of {seconds:g} s")
+
+    def whole() -> Runs:
+        figures = {name: np.concatenate([part[name] for part in parts]) for name in parts[0].figures}
+        return Runs(
+            figures, *(np.concatenate([getattr(part, n) for part in parts]) for n in ("stopped", "time", "state"))
+        )
+
+    def keep() -> None:
+        write_csv(file, _columns(own, replace(design, points=design.points[:done]), whole()))
+
+    try:
+        while done < count:
+            points = design.points[done : done + size]
+            values = {name: points[:, k] for k, name in enumerate(design.names)}
+            parts.append(simulate_system(own.system, seconds, values, threads=threads))
+            done += len(points)
+            doing(f"{done} of {count} runs")
+            if done < count and time.monotonic() - written > _PATIENCE:
+                keep()
+                written = time.monotonic()
+    except (Exception, KeyboardInterrupt) as error:
+        if not interrupted(error):
+            raise
+        if parts:
+            keep()
+        raise Stopped(
+            f"{done} of {count} runs are in {file}" if parts else f"none of {count} runs is finished"
+        ) from None
+    return whole()
 
 
 def _pictures(own: OwnSystem, design: Design, runs: Runs, out: Path) -> list[Path]:

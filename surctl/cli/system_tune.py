@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 __all__ = ["ranges_of", "tune_own_system"]
+
+_SO_FAR = "best-so-far.csv"
 
 
 def tune_own_system(
@@ -38,17 +41,19 @@ def tune_own_system(
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
-    from surctl.tuning.system_goals import load_loop_goals
+    from surctl.tuning.representative import not_representative, step_goals
+    from surctl.tuning.system_goals import load_system_goals
     from surctl.tuning.systems import check_tuning, tune_system
 
     own = load_system(words)
-    about_loop, points = ((), {}) if goals is None else load_loop_goals(goals)
+    about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
     cases, space = _cases(own), ranges_of(own, ranges)
-    check_tuning(own.system, space, cases, goals=about_loop)
+    check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
-    file = out / "gains.csv"
+    file = out / _SO_FAR
+    write_csv(file, {name: [value] for name, value in _nominal(own).items() if name in space})
 
     def note(tried: int, best: Mapping[str, float]) -> None:
         doing(f"{tried} of {trials} gain sets")
@@ -58,22 +63,35 @@ def tune_own_system(
         with stoppable(f"the best gains so far are in {file}, without a check of their disk margin"):
             result = tune_system(
                 own.system, duration, space,
-                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points, progress=note,
+                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,
+                run_goals=about_runs, progress=note,
             )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
-    table = write_csv(file, {name: [value] for name, value in result.gains.items()})
+    table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+    file.unlink(missing_ok=True)
     first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
-    run = duration if own.system.costs else None
+    run = duration or None
     comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
+    headline, *figures = comparison.lines()
+    doubtful = []
+    limited = comparison.after.figures.get("saturated_share")
+    if limited is not None:
+        linear, costs = [goal.name for goal in step_goals(about_loop)], own.system.costs
+        late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
+        remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
+        limit = f"command {limited.where}"
+        doubtful = not_representative(linear, limited.value, limit=limit, run="the run", remedy=remedy)
     runs = f", runs of {duration:g} s" if own.system.costs else ""
     lines = [
+        headline,
+        *doubtful,
         f"{own.title}: {result.trials} gain sets{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
         f"gains {table}",
         "",
         "of the first case:",
-        *comparison.lines(),
+        *figures,
     ]
     data = {
         **own.names,
@@ -84,6 +102,8 @@ def tune_own_system(
         "assessment": comparison.to_dict(),
         "least_disk_margin": result.least_disk_margin,
         "goals": [] if result.goals is None else [score.to_dict() for score in result.goals.scores],
+        "run_goals": [asdict(goal) for goal in result.run_goals],
+        "not_representative": doubtful,
         "unmet": list(result.unmet),
         "trials": result.trials,
         "gains": str(table),
@@ -100,12 +120,9 @@ def tune_own_system(
 def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
-    from surctl.system import entry_labels
     from surctl.tuning.axes import default_range
 
-    gains = own.system.controller.gains
-    nominal = dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
-    result = {}
+    nominal, result = _nominal(own), {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():
         if name not in nominal:
             raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
@@ -113,6 +130,13 @@ def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) 
             raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
         result[name] = default_range(nominal[name]) if ends is None else ends
     return result
+
+
+def _nominal(own: OwnSystem) -> dict[str, float]:
+    from surctl.system import entry_labels
+
+    gains = own.system.controller.gains
+    return dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
 
 
 def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -18,15 +16,8 @@ from surctl.cli.output import as_json, finish, finite, same_command, saving, sto
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_tune import tune_own_system
+from surctl.cli.tuning_lines import caps, check_goal_cases, floor_lines, look, region_words, unrepresentative
 from surctl.cli.vehicle_choice import at_hand
-
-if TYPE_CHECKING:
-    from surctl.assessment import Comparison
-    from surctl.control import Gains
-    from surctl.simulation import Case, Scenario
-    from surctl.study import Plan
-    from surctl.tuning import Goal, Miss
-    from surctl.vehicle import Vehicle
 
 __all__ = ["tune"]
 
@@ -192,10 +183,13 @@ def tune(
     from surctl.files import prepare_folder, write_file
     from surctl.own_code import label
     from surctl.study import load_plan
+    from surctl.study.conduct import assessed
     from surctl.tuning import (
+        CHECKED,
         Request,
         advice,
         build_cases,
+        check_finals,
         check_goals,
         conditions,
         default_tuned,
@@ -207,6 +201,7 @@ def tune(
         summary,
         tuned_gains,
         tuning_dict,
+        with_floor,
     )
     from surctl.tuning import tune as run_tuning
     from surctl.tuning.journal import BEST
@@ -220,8 +215,8 @@ def tune(
     if plan.unheard:
         prepare_folder(out)
         plan = plan.written(out / "missions")
-    goals = goals_at(plan.goals if goals_file is None else load_goals(goals_file), cruise or plan.cruise)
-    if cruise and not any(goal.linear for goal in goals):
+    stated = plan.goals if goals_file is None else load_goals(goals_file)
+    if cruise and not any(goal.linear for goal in stated):
         remedy = "add one, on disk_margin say, or leave the option out"
         raise InputError("no goal is about the linear loop", key="--cruise", value=list(cruise), remedy=remedy)
     derived = [] if plan.derivation is None else plan.derivation.lines()
@@ -231,12 +226,20 @@ def tune(
     omitted = [f"{leg.scenario.name} by {leg.vehicle.name} is left out: {leg.left_out}" for leg in plan.left_out]
     for line in omitted:
         progress(line)
-    _check_cases(goals, plan, goals_file or plan.source)
+    check_goal_cases(stated, plan, goals_file or plan.source)
     kind = {"law": plan.law, "guidance": plan.guidance if guidance is None else guidance}
     cases = [build_cases([scenario], [vehicle], gains=plan.gains, **kind)[0] for scenario, vehicle in pairs]
-    goals, unjudged = judged_goals(goals, cases)
-    built_in = load_goals()
-    mine = [goal.name for goal in unjudged if goal.kind == "hard" and goal not in built_in]
+    every = with_floor(stated)
+    for goal in every[len(stated) :]:
+        progress(f"added goal {goal.name}: {goal.sense} {goal.limit:g}; a goal on {goal.metric} replaces it")
+    goals, finals, unjudged = judged_goals(goals_at(every, cruise or plan.cruise), cases)
+    own = (
+        []
+        if set(plan.goals) <= set(load_goals()) and goals_file is None
+        else [goal.name for goal in every[: len(stated)]]
+    )
+    default = [goal for goal in (*finals, *unjudged) if goal.name not in own]
+    mine = [goal.name for goal in unjudged if goal.kind == "hard" and goal not in default]
     if mine:
         problem = f"is hard, but surctl has no linear model of law {label(plan.law)}"
         remedy = 'write type = "margins" in place of metric, or drop it'
@@ -244,9 +247,12 @@ def tune(
     for goal in unjudged:
         omitted.append(f"goal {goal.name} is not judged: tune has no linear model of law {label(plan.law)}")
         progress(omitted[-1])
+    if finals:
+        names = ", ".join(goal.name for goal in finals)
+        progress(f"checked at the end on the best gain sets (at most {CHECKED}), not in the search: {names}")
     if not goals:
         remedy = "add a goal on a metric of the runs, time_s say"
-        problem = f"has only goals on the linear loop, and tune has no linear model of law {label(plan.law)}"
+        problem = "has only goals on figures that the search does not compute"
         raise InputError(problem, file=goals_file or plan.source, key="goals", remedy=remedy)
     all_runs = conditions(cases, seeds=range(seeds))
     try:
@@ -266,19 +272,29 @@ def tune(
         tuning = run_tuning(
             request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
         )
+        subject = replace(plan, guidance=cases[0].guidance)
+        tuning, checked = check_finals(
+            tuning, finals, lambda gains: assessed(subject, gains), default=default, progress=progress
+        )
+    for goal in checked.undetermined:
+        unjudged = (*unjudged, goal)
+        omitted.append(f"goal {goal.name} is not judged: the assessment has no {goal.metric}")
+    unmet = (*tuning.unmet, *checked.unmet)
     warning = ""
-    if not tuning.accepted:
-        warning = f"HARD GOALS NOT MET ({', '.join(tuning.unmet)}): best gains found, but do not use them on a vehicle"
+    if unmet:
+        warning = f"HARD GOALS NOT MET ({', '.join(unmet)}): best gains found, but do not use them on a vehicle"
     gains_path = write_file(out / "gains.toml", write_gains(tuned_gains(tuning), warning=warning))
     (out / BEST).unlink(missing_ok=True)
     result = tuning_dict(tuning)
+    result |= {"accepted": not unmet, "unmet": list(unmet), "finals": checked.to_dict()}
     result["left_out"] = [
         {"scenario": leg.scenario.name, "vehicle": leg.vehicle.name, "reason": leg.left_out} for leg in plan.left_out
     ]
     result["not_judged"] = [goal.name for goal in unjudged]
-    result["caps"] = caps = _caps(cases, {**plan.gains.values, **tuning.result.gains})
-    progress("assessment of start and tuned gains ...")
-    comparison = _compared(replace(plan, guidance=cases[0].guidance), tuned_gains(tuning))
+    result["caps"] = over = caps(cases, {**plan.gains.values, **tuning.result.gains})
+    result["floor"] = floor = floor_lines(tuning, checked, plan, trials=trials)
+    result["not_representative"] = doubtful = unrepresentative(tuning)
+    comparison = checked.comparison
     result["assessment"] = comparison.to_dict()
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
@@ -286,13 +302,18 @@ def tune(
         from surctl.report import save_tuning  # loads matplotlib only now
 
         pictures = save_tuning(tuning, out)
+    headline, *figures = comparison.lines()
     lines = [
-        *comparison.lines(),
+        headline,
+        *floor,
+        *figures,
         "",
         *summary(tuning),
+        *checked.lines(),
+        *doubtful,
         *derived,
         *omitted,
-        *caps,
+        *over,
         "",
         f"gains {gains_path}",
         f"all   {everything}",
@@ -300,7 +321,7 @@ def tune(
     lines += [f"plot  {path}" for path in pictures]
     mission, robot = pairs[0]
     about = at_hand(mission, robot, str(gains_path))
-    region = _region(plan.law, mission, robot, tuned_gains(tuning))
+    region = region_words(plan.law, mission, robot, tuned_gains(tuning))
     # a region claim needs only the speeds; with --scenario, the safety claim would also affect the exit status
     speeds = ["--cruise", f"{mission.cruise:g}", "--cap", f"{mission.cap:g}"]
     chosen = [] if plan.law == default_law(robot) else law_words(plan.law)
@@ -308,21 +329,15 @@ def tune(
     options = [*law_words(plan.law), "--guidance", kind["guidance"], "--sensing", "truth"]  # as in the tuning
     then = export_command(about[1], about[3], str(gains_path), law=plan.law, guidance=kind["guidance"], sensing="truth")
     then = [shlex.join(["surctl", "verify", *arguments]), *then]
+    if unmet and tuning.accepted:
+        lines += ["", warning]
     if not tuning.accepted:
         missed, (remedy, longer) = misses(tuning), advice(tuning, trials=trials)
         lines += ["", warning, *(f"  {miss.text}" for miss in missed), f"  {remedy}"]
         then = (
-            [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else _look(missed, str(gains_path), options)
+            [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else look(missed, str(gains_path), options)
         )
-    finish(result, lines, as_json=as_json, passed=tuning.accepted, then=then)
-
-
-def _compared(plan: Plan, tuned: Gains) -> Comparison:
-    from surctl.assessment import Comparison, assess
-    from surctl.study.conduct import assessed
-
-    before, after = (assess(assessed(plan, gains)) for gains in (plan.gains, tuned))
-    return Comparison(before, after)
+    finish(result, lines, as_json=as_json, passed=not unmet, then=then)
 
 
 def _needs_page(scenario: str | None) -> str:
@@ -331,52 +346,6 @@ def _needs_page(scenario: str | None) -> str:
         own = f'write [[runs]] with scenario = "{scenario}" in a study file and give the file: surctl tune STUDY.toml'
         return f"--scenario selects the scenario of --page; to tune over chosen scenarios, {own}"
     return "--port and --no-browser need --page"
-
-
-def _check_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
-    """Raise InputError if a goal names a scenario in which the vehicle does not fit."""
-    from surctl.errors import InputError
-
-    deciding = {leg.scenario.name for leg in plan.deciding}
-    omitted = {leg.scenario.name: leg.left_out for leg in plan.left_out if leg.scenario.name not in deciding}
-    for goal in goals:
-        for name in goal.cases:
-            if name in omitted:
-                remedy = "remove the scenario from the goal"
-                key = f"goals.{goal.name}.cases"
-                raise InputError(f"is left out: {omitted[name]}", file=file, key=key, value=name, remedy=remedy)
-
-
-def _caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
-    """Return one line for each vehicle whose speed limit exceeds the largest speed with a stable linear loop."""
-    from surctl.verification.cascade import has_cascade
-    from surctl.verification.linear import cap_above_bearable
-
-    distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cascade(c.law, c.guidance)}
-    texts = (cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt) for c in distinct.values())
-    return [f"warning: {line}" for line in texts if line is not None]
-
-
-def _look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
-    """Return the command that repeats the worst run of a missed goal, with the nominal vehicle parameters."""
-    runs = [miss.nominal for miss in missed if miss.nominal is not None and miss.ending is not None]
-    if not runs:
-        return []
-    _, mission, *about = at_hand(runs[0].case.scenario, runs[0].case.vehicle, gains)
-    return [shlex.join(["surctl", "simulate", mission, *about, *law, "--seed", str(runs[0].seed), "--explain"])]
-
-
-def _region(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[str]:
-    # the region claim to suggest next
-    from surctl.control import PATH_FOLLOWING, default_law, law_source
-    from surctl.errors import NotApplicable
-    from surctl.verification.region import applicable_region
-
-    if law != default_law(vehicle) and PATH_FOLLOWING not in law_source(law).parts:
-        return []
-    names = ("region-cruise-20", "region-steered-20")
-    claim = applicable_region(names, vehicle, gains, cruise=scenario.cruise, cap=scenario.cap)
-    return [] if isinstance(claim, NotApplicable) else [claim.name]
 
 
 def _gain(text: str) -> tuple[str, tuple[float, float] | None]:

@@ -185,7 +185,7 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
         >>> from surctl.control import load_gains
         >>> gains = load_gains("default")
         >>> gains["k_v"], gains["lookahead"], gains.provenance
-        (1.5, 0.8, 'chosen by hand: the paper prints no gain')
+        (1.5, 0.8, 'chosen by hand for the built-in law, whose paper prints no gain')
     """
     path = pick(str(name_or_path), LIBRARY, what="gains")
     model = load_model(path, _GainFile)

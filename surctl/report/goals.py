@@ -27,7 +27,7 @@ from surctl.report.theme import (
     printable,
 )
 from surctl.simulation import Run, simulate
-from surctl.tuning import Condition, Goal, Tuning, figures, scope
+from surctl.tuning import Condition, Goal, Pool, Tuning, figures, scope
 from surctl.vehicle import Vehicle
 
 __all__ = ["GoalBars", "GoalView", "goal_bars", "goal_view", "plot_front", "plot_goal_bars", "plot_goal_view"]
@@ -132,13 +132,16 @@ def _largest(data: GoalBars) -> float:
     return float(np.max(both[np.isfinite(both)], initial=1.0))
 
 
-_SCORE = "score: worst soft goal over its limit or its start [1]"
+_WIDE = 70  # characters of a line of the legend
+_SCORE = "score [1]: worst soft goal over its limit or its start (lower is better)"
+_HARD = "largest hard goal over its limit [1] (lower is better)"
 
 
 def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
     """Plot score and mean thrust of the Pareto-optimal gain sets, with the start gains and the tuned gains marked.
 
-    A hollow mark is a set that misses hard goals, which neither axis shows.
+    Without soft goals, the largest normalised hard goal takes the place of the score. A hollow mark is a set that
+    misses hard goals; the legend has their normalised values, because neither axis shows them.
 
     Example:
         >>> from surctl.control import load_gains
@@ -150,35 +153,46 @@ def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
         >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
         >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
         >>> ax = plot_front(tuning)
-        >>> ax.get_title("left"), ax.get_xlabel(), ax.get_ylabel()
-        ('what the tuning found', 'score: worst soft goal over its limit or its start [1]', 'mean thrust [N]')
+        >>> ax.get_title("left"), ax.get_ylabel()
+        ('what the tuning found', 'mean thrust [N] (lower is better)')
     """
-    ax = dress(ax or new_axes(5.6, 4.2), title="what the tuning found", x=_SCORE, y="mean thrust [N]")
+    soft = any(goal.kind == "soft" for goal in tuning.request.goals)
+    ax = dress(
+        ax or new_axes(5.6, 4.6),
+        title="what the tuning found",
+        x=_SCORE if soft else _HARD,
+        y="mean thrust [N] (lower is better)",
+    )
     start = tuning.hand.evaluation.normalised[0]
-    front = tuning.front
-    score, effort = front.score(start), front.evaluation.effort
-    ax.step(score, effort, where="post", color=MUTED, linewidth=1.0, zorder=1)
+
+    def places(pool: Pool) -> NDArray[np.float64]:
+        return pool.score(start) if soft else pool.evaluation.normalised.max(axis=1, initial=0.0)
+
+    order = np.argsort(places(tuning.front), kind="stable")
+    score, effort = places(tuning.front)[order], tuning.front.evaluation.effort[order]
     ax.plot(score, effort, "o", color=GOOD, markersize=5, label="undominated", zorder=2)
     for pool, mark, colour, label in ((tuning.hand, "s", MUTED, "start gains"), (tuning.tuned, "D", AVOIDING, "tuned")):
-        at, thrust = float(pool.score(start)[0]), float(pool.evaluation.effort[0])
+        at, thrust = float(places(pool)[0]), float(pool.evaluation.effort[0])
         if np.isfinite([at, thrust]).all():
-            held = bool((pool.constraints <= 0).all())
-            text, face = (label, colour) if held else (f"{label} (hard goals missed)", "none")
+            missed = _hard_misses(pool)
+            text = f"{label} (hard goals missed: {', '.join(missed)})" if missed else label
+            face = "none" if missed else colour
             ax.plot(
-                at,
-                thrust,
-                mark,
-                color=colour,
-                markerfacecolor=face,
-                markersize=8,
-                label=text,
-                linestyle="none",
-                zorder=3,
-            )
+                at, thrust, mark, color=colour, markerfacecolor=face, markersize=8,
+                label=fill(printable(text), _WIDE), linestyle="none", zorder=3,
+            )  # fmt: skip
     ax.axvline(1.0, color=BAD, linewidth=1.0, zorder=0)
     ax.margins(0.1)
-    legend_above(ax, columns=3)
+    legend_below(ax, columns=1, handles=ax.get_legend_handles_labels()[0])
     return ax
+
+
+def _hard_misses(pool: Pool) -> list[str]:
+    # of the first set
+    shares = zip(pool.evaluation.goals, pool.evaluation.normalised[0], strict=True)
+    return [f"{goal.name} {share:.3g}" for goal, share in shares if goal.kind == "hard" and not share <= 1] + [
+        "a claim" for over in pool.claims[0] if not over <= 0
+    ][:1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
+    from surctl.tuning.assessed import ASSESSED
     from surctl.tuning.axes import SEED, Axis, Span, parse_axis
     from surctl.tuning.cegis import Tuning, tune
     from surctl.tuning.derived import (
@@ -29,8 +30,10 @@ if TYPE_CHECKING:
         scope,
     )
     from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
+    from surctl.tuning.finals import CHECKED, Finals, check_finals
     from surctl.tuning.goal_file import LIBRARY, GoalTable
-    from surctl.tuning.goals import Goal, goals_at, goals_from_tables, load_goals
+    from surctl.tuning.goal_search import RunGoal
+    from surctl.tuning.goals import Goal, goals_at, goals_from_tables, load_goals, with_floor
     from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
     from surctl.tuning.law_goals import case_loop
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
@@ -50,11 +53,13 @@ if TYPE_CHECKING:
     from surctl.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
     from surctl.tuning.start import lqr_start
     from surctl.tuning.sweep import TABLE, sweep
-    from surctl.tuning.system_goals import load_loop_goals
+    from surctl.tuning.system_goals import load_loop_goals, load_system_goals
     from surctl.tuning.systems import SystemTuning, tune_system
     from surctl.tuning.table import SweepTable, SweptAxis, load_sweep
 
 __all__ = [
+    "ASSESSED",
+    "CHECKED",
     "DESIGNS",
     "LIBRARY",
     "LOOP_GOAL_KEYS",
@@ -72,6 +77,7 @@ __all__ = [
     "Effort",
     "Evaluation",
     "Executor",
+    "Finals",
     "GainRange",
     "Goal",
     "GoalTable",
@@ -95,6 +101,7 @@ __all__ = [
     "Rejection",
     "Request",
     "Round",
+    "RunGoal",
     "Score",
     "Sensitivity",
     "SensitivityBound",
@@ -111,6 +118,7 @@ __all__ = [
     "build_cases",
     "case_loop",
     "check_column",
+    "check_finals",
     "check_goals",
     "conditions",
     "corners",
@@ -132,6 +140,7 @@ __all__ = [
     "load_goals",
     "load_loop_goals",
     "load_sweep",
+    "load_system_goals",
     "loop_goal",
     "lqr_start",
     "make_design",
@@ -153,19 +162,23 @@ __all__ = [
     "tuned_gains",
     "tuning_dict",
     "value_text",
+    "with_floor",
 ]
 
 load_at_first_use(
     __name__,
     {
+        "assessed": "ASSESSED",
         "axes": "SEED Axis Span parse_axis",
         "cegis": "Tuning tune",
         "derived": "Derivation default_cruise derive_gains derived_gains gains_for has_tuned shared_gains",
         "design": "DESIGNS Design grid make_design saltelli spread",
         "evaluation": "Condition Evaluation check_goals conditions corners evaluate figures judged_goals scope",
         "executors": "DaskExecutor Executor LocalExecutor",
+        "finals": "CHECKED Finals check_finals",
         "goal_file": "LIBRARY GoalTable",
-        "goals": "Goal goals_at goals_from_tables load_goals",
+        "goal_search": "RunGoal",
+        "goals": "Goal goals_at goals_from_tables load_goals with_floor",
         "gradient": "SURROGATES DifferentiableRun prepare",
         "law_goals": "case_loop",
         "loop_frequency_goals": "Effort LoopShape MaxGain Rejection SensitivityBound Tracking",
@@ -185,7 +198,7 @@ load_at_first_use(
         "space": "TUNED GainRange default_tuned gain_ranges",
         "start": "lqr_start",
         "sweep": "TABLE sweep",
-        "system_goals": "load_loop_goals",
+        "system_goals": "load_loop_goals load_system_goals",
         "systems": "SystemTuning tune_system",
         "table": "SweepTable SweptAxis load_sweep",
     },

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.control import write_gains
 from surctl.errors import InputError
 from surctl.tuning.claim_points import ClaimPoint, refuted_claims
 from surctl.tuning.conflict import conflict
@@ -129,6 +130,8 @@ def tune(
     request = replace(request, begun="descent" if descend else "")  # a descent changes the trials
     record = Record(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(None if folder is None else folder / "trials.journal")
+    if not journal.trials(request.digest):  # a file of best gains from the first moment on
+        journal.note_best(write_gains(request.base, warning="the start gains of a tuning without a finished trial"))
     done: list[Round] = []
     current, requested = request, len(request.conditions)
     try:
@@ -140,6 +143,8 @@ def tune(
                 pool = _searched(current, done, _longer(trials, done), journal, progress, descend=descend)
                 known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
                 record.add(known)
+                best = request.base.with_values(dict(known.gains), how="so-far")
+                journal.note_best(write_gains(best, warning=f"the gains of round {k + 1} of an unfinished tuning"))
             done.append(known)
             if _ended(done) or k + 1 == rounds:
                 break

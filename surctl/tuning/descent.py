@@ -23,7 +23,7 @@ __all__ = ["descend"]
 
 Array = NDArray[np.float64]
 
-_FIRST = 0.1  # first step as a share of each range's width on its log scale
+_FIRST = 0.1  # first step as a share of each range's width on its scale
 _LAST = 1e-3  # the descent from a start ends when its step is shorter
 _SHORTER = 0.1  # factor on the step if no proposal is better
 _STEP_FACTORS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.04)  # factors on the step; each gives one proposal

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.simulation import Case, case_parameters, simulate_batch
+from surctl.tuning.assessed import PART_OF
 from surctl.tuning.goals import Goal
 from surctl.tuning.law_goals import judged_loops
 from surctl.vehicle import Vehicle
@@ -308,24 +309,31 @@ def figures(
     return table
 
 
-def judged_goals(goals: Sequence[Goal], cases: Sequence[Case]) -> tuple[tuple[Goal, ...], tuple[Goal, ...]]:
-    """Return the goals that can be judged for these cases, and the other goals.
+def judged_goals(
+    goals: Sequence[Goal], cases: Sequence[Case]
+) -> tuple[tuple[Goal, ...], tuple[Goal, ...], tuple[Goal, ...]]:
+    """Return the goals that the search judges, those that are checked at its end, and those that cannot be judged.
 
-    A goal about a metric of the linear loop cannot be judged if the law is not that of the model of these metrics. A
-    goal with `type` is judged on the law that runs.
+    A goal about a metric of the linear loop cannot be judged by the search if the law is not that of the model of these
+    metrics. It is checked at the end if the assessment has the figure at that speed. A goal with `type` is judged on
+    the law that runs.
 
     Example:
         >>> from surctl.control import load_gains
         >>> from surctl.simulation import load_scenario
         >>> from surctl.tuning import Goal, build_cases, judged_goals
         >>> goals = [Goal("soon", "time_s", "s", 20.5), Goal("robust", "disk_margin", "1", 0.6, "at least")]
+        >>> goals.append(Goal("calm", "least_damping", "1", 0.5, "at least"))
         >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="dwa")
         >>> [[goal.name for goal in part] for part in judged_goals(goals, cases)]
-        [['soon'], ['robust']]
+        [['soon'], ['robust'], ['calm']]
     """
     linear = all(has_cascade(case.law, case.guidance) for case in cases)
-    left = tuple(goal for goal in goals if goal.linear and goal.loop is None and not linear)
-    return tuple(goal for goal in goals if goal not in left), left
+    late = [goal for goal in goals if goal.final or (goal.linear and goal.loop is None and not linear)]
+    assessed = {max(case.scenario.cruise for case in cases)}
+    final = tuple(g for g in late if g.metric in PART_OF and not g.cases and set(g.cruise) <= assessed)
+    left = tuple(goal for goal in late if goal not in final)
+    return tuple(goal for goal in goals if goal not in late), final, left
 
 
 def row(sets: Sets, k: int) -> dict[str, float]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, load_model, pick
 from surctl.simulation import METRICS, MetricSpec
+from surctl.tuning.assessed import ASSESSED
 from surctl.tuning.goal_file import LIBRARY, GoalsFile, GoalTable, Over, Plants
 from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal
@@ -30,6 +31,7 @@ __all__ = [
     "goals_at",
     "goals_from_tables",
     "load_goals",
+    "with_floor",
 ]
 
 Kind = Literal["hard", "soft"]
@@ -39,7 +41,11 @@ LOOP_METRIC = "loop_goal"
 """Name of the metric of goals about the loop: the normalised value of the `LoopGoal`."""
 
 _LOOP_SPEC = MetricSpec("1", "normalised value of the goal about the loop", "low")
-_SIGNED = ("slowest_pole_per_s",)  # the bound on the real part of a pole is negative; all other bounds are positive
+_FLOOR = ("delay_margin_s", "disk_margin")  # figures of which the assessment requires a least value
+_SIGNED = (
+    "slowest_pole_per_s",
+    "corner_slowest_pole_per_s",
+)  # the bound on the real part of a pole is negative; all other bounds are positive
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class Goal:
     Attributes:
         name: name of the goal in tables and plots.
         metric: name of a metric, either of a run (METRICS of `surctl.simulation`) or of the linear loop
-            (LINEAR_METRICS).
+            (LINEAR_METRICS), or of a figure of the assessment (ASSESSED), which is checked at the end of a tuning.
         unit: unit of `limit`; it must be the unit of the metric.
         limit: the bound.
         sense: "at most" or "at least": on which side of the limit the metric must lie.
@@ -81,7 +87,7 @@ class Goal:
     loop: LoopGoal | None = None
 
     def __post_init__(self) -> None:
-        known = {**METRICS, **LINEAR_METRICS, **({} if self.loop is None else {LOOP_METRIC: _LOOP_SPEC})}
+        known = {**METRICS, **LINEAR_METRICS, **ASSESSED, **({} if self.loop is None else {LOOP_METRIC: _LOOP_SPEC})}
         key = f"goals.{self.name}"
         if self.metric not in known:
             raise InputError(
@@ -98,6 +104,9 @@ class Goal:
         if not np.isfinite(self.limit) or (self.limit >= 0 if signed else self.limit <= 0):
             side = "less than 0" if signed else "greater than 0"
             raise InputError(f"must be finite and {side}", key=bound, value=self.limit, remedy="correct the limit")
+        if self.final and (self.cases or self.over == "mean"):
+            remedy = "leave out cases and over: the assessment states the worst of all missions"
+            raise InputError("is a figure of the assessment", key=f"{key}.metric", value=self.metric, remedy=remedy)
         if self.cruise:
             object.__setattr__(self, "cruise", cruise_speeds(self.cruise, key=self.cruise_key))
             if not self.linear:
@@ -108,6 +117,11 @@ class Goal:
     def linear(self) -> bool:
         """Whether the metric describes the linear loop; a linear metric does not depend on the seed."""
         return self.metric in LINEAR_METRICS or self.loop is not None
+
+    @property
+    def final(self) -> bool:
+        """Whether the metric is a figure of the assessment that the search does not compute."""
+        return self.metric in ASSESSED
 
     @property
     def cruise_key(self) -> str:
@@ -238,7 +252,7 @@ def _goal(table: GoalTable) -> Goal:
             remedy='write at_most = { value = ..., unit = "..." }, or at_least',
         )
     sense, bound = stated[0]
-    spec = {**METRICS, **LINEAR_METRICS}.get(table.metric)
+    spec = {**METRICS, **LINEAR_METRICS, **ASSESSED}.get(table.metric)
     if spec is not None:  # if the metric is unknown, Goal raises the error
         try:
             bound = bound.within(spec.unit)
@@ -268,3 +282,18 @@ def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]
         (0.05, 0.2)
     """
     return tuple(replace(g, cruise=tuple(cruise)) if g.linear and not g.cruise else g for g in goals)
+
+
+def with_floor(goals: Sequence[Goal]) -> tuple[Goal, ...]:
+    """Return the goals, and the built-in hard goals on disk margin and delay margin where no goal bounds this margin.
+
+    Example:
+        >>> from surctl.tuning import Goal, with_floor
+        >>> [goal.name for goal in with_floor([Goal("soon", "time_s", "s", 20.0)])]
+        ['soon', 'delay margin', 'disk margin']
+        >>> [goal.name for goal in with_floor([Goal("low", "disk_margin", "1", 0.2, "at least")])]
+        ['low', 'delay margin']
+    """
+    known, names = {goal.metric for goal in goals}, {goal.name for goal in goals}
+    floor = [goal for goal in load_goals() if goal.metric in _FLOOR and goal.metric not in known]
+    return (*goals, *(replace(goal, name=f"least {goal.name}") if goal.name in names else goal for goal in floor))

@@ -31,6 +31,15 @@ class Score:
     point: str
     judgement: Judgement
 
+    def __str__(self) -> str:
+        """Return the goal, its normalised value, its value and bound, and the operating point, in one line."""
+        one = self.judgement
+        unit = "" if one.unit == "1" else f" {one.unit}"
+        value = "no value" if one.value != one.value else f"{one.value:.4g}{unit} for {one.limit:.4g}"
+        mark = "met    " if one.met else "NOT MET"
+        place = f", {one.where}" if one.where else ""
+        return f"{mark} {self.goal.name} ({self.goal.kind}): {one.normalised:.3f}, {value}{place}; {self.point}"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the score as plain data for JSON."""
         one = self.judgement
@@ -66,17 +75,7 @@ class LoopScores(Plotted):
 
     def lines(self) -> list[str]:
         """Return a line of text for each goal, at its worst operating point."""
-        lines = []
-        for score in self.worst():
-            one = score.judgement
-            unit = "" if one.unit == "1" else f" {one.unit}"
-            value = "no value" if one.value != one.value else f"{one.value:.4g}{unit} for {one.limit:.4g}"
-            mark = "met    " if one.met else "NOT MET"
-            place = f", {one.where}" if one.where else ""
-            lines.append(
-                f"{mark} {score.goal.name} ({score.goal.kind}): {one.normalised:.3f}, {value}{place}; {score.point}"
-            )
-        return lines
+        return [str(score) for score in self.worst()]
 
 
 def operating_loops(system: System, points: Mapping[str, Mapping[str, ArrayLike]]) -> dict[str, LinearLoop]:

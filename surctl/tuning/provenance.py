@@ -13,6 +13,7 @@ from surctl.verification import speeds_text
 
 __all__ = ["goal_rows", "summary", "tuned_gains", "tuning_dict"]
 
+_SCORE = "the largest soft goal over its limit, or over its start value if that meets the limit; lower is better"
 _LARGE = 100  # a larger normalised value only says that a run did not arrive, or that the metric is almost 0
 
 
@@ -31,7 +32,7 @@ def tuned_gains(tuning: Tuning) -> Gains:
         >>> tuned.name, tuned["k_v"] > gains["k_v"], tuned["lookahead"] == gains["lookahead"]
         ('default-tuned', True, True)
         >>> print(tuned.provenance)
-        chosen by hand: the paper prints no gain; tuned by surctl ...goals: soon: ...; not verified by fresh runs
+        chosen by hand for the built-in law, ...; tuned by surctl ...goals: soon: ...; not verified by fresh runs
     """
     request = tuning.request
     bounds = "; ".join(
@@ -128,6 +129,10 @@ def summary(tuning: Tuning) -> list[str]:
             f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{sign + ' ' + format(one['limit'], 'g'):>12}"
             f"{value_text(goal, one['hand']):>12}{value_text(goal, one['tuned']):>12}{change:>18}{mark}"
         )
+    if any(goal.kind == "soft" for goal in tuning.request.goals):
+        start = tuning.hand.evaluation.normalised[0]
+        change = " → ".join(f"{pool.score(start)[0]:.3f}" for pool in (tuning.hand, tuning.tuned))
+        lines += ["", f"score {change}: {_SCORE}"]
     last = tuning.result
     values = ", ".join(f"{name} = {value:.4g}" for name, value in last.gains.items())
     lines += ["", f"gains: {values}", f"after {len(tuning.rounds)} round(s): {_outcome(tuning)}"]

@@ -1,4 +1,4 @@
-"""The search space of a tuning: the tuned gains with their ranges; the search uses a log scale."""
+"""The search space of a tuning: the tuned gains with their ranges; the search uses a log scale, from 0 a linear one."""
 
 from __future__ import annotations
 
@@ -22,37 +22,50 @@ TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
 class GainRange:
     """One tuned gain and its search range low … high, which includes both ends.
 
-    `below` is the largest value that the gain may have.
+    `below` is the largest value that the gain may have, `zero` whether it may be 0.
 
     Raises:
-        InputError: the ends are not 0 < low < high ≤ below.
+        InputError: the ends are not 0 < low < high ≤ below, or low is 0 and the gain may not be 0.
     """
 
     name: str
     low: float
     high: float
     below: float = float("inf")
+    zero: bool = False
 
     def __post_init__(self) -> None:
         key, top = f"--gain {self.name}", self.below
-        if not (np.isfinite([self.low, self.high]).all() and 0 < self.low < self.high):
-            shown = f"{self.low:g}..{self.high:g}"
-            raise InputError("is not a range", key=key, value=shown, remedy="write LOW..HIGH with 0 < LOW < HIGH")
+        shown = f"{self.low:g}..{self.high:g}"
+        if not (np.isfinite([self.low, self.high]).all() and 0 <= self.low < self.high):
+            least = "0 ≤" if self.zero else "0 <"
+            raise InputError("is not a range", key=key, value=shown, remedy=f"write LOW..HIGH with {least} LOW < HIGH")
+        if self.low == 0 and not self.zero:
+            raise InputError(
+                "begins at 0, and the gain must be greater", key=key, value=shown, remedy="raise the lower end"
+            )
         if self.high > top:
             raise InputError(f"is above its bound of {top:.3g}", key=key, value=self.high, remedy="lower the upper end")
+
+    @property
+    def log(self) -> bool:
+        """Whether the search uses a log scale."""
+        return self.low > 0
 
     def clip(self, value: float) -> float:
         """Clip a value to the range."""
         return min(max(value, self.low), self.high)
 
     def place(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert shares 0 … 1 of the range, on a log scale, to values of the gain."""
-        at: NDArray[np.float64] = self.low * (self.high / self.low) ** np.asarray(unit, dtype=float)
+        """Convert shares 0 … 1 of the range, on its scale, to values of the gain."""
+        share: NDArray[np.float64] = np.asarray(unit, dtype=float)
+        at = self.low * (self.high / self.low) ** share if self.log else self.high * share
         return np.clip(at, self.low, self.high)
 
     def unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Convert values of the gain to shares of the range, limited to 0 … 1; the inverse of `place`."""
-        at = np.log(np.asarray(values, dtype=float) / self.low) / np.log(self.high / self.low)
+        at: NDArray[np.float64] = np.asarray(values, dtype=float)
+        at = np.log(at / self.low) / np.log(self.high / self.low) if self.log else at / self.high
         unit: NDArray[np.float64] = np.clip(at, 0.0, 1.0)
         return unit
 
@@ -86,7 +99,10 @@ def gain_ranges(
         if name not in base.specs:
             raise InputError("no such gain", key="--gain", value=name, remedy=nearest(name, base.specs))
     stated = ((name, ends or _default(name, base)) for name, ends in table.items())
-    return tuple(GainRange(name, low, high, base.specs[name].below) for name, (low, high) in stated)
+    specs = base.specs
+    return tuple(
+        GainRange(name, low, high, specs[name].below, specs[name].zero_allowed) for name, (low, high) in stated
+    )
 
 
 def default_tuned(base: Gains) -> tuple[str, ...]:
@@ -101,8 +117,7 @@ def default_tuned(base: Gains) -> tuple[str, ...]:
         >>> default_tuned(load_gains("default"))[:3]
         ('k1', 'lookahead', 'k_psi')
     """
-    # not what follows from the vehicle, nor a gain whose range begins at 0, because the search is about ratios
-    own = [name for name in base.own if name in base.specs and base.ranges.get(name, (1.0, 1.0))[0] > 0]
+    own = [name for name in base.own if name in base.specs]  # not what follows from the vehicle
     return (*own, "k_v", "k_r") if base.own else TUNED
 
 

@@ -48,7 +48,7 @@ def starting_sets(
     smooth = [c for c in request.cases if c.mode == "nsb" and c.sensing == "truth" and not c.scenario.path.fed]
     if descend and smooth:
         progress(f"descent along exact gradients over {len(smooth)} cases")
-        ranges = {s.name: (s.low, s.high) for s in request.space}
+        ranges = {s.name: (s.low, s.high) for s in request.space if s.log}
         steps = _horizon(smooth)
         refined = refine(smooth, request.base, ranges, steps=steps, iterations=_ITERATIONS, seed=request.seed)
         sets.append(dict(refined.gains.values))

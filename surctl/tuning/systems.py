@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.system import ENDED, System, every_combination, simulate_system
 from surctl.system.values import check_scalar, run_numbers
-from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch
+from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch, RunGoal
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores
 from surctl.verification.linear.disk import LEAST_DISK_MARGIN
@@ -46,6 +46,7 @@ class SystemTuning:
         unmet: names of the bounds that the chosen gains break; empty if the tuning succeeded.
         goals, goals_before: scores of the goals with the chosen gains and with the system's own gains; None without
             goals.
+        run_goals: the goals about costs of the runs.
     """
 
     objective: str
@@ -58,6 +59,7 @@ class SystemTuning:
     unmet: tuple[str, ...]
     goals: LoopScores | None = None
     goals_before: LoopScores | None = None
+    run_goals: tuple[RunGoal, ...] = ()
 
     def lines(self, system: System) -> list[str]:
         """Return lines of text: gains, costs with bounds, goals, and disk margin; `system` is the tuned one."""
@@ -70,6 +72,8 @@ class SystemTuning:
             lines.append(f"{self._mark(name)}{name}: {value} (before {self.before[name]:.6g}), {what}{bound}")
         margin = "not judged, there is no equilibrium" if self.disk_margin is None else f"{self.disk_margin:.3f}"
         lines += [] if self.goals is None else self.goals.lines()
+        for goal in self.run_goals:
+            lines.append(goal.line(self.costs[goal.cost], self.before[goal.cost], system.costs[goal.cost].unit))
         mark = self._mark("disk margin")
         return [*lines, f"{mark}disk margin at the worst corner: {margin}, at least {self.least_disk_margin:g}"]
 
@@ -90,6 +94,7 @@ def tune_system(
     threads: int = 1,
     goals: Sequence[LoopGoal] = (),
     points: Mapping[str, Mapping[str, ArrayLike]] = NO_POINTS,
+    run_goals: Sequence[RunGoal] = (),
     progress: Callable[[int, Mapping[str, float]], object] = lambda *_: None,
 ) -> SystemTuning:
     """Search gains that minimise a cost of a system, by scipy's differential evolution over compiled runs.
@@ -116,6 +121,7 @@ def tune_system(
         threads: number of threads that share the runs.
         goals: goals about the loop.
         points: operating points of the goals, by name, as in `operating_loops`.
+        run_goals: goals about costs of the runs.
         progress: function that receives the number of gain sets so far and the best of them; their disk margin is
             computed at the end.
 
@@ -141,7 +147,7 @@ def tune_system(
     """
     from scipy.optimize import differential_evolution
 
-    name = check_tuning(system, ranges, cases or {}, objective=objective, goals=goals)
+    name = check_tuning(system, ranges, cases or {}, objective=objective, goals=(*goals, *run_goals))
     for point, values in points.items():
         for gain in values.keys() & ranges.keys():
             remedy = f"drop it from the point; {gain} has one value at all points"
@@ -150,7 +156,7 @@ def tune_system(
     names, (low, high) = list(ranges), np.array(list(ranges.values()), dtype=float).T
     logarithmic = low > 0
     ends = np.column_stack([np.where(logarithmic, np.log(np.where(logarithmic, e, 1)), e) for e in (low, high)])
-    search = _Search(system, seconds, names, dict(cases or {}), name, threads, judged)
+    search = _Search(system, seconds, names, dict(cases or {}), name, threads, judged, tuple(run_goals))
 
     def cost_of(points: Array) -> Array:
         """Return the penalised cost of each gain set, that is, of each column of `points`."""
@@ -180,7 +186,7 @@ def check_tuning(
     cases: Mapping[str, ArrayLike],
     *,
     objective: str | None = None,
-    goals: Sequence[LoopGoal] = (),
+    goals: Sequence[LoopGoal | RunGoal] = (),
 ) -> str:
     """Return the name of what is minimised, a cost or `GOALS`, after a check of the arguments; nothing is compiled.
 
@@ -221,12 +227,13 @@ class _Search:
         objective: str,
         threads: int,
         goals: GoalSearch | None = None,
+        run_goals: tuple[RunGoal, ...] = (),
     ) -> None:
         self.system, self.seconds, self.names, self.objective, self.threads = system, seconds, names, objective, threads
         arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
         self.count = max((len(a) for a in arrays.values() if a.ndim), default=1)
         self.cases = arrays
-        self.goals = goals
+        self.goals, self.run_goals = goals, run_goals
         self.sets: list[Array] = []
         self.figures: list[Array] = []
         self.scores: list[Array] = []  # largest normalised soft goal, excess of the hard ones
@@ -263,6 +270,12 @@ class _Search:
         """
         figures = self.costs(sets)
         scores = np.zeros((len(sets), 2)) if self.goals is None else self.goals.scores(self.names, sets)
+        for goal in self.run_goals:
+            share = goal.normalised(figures[:, list(self.system.costs).index(goal.cost)])
+            if goal.kind == "soft":
+                scores[:, 0] = np.maximum(scores[:, 0], share)
+            else:
+                scores[:, 1] += np.maximum(share - 1, 0.0)
         self.sets.append(sets)
         self.figures.append(figures)
         self.scores.append(scores)
@@ -298,11 +311,14 @@ class _Search:
         broken += ["disk margin"] if margin is not None and margin < least else []
         nominal = np.array([self._nominal(name) for name in self.names])
         own = self.costs(nominal[None])[0]
-        judged = [
+        after, before = (
             None if self.goals is None else self.goals.judged(self.names, gains) for gains in (sets[best], nominal)
-        ]
-        if judged[0] is not None:
-            broken += [s.goal.name for s in judged[0].worst() if s.goal.kind == "hard" and not s.judgement.met]
+        )
+        if after is not None:
+            broken += [s.goal.name for s in after.worst() if s.goal.kind == "hard" and not s.judgement.met]
+        for goal in self.run_goals:
+            share = goal.normalised(figures[best][[list(self.system.costs).index(goal.cost)]])
+            broken += [goal.name] if goal.kind == "hard" and not share[0] <= 1 else []
         return SystemTuning(
             self.objective,
             dict(zip(self.names, sets[best].tolist(), strict=True)),
@@ -312,7 +328,9 @@ class _Search:
             least,
             len(sets),
             tuple(broken),
-            *judged,
+            after,
+            before,
+            self.run_goals,
         )
 
     def value(self, figures: Array, scores: Array) -> Array:

@@ -144,8 +144,8 @@ class SweepTable:
 
     @property
     def gains(self) -> Gains:
-        """The base gains with the values of the best feasible point; the base gains if no point is feasible."""
-        if self.picked is None:
+        """The base gains with the values of the best feasible point; the base gains if there is no choice of points."""
+        if self.picked is None or np.prod(self.shape) == 1:
             return self.base
         chosen = self.at(self.picked)
         what = ", ".join(f"{name} = {value:g}" for name, value in chosen.items())

@@ -62,4 +62,4 @@ def frozen(request: Request, pool: Pool, start: NDArray[np.float64]) -> list[Fro
 def distributions(request: Request) -> dict[str, Any]:
     """Return the search space as distributions of optuna."""
     optuna = quiet_optuna()
-    return {s.name: optuna.distributions.FloatDistribution(s.low, s.high, log=True) for s in request.space}
+    return {s.name: optuna.distributions.FloatDistribution(s.low, s.high, log=s.log) for s in request.space}

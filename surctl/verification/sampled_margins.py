@@ -22,7 +22,7 @@ _SINGULAR = 1e12  # condition number from which z counts as a pole
 _ROOT = 1e-6  # largest ratio of imaginary to absolute value of L where it counts as real
 _POINTS, _FEW = 1500, 150  # number of angles towards each end of (0, π)
 _NEAR = np.geomspace(1e-3, 30.0, 24)  # distances from a pole's angle, in distances of the pole from the unit circle
-_BISECTIONS = 50
+_PARTS, _SPLITS = 16, 13  # an interval with a root is split so often into so many parts: by 2^52
 _INWARDS = 1e-6  # relative move of the poles of a loop that has one at z = -1
 _EDGE = 1e-9  # a pole this near to the unit circle counts as on it
 
@@ -105,14 +105,15 @@ def _margins(linear: LinearLoop, opening: str, *, quick: bool = False) -> LoopMa
     """Compute the margins of one loop from the crossings of its frequency response; without a crossing, inf."""
     matrices, dt = linear.opened(opening), linear.dt
     angles = _angles(matrices[0], linear.poles(), points=_FEW if quick else _POINTS)
-    response = _response(matrices, angles)
-    real = _response(matrices, _roots(matrices, angles, response, np.imag))
+    loop = _Response(*matrices)
+    response = loop(angles)
+    real = loop(_roots(loop, angles, response, np.imag))
     crossed = real[(real.real < 0) & (np.abs(real.imag) <= _ROOT * np.abs(real))].real  # no jump at a pole
     gains = np.concatenate([-1 / crossed, _at_ends(*matrices)])
     gains = gains[(gains > _SPURIOUS) & (gains < 1 / _SPURIOUS)]
-    at = _roots(matrices, angles, response, lambda value: np.abs(value) - 1)
-    lags = np.remainder(np.angle(-_response(matrices, at)), 2 * np.pi)  # a lead counts as a lag of 360° less
-    disk = _refined_disk(matrices, angles, response) if quick else _proved_disk(linear, opening)
+    at = _roots(loop, angles, response, lambda value: np.abs(value) - 1)
+    lags = np.remainder(np.angle(-loop(at)), 2 * np.pi)  # a lead counts as a lag of 360° less
+    disk = _refined_disk(loop, angles, response) if quick else _proved_disk(linear, opening)
     return LoopMargins(
         opening,
         True,
@@ -129,7 +130,7 @@ def _proved_disk(linear: LinearLoop, opening: str) -> float:
     return disk_margin(_continuous(linear, opening), opening).guaranteed
 
 
-def _refined_disk(matrices: tuple[Array, ...], angles: Array, response: NDArray[np.complex128]) -> float:
+def _refined_disk(loop: _Response, angles: Array, response: NDArray[np.complex128]) -> float:
     """Return the least |2 (1 + L)/(1 - L)| (Seiler, Packard and Gahinet 2020) on a grid, refined about its minimum."""
 
     def radius(L: NDArray[np.complex128]) -> Array:
@@ -142,7 +143,7 @@ def _refined_disk(matrices: tuple[Array, ...], angles: Array, response: NDArray[
     least = float(coarse[k])
     for _ in range(3):
         fine = np.linspace(low, high, 41)
-        values = radius(_response(matrices, fine))
+        values = radius(loop(fine))
         j = int(values.argmin())
         least, low, high = min(least, float(values[j])), fine[max(j - 1, 0)], fine[min(j + 1, 40)]
     return min(least, 2.0)
@@ -158,28 +159,45 @@ def _angles(A: Array, closed: NDArray[np.complex128], *, points: int) -> Array:
     return angles[(angles > 1e-9) & (angles < np.pi * (1 - 1e-9))]
 
 
-def _response(matrices: tuple[Array, ...], angles: Array) -> NDArray[np.complex128]:
-    """Return L(z) (n,) at the angles of z, computed in state space; polynomials of several states lose all digits."""
-    A, B, C, D = matrices
-    pencils = np.exp(1j * angles)[:, None, None] * np.eye(len(A)) - A
-    states = np.linalg.solve(pencils, np.broadcast_to(B, (len(angles), *B.shape)))
-    return np.asarray((C @ states)[:, 0, 0] + D[0, 0], dtype=np.complex128)
+class _Response:
+    """L(z) of one opened loop, as a function of the angles (n,) of z; polynomials of several states lose all digits.
+
+    The state matrix is brought to triangular form once (Schur), which keeps its errors as small as those of the matrix.
+    """
+
+    def __init__(self, A: Array, B: Array, C: Array, D: Array) -> None:
+        from scipy.linalg import schur  # takes a second to import
+
+        T, Q = schur(A, output="complex") if len(A) else (A, A)
+        self.T: NDArray[np.complex128] = np.asarray(T, dtype=np.complex128)
+        self.B, self.C, self.D = Q.conj().T @ B[:, 0], C[0] @ Q, D[0, 0]
+
+    def __call__(self, angles: Array) -> NDArray[np.complex128]:
+        z, value = np.exp(1j * angles), np.full(len(angles), self.D, dtype=np.complex128)
+        driven = np.repeat(self.B[:, None], len(angles), axis=1)
+        for k in range(len(self.T) - 1, -1, -1):  # products of two vectors: threads of a BLAS take longer to start
+            state = driven[k] / (z - self.T[k, k])
+            driven[:k] += self.T[:k, k, None] * state
+            value += self.C[k] * state
+        return value
 
 
 def _roots(
-    matrices: tuple[Array, ...],
+    loop: _Response,
     angles: Array,
     response: NDArray[np.complex128],
     function: Callable[[NDArray[np.complex128]], Array],
 ) -> Array:
-    """Return the angles at which a function of L changes its sign, by bisection between neighbouring angles."""
+    """Return the angles at which a function of L changes its sign, between neighbouring angles."""
     signs = np.sign(function(response))
     between = np.flatnonzero(signs[1:] != signs[:-1])
     low, high, sign = angles[between], angles[between + 1], signs[between]
-    for _ in range(_BISECTIONS if len(between) else 0):
-        middle = (low + high) / 2
-        same = np.sign(function(_response(matrices, middle))) == sign
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    every = np.arange(len(between))
+    for _ in range(_SPLITS if len(between) else 0):
+        ends = np.linspace(low, high, _PARTS + 1)
+        inner = np.sign(function(loop(ends[1:-1].ravel()))).reshape(_PARTS - 1, -1)
+        changed = np.vstack([inner != sign, np.ones((1, len(between)), dtype=bool)]).argmax(axis=0)
+        low, high = ends[changed, every], ends[changed + 1, every]
     return (low + high) / 2
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C: status 130, one line that says what is kept and how to go on, and what is said is true."""
+"""Ctrl-C and kill -9: what is kept is there; Ctrl-C ends with status 130 and one line that is true."""
 
 from __future__ import annotations
 
@@ -38,10 +38,37 @@ def test_ctrl_c_at_any_moment_is_one_line(moment: int, tmp_path: Path) -> None:
     with Running(["-m", "surctl", *words], cwd=tmp_path) as running:
         running.until(lambda: "gain sets" in running.err)
         if moment > 5:
-            running.until((tmp_path / "out" / "gains.csv").exists)
+            running.until((tmp_path / "out" / "best-so-far.csv").exists)
         time.sleep(0.03 * moment)
         running.send(signal.SIGINT)
         status, err = running.wait(), running.err
     last = err.splitlines()[-1]
     assert status == 130 and last.startswith("surctl: stopped; ") and "Traceback" not in err, err
-    assert moment <= 5 or (tmp_path / "out" / "gains.csv").read_text().startswith("k,q\n")
+    assert not (tmp_path / "out" / "gains.csv").exists()
+    assert moment <= 5 or (tmp_path / "out" / "best-so-far.csv").read_text().startswith("k,q\n")
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("command", ["tune", "sweep"])
+def test_what_an_unfinished_command_has_found_is_a_whole_file_of_its_own(
+    command: str, sent: signal.Signals, tmp_path: Path
+) -> None:
+    (tmp_path / "loop.py").write_text(LOOP)
+    (tmp_path / "out").mkdir()
+    words = {"tune": ("--trials", "1000000"), "sweep": ("k=1..9:1000", "q=1..9:1000")}[command]
+    kept, finished = {
+        "tune": ("best-so-far.csv", "gains.csv"), "sweep": ("sweep-so-far.csv", "sweep.csv")
+    }[command]  # fmt: skip
+    with Running(
+        ["-m", "surctl", command, "loop.py:build", *words, "--seconds", "200", "--out", "out"], cwd=tmp_path
+    ) as running:
+        running.until((tmp_path / "out" / kept).exists)
+        running.send(sent)
+        status, err = running.wait(), running.err
+    rows = (tmp_path / "out" / kept).read_text().splitlines()
+    assert not (tmp_path / "out" / finished).exists()
+    assert len(rows) > 1 and len({row.count(",") for row in rows}) == 1
+    if sent == signal.SIGINT:
+        assert status == 130 and "Traceback" not in err
+        last = err.splitlines()[-1]
+        assert kept in last and (command == "tune" or f" {len(rows) - 1} of 1000000 runs" in last)

@@ -311,7 +311,7 @@ MISTAKES = {
     "another unit": (('8000, unit = "ms"', '8000, unit = "m"'), "goals.settling.at_most.unit"),
     "no such point": (('points = ["light"]', 'points = ["lite"]'), "goals.overshoot.points = 'lite'"),
     "no model": (("damping = 0.6", ""), "goals.step tracking.time_constant_s: needs one reference model"),
-    "a metric": (('type = "poles"\ndecay_per_s = 0.1\ndamping = 0.5', 'metric = "time_s"'), "is a metric of the robot"),
+    "a metric": (('type = "poles"\ndecay_per_s = 0.1\ndamping = 0.5', 'metric = "time_s"'), "is about a run"),
 }
 
 

@@ -50,11 +50,14 @@ def test_ranges_are_derived_and_checked():
     assert found["brake"][1] == pytest.approx(1.0) and found["brake"][1] >= 1.0
     span = gain_ranges(GAINS, {"k1": (0.1, 0.9)})[0]
     unit = np.linspace(0, 1, 7)
-    assert span.unit(span.place(unit)) == pytest.approx(unit)
+    for one in (span, *gain_ranges(GAINS, {"k_i": (0.0, 0.5)})):
+        assert one.unit(one.place(unit)) == pytest.approx(unit)
+        assert one.place(unit[[0, -1]]) == pytest.approx([one.low, one.high])
     for wrong, told in (
         ({"k_w": None}, "did you mean"),
         ({"k_v": (2.0, 1.0)}, "not a range"),
-        ({"k_v": (0.0, 1.0)}, "not a range"),
+        ({"k_v": (0.0, 1.0)}, "begins at 0, and the gain must be greater"),
+        ({"k_i": (-0.1, 1.0)}, "0 ≤ LOW < HIGH"),
         ({"k_v": (1.0, float("nan"))}, "not a range"),
         ({"brake": (0.1, 2.0)}, "above its bound"),
         ({"k_i": None}, "is 0"),

@@ -1,0 +1,126 @@
+"""Goals on figures of the assessment that the search does not compute: checked at its end, on its best gain sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import pytest
+
+from surctl.assessment import Figure, Mission, Part, assess
+from surctl.control import Gains, load_gains
+from surctl.errors import InputError
+from surctl.simulation import METRICS, load_scenario
+from surctl.tuning import ASSESSED, CHECKED, Goal, Tuning, check_finals, goals_from_tables, load_goals, tune, with_floor
+from surctl.tuning.assessed import PART_OF
+from surctl.tuning.goal_file import GoalTable
+from surctl.vehicle import load_vehicle
+from surctl.verification import LINEAR_METRICS
+from tests.tuning.synthetic import CLEAR, NEAR, THRIFT, install, request
+
+WIDE = Goal("region", "region_m", "m", 0.2, "at least", "hard")
+
+
+@dataclass(frozen=True)
+class Claimed:
+    """A subject whose certified region is a function of its gains."""
+
+    gains: Gains
+    size: Callable[[Gains], float]
+    name: str = "claimed"
+
+    def parts(self) -> Mapping[str, Callable[[], Part]]:
+        figure = Figure("region_m", self.size(self.gains), "m", "proved", "high")
+        disk = Figure("disk_margin", self.gains["k_v"], "1", "margin", "high", 0.3)
+        return {"loop": lambda: Part((disk,), ()), "region": lambda: Part((figure,), ())}
+
+
+@pytest.fixture(scope="module")
+def tuning() -> Tuning:
+    with pytest.MonkeyPatch.context() as patch:
+        install(patch)
+        return tune(request((CLEAR, NEAR, THRIFT)), trials=64, rounds=1, runs=20)
+
+
+@pytest.fixture(autouse=True)
+def _cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+    install(monkeypatch)
+
+
+def test_each_figure_is_one_of_the_assessment() -> None:
+    mission = Mission(
+        load_vehicle("sur400"), load_gains("default"), 0.15, 0.22, scenarios=(load_scenario("pool-behind"),),
+        sensing="truth",
+    )  # fmt: skip
+    known = assess(mission, parts=["loop", "no contact", "runs"]).figures
+    for name, part in PART_OF.items():
+        spec = {**METRICS, **LINEAR_METRICS, **ASSESSED}[name]
+        if part != "region":
+            assert (known[name].unit, known[name].better) == (spec.unit, spec.better), name
+    assert set(ASSESSED) <= set(PART_OF) and not set(ASSESSED) & {*METRICS, *LINEAR_METRICS}
+
+
+def test_the_tuned_gains_stay_if_they_meet_the_goal(tuning: Tuning) -> None:
+    same, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.25))
+    assert same is tuning and found.unmet == () and found.checked == 1
+    assert any("region (hard): region_m ≥ 0.2 m: 0.25 → 0.25" in line for line in found.lines())
+
+
+def test_the_next_best_set_that_meets_the_goal_is_taken(tuning: Tuning) -> None:
+    best = tuning.result.gains["k_v"]
+    other, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))
+    assert found.unmet == () and found.checked > 1 and other.accepted
+    assert other.result.gains != tuning.result.gains and other.result.gains in tuning.result.others
+    assert other.tuned.gains(0) == other.result.gains and other.result.verified is not None
+    assert other.result.verified.seeds == tuning.result.verified.seeds
+    assert found.comparison.after.figures["region_m"].value == pytest.approx(0.3)
+
+
+def test_a_goal_that_no_set_meets_is_named_with_the_best_value(tuning: Tuning) -> None:
+    worst, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.02 * g["k_v"]))
+    assert found.unmet == ("region",) and found.checked == CHECKED and worst is tuning
+    (line,) = [line for line in found.lines() if "MISSED" in line]
+    assert f"best of the checked sets: {found.best['region']:.4g}" in line
+    assert found.best["region"] >= found.comparison.after.figures["region_m"].value
+    assert found.to_dict()["goals"][0]["met"] is False
+
+
+def test_a_set_that_the_verifying_runs_refute_is_not_taken(tuning: Tuning, monkeypatch: pytest.MonkeyPatch) -> None:
+    best = tuning.result.gains["k_v"]
+    module = check_finals.__globals__
+    real = module["monte_carlo"]
+
+    def refuting(goals, runs, gains, **options):
+        return real([replace(goal, limit=9.0) if goal == CLEAR else goal for goal in goals], runs, gains, **options)
+
+    monkeypatch.setitem(module, "monte_carlo", refuting)
+    same, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))
+    assert same is tuning and found.unmet == ("region",)
+
+
+def test_a_default_goal_without_a_figure_is_left_out_and_a_stated_one_is_missed(tuning: Tuning) -> None:
+    none = replace(WIDE, name="none", metric="contact_margin_m")
+    stated = check_finals(tuning, [none], lambda gains: Claimed(gains, lambda g: 0.3))[1]
+    assert stated.unmet == ("none",)
+    left = check_finals(tuning, [none], lambda gains: Claimed(gains, lambda g: 0.3), default=[none])[1]
+    assert left.undetermined == (none,) and left.unmet == ()
+
+
+def test_the_least_margins_are_goals_unless_others_bound_them() -> None:
+    built_in = {goal.metric: goal for goal in load_goals() if goal.kind == "hard"}
+    added = with_floor([NEAR])[1:]
+    assert added == (built_in["delay_margin_s"], built_in["disk_margin"])
+    assert all(goal.plants == "all" or goal.metric == "disk_margin" for goal in added)
+    own = Goal("disk margin", "time_s", "s", 9.0)
+    assert [goal.name for goal in with_floor([own])][1:] == ["delay margin", "least disk margin"]
+
+
+@pytest.mark.parametrize(
+    ("more", "problem"),
+    [({"cases": ("pool-behind",)}, "leave out cases"), ({"over": "mean"}, "leave out cases")],
+)
+def test_a_figure_of_the_assessment_has_no_cases(more: dict[str, object], problem: str) -> None:
+    table = {"name": "a", "metric": "region_m", "at_least": {"value": 0.2, "unit": "m"}}
+    assert goals_from_tables([GoalTable.model_validate(table)], file="g.toml")[0].final
+    with pytest.raises(InputError, match=problem):
+        goals_from_tables([GoalTable.model_validate(table | more)], file="g.toml")
