@@ -31,7 +31,7 @@ def unresponsive(record: Record) -> dict[str, float]:
         >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
         >>> law = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -ca.fmin(u["speed"], 1))
         >>> round(unresponsive(run_system(System(cart, law), 10.0))["force"], 2)
-        0.2
+        0.21
     """
     slopes, depends = _slopes(record.system)
     z, u, gains = record.controller
