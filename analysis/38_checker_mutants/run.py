@@ -308,6 +308,8 @@ def printed(tried: Sequence[Mutant], results: dict[Mutant, Result]) -> str:
     lines = [f"{caught} of {len(results)} mutants are caught; {len(same)} others change no verdict.", "",
              "| module | mutants | caught |", "|---|---|---|"]  # fmt: skip
     lines += [f"| `{name}` | {n['mutants']} | {n['caught']} |" for name, n in sorted(modules.items())]
+    if left := sorted({path.stem for path in PACKAGE.glob("*.py")} - {mutant.module for mutant in tried}):
+        lines += ["", f"Modules that were not run: {', '.join(f'`{name}`' for name in left)}."]
     kinds = Counter(mutant.change.kind for mutant in results)
     lines += ["", "| the mutant | number |", "|---|---|", *(f"| {k} | {n} |" for k, n in sorted(kinds.items()))]
     open_ = [m for m, r in results.items() if not r.caught]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from surctl.certcheck import interval
-from surctl.certcheck.document import Rejected, listed, number, read, read_bytes, record, seal, verify_frame
+from surctl.certcheck.document import Rejected, listed, number, parse, read, read_bytes, record, seal, verify_frame
 from surctl.errors import InputError
 from tests.certcheck.test_lyapunov import _case, _state
 
@@ -80,6 +80,12 @@ def test_only_a_regular_file_of_limited_size_is_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "fifo")
     with pytest.raises(InputError, match="is not a regular file"):
         read_bytes(tmp_path / "fifo", 5, remedy="")
+
+
+def test_a_key_occurs_once() -> None:
+    assert parse(b'{"a": {"b": 1}, "b": 2}', "c.json", remedy="") == {"a": {"b": 1}, "b": 2}
+    with pytest.raises(InputError, match="the key 'b' occurs 2 times"):
+        parse(b'{"a": 1, "b": 1, "b": 1}', "c.json", remedy="")
 
 
 # inequalities

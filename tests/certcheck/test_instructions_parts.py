@@ -117,7 +117,8 @@ def test_numbers_of_a_list_are_the_same_at_all_points(routine: str, expected: li
     """A block without inputs computes one number, which goes with the numbers of all points."""
     pair = "program p\nin0 k 2\nv0 = in0[0]\nv1 = in0[1]\nout0 e v0\nout1 f v1\n"
     both = "program s\nin0 k 2\nin1 b 1\nv0 = in0[0]\nv1 = in1[0]\nv2 = add v0 v1\nout0 y v2\n"
-    programs = [NUMBERS, SQUARE, pair, both, f"{STEP}out1 row v0\n"]
+    body = listing("routine body\nin s 1\nin b 1\nt = call {0} s b\nout t s\n", STEP)
+    programs = [NUMBERS, SQUARE, pair, both, body]
     used = [NUMBERS, *(p for k, p in enumerate(programs[1:], 1) if f"{{{k}}}" in routine)]
     keys = [read_list(program).key for program in programs]
     text = f"routine r\nin x 2\nin b 1\nc = call {{0}}\n{routine}\nout d\n".format(*keys)

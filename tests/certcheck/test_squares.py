@@ -161,7 +161,7 @@ HOSTILE = {
     "no constraint of that number": lambda s: s["blocks"][1].update(factors=["c7"]),
     "no factor of that kind": lambda s: s["blocks"][1].update(factors=["x0"]),
     "another script's digit": lambda s: s["blocks"][1].update(factors=["c٠"]),
-    "factors without end": lambda s: s["blocks"][1].update(factors=["h0"] * 10_000),
+    "many factors": lambda s: s["blocks"][1].update(factors=["h0"] * 40),
     "no factors": lambda s: s["blocks"][1].update(factors=[]),
     "symbol of no real number": lambda s: s["symbols"].append("sqrt(-1 - x^2)"),
     "symbol twice": lambda s: s["symbols"].__setitem__(1, s["symbols"][0]),
