@@ -52,14 +52,14 @@ def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> l
     names = [goal.name for goal in (*tuning.request.goals, *finals.goals) if goal.metric == disk.name]
     clash = tuning.conflict
     if any(goal.name in names for goal in finals.goals):
-        found = f"none of the {finals.checked} checked gain sets has it"
+        outcome = f"none of the {finals.checked} checked gain sets has it"
     elif set(names) & set(clash):
         together = f" together with {' + '.join(n for n in clash if n not in names)}" if len(clash) > 1 else ""
-        found = f"no gain set of the searches ({trials} trials each) has it{together}"
+        outcome = f"no gain set of the searches ({trials} trials each) has it{together}"
     else:
         limits = ", ".join(f"{g.limit:g}" for g in tuning.request.goals if g.name in names)
-        found = f"the goals ask for {limits or 'none'}"
-    head = f"disk margin {disk.value:.3g} at the worst corner ({disk.where}), required {disk.least:g}: {found}"
+        outcome = f"the goals ask for {limits or 'none'}"
+    head = f"disk margin {disk.value:.3g} at the worst corner ({disk.where}), required {disk.least:g}: {outcome}"
     return [head, f"  {_why(plan, after)}"]
 
 

@@ -100,6 +100,25 @@ def check_finals(
         subject: the subject of the assessment with these gains.
         default: those of the goals that are left out if the assessment of the tuned gains has no such figure.
         progress: function that receives one line of text for each gain set.
+
+    Example:
+        >>> from surctl.assessment import Figure, Part
+        >>> from surctl.control import load_gains
+        >>> from surctl.simulation import load_scenario
+        >>> from surctl.tuning import Goal, Request, build_cases, check_finals, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
+        >>> class Proved:  # in place of a `Mission`
+        ...     name = "proved"
+        ...     def __init__(self, gains):
+        ...         self.figure = Figure("region_m", 0.3, "m", "proved", "high")
+        ...     def parts(self):
+        ...         return {"region": lambda: Part((self.figure,), ())}
+        >>> tuning, finals = check_finals(tuning, [Goal("wide", "region_m", "m", 0.2, "at least")], Proved)
+        >>> print(finals.lines()[-1])
+          wide (soft): region_m ≥ 0.2 m: 0.3 → 0.3
     """
     base = tuning.request.base
     parts = {PART_OF[goal.metric] for goal in goals}
