@@ -183,11 +183,11 @@ def _(mo):
 
 @app.cell
 def _():
-    from surctl.control import build_law, load_gains
-    from surctl.report import plot_run
-    from surctl.simulation import load_scenario, simulate
-    from surctl.vehicle import linearise as linearise_vehicle
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.control import build_law, load_gains
+    from surctl.marine.report import plot_run
+    from surctl.marine.simulation import load_scenario, simulate
+    from surctl.marine.vehicle import linearise as linearise_vehicle
+    from surctl.marine.vehicle import load_vehicle
 
     _robot, _mission = load_vehicle("sur400"), load_scenario("pool-behind")
     _cruise = linearise_vehicle(_robot, [0.15, 0, 0, 0])

@@ -88,7 +88,7 @@ def _(mo):
 
 @app.cell
 def _(Path, tempfile):
-    from surctl.vehicle import linearise, load_vehicle, steady_speed
+    from surctl.marine.vehicle import linearise, load_vehicle, steady_speed
 
     _inertia = {"m11": (17.0, "kg"), "m22": (24.2, "kg"), "m33": (26.07, "kg"), "m44": (0.28, "kg m^2")}
     _linear_drag = {"Xu": (4.03, "N s/m"), "Yv": (6.22, "N s/m"), "Zw": (5.18, "N s/m"), "Nr": (0.07, "N m s")}
@@ -158,7 +158,7 @@ def _(mo):
 
 @app.cell
 def _(load_vehicle):
-    from surctl.report import plot_attainable
+    from surctl.marine.report import plot_attainable
 
     plot_attainable(load_vehicle("bluerov2-heavy"), failed=("T1",))
     return

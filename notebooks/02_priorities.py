@@ -96,8 +96,8 @@ def _(mo):
 
 @app.cell
 def _(assembly, ca, np, q, solve, tip):
+    from surctl.marine.report import plot_priority
     from surctl.priority import PriorityTimeline
-    from surctl.report import plot_priority
 
     _time, _q, _solutions = np.arange(0.0, 6.0, 0.1), np.array([0.1, 0.7, 0.4]), []
     for _ in _time:

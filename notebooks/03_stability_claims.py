@@ -41,7 +41,8 @@ def _():
     from pathlib import Path
 
     from surctl.certcheck import check_document
-    from surctl.verification import claims, decide, load_claim
+    from surctl.marine.verification import claims
+    from surctl.verification import decide, load_claim
 
     def from_text(load, text):
         """Write a file and return what `load` reads from it."""
@@ -128,7 +129,7 @@ def _(mo):
 def _(check_document, claims, decide):
     import matplotlib.pyplot as plt
 
-    from surctl.control import load_gains
+    from surctl.marine.control import load_gains
     from surctl.report import margin_slice, plot_counterexample, plot_slice
 
     gains = load_gains("default")

@@ -178,10 +178,10 @@ def _(mo):
 
 @app.cell
 def _(cruise, np):
-    from surctl.control import load_gains
-    from surctl.report import plot_locus
-    from surctl.vehicle import load_vehicle
-    from surctl.verification import sweep_locus
+    from surctl.marine.control import load_gains
+    from surctl.marine.report import plot_locus
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification import sweep_locus
 
     robot, gains = load_vehicle("sur400"), load_gains("default")
     _locus = sweep_locus(robot, gains.values, "k_v", np.linspace(0.5, 6.0, 25), cruise=cruise.value, dt=0.05)
@@ -203,8 +203,8 @@ def _(mo):
 
 @app.cell
 def _(gains, robot):
-    from surctl.simulation import load_scenario
-    from surctl.tuning import Goal, build_cases, conditions, evaluate
+    from surctl.marine.simulation import load_scenario
+    from surctl.marine.tuning import Goal, build_cases, conditions, evaluate
 
     _goals = (
         Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"),

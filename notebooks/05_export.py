@@ -133,11 +133,12 @@ def _(mo):
 
 @app.cell
 def _(folder, shutil):
-    from surctl.control import build_law, load_gains
-    from surctl.export import LinkedLaw, LinkFaults, closed_form, emulated, emulated_target, operating_envelope
-    from surctl.export import build_bundle as build_robot_bundle
-    from surctl.simulation import law_numbers, load_scenario, simulate
-    from surctl.vehicle import load_vehicle
+    from surctl.export import emulated, emulated_target
+    from surctl.marine.control import build_law, load_gains
+    from surctl.marine.export import LinkedLaw, LinkFaults, closed_form, operating_envelope
+    from surctl.marine.export import build_bundle as build_robot_bundle
+    from surctl.marine.simulation import law_numbers, load_scenario, simulate
+    from surctl.marine.vehicle import load_vehicle
 
     if shutil.which("qemu-system-arm") and shutil.which("arm-none-eabi-gcc"):
         _mission, _vehicle, _set = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")

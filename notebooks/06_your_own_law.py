@@ -42,12 +42,12 @@ def _():
     from pathlib import Path
     from textwrap import dedent
 
-    from surctl.control import build_law, law_ref, law_source, load_gains
+    from surctl.marine.control import build_law, law_ref, law_source, load_gains
 
     _text = """
     import casadi as ca
 
-    from surctl.control import Decision, GainSpec, LawSource
+    from surctl.marine.control import Decision, GainSpec, LawSource
     from surctl.tasks import Task, depth_task, heading_task
 
     GAINS = {
@@ -91,10 +91,10 @@ def _(mo):
 def _(gains, law):
     from dataclasses import replace
 
-    from surctl.guidance import Path as Route
-    from surctl.report import plot_run
-    from surctl.simulation import load_scenario, simulate
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.guidance import Path as Route
+    from surctl.marine.report import plot_run
+    from surctl.marine.simulation import load_scenario, simulate
+    from surctl.marine.vehicle import load_vehicle
 
     tank, robot = load_scenario("tank-static"), load_vehicle("sur540-flooded")
     _along = Route([[1.0, 1.1], [4.0, 0.8]])
@@ -118,9 +118,9 @@ def _(mo):
 
 @app.cell
 def _(run):
-    from surctl.report import plot_priority
-    from surctl.report.priority_plot import relaxation_text
-    from surctl.simulation import priority_timeline
+    from surctl.marine.report import plot_priority
+    from surctl.marine.report.priority_plot import relaxation_text
+    from surctl.marine.simulation import priority_timeline
 
     _timeline = priority_timeline(run)
     print(relaxation_text(_timeline))
@@ -141,7 +141,7 @@ def _(mo):
 
 @app.cell
 def _(gains, law, robot, run):
-    from surctl.verification import law_loop, steady_motion
+    from surctl.marine.verification import law_loop, steady_motion
 
     _loop = law_loop(law, robot, gains, cruise=0.15, at=steady_motion(run))
     _least = min(_loop.margins, key=lambda m: m.disk_margin)

@@ -298,7 +298,7 @@ def pick(name_or_path: str, library: Path, *, what: str) -> Path:
     Example:
         >>> from pathlib import Path
         >>> from surctl.files import pick
-        >>> from surctl.vehicle import LIBRARY
+        >>> from surctl.marine.vehicle import LIBRARY
         >>> pick("sur400", LIBRARY, what="vehicle").name
         'sur400.toml'
         >>> pick("sur4000", LIBRARY, what="vehicle")

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from surctl.simulation import Scenario
-from surctl.simulation.scenario import LIBRARY, scenario_from_table
-from surctl.vehicle import Vehicle
-from surctl.vehicle.parameters import PARAMETERS, vehicle_from_table
+from surctl.marine.simulation import Scenario
+from surctl.marine.simulation.scenario import LIBRARY, scenario_from_table
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.parameters import PARAMETERS, vehicle_from_table
 
 CRUISE = {"otter": 0.77, "remus": 0.87, "lauv": 0.64, "a9": 0.79}
 """Cruise speed [m/s] of each craft."""

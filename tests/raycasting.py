@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from surctl.world import Box, Disc, Wall
+from surctl.marine.world import Box, Disc, Wall
 
 RAYS = 20_001
 

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import METRICS, STOPS, BatchResult, Case, simulate
+from surctl.marine.simulation.campaign import RunTable
+from surctl.marine.vehicle import FITTED, load_vehicle
+from surctl.marine.verification.region import REGION_CLAIMS, RegionProof
 from surctl.priority import solve
-from surctl.simulation import METRICS, STOPS, BatchResult, Case, simulate
-from surctl.simulation.campaign import RunTable
-from surctl.vehicle import FITTED, load_vehicle
-from surctl.verification.region import REGION_CLAIMS, RegionProof
 from tests.pictures import blank_pictures
 from tests.processes import run_python
 from tests.tools import need, need_compiler, need_module

@@ -197,8 +197,8 @@ def test_a_lazy_package_loads_at_first_use_and_no_module_hides_a_name(
 def test_input_is_checked_before_heavy_libraries_are_loaded() -> None:
     heavy = ("control", "distributed", "matplotlib", "optuna", "osqp", "qpsolvers", "scipy", "xarray")
     code = f"""
-import sys, surctl.cli, surctl.control, surctl.simulation, surctl.study, surctl.tuning, surctl.verification
-for package in (surctl.control, surctl.simulation, surctl.study, surctl.tuning, surctl.verification):
+import sys, surctl.cli, surctl.marine.control, surctl.marine.simulation, surctl.marine.study, surctl.tuning, surctl.verification
+for package in (surctl.marine.control, surctl.marine.simulation, surctl.marine.study, surctl.tuning, surctl.verification):
     [getattr(package, name) for name in package.__all__]
 print([m for m in {heavy} if m in sys.modules])
 """

@@ -10,9 +10,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
-from surctl.simulation import Case, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Case, load_scenario
+from surctl.marine.vehicle import load_vehicle
 from tests.processes import run_python
 from tests.tools import need_compiler
 

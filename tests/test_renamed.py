@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from surctl.errors import InputError
+from surctl.marine.simulation import LIBRARY, load_scenario
 from surctl.renamed import OldName, current_arguments, current_table
-from surctl.simulation import LIBRARY, load_scenario
 from tests.cli.process import surctl
 
 

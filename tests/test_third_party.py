@@ -11,7 +11,7 @@ import importlib
 import re
 from pathlib import Path
 
-from surctl.simulation.scenario import LIBRARY
+from surctl.marine.simulation.scenario import LIBRARY
 from tests.processes import run_python
 from tests.tools import need_compiler
 
@@ -54,7 +54,7 @@ def build() -> System:
     "buoyant/law.py": '''
 """A law for the robot world: hold still above a point, with a task of its own."""
 import casadi as ca
-from surctl.control import Decision, GainSpec, LawSource
+from surctl.marine.control import Decision, GainSpec, LawSource
 from surctl.tasks import Task, depth_task
 
 def range_task(eta: ca.SX, *, gain: float = 0.4) -> Task:
@@ -78,14 +78,16 @@ import numpy as np
 
 from buoyant import law
 from buoyant.float_ import build
-from surctl.control import law_ref, load_gains
-from surctl.export import Records, build_bundle, software_in_the_loop, write_bundle
+from surctl.marine.control import law_ref, load_gains
+from surctl.export import Records, software_in_the_loop, write_bundle
+from surctl.marine.export import build_bundle
 from surctl.lyapunov import continuous_dynamics, find_stability
-from surctl.simulation import Case, load_scenario, simulate_batch
+from surctl.marine.simulation import Case, load_scenario, simulate_batch
 from surctl.system import linearise, run_system, simulate_system
-from surctl.testing import check_controller, check_law, check_plant, check_task
+from surctl.testing import check_controller, check_plant, check_task
+from surctl.marine.testing import check_law
 from surctl.tuning import tune_system
-from surctl.vehicle import load_vehicle
+from surctl.marine.vehicle import load_vehicle
 from surctl.verification import system_disk_margin, system_margins
 
 out = Path(sys.argv[1])

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import Quantity, read_toml
-from surctl.simulation import LIBRARY, load_scenario
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import LIBRARY, load_scenario
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.vehicle.parameters import LIBRARY as VEHICLES
 from surctl.units import converted_by_suffix, in_unit, number_and_unit
-from surctl.vehicle import load_vehicle
-from surctl.vehicle.parameters import LIBRARY as VEHICLES
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from surctl.verification import claims
-from surctl.verification.braking import BRAKING_CLAIMS
-from surctl.verification.region import REGION_CLAIMS
+from surctl.marine.verification import claims
+from surctl.marine.verification.braking import BRAKING_CLAIMS
+from surctl.marine.verification.region import REGION_CLAIMS
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "notebooks" / "guides" / "what-is-proved.md"

@@ -18,14 +18,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains, build_law, load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
-from surctl.simulation import Case, Run, load_scenario, simulate
-from surctl.simulation.metrics import avoidance_intervals
-from surctl.tuning import Axis, LocalExecutor, SweepTable, grid, sweep
-from surctl.vehicle import load_vehicle
-from surctl.verification import loop_margins
+from surctl.marine.control import Gains, build_law, load_gains
+from surctl.marine.simulation import Case, Run, load_scenario, simulate
+from surctl.marine.simulation.metrics import avoidance_intervals
+from surctl.marine.tuning import SweepTable, sweep
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import loop_margins
+from surctl.tuning import Axis, LocalExecutor, grid
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.margins import LEAST_DELAY_MARGIN
 

@@ -33,15 +33,15 @@ from hand import FLAGS, HandLoop  # noqa: E402
 from python_loop import control_step, flown_by, matched, scipy_step  # noqa: E402
 from scene import COUNTED, luck_of, scene_of  # noqa: E402
 
-from surctl.control import GAINS, Gains, load_gains  # noqa: E402
 from surctl.errors import InputError, ToolMissing  # noqa: E402
 from surctl.files import Strict, load_model, prepare_folder  # noqa: E402
 from surctl.ir import compiler_version, to_casadi  # noqa: E402
+from surctl.marine.control import GAINS, Gains, load_gains  # noqa: E402
+from surctl.marine.simulation import METRICS, Case, Sensing, load_scenario, simulate, simulate_batch  # noqa: E402
+from surctl.marine.simulation.batch import build_loop  # noqa: E402
+from surctl.marine.simulation.batch.pack import pack, structure_of  # noqa: E402
+from surctl.marine.vehicle import load_vehicle, plant_parameters  # noqa: E402
 from surctl.priority import Mode  # noqa: E402
-from surctl.simulation import METRICS, Case, Sensing, load_scenario, simulate, simulate_batch  # noqa: E402
-from surctl.simulation.batch import build_loop  # noqa: E402
-from surctl.simulation.batch.pack import pack, structure_of  # noqa: E402
-from surctl.vehicle import load_vehicle, plant_parameters  # noqa: E402
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -17,12 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
-from surctl.simulation import Case, load_scenario
-from surctl.tuning import LocalExecutor, Span, spread, sweep
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Case, load_scenario
+from surctl.marine.tuning import sweep
+from surctl.marine.vehicle import load_vehicle
+from surctl.tuning import LocalExecutor, Span, spread
 
 CONFIG = Path(__file__).with_name("config.toml")
 

@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.control import Gains, write_gains
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
-from surctl.simulation import Case
-from surctl.study import load_plan
-from surctl.tuning import (
+from surctl.marine.control import Gains, write_gains
+from surctl.marine.simulation import Case
+from surctl.marine.study import load_plan
+from surctl.marine.tuning import (
     TUNED,
     Condition,
     Evaluation,

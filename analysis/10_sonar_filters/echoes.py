@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.sensing import SolidBox, SolidWalls, SonarArray, beam_of, echo_range
+from surctl.marine.sensing import SolidBox, SolidWalls, SonarArray, beam_of, echo_range
 
 Array = NDArray[np.float64]
 Kind = Literal["wall", "obstacle", "wall, turning", "obstacle, turning", "tank, turning"]
@@ -118,7 +118,7 @@ def approach(
 
 
 def heard(truth: Array, noise: Array) -> Array:
-    """Return samples (..., k) [m] of firings at ranges (...), with the errors of `surctl.sensing.fire`."""
+    """Return samples (..., k) [m] of firings at ranges (...), with the errors of `surctl.marine.sensing.fire`."""
     top, far = ARRAY.top_code, ARRAY.maximum
     raw = np.clip(truth[..., None] + ARRAY.bias + ARRAY.noise_sd * noise, ARRAY.minimum, far)
     codes = np.floor(raw * top / far + 0.5) * far / top

@@ -11,8 +11,8 @@ from echoes import ARRAY, DT, EVERY
 from numpy.typing import NDArray
 from streams import Stream, joined
 
-from surctl.sensing import RangeTracker, SensorFilter, plain_average, plain_filter, plain_gate
-from surctl.sensing.ranging.filters import StepRule
+from surctl.marine.sensing import RangeTracker, SensorFilter, plain_average, plain_filter, plain_gate
+from surctl.marine.sensing.ranging.filters import StepRule
 
 Array = NDArray[np.float64]
 TOGETHER = 1000  # runs

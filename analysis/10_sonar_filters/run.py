@@ -20,7 +20,7 @@ from streams import FAULTS, FIRST, Stream, faulty, honest, shows
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
-from surctl.report.sonar_plots import (
+from surctl.marine.report.sonar_plots import (
     FilterErrors,
     LmsTrace,
     RangeTrace,
@@ -28,8 +28,8 @@ from surctl.report.sonar_plots import (
     plot_lms_trace,
     plot_range_trace,
 )
-from surctl.sensing import plain_lms_step, table_ii
-from surctl.sensing.ranging.filters import StepRule
+from surctl.marine.sensing import plain_lms_step, table_ii
+from surctl.marine.sensing.ranging.filters import StepRule
 
 Array = NDArray[np.float64]
 CONFIG = Path(__file__).with_name("config.toml")

@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control.velocity import velocity_control
 from surctl.ir import Layout, Port
-from surctl.sensing import OwnState, OwnStateFilter
-from surctl.sensing.localisation.design import steady_covariance
-from surctl.simulation import advance
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, Vehicle, plant_parameters
+from surctl.marine.control.velocity import velocity_control
+from surctl.marine.sensing import OwnState, OwnStateFilter
+from surctl.marine.sensing.localisation.design import steady_covariance
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, Vehicle, plant_parameters
 
 DT, HALVES = 0.05, 2  # [s]; calls of the plant in a control period
 APPROACH = 0.3  # [1/s] of the position loop

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model
-from surctl.sensing import Delivery, OwnState
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.sensing import Delivery, OwnState
+from surctl.marine.vehicle import Vehicle, load_vehicle
 
 CONFIG = Path(__file__).with_name("config.toml")
 SETTLING = 3.0  # [s] at the beginning that are not evaluated

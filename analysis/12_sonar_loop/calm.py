@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from surctl.control import load_gains
-from surctl.simulation import STOPS, Case, Obstacle, Scenario, load_scenario, simulate_batch
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import STOPS, Case, Obstacle, Scenario, load_scenario, simulate_batch
+from surctl.marine.vehicle import load_vehicle
 
 LAWS = ("guarded", "calm")
 NAMES = (

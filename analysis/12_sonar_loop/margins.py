@@ -2,7 +2,7 @@
 
     python analysis/12_sonar_loop/margins.py [--quick]
 
-The loop is that of `surctl.verification.sonar_margins`. A row "full" is the law for large signals (`still` = 0), a row
+The loop is that of `surctl.marine.verification.sonar_margins`. A row "full" is the law for large signals (`still` = 0), a row
 "lag" for small ones.
 """
 
@@ -11,10 +11,10 @@ from __future__ import annotations
 import argparse
 import sys
 
-from surctl.control import build_law, law_source, load_gains
-from surctl.sensing import OwnState
-from surctl.vehicle import load_vehicle
-from surctl.verification.sonar_margins import sonar_loop
+from surctl.marine.control import build_law, law_source, load_gains
+from surctl.marine.sensing import OwnState
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.sonar_margins import sonar_loop
 
 LAWS: tuple[tuple[str, str, dict[str, float]], ...] = (
     ("guarded", "-", {}), ("calm", "full", {"still": 0.0}), ("calm", "lag", {}),

@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.control import build_law, load_gains
 from surctl.errors import ToolMissing
 from surctl.ir import Block, memory, stack_bytes
-from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
-from surctl.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
-from surctl.simulation.batch.loop import build_loop
-from surctl.simulation.batch.pack import structure_of
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
+from surctl.marine.simulation import STOPS, BatchResult, Case, Sensors, load_scenario, simulate_batch
+from surctl.marine.simulation.batch.loop import build_loop
+from surctl.marine.simulation.batch.pack import structure_of
+from surctl.marine.vehicle import load_vehicle
 
 INSTRUCTIONS = 2  # of a Cortex-M4F per operation: assumption of the cost estimate
 RATE, CLOCK = 20.0, 168e6  # steps a second, Hz

@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.patches import Patch
 
-from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import prepare_folder
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import BatchResult, Case, Sensing, load_scenario, simulate_batch
+from surctl.marine.simulation.campaign import RandomWorlds, world_template
+from surctl.marine.simulation.scenario import LIBRARY
+from surctl.marine.vehicle import load_vehicle
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, dress, legend_below, new_figure
-from surctl.simulation import BatchResult, Case, Sensing, load_scenario, simulate_batch
-from surctl.simulation.campaign import RandomWorlds, world_template
-from surctl.simulation.scenario import LIBRARY
-from surctl.vehicle import load_vehicle
 
 ENDS = {"reached": GOOD, "collided": AVOIDING, "neither": "#D5D8DC"}
 WORLDS = "random-worlds"
@@ -119,7 +119,7 @@ def parameters() -> str:
     """Return the constants of the textbook laws as text."""
     told = []
     for law, names in CONSTANTS.items():
-        module = import_module(f"surctl.control.baselines.{law}")
+        module = import_module(f"surctl.marine.control.baselines.{law}")
         told.append(f"{law}: " + ", ".join(f"{name} {getattr(module, name):g}" for name in names))
     return "; ".join(told)
 

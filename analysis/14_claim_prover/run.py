@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from surctl.certcheck import check_document
-from surctl.verification import Claim, claims, falsify, prove
+from surctl.marine.verification import claims
+from surctl.verification import Claim, falsify, prove
 from surctl.verification.formula import parse, variable
 from surctl.verification.proving.search import Task, search
 from surctl.verification.proving.tape import build_tape

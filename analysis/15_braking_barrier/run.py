@@ -14,12 +14,12 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from surctl.control import load_gains
-from surctl.guidance.braking import Watch
-from surctl.vehicle import load_vehicle
-from surctl.verification.braking import BRAKING_CLAIMS, BrakingClaim, braking_claim_named, prove_braking
-from surctl.verification.braking.distance import distance_table
-from surctl.verification.braking.episodes import Rule, rule_of, run_episodes
+from surctl.marine.control import load_gains
+from surctl.marine.guidance.braking import Watch
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.braking import BRAKING_CLAIMS, BrakingClaim, braking_claim_named, prove_braking
+from surctl.marine.verification.braking.distance import distance_table
+from surctl.marine.verification.braking.episodes import Rule, rule_of, run_episodes
 
 VEHICLES = ("sur540-flooded", "sur400")
 NOT_PROVED = {("sur400", "braking-inertia-20-axes"), ("sur400", "braking-simple-20")}

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from surctl.certcheck import check_document
-from surctl.control import load_gains
-from surctl.vehicle import load_vehicle
-from surctl.verification.region import REGION_CLAIMS, RegionProof, prove_statement
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.region import REGION_CLAIMS, RegionProof, prove_statement
 
 VEHICLE, GAINS = "sur540-flooded", "default"
 LEVEL = 0.9  # share of the smaller of the falsifier's level and the saturation level, for every claim that has both

@@ -16,11 +16,11 @@ from math import pi, radians
 
 import numpy as np
 
-from surctl.control import load_gains
-from surctl.guidance import Path
-from surctl.sensing import Equipment, FaultChances, SonarArray
-from surctl.simulation import STOPS, Case, Scenario, Sensing, Sensors, load_scenario, simulate_batch
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.guidance import Path
+from surctl.marine.sensing import Equipment, FaultChances, SonarArray
+from surctl.marine.simulation import STOPS, Case, Scenario, Sensing, Sensors, load_scenario, simulate_batch
+from surctl.marine.vehicle import Vehicle, load_vehicle
 
 NAME = "pool-static"
 MARGINS = (0.04, 0.03, 0.02)

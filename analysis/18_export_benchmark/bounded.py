@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Law, build_law, load_gains
 from surctl.ir import compile_block
+from surctl.marine.control import Law, build_law, load_gains
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from surctl.priority import Fallback, safe_step
 from surctl.priority.solver.bounded import BOUNDED
 from surctl.priority.solver.trials import Trials, draw_trials
-from surctl.simulation import load_scenario, simulate
-from surctl.vehicle import load_vehicle
 
 __all__ = ["flights", "quality"]
 

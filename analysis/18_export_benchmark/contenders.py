@@ -9,11 +9,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Law, build_law, load_gains
-from surctl.export import Bundle, Exportable, Records, build_bundle, closed_form, operating_envelope
+from surctl.export import Bundle, Exportable, Records
 from surctl.ir import Real
-from surctl.simulation import law_numbers, load_scenario, simulate
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.control import Law, build_law, load_gains
+from surctl.marine.export import build_bundle, closed_form, operating_envelope
+from surctl.marine.simulation import law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import Vehicle, load_vehicle
 
 SCENARIO = "pool-ahead"
 

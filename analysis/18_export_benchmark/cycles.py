@@ -23,10 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from whole import made
 
-from surctl.control import build_law
-from surctl.export import TARGETS, Bundle, Controller, Exportable, Target, as_records, build_bundle, write_bundle
+from surctl.export import TARGETS, Bundle, Controller, Exportable, Target, as_records, write_bundle
 from surctl.export.process import compile_controller
 from surctl.ir import compile_program
+from surctl.marine.control import build_law
+from surctl.marine.export import build_bundle
 
 CLOCK, SHARE = 168e6, 0.40  # Hz; share of a period that perception may take
 WAIT = 5  # wait states of an STM32F4's flash at 168 MHz (ST RM0090), which delivers 16 bytes at once

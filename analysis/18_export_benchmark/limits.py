@@ -11,24 +11,16 @@ import numpy as np
 from alone import at_bounds, counted
 from numpy.typing import NDArray
 
-from surctl.control import build_law, load_gains
-from surctl.export import (
-    TARGETS,
-    Records,
-    as_records,
-    build_bundle,
-    build_controller,
-    check_builds,
-    closed_form,
-    operating_envelope,
-)
+from surctl.export import TARGETS, Records, as_records, build_controller, check_builds
 from surctl.ir import replay
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle, closed_form, operating_envelope
+from surctl.marine.simulation import law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from surctl.priority import Fallback, LevelShape, priority_step
 from surctl.priority.solver.bounded import BOUNDED
 from surctl.priority.solver.precision import FLOAT32
 from surctl.priority.solver.trials import Trials, draw_trials
-from surctl.simulation import law_numbers, load_scenario, simulate
-from surctl.vehicle import load_vehicle
 
 __all__ = ["USUAL", "WORST", "laws", "ticks"]
 

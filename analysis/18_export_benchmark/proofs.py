@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from surctl.control import build_law, load_gains
-from surctl.export import build_bundle, closed_form, gain_box, operating_envelope, prove_bundle
+from surctl.export import gain_box, prove_bundle
 from surctl.ir import Real
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle, closed_form, operating_envelope
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 
 __all__ = ["whole_laws"]
 

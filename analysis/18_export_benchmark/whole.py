@@ -20,26 +20,15 @@ from pathlib import Path
 import numpy as np
 from contenders import SCENARIO
 
-from surctl.control import build_law, load_gains
-from surctl.export import (
-    TARGETS,
-    Bundle,
-    Controller,
-    Exportable,
-    Records,
-    as_records,
-    build_bundle,
-    build_controller,
-    closed_form,
-    operating_envelope,
-    write_bundle,
-)
+from surctl.export import TARGETS, Bundle, Controller, Exportable, Records, as_records, build_controller, write_bundle
 from surctl.export.check import step_stack
 from surctl.export.process import code_bytes, compile_controller
 from surctl.ir import Real
 from surctl.ir.compiler import FLAGS
-from surctl.simulation import law_numbers, load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle, closed_form, operating_envelope
+from surctl.marine.simulation import law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 
 MOST_SOURCE, MOST_SECONDS, MOST_MEMORY = 200_000, 8.0, 250.0  # B with the self-test, s, MB; of the law with sonars
 

@@ -18,25 +18,14 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.control import Gains, Law, build_law, load_gains
 from surctl.errors import InputError
-from surctl.export import (
-    REALS,
-    Line,
-    LinkedLaw,
-    LinkFaults,
-    LinkReport,
-    build_bundle,
-    closed_form,
-    connect,
-    emulated,
-    emulated_target,
-    write_bundle,
-)
+from surctl.export import REALS, Line, connect, emulated, emulated_target, write_bundle
 from surctl.export.precision import Rounded
 from surctl.ir import Real, compile_program
-from surctl.simulation import Run, Scenario, Sensing, Stepper, law_numbers, load_scenario, simulate
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.control import Gains, Law, build_law, load_gains
+from surctl.marine.export import LinkedLaw, LinkFaults, LinkReport, build_bundle, closed_form
+from surctl.marine.simulation import Run, Scenario, Sensing, Stepper, law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import Vehicle, load_vehicle
 
 SCENARIO = "pool-static"
 PROCESSOR = "cortex-m4f"

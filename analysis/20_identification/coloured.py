@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from surctl.vehicle import (
+from surctl.marine.vehicle import (
     CONSTANT_FORCE,
     FITTED,
     LOG_MOTION,

@@ -16,7 +16,7 @@ import time
 import numpy as np
 from coloured import NAMES, NOISE, drawn, integrated, nominal, slow_and_white
 
-from surctl.vehicle import MotionLog, Vehicle, identify
+from surctl.marine.vehicle import MotionLog, Vehicle, identify
 
 SEED = 2022
 MINUTES, GAPS = 20.0, 10

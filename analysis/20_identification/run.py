@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.vehicle import (
+from surctl.marine.vehicle import (
     FITTED,
     LOG_MOTION,
     MotionLog,

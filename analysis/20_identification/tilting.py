@@ -24,8 +24,8 @@ from conclusion import concluded
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from surctl.simulation import advance
-from surctl.vehicle import (
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import (
     LOG_TILT,
     PLANT_DISTURBANCE,
     MotionLog,

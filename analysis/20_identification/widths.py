@@ -20,9 +20,9 @@ import numpy as np
 from coloured import CONSTANT_FORCE, FITTED, NOISE, SEED, drawn, log_of, nominal
 from numpy.typing import NDArray
 
-from surctl.vehicle.identification.intervals import spread_of
-from surctl.vehicle.identification.model import Model, sections_of
-from surctl.vehicle.identification.solve import minimise
+from surctl.marine.vehicle.identification.intervals import spread_of
+from surctl.marine.vehicle.identification.model import Model, sections_of
+from surctl.marine.vehicle.identification.solve import minimise
 
 NAMES = FITTED + CONSTANT_FORCE
 PERIOD = 0.02  # s, mean

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.control import load_gains
-from surctl.reproduction.simulations import scenario_names
-from surctl.sensing import FaultChances
-from surctl.simulation import Case, Sensors, load_scenario, simulate_batch
-from surctl.simulation.campaign import (
+from surctl.marine.control import load_gains
+from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.sensing import FaultChances
+from surctl.marine.simulation import Case, Sensors, load_scenario, simulate_batch
+from surctl.marine.simulation.campaign import (
     WORLDS_VEHICLE,
     Campaign,
     MonteCarlo,
@@ -29,7 +29,7 @@ from surctl.simulation.campaign import (
     run_campaign,
     world_template,
 )
-from surctl.vehicle import load_vehicle
+from surctl.marine.vehicle import load_vehicle
 
 SEEDS, RUNS, WORLDS = 200, 2000, 500
 MOST_ERROR = {"tank": 0.04, "pool": 0.08}  # [m] rms of a series

@@ -17,16 +17,16 @@ import casadi as ca
 import numpy as np
 
 from surctl.certcheck import check_document
-from surctl.control import Decision, GainSpec, LawSource, Situation, build_law, law_ref, load_gains
-from surctl.control.velocity import velocity_control
 from surctl.export import Records, software_in_the_loop
 from surctl.lyapunov import Dynamics, State, find_stability
-from surctl.simulation import Case, load_scenario, simulate, simulate_batch
+from surctl.marine.control import Decision, GainSpec, LawSource, Situation, build_law, law_ref, load_gains
+from surctl.marine.control.velocity import velocity_control
+from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
+from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import law_loop, steady_motion
 from surctl.system import every_combination
 from surctl.tasks import Task, depth_task, heading_task
-from surctl.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
-from surctl.vehicle import load_vehicle
-from surctl.verification import law_loop, steady_motion
 from surctl.verification.formula import from_casadi
 
 HERE, VEHICLE = Path(__file__).parent, load_vehicle("sur540-flooded")

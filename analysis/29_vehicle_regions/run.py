@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import check_document
-from surctl.control import load_gains
-from surctl.tuning import derived_gains
-from surctl.vehicle import load_vehicle
-from surctl.verification.region import REGION_CLAIMS, prove_statement
+from surctl.marine.control import load_gains
+from surctl.marine.tuning import derived_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.region import REGION_CLAIMS, prove_statement
 
 Array = NDArray[np.float64]
 

@@ -21,17 +21,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains, default_law, law_source, turning_radius
-from surctl.guidance import Path
-from surctl.simulation import Case, Scenario, law_numbers, mission_size, straight_mission
-from surctl.simulation.batch.engines import compiled_loop
-from surctl.simulation.batch.loop import build_loop
-from surctl.simulation.batch.pack import pack, structure_of
-from surctl.simulation.disturbance import Disturbance
-from surctl.simulation.metrics import STOPS
-from surctl.tuning import default_cruise, gains_for
-from surctl.vehicle import Vehicle, load_vehicle, plant_state
-from surctl.vehicle.parameters import PARAMETERS, vehicle_from_table
+from surctl.marine.control import Gains, default_law, law_source, turning_radius
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import Case, Scenario, law_numbers, mission_size, straight_mission
+from surctl.marine.simulation.batch.engines import compiled_loop
+from surctl.marine.simulation.batch.loop import build_loop
+from surctl.marine.simulation.batch.pack import pack, structure_of
+from surctl.marine.simulation.disturbance import Disturbance
+from surctl.marine.simulation.metrics import STOPS
+from surctl.marine.tuning import default_cruise, gains_for
+from surctl.marine.vehicle import Vehicle, load_vehicle, plant_state
+from surctl.marine.vehicle.parameters import PARAMETERS, vehicle_from_table
 
 CRAFT = ("otter", "remus100", "lauv", "eca-a9")
 BOATS = 9

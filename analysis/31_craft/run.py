@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.control import Gains, build_law, default_law, law_source
 from surctl.errors import InputError
-from surctl.simulation import (
+from surctl.marine.control import Gains, build_law, default_law, law_source
+from surctl.marine.simulation import (
     Case,
     Metrics,
     disturbed,
@@ -31,10 +31,11 @@ from surctl.simulation import (
     straight_mission,
     two_leg_mission,
 )
-from surctl.tuning import default_cruise, gains_for
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import law_corners
-from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin
+from surctl.marine.tuning import default_cruise, gains_for
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import law_corners
+from surctl.marine.verification.linear import corner_margin
+from surctl.verification.linear import LEAST_DISK_MARGIN
 
 
 @dataclass(frozen=True)

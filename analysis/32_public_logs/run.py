@@ -24,7 +24,7 @@ import numpy as np
 from excerpts import EXCERPTS, FOLDER, SOURCES
 from standins import write_standins
 
-from surctl.vehicle import (
+from surctl.marine.vehicle import (
     HELD_OUT,
     MotionLog,
     in_sequence,

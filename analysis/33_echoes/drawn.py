@@ -19,12 +19,12 @@ from dataclasses import replace
 import numpy as np
 from run import equipped
 
-from surctl.control import load_gains
-from surctl.reproduction.simulations import scenario_names
-from surctl.sensing import FaultChances
-from surctl.simulation import ECHOES, Case, Scenario, load_scenario
-from surctl.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, run_campaign, world_template
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.sensing import FaultChances
+from surctl.marine.simulation import ECHOES, Case, Scenario, load_scenario
+from surctl.marine.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, run_campaign, world_template
+from surctl.marine.vehicle import load_vehicle
 
 PITCH = -18.0  # [deg] the water surface stays silent
 KINDS = ("ideal", "webots", "diffuse")  # what the law for smooth surfaces assumes, or more

@@ -12,7 +12,7 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from surctl.sensing import (  # noqa: E402
+from surctl.marine.sensing import (  # noqa: E402
     REFLECTORS,
     Reflector,
     SonarArray,
@@ -23,7 +23,7 @@ from surctl.sensing import (  # noqa: E402
     firing_block,
     weak_range,
 )
-from surctl.world import Box, Disc, Shape, site_walls  # noqa: E402
+from surctl.marine.world import Box, Disc, Shape, site_walls  # noqa: E402
 from tests.conerays import nearest_in_space, shares, weak_probability  # noqa: E402
 from tests.raycasting import heard_along, nearest_by_rays  # noqa: E402
 

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rays import agreement, corner_table
 
-from surctl.control import load_gains
-from surctl.reproduction.simulations import scenario_names
-from surctl.sensing import SURFACE_MODELS, SurfaceModel
-from surctl.simulation import ECHOES, STOPS, Case, Scenario, load_scenario, simulate_batch
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.sensing import SURFACE_MODELS, SurfaceModel
+from surctl.marine.simulation import ECHOES, STOPS, Case, Scenario, load_scenario, simulate_batch
+from surctl.marine.vehicle import load_vehicle
 
 SEEDS = 200
 STOPPED = [STOPS.index(reason) for reason in ("dead end", "standstill")]

@@ -9,9 +9,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.export import Bundle, build_bundle, write_bundle
+from surctl.export import Bundle, write_bundle
 from surctl.export.process import compile_controller
 from surctl.ir import Layout, Port, compile_program
+from surctl.marine.export import build_bundle
 from surctl.system import Action, Controller
 
 DT, LONGEST, REFUSED = 0.05, 60.0, -9.0

@@ -22,12 +22,13 @@ import numpy as np
 from clock import DT, LONGEST, REFUSED, clock_bundle, run_clock
 from numpy.typing import NDArray
 
-from surctl.control import build_law, load_gains
 from surctl.errors import SurctlError
-from surctl.export import Bundle, Envelope, Records, build_bundle, build_controller, operating_envelope
+from surctl.export import Bundle, Envelope, Records, build_controller
 from surctl.export.elapsed import RESTART, longest_gap
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle, operating_envelope
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 
 Vector = NDArray[np.float64]
 ABOUT = Path(__file__).with_name("about.md")

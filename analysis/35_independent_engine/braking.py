@@ -14,12 +14,12 @@ from pathlib import Path as FilePath
 import numpy as np
 from certified import with_parameters
 
-from surctl.control import Gains
-from surctl.engine import EngineOptions, MujocoPhysics
-from surctl.simulation import build_world, load_scenario
-from surctl.vehicle import load_vehicle, plant_state
-from surctl.verification.braking import BrakingClaim, braking_claim_named, prove_braking
-from surctl.verification.braking.episodes import Rule, rule_of
+from surctl.marine.control import Gains
+from surctl.marine.engine import EngineOptions, MujocoPhysics
+from surctl.marine.simulation import build_world, load_scenario
+from surctl.marine.vehicle import load_vehicle, plant_state
+from surctl.marine.verification.braking import BrakingClaim, braking_claim_named, prove_braking
+from surctl.marine.verification.braking.episodes import Rule, rule_of
 
 CLAIMS = ("braking-rule-20", "braking-rule-ranges", "braking-inertia-20", "braking-inertia-20-movers")
 SECONDS, HALF = 14.0, 0.025

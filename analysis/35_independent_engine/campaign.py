@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.engine import BatchCase, simulate_seeds
-from surctl.simulation import Case, PhysicsMaker, Run
+from surctl.marine.engine import BatchCase, simulate_seeds
+from surctl.marine.simulation import Case, PhysicsMaker, Run
 
 FIELDS = ("scenario", "seed", "ended", "time_s", "clearance_m", "path_error_m", "tilt_deg", "contacts")
 

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains, build_law
-from surctl.engine import EngineOptions, MujocoPhysics
-from surctl.guidance import Path
 from surctl.ir import compile_block
-from surctl.simulation import build_world, law_numbers, load_scenario
-from surctl.vehicle import Vehicle, load_vehicle, plant_state
-from surctl.vehicle.parameters import Parameter
-from surctl.verification.region import prove_statement, region_statement
+from surctl.marine.control import Gains, build_law
+from surctl.marine.engine import EngineOptions, MujocoPhysics
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import build_world, law_numbers, load_scenario
+from surctl.marine.vehicle import Vehicle, load_vehicle, plant_state
+from surctl.marine.vehicle.parameters import Parameter
+from surctl.marine.verification.region import prove_statement, region_statement
 
 CLAIM = "region-cruise-20-lag"
 SECONDS = 30.0

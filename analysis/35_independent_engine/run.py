@@ -21,10 +21,10 @@ from campaign import good as arrived
 from campaign import stored_runs
 from certified import confronted, with_parameters
 
-from surctl.control import build_law, load_gains
-from surctl.engine import BatchCase, EngineOptions, mujoco_physics, simulate_seeds
-from surctl.export import CompiledLaw
-from surctl.simulation import (
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.engine import BatchCase, EngineOptions, mujoco_physics, simulate_seeds
+from surctl.marine.export import CompiledLaw
+from surctl.marine.simulation import (
     LIBRARY,
     Case,
     OwnPhysics,
@@ -35,7 +35,7 @@ from surctl.simulation import (
     simulate,
     simulate_batch,
 )
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.vehicle import Vehicle, load_vehicle
 
 HERE = Path(__file__).parent
 SCENARIOS = tuple(sorted(path.stem for path in LIBRARY.glob("*.toml")))
@@ -250,7 +250,7 @@ bytes: {"yes" if again else "**no**"}.
 
 def pictures(names: tuple[str, ...], seeds: int) -> Part:
     """Processor time of a picture."""
-    from surctl.engine import CAMERAS, Moment, Scene
+    from surctl.marine.engine import CAMERAS, Moment, Scene
 
     scenario = load_scenario("tank-static")
     vehicle = six(scenario)
@@ -293,8 +293,8 @@ def picture() -> None:
     """Write the picture: tank-static by sonar at its smallest clearance."""
     from PIL import Image
 
-    from surctl.engine import Scene
-    from surctl.report import moment_of
+    from surctl.marine.engine import Scene
+    from surctl.marine.report import moment_of
 
     scenario = load_scenario("tank-static")
     run = simulated(scenario, six(scenario), mujoco_physics(), sensing="sonar")[0]

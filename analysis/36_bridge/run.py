@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.bridge import Act, Bridge, LinkQuality, Plan, Rehearsal, SimulatedSub, Wire, plan_session, rehearse
-from surctl.control import load_gains
+from surctl.marine.bridge import Act, Bridge, LinkQuality, Plan, Rehearsal, SimulatedSub, Wire, plan_session, rehearse
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import SceneFile, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from surctl.recorded_mcap import McapFile
-from surctl.simulation import SceneFile, load_scenario, simulate
-from surctl.vehicle import load_vehicle
 
 ABOUT = Path(__file__).with_name("about.md")
 LINK = LinkQuality(loss=0.2, delay=0.15, jitter=0.02, damaged=0.02, repeated=0.02)

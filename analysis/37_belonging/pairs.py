@@ -11,16 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from surctl.control import Law, build_law, law_source, load_gains
-from surctl.export import Bundle, build_bundle, origin_of
+from surctl.export import Bundle
 from surctl.export import bundle as core
 from surctl.export.plant_lists import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, solve
-from surctl.simulation import law_numbers, load_scenario
+from surctl.marine.control import Law, build_law, law_source, load_gains
+from surctl.marine.export import build_bundle, origin_of
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import claims
 from surctl.system import Action, Controller, Plant, System
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import claims, prove
+from surctl.verification import prove
 from surctl.verification.formula import parse, variable
 
 STORED = Path(__file__).resolve().parents[2] / "tests" / "certcheck"

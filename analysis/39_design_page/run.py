@@ -18,13 +18,13 @@ from types import ModuleType
 
 import numpy as np
 
-from surctl.control import load_gains
-from surctl.report.bench import Bench
+from surctl.marine.control import load_gains
+from surctl.marine.report.bench import Bench
+from surctl.marine.simulation import load_scenario
+from surctl.marine.vehicle import load_vehicle
 from surctl.report.design_bench import DesignBench, SystemBench
 from surctl.report.page_parts import respond
-from surctl.simulation import load_scenario
 from surctl.tuning import Margins, SensitivityBound
-from surctl.vehicle import load_vehicle
 
 HERE = Path(__file__).parent
 LINEAR, RUN = 0.15, 1.5  # [s] bars

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import DEGRADED, build_law, courses, in_real, law_ref, law_source, load_gains
 from surctl.ir import replay
+from surctl.marine.control import DEGRADED, build_law, courses, in_real, law_ref, law_source, load_gains
+from surctl.marine.sensing import Equipment, SonarArray
+from surctl.marine.simulation import METRICS, Case, load_scenario, simulate, simulate_batch
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.world import Disc
 from surctl.own_code import own_file
 from surctl.priority.solver.fallback import RELAXED
-from surctl.sensing import Equipment, SonarArray
-from surctl.simulation import METRICS, Case, load_scenario, simulate, simulate_batch
-from surctl.vehicle import load_vehicle
-from surctl.world import Disc
 from tests.control import (
     test_allocated,
     test_baselines,

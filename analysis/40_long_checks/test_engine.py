@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from surctl.control import load_gains
-from surctl.engine import BatchCase, mujoco_physics, simulate_seeds
-from surctl.engine.batch import simulate_with_steppers
-from surctl.export import CompiledLaw
-from surctl.simulation import Case, load_scenario
+from surctl.marine.control import load_gains
+from surctl.marine.engine import BatchCase, mujoco_physics, simulate_seeds
+from surctl.marine.engine.batch import simulate_with_steppers
+from surctl.marine.export import CompiledLaw
+from surctl.marine.simulation import Case, load_scenario
 from tests.engine import test_closed_forms
 from tests.engine.tools import load_vehicle
 from tests.tools import need_compiler

@@ -7,9 +7,9 @@ import re
 import pytest
 from matplotlib.figure import Figure
 
-import surctl.report.bench as bench_module
-from surctl.report import render_page
-from surctl.report.bench import Bench
+import surctl.marine.report.bench as bench_module
+from surctl.marine.report import render_page
+from surctl.marine.report.bench import Bench
 from surctl.report.theme import png
 from tests.pictures import blank_pictures
 from tests.report.data import report

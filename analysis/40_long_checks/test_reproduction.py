@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from surctl.reproduction import WORDS, required
+from surctl.marine.reproduction import WORDS, required
 from tests.cli.process import surctl
 
 

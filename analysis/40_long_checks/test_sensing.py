@@ -10,7 +10,7 @@ import pytest
 
 from surctl.ir import Program, replay
 from surctl.ir.routine import nested
-from surctl.sensing import FaultChances, LocalMap, SonarArray, calibrate
+from surctl.marine.sensing import FaultChances, LocalMap, SonarArray, calibrate
 from tests.sensing import (
     test_array,
     test_echo,

@@ -10,11 +10,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.control import TRAPPED, load_gains
-from surctl.export import Records, as_records, build_bundle, build_controller, closed_form
-from surctl.guidance import Guidance, Path
-from surctl.sensing import Equipment, SonarArray
-from surctl.simulation import (
+from surctl.export import Records, as_records, build_controller
+from surctl.marine.control import TRAPPED, load_gains
+from surctl.marine.export import build_bundle, closed_form
+from surctl.marine.guidance import Guidance, Path
+from surctl.marine.sensing import Equipment, SonarArray
+from surctl.marine.simulation import (
     METRICS,
     STOPS,
     Case,
@@ -28,11 +29,11 @@ from surctl.simulation import (
     simulate_batch,
     stop_reason,
 )
-from surctl.simulation.batch.bodies import NO_END
-from surctl.simulation.batch.bodies import Body as Symbols
-from surctl.simulation.column import LONGEST, beside, column
-from surctl.vehicle import load_vehicle
-from surctl.world import Box, Disc, Prism
+from surctl.marine.simulation.batch.bodies import NO_END
+from surctl.marine.simulation.batch.bodies import Body as Symbols
+from surctl.marine.simulation.column import LONGEST, beside, column
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.world import Box, Disc, Prism
 from tests.simulation import (
     test_batch,
     test_clearance,

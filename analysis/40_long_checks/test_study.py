@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from surctl.simulation import load_scenario
-from surctl.study import conduct, load_plan
+from surctl.marine.simulation import load_scenario
+from surctl.marine.study import conduct, load_plan
 from surctl.tuning import Axis
 from tests.cli.process import surctl
 from tests.pictures import blank_pictures

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from surctl.control import load_gains
-from surctl.simulation import Case, load_scenario, simulate, simulate_batch
-from surctl.tuning import Goal, Request, conditions, derive_gains, gain_ranges
-from surctl.tuning.start import starting_sets
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
+from surctl.marine.tuning import Goal, Request, conditions, derive_gains, gain_ranges
+from surctl.marine.tuning.start import starting_sets
+from surctl.marine.vehicle import load_vehicle
 from tests.craft import mission
 from tests.tuning import test_derived, test_gradient
 from tests.tuning.test_derived import REXROV, WU, made
@@ -50,8 +50,8 @@ def test_the_run_and_its_gradient_past_a_moving_obstacle() -> None:
 
 
 def test_a_descent_from_poor_gains_lowers_the_goal_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surctl.tuning.start._ITERATIONS", 2)
-    monkeypatch.setattr("surctl.tuning.start._horizon", lambda _: 80)
+    monkeypatch.setattr("surctl.marine.tuning.start._ITERATIONS", 2)
+    monkeypatch.setattr("surctl.marine.tuning.start._horizon", lambda _: 80)
     scenario, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
     poor = load_gains("default").with_values({"lookahead": 2.0})
     space = gain_ranges(poor, {"k_v": (0.9, 1.6), "lookahead": (0.3, 2.5)})

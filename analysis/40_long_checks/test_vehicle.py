@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.export import Records, software_in_the_loop
-from surctl.simulation import Case, load_scenario, simulate, simulate_batch
-from surctl.vehicle import held_out, identify
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
+from surctl.marine.vehicle import held_out, identify
 from tests.cli.process import surctl
 from tests.tools import need_compiler
 from tests.vehicle import test_identify, test_identify_tilt, test_plant, test_terms

@@ -8,12 +8,14 @@ from pathlib import Path
 import pytest
 
 from surctl.certcheck import check_document
-from surctl.control import load_gains
-from surctl.vehicle import load_vehicle
-from surctl.verification import build_cascade, claims, closed_loop_poles, prove
-from surctl.verification.braking import BRAKING_CLAIMS
-from surctl.verification.linear import corners, disk_margin, linear_side, margin_speed, open_loop, worst_linear_side
-from surctl.verification.region import prove_turning, turning_claim
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import build_cascade, claims, closed_loop_poles
+from surctl.marine.verification.braking import BRAKING_CLAIMS
+from surctl.marine.verification.linear import corners, linear_side, margin_speed, open_loop, worst_linear_side
+from surctl.marine.verification.region import prove_turning, turning_claim
+from surctl.verification import prove
+from surctl.verification.linear import disk_margin
 from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims
 from tests.verification.braking import test_proof as braking
 from tests.verification.linear import test_interop, test_sampled

@@ -8,10 +8,10 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from surctl.control import Gains, load_gains
 from surctl.ir import Layout, Port
+from surctl.marine.control import Gains, load_gains
+from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.system import Controller, Cost, Plant, System
-from surctl.vehicle import Vehicle, load_vehicle
 
 __all__ = ["SYSTEM_SECONDS", "loop", "vehicle"]
 

@@ -26,23 +26,24 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent))
 from draws import SYSTEM_SECONDS, loop, vehicle
 
-from surctl.assessment import Assessment, ClosedLoop, Mission, assess
+from surctl.assessment import Assessment, ClosedLoop, assess
 from surctl.cli import main as command_line
 from surctl.cli.output import finite
 from surctl.cli.single_run import linear_warning
-from surctl.control import Gains, write_gains
 from surctl.errors import ToolMissing
 from surctl.ir.compiler import find_compiler
-from surctl.report.bench import Bench
+from surctl.marine.assessment import Mission
+from surctl.marine.control import Gains, write_gains
+from surctl.marine.report.bench import Bench
+from surctl.marine.report.words import number
+from surctl.marine.simulation import load_scenario
+from surctl.marine.study import load_plan
+from surctl.marine.study.conduct import assessed
+from surctl.marine.tuning import derive_gains
+from surctl.marine.vehicle import Vehicle, write_vehicle
+from surctl.marine.verification import linear_table
 from surctl.report.design_bench import SystemBench
-from surctl.report.words import number
-from surctl.simulation import load_scenario
-from surctl.study import load_plan
-from surctl.study.conduct import assessed
 from surctl.system import run_system
-from surctl.tuning import derive_gains
-from surctl.vehicle import Vehicle, write_vehicle
-from surctl.verification import linear_table
 
 CAP, DT = 0.3, 0.05  # [m/s], [s]
 QUICK = 5e-3  # relative error of margins on a grid of frequencies, which searches and `simulate` use

@@ -23,11 +23,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from surctl.simulation import mission_size, two_leg_mission
-from surctl.simulation.scenario_table import scenario_table
-from surctl.simulation.toml_text import toml_text
-from surctl.tuning import default_cruise, derive_gains
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.simulation import mission_size, two_leg_mission
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.toml_text import toml_text
+from surctl.marine.tuning import default_cruise, derive_gains
+from surctl.marine.vehicle import Vehicle, load_vehicle
 
 VEHICLES = (
     "sur400", "sur540-light", "sur540-flooded", "bluerov2-wu", "bluerov2-vonbenzon", "bluerov2-heavy", "girona500",

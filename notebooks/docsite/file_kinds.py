@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel
 
-from surctl.control.gains import _GainFile
 from surctl.lyapunov.problem import _ProblemTable
-from surctl.simulation.scenario import _ScenarioFile
-from surctl.study.plan import _StudyFile
+from surctl.marine.control.gains import _GainFile
+from surctl.marine.simulation.scenario import _ScenarioFile
+from surctl.marine.study.plan import _StudyFile
+from surctl.marine.vehicle.logs.log_map import LogMap
+from surctl.marine.vehicle.parameters import _VehicleFile
+from surctl.marine.vehicle.thruster_file import _AllocationTable, _ThrusterTable
+from surctl.marine.verification.region.statement import RegionStatement
 from surctl.tuning.goal_file import GoalsFile
-from surctl.vehicle.logs.log_map import LogMap
-from surctl.vehicle.parameters import _VehicleFile
-from surctl.vehicle.thruster_file import _AllocationTable, _ThrusterTable
 from surctl.verification.claim_file import _ClaimTable
-from surctl.verification.region.statement import RegionStatement
 
 __all__ = ["FILES", "FileKind"]
 

@@ -13,12 +13,12 @@ from page import Page, table
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from surctl.control import GAINS
 from surctl.files import Quantity
-from surctl.simulation import METRICS
+from surctl.marine.control import GAINS
+from surctl.marine.simulation import METRICS
+from surctl.marine.vehicle import PARAMETERS, TERMS
+from surctl.marine.verification import LINEAR_METRICS
 from surctl.tuning import LOOP_GOAL_KEYS
-from surctl.vehicle import PARAMETERS, TERMS
-from surctl.verification import LINEAR_METRICS
 
 _SHOWN = {"source": "from", "end": "to"}
 

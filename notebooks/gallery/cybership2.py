@@ -10,8 +10,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from surctl.export import build_bundle, build_controller, compare_runs, write_bundle
+from surctl.export import build_controller, compare_runs, write_bundle
 from surctl.ir import Layout, Port
+from surctl.marine.export import build_bundle
 from surctl.report import plot_record
 from surctl.system import Action, Controller, Plant, System, run_system
 

@@ -6,11 +6,11 @@ drift by the current and steers against it.
 
 from pathlib import Path
 
-from surctl.control import build_law, default_law
-from surctl.report import plot_run
-from surctl.simulation import load_scenario, simulate
-from surctl.tuning import derive_gains
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, default_law
+from surctl.marine.report import plot_run
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.tuning import derive_gains
+from surctl.marine.vehicle import load_vehicle
 
 Path("survey.toml").write_text("""
 kind = "scenario"

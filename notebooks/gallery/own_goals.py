@@ -6,11 +6,11 @@ Control System Tuner. The hand-chosen gains and a faster set are compared.
 
 from pathlib import Path
 
-from surctl.control import load_gains
-from surctl.report import GoalBars, plot_goal_bars
-from surctl.simulation import load_scenario
-from surctl.tuning import build_cases, conditions, evaluate, load_goals
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.report import GoalBars, plot_goal_bars
+from surctl.marine.simulation import load_scenario
+from surctl.marine.tuning import build_cases, conditions, evaluate, load_goals
+from surctl.marine.vehicle import load_vehicle
 
 Path("goals.toml").write_text("""
 kind = "goals"

@@ -6,12 +6,12 @@ speed and gains follow from the vehicle file.
 
 from dataclasses import replace
 
-from surctl.control import default_law
-from surctl.guidance import Path
-from surctl.report import plot_run
-from surctl.simulation import simulate
-from surctl.study import scaled_missions
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import default_law
+from surctl.marine.guidance import Path
+from surctl.marine.report import plot_run
+from surctl.marine.simulation import simulate
+from surctl.marine.study import scaled_missions
+from surctl.marine.vehicle import load_vehicle
 
 remus = load_vehicle("remus100")
 missions, gains, derivation = scaled_missions(remus)

@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import casadi as ca
 
-from surctl.control import Decision, GainSpec, LawSource, build_law, law_ref, load_gains
-from surctl.guidance import Path
-from surctl.report import plot_run
-from surctl.simulation import load_scenario, simulate
+from surctl.marine.control import Decision, GainSpec, LawSource, build_law, law_ref, load_gains
+from surctl.marine.guidance import Path
+from surctl.marine.report import plot_run
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.testing import check_law
+from surctl.marine.vehicle import load_vehicle
 from surctl.tasks import Task, depth_task, heading_task
-from surctl.testing import check_law
-from surctl.vehicle import load_vehicle
 
 GAINS = {
     "k_wall": GainSpec("1/s", "gain of the distance to the wall", default=0.4, range=(0.1, 1.5)),

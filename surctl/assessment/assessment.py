@@ -194,9 +194,10 @@ def assess(subject: Subject, *, parts: Collection[str] | None = None) -> Assessm
         parts: names of the parts to compute; None: all. The assessment says which parts of the subject are omitted.
 
     Example:
-        >>> from surctl.assessment import Mission, assess
-        >>> from surctl.control import load_gains
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.assessment import Mission
+        >>> from surctl.assessment import assess
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> robot = Mission(load_vehicle("sur400"), load_gains("default"), cruise=0.15, cap=0.22)
         >>> result = assess(robot, parts=["loop"])
         >>> result.passed, result.figures["disk_margin"].where, result.omitted

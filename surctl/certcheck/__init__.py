@@ -92,7 +92,8 @@ def check_file(path: str | Path, *, time_limit: float = PATIENCE) -> Checked:
         >>> import json
         >>> from pathlib import Path
         >>> from surctl.certcheck import check_file
-        >>> from surctl.verification import claims, prove
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import prove
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> _ = Path("m-norm.json").write_text(json.dumps(prove(claim).certificate))
         >>> checked = check_file("m-norm.json")
@@ -118,7 +119,8 @@ def check_document(document: Mapping[str, Any], *, began: float | None = None, t
 
     Example:
         >>> from surctl.certcheck import check_document
-        >>> from surctl.verification import claims, prove
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import prove
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> certificate = prove(claim).certificate
         >>> check_document(certificate).accepted

@@ -74,7 +74,8 @@ def seal(kind: str, claim: Mapping[str, Any], evidence: Mapping[str, Any]) -> di
 
     Example:
         >>> from surctl.certcheck import check_document, seal
-        >>> from surctl.verification import claims, prove
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import prove
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> proved = prove(claim).certificate
         >>> evidence = {key: proved[key] for key in proved.keys() - {"format", "version", "kind", "claim", "sha256"}}

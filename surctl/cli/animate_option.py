@@ -36,7 +36,7 @@ def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | 
         return
     from surctl.errors import InputError
     from surctl.files import prepare_folder
-    from surctl.report import check_animation
+    from surctl.marine.report import check_animation
 
     if campaign:
         remedy = "simulate one run of DIR/worst: --from FILE --animate"

@@ -22,8 +22,8 @@ barrier_options = together(
 
 def check_barrier(barrier: str, movers: str) -> None:
     """Raise InputError if one of the options has an unknown value."""
-    from surctl.control import BARRIER_NAMES, MOVERS
     from surctl.errors import InputError, nearest
+    from surctl.marine.control import BARRIER_NAMES, MOVERS
 
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
         if value not in known:

@@ -10,7 +10,7 @@ from surctl.cli.activity import timed
 from surctl.cli.output import refusal_line
 
 if TYPE_CHECKING:
-    from surctl.control import Gains
+    from surctl.marine.control import Gains
 
 __all__ = ["Braking", "is_braking", "prove_all"]
 
@@ -43,11 +43,11 @@ def prove_all(
     """
     if not names:
         return Braking([], [], [], True)
-    from surctl.control import load_gains
     from surctl.errors import NotApplicable
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.control import load_gains
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification.braking import braking_claim_named, prove_braking
     from surctl.verification import Inapplicable
-    from surctl.verification.braking import braking_claim_named, prove_braking
 
     robot = load_vehicle(vehicle)
     values = load_gains(gains) if isinstance(gains, str) else gains

@@ -10,7 +10,7 @@ import click
 from surctl.cli.output import as_json, finish, out_folder, saving
 
 if TYPE_CHECKING:
-    from surctl.sensing import Estimate, SensorCalibration
+    from surctl.marine.sensing import Estimate, SensorCalibration
 
 __all__ = ["calibrate"]
 
@@ -29,8 +29,8 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
     Examples: surctl calibrate table-ii; surctl calibrate range-test.csv --out lab
     """
     from surctl.files import prepare_folder, write_file
-    from surctl.sensing import OUTLIER_RULE, calibration_rows, file_stems, pick_calibration, sonar_fragment
-    from surctl.sensing.calibration.file import BUILT_IN
+    from surctl.marine.sensing import OUTLIER_RULE, calibration_rows, file_stems, pick_calibration, sonar_fragment
+    from surctl.marine.sensing.calibration.file import BUILT_IN
 
     if out is not None:
         prepare_folder(out)
@@ -50,7 +50,7 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
         ]
         pictures = list[Path]()
         with saving("plots"):
-            from surctl.report import save_calibrations
+            from surctl.marine.report import save_calibrations
 
             pictures = save_calibrations(results, out)
         lines += [f"sonar {path}" for path in fragments] + [f"rows  {rows}"] + [f"plot  {path}" for path in pictures]
@@ -82,7 +82,7 @@ def _lines(one: SensorCalibration) -> list[str]:
 
 
 def _noise(one: SensorCalibration) -> list[str]:
-    from surctl.sensing.calibration.estimation import LEAST_ROWS_OF_SLOPE
+    from surctl.marine.sensing.calibration.estimation import LEAST_ROWS_OF_SLOPE
 
     f = one.calibration
     if f.noise_slope is None or f.noise_slope_p is None:
@@ -99,8 +99,8 @@ def _noise(one: SensorCalibration) -> list[str]:
 
 
 def _percentages() -> tuple[dict[str, Any], list[str]]:
-    from surctl.sensing import table_ii
-    from surctl.sensing.calibration.table2 import MEDIA
+    from surctl.marine.sensing import table_ii
+    from surctl.marine.sensing.calibration.table2 import MEDIA
 
     table = table_ii()
     wrong = []

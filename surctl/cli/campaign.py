@@ -17,8 +17,8 @@ from surctl.cli.single_run import activity_line, further_output, linear_warning,
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
-    from surctl.simulation import Case, SafetyClaim
-    from surctl.simulation.campaign import Campaign, Plan
+    from surctl.marine.simulation import Case, SafetyClaim
+    from surctl.marine.simulation.campaign import Campaign, Plan
     from surctl.verification import Inapplicable
 
 __all__ = ["CampaignOptions", "campaign_options", "simulate_again"]
@@ -116,11 +116,11 @@ class CampaignOptions:
         Raises:
             InputError: a name is unknown, or the law or a scenario does not support an option.
         """
-        from surctl.control import law_source, load_gains
-        from surctl.simulation import load_scenario
-        from surctl.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
-        from surctl.tuning import build_cases
-        from surctl.vehicle import load_vehicle
+        from surctl.marine.control import law_source, load_gains
+        from surctl.marine.simulation import load_scenario
+        from surctl.marine.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
+        from surctl.marine.tuning import build_cases
+        from surctl.marine.vehicle import load_vehicle
 
         vehicles = [] if vehicle is None else [load_vehicle(vehicle)]
         if self.worlds is None:
@@ -159,7 +159,7 @@ class CampaignOptions:
         from surctl.cli.vehicle_choice import choose_vehicle
         from surctl.errors import InputError
         from surctl.files import write_file
-        from surctl.simulation.campaign import CampaignFolder, run_campaign
+        from surctl.marine.simulation.campaign import CampaignFolder, run_campaign
 
         names = [plan.name for plan in plans]
         if len(set(names)) < len(names):
@@ -197,7 +197,7 @@ class CampaignOptions:
 
 
 def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
-    from surctl.control import BARRIER, law_source
+    from surctl.marine.control import BARRIER, law_source
     from surctl.own_code import label
 
     case, table = campaign.plan.case, campaign.table
@@ -243,8 +243,8 @@ def _claim(case: Case) -> SafetyClaim | Inapplicable:
     from math import inf
 
     from surctl.errors import NotApplicable
-    from surctl.simulation import safety_claim, turn_rate
-    from surctl.simulation.detection import detection_range
+    from surctl.marine.simulation import safety_claim, turn_rate
+    from surctl.marine.simulation.detection import detection_range
     from surctl.verification import Inapplicable
 
     sees = detection_range(case.scenario) if case.sensing == "sonar" else inf
@@ -258,7 +258,7 @@ def _claim(case: Case) -> SafetyClaim | Inapplicable:
 
 
 def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
-    from surctl.control import BARRIER, law_source
+    from surctl.marine.control import BARRIER, law_source
     from surctl.own_code import label
     from surctl.verification import Inapplicable
 
@@ -289,7 +289,7 @@ def simulate_again(
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
     from surctl.files import prepare_folder
-    from surctl.simulation.campaign import load_replay
+    from surctl.marine.simulation.campaign import load_replay
 
     for name, source in _typed().items():
         if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:

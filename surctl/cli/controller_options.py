@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from surctl.control import Law
-    from surctl.export import CompiledLaw, Line, LinkedLaw, LinkFaults
-    from surctl.simulation import Scenario
-    from surctl.vehicle import Vehicle
+    from surctl.export import Line
+    from surctl.marine.control import Law
+    from surctl.marine.export import CompiledLaw, LinkedLaw, LinkFaults
+    from surctl.marine.simulation import Scenario
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["ControllerOptions", "controller_options"]
 
@@ -96,7 +97,8 @@ class ControllerOptions:
             yield None
             return
         from surctl.errors import InputError
-        from surctl.export import build_bundle, closed_form, connect, emulated, emulated_target, operating_envelope
+        from surctl.export import connect, emulated, emulated_target
+        from surctl.marine.export import build_bundle, closed_form, operating_envelope
 
         assert self.controller is not None
         if mission.path.fed and not self.controller.startswith("tcp://"):
@@ -127,7 +129,7 @@ class ControllerOptions:
         """What computes each step by the law's C in this process, if it is requested."""
         if self.controller != "c":
             return None
-        from surctl.export import CompiledLaw
+        from surctl.marine.export import CompiledLaw
 
         return CompiledLaw
 
@@ -143,13 +145,13 @@ class ControllerOptions:
             return self.compiled(law)
         if line is None:
             return None
-        from surctl.export import LinkedLaw, operating_envelope
+        from surctl.marine.export import LinkedLaw, operating_envelope
 
         within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
         return LinkedLaw(law, p, line, self._faults(seed=seed), within, compact=self.compact, fed=mission.path.fed)
 
     def _faults(self, *, seed: int) -> LinkFaults:
-        from surctl.export import LinkFaults
+        from surctl.marine.export import LinkFaults
 
         usual = LinkFaults()
         options = (self.loss, self.delay, self.deadline)

@@ -22,7 +22,7 @@ from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.thruster_options import split_faults
 
 if TYPE_CHECKING:
-    from surctl.simulation import Run
+    from surctl.marine.simulation import Run
 
 __all__ = ["export"]
 
@@ -124,7 +124,7 @@ def export(
     """
     if is_system(system, "seconds", "as_json", *SystemExport._fields):
         own = SystemExport(name, target, real, check, targets, steps, prove, out)
-        from surctl.control.registry import LAWS
+        from surctl.marine.control.registry import LAWS
 
         reserved = {*LAWS, *(source.name for source in LAWS.values())}
         export_system(system, own, seconds=seconds, as_json=as_json, reserved=reserved)
@@ -137,37 +137,33 @@ def export(
 
     from surctl.cli.single_run import failure
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import build_law, law_source
     from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
         STEPS,
         Records,
         as_records,
-        build_bundle,
         build_controller,
         check_builds,
         check_folder,
         chosen_targets,
-        closed_form,
         compare_runs,
         evidence_of,
         gain_box,
-        load_certificates,
-        operating_envelope,
-        origin_of,
         prove_bundle,
         with_evidence,
         with_proof,
         write_bundle,
         write_fmu,
     )
-    from surctl.guidance import MAX_WAYPOINTS
     from surctl.ir import find_compiler
-    from surctl.simulation import SENSING, law_numbers, load_scenario, simulate
-    from surctl.simulation.numbers import fed_ranges
-    from surctl.vehicle import load_vehicle
-    from surctl.vehicle.linearise import command_range
+    from surctl.marine.control import build_law, law_source
+    from surctl.marine.export import build_bundle, closed_form, load_certificates, operating_envelope, origin_of
+    from surctl.marine.guidance import MAX_WAYPOINTS
+    from surctl.marine.simulation import SENSING, law_numbers, load_scenario, simulate
+    from surctl.marine.simulation.numbers import fed_ranges
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.vehicle.linearise import command_range
 
     checked = (
         ("--target", target, ("c99", "fmu", "fmu3", "mjcf")),
@@ -327,7 +323,8 @@ def _again(command: str) -> str:
 
 def _assessed(run: Run, sensing: str) -> dict[str, Any]:
     """Return what is assessed of the exported law, without the region of attraction, as data for the manifest."""
-    from surctl.assessment import Mission, assess
+    from surctl.assessment import assess
+    from surctl.marine.assessment import Mission
 
     law, mission = run.law, run.scenario
     speeds = (mission.cruise, mission.cap)

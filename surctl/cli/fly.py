@@ -14,8 +14,8 @@ from surctl.cli.law_option import choose_law, law_option
 from surctl.cli.output import FiniteRange, Stopped, as_json, finish
 
 if TYPE_CHECKING:
-    from surctl.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
-    from surctl.simulation import Scenario
+    from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
+    from surctl.marine.simulation import Scenario
 
 __all__ = ["fly"]
 
@@ -99,13 +99,13 @@ def fly(
     """
     from math import radians
 
-    from surctl.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import law_source
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
-    from surctl.simulation import SENSING, load_scenario
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session
+    from surctl.marine.control import law_source
+    from surctl.marine.simulation import SENSING, load_scenario
+    from surctl.marine.vehicle import load_vehicle
 
     if (mavlink is None) == (not dry_run):
         raise InputError("needs one of --mavlink and --dry-run", key="surctl fly", remedy="begin with --dry-run")
@@ -163,8 +163,8 @@ def fly(
 def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]:
     import time
 
-    from surctl.bridge import Ended, SessionRecord, run_session
     from surctl.errors import SurctlError
+    from surctl.marine.bridge import Ended, SessionRecord, run_session
 
     waiting()
     with SessionRecord(out, f"session-{time.strftime('%Y%m%d-%H%M%S')}", bridge) as record:
@@ -183,7 +183,7 @@ def _live(bridge: Bridge, address: Address, out: Path) -> tuple[bool, list[str]]
 def _rehearsed(
     bridge: Bridge, quality: LinkQuality, script: Sequence[Act], *, out: Path | None, seed: int
 ) -> RehearsalResult:
-    from surctl.bridge import SessionRecord, SimulatedSub, rehearse
+    from surctl.marine.bridge import SessionRecord, SimulatedSub, rehearse
 
     plan = bridge.plan
     sub = SimulatedSub(
@@ -210,8 +210,8 @@ def _stem(mission: Scenario, seed: int) -> str:
 
 
 def _act(text: str) -> Act:
-    from surctl.bridge import ACTIONS, Act
     from surctl.errors import InputError, nearest
+    from surctl.marine.bridge import ACTIONS, Act
 
     at, _, action = text.partition(":")
     try:

@@ -13,8 +13,8 @@ from surctl.cli.new import write_new
 from surctl.cli.output import FiniteRange, as_json, finish
 
 if TYPE_CHECKING:
-    from surctl.tuning import Derivation
-    from surctl.vehicle import Vehicle
+    from surctl.marine.tuning import Derivation
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["gains"]
 
@@ -45,10 +45,10 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
 
     Examples: surctl gains derive bluerov2-wu; surctl gains derive rov.toml --cruise 0.3 --out gains.toml
     """
-    from surctl.control import write_gains
     from surctl.errors import InputError
-    from surctl.tuning import default_cruise, derive_gains
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.control import write_gains
+    from surctl.marine.tuning import default_cruise, derive_gains
+    from surctl.marine.vehicle import load_vehicle
 
     robot = load_vehicle(vehicle)
     try:
@@ -71,9 +71,9 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
 
 def _contact_line(vehicle: Vehicle, derivation: Derivation) -> list[str]:
     """Return a line if the no-contact claim needs a larger gain `margin` than the derived one, even in still water."""
-    from surctl.assessment.motion import judged_contact
-    from surctl.control import CASCADE, default_law, law_source
-    from surctl.simulation import mission_size, straight_mission
+    from surctl.marine.assessment.motion import judged_contact
+    from surctl.marine.control import CASCADE, default_law, law_source
+    from surctl.marine.simulation import mission_size, straight_mission
     from surctl.verification import Inapplicable
 
     if CASCADE not in law_source(default_law(vehicle)).parts:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from surctl.control import Gains, GainSpec
-    from surctl.vehicle import Vehicle
+    from surctl.marine.control import Gains, GainSpec
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["GAINS_HELP", "GainsChoice", "choose_gains", "choose_shared", "derive_words"]
 
@@ -33,7 +33,7 @@ def choose_gains(
     word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None
 ) -> GainsChoice:
     """Return the gains of the option `--gains`, or the default gains of the vehicle at a cruise speed [m/s]."""
-    from surctl.tuning import gains_for
+    from surctl.marine.tuning import gains_for
 
     gains, derivation = gains_for(word, vehicle, cruise=cruise, own=own)
     beyond = _beyond([(vehicle, cruise)])
@@ -44,7 +44,7 @@ def choose_gains(
 
 def _beyond(pairs: Sequence[tuple[Vehicle, float]]) -> list[str]:
     # one line for each vehicle whose cruise speed needs more thrust than laws give
-    from surctl.vehicle.linearise import WITHIN_LAW, beyond_law
+    from surctl.marine.vehicle.linearise import WITHIN_LAW, beyond_law
 
     said = [(f"{cruise:g} m/s {vehicle.name}", beyond_law(vehicle, cruise)) for vehicle, cruise in pairs]
     return list(dict.fromkeys(f"  warning: at {who} {beyond}; {WITHIN_LAW}" for who, beyond in said if beyond))
@@ -54,7 +54,7 @@ def choose_shared(
     word: str | None, pairs: Sequence[tuple[Vehicle, float]], *, own: Mapping[str, GainSpec] | None = None
 ) -> GainsChoice:
     """Return one gain set for several vehicles, each with its cruise speed [m/s]; see `tuning.shared_gains`."""
-    from surctl.tuning import has_tuned, shared_gains
+    from surctl.marine.tuning import has_tuned, shared_gains
 
     gains, derivation = shared_gains(word, pairs, own=own)
     if derivation is not None:

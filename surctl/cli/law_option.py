@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from surctl.vehicle import Vehicle
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["choose_law", "law_option", "law_words", "trust_option"]
 
@@ -29,8 +29,8 @@ def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[
     Raises:
         InputError: the law is unknown, a vehicle lacks a force that it needs, or the vehicles need different laws.
     """
-    from surctl.control import LAW_NAMES, check_forces, default_law, law_ref
     from surctl.errors import InputError
+    from surctl.marine.control import LAW_NAMES, check_forces, default_law, law_ref
 
     if law is not None:
         reference = law_ref(law, key="--law")

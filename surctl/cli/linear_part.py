@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from surctl.assessment import Assessment, LoopAnalysis, Mission
-    from surctl.vehicle import Vehicle
+    from surctl.assessment import Assessment
+    from surctl.marine.assessment import LoopAnalysis, Mission
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["LinearPart", "linear_part", "over_speeds", "speed_lines"]
 
@@ -35,7 +36,7 @@ class LinearPart(NamedTuple):
 
 def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
     """Return the linear part of an assessment: the cascade of formulae, or any other law linearised numerically."""
-    from surctl.control import law_source
+    from surctl.marine.control import law_source
 
     loop: LoopAnalysis = assessment.sources["loop"]
     if loop.unjudged:
@@ -63,8 +64,9 @@ def _law_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[st
 def _cascade_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dict[str, Any], float]:
     import numpy as np
 
-    from surctl.verification import build_cascade
-    from surctl.verification.linear import DISK_PLACES, open_loop, sensitivity_of, slowest_mode
+    from surctl.marine.verification import build_cascade
+    from surctl.marine.verification.linear import DISK_PLACES, open_loop, slowest_mode
+    from surctl.verification.linear import sensitivity_of
 
     vehicle, gains, dt = mission.vehicle, mission.gains.values, mission.period
     nominal, worst, mode = *loop.sides, loop.mode
@@ -88,10 +90,10 @@ def _cascade_lines(loop: LoopAnalysis, mission: Mission) -> tuple[list[str], dic
 
 
 def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
-    from surctl.control import build_law
     from surctl.errors import InputError
-    from surctl.sensing import OwnState
-    from surctl.verification import sonar_margins
+    from surctl.marine.control import build_law
+    from surctl.marine.sensing import OwnState
+    from surctl.marine.verification import sonar_margins
 
     scenario = next(iter(mission.scenarios), None)
     own = OwnState() if scenario is None else scenario.sensors.equipment.own
@@ -118,7 +120,8 @@ def speed_lines(
     Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
     from surctl.ir.stored_numbers import stored_numbers
-    from surctl.verification.linear import LEAST_DISK_MARGIN, bearable_speed, corners, margin_speed
+    from surctl.marine.verification.linear import bearable_speed, corners, margin_speed
+    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     tried = corners(vehicle, uncertainty or None)
 
@@ -149,7 +152,7 @@ def speed_lines(
 
 def _change(vehicle: Vehicle, *, cruise: float, dt: float, robust: float) -> str:
     # what reaches the required disk margin, or a larger one
-    from surctl.tuning import derive_gains
+    from surctl.marine.tuning import derive_gains
     from surctl.verification.linear import LEAST_DISK_MARGIN
 
     derived = derive_gains(vehicle, cruise=cruise, dt=dt)
@@ -168,7 +171,7 @@ def over_speeds(parts: Sequence[LinearPart]) -> LinearPart:
     """Combine analyses at several cruise speeds (slowest first): a comparison, then the whole analysis of the last."""
     import numpy as np
 
-    from surctl.verification import worst_place, worst_text
+    from surctl.marine.verification import worst_place, worst_text
 
     *_, last = parts
     if len(parts) == 1:

@@ -12,10 +12,10 @@ import click
 from surctl.cli.output import as_json, finish, printable
 
 if TYPE_CHECKING:
-    from surctl.assessment import Mission
-    from surctl.simulation import Finding
-    from surctl.study import Plan
-    from surctl.vehicle import Vehicle
+    from surctl.marine.assessment import Mission
+    from surctl.marine.simulation import Finding
+    from surctl.marine.study import Plan
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["lint"]
 
@@ -34,10 +34,10 @@ _NEXT = {
 
 def _file_findings(loaded: object) -> list[Finding]:
     # entries that cannot work
-    from surctl.simulation import Finding, thruster_findings
-    from surctl.vehicle import Vehicle
-    from surctl.vehicle.specs import undamped
-    from surctl.verification.region import RegionStatement
+    from surctl.marine.simulation import Finding, thruster_findings
+    from surctl.marine.vehicle import Vehicle
+    from surctl.marine.vehicle.specs import undamped
+    from surctl.marine.verification.region import RegionStatement
 
     if isinstance(loaded, Vehicle) and set(loaded.name) & set("/\\"):
         text = f"{loaded.name!r} cannot be part of a file name: remove / and \\"
@@ -57,8 +57,8 @@ def _file_findings(loaded: object) -> list[Finding]:
 
 def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
     """Return the defaults that decide the margins of a vehicle."""
-    from surctl.assessment import assumptions
-    from surctl.simulation import Finding
+    from surctl.marine.assessment import assumptions
+    from surctl.marine.simulation import Finding
 
     advice = "; surctl verify --vehicle FILE says how much the margin depends on it"
     assumed = assumptions(vehicle, None, cruise=1.0, dt=1.0)  # without gains there are no margins
@@ -68,7 +68,7 @@ def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
 def _loop_findings(mission: Mission) -> list[Finding]:
     """Return margins that do not suffice, a cap above the largest stable speed, and the defaults that decide."""
     from surctl.assessment import assess
-    from surctl.simulation import Finding
+    from surctl.marine.simulation import Finding
 
     keys = {"cap": "cap_m_per_s", "margins": "gains"}
     result = assess(mission, parts=["loop"])
@@ -80,9 +80,9 @@ def _loop_findings(mission: Mission) -> list[Finding]:
 
 def _goal_findings(plan: Plan) -> list[Finding]:
     # goals of the file that `tune` cannot judge for its law; the built-in goals are left out there with a line
+    from surctl.marine.simulation import Finding
+    from surctl.marine.tuning import judged_goals, load_goals
     from surctl.own_code import label
-    from surctl.simulation import Finding
-    from surctl.tuning import judged_goals, load_goals
 
     built_in = load_goals()
     left = [goal for goal in judged_goals(plan.goals, plan.sweep_cases)[2] if goal not in built_in]
@@ -123,20 +123,21 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     Raises:
         InputError: the file cannot be read, or is of no known kind.
     """
-    from surctl.assessment import Mission
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import load_gains
     from surctl.errors import InputError
     from surctl.files import pick, read_toml
     from surctl.lyapunov import load_problem
-    from surctl.simulation import LIBRARY, findings, load_scenario
-    from surctl.study import load_plan
-    from surctl.study.conduct import assessed
-    from surctl.tuning import gains_for, load_goals, load_loop_goals
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.assessment import Mission
+    from surctl.marine.control import load_gains
+    from surctl.marine.simulation import LIBRARY, findings, load_scenario
+    from surctl.marine.study import load_plan
+    from surctl.marine.study.conduct import assessed
+    from surctl.marine.tuning import gains_for, load_goals
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.region import load_region
+    from surctl.tuning import load_loop_goals
     from surctl.verification import load_claim
-    from surctl.verification.cascade import has_cascade
-    from surctl.verification.region import load_region
 
     path = str(pick(file, LIBRARY, what="scenario"))
     kind = read_toml(pick(file, LIBRARY, what="scenario")).get("kind")

@@ -19,11 +19,12 @@ def listing(show: str | None, as_json: bool) -> None:
 
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
-    from surctl import control, simulation, study, tuning, vehicle
+    from surctl import tuning
     from surctl.errors import InputError, nearest
-    from surctl.verification import claims
-    from surctl.verification.braking import BRAKING_CLAIMS
-    from surctl.verification.region import REGION_CLAIMS
+    from surctl.marine import control, simulation, study, vehicle
+    from surctl.marine.verification import claims
+    from surctl.marine.verification.braking import BRAKING_CLAIMS
+    from surctl.marine.verification.region import REGION_CLAIMS
 
     libraries = {
         "vehicles": vehicle.LIBRARY,

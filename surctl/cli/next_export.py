@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from surctl.cli.law_option import law_words
 
 if TYPE_CHECKING:
-    from surctl.control import Gains
-    from surctl.simulation import Scenario
-    from surctl.vehicle import Vehicle
+    from surctl.marine.control import Gains
+    from surctl.marine.simulation import Scenario
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["MISSION", "export_command", "fitting_scenario"]
 
@@ -28,7 +28,7 @@ def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | Non
     If `scenario` is given, only this scenario is tried; otherwise first the default scenario of `surctl export`, then
     `tank-static`.
     """
-    from surctl.simulation import load_scenario
+    from surctl.marine.simulation import load_scenario
 
     tried = _TRIED if scenario is None else (scenario,)
     return next((word for word in tried if _fits(load_scenario(word), vehicle)), None)
@@ -57,10 +57,10 @@ def export_command(
         guidance: path guidance; None: the default of the command.
         sensing: "sonar" or "truth".
     """
-    from surctl.control import build_law, load_gains
-    from surctl.export import fitting_certificates
-    from surctl.simulation import law_numbers, load_scenario
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.control import build_law, load_gains
+    from surctl.marine.export import fitting_certificates
+    from surctl.marine.simulation import law_numbers, load_scenario
+    from surctl.marine.vehicle import load_vehicle
 
     robot = load_vehicle(vehicle)
     chosen = fitting_scenario(robot, scenario)
@@ -78,7 +78,7 @@ def export_command(
 
 def _fits(scenario: Scenario, vehicle: Vehicle) -> bool:
     from surctl.errors import InputError
-    from surctl.simulation import findings
+    from surctl.marine.simulation import findings
 
     try:
         return not any(finding.level == "error" for finding in findings(scenario, vehicle))

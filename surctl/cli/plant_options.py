@@ -14,11 +14,11 @@ from surctl.cli.animate_option import NamedFile
 from surctl.cli.output import saving, together
 
 if TYPE_CHECKING:
-    from surctl.control import Law
-    from surctl.engine import EngineOptions
-    from surctl.export import CompiledLaw, LinkedLaw
-    from surctl.simulation import Case, Run, ThrusterFault
-    from surctl.vehicle import Vehicle
+    from surctl.marine.control import Law
+    from surctl.marine.engine import EngineOptions
+    from surctl.marine.export import CompiledLaw, LinkedLaw
+    from surctl.marine.simulation import Case, Run, ThrusterFault
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["PlantOptions", "plant_options"]
 
@@ -60,8 +60,8 @@ class PlantOptions:
             InputError: an option is wrong, or does not go with another one.
             ToolMissing: MuJoCo is not installed, or no program writes the film.
         """
-        from surctl.engine import parse_plant
         from surctl.errors import InputError
+        from surctl.marine.engine import parse_plant
 
         chosen = parse_plant(self.plant)
         requested = [("--film", self.film), ("--view", self.view or None)]
@@ -92,18 +92,18 @@ class PlantOptions:
         for key in unheard[:1]:
             remedy = "add --sensing sonar, or drop it"
             raise InputError("has no effect with true positions", key=f"--plant mujoco:{key}", remedy=remedy)
-        from surctl.engine.library import mujoco_library
+        from surctl.marine.engine.library import mujoco_library
 
         mujoco_library()
         if self.film is not None:
-            from surctl.engine.pictures import check_pictures
             from surctl.files import prepare_folder
-            from surctl.report import check_film
+            from surctl.marine.engine.pictures import check_pictures
+            from surctl.marine.report import check_film
 
             check_pictures()
             prepare_folder(check_film(self.film).parent, key="--film")
         if self.view:
-            from surctl.engine.viewer import check_screen
+            from surctl.marine.engine.viewer import check_screen
 
             check_screen()
         return chosen
@@ -132,12 +132,12 @@ class PlantOptions:
         compiled: type[CompiledLaw] | None,
     ) -> Iterator[tuple[Run, Any]]:
         """Yield each run with the report of what computed its control steps in place of the law, or None."""
-        from surctl.simulation import OwnPhysics, simulate
+        from surctl.marine.simulation import OwnPhysics, simulate
 
         physics: Any = OwnPhysics
         if options is not None:
-            from surctl.engine import BatchCase, mujoco_physics
-            from surctl.engine.batch import simulate_with_steppers
+            from surctl.marine.engine import BatchCase, mujoco_physics
+            from surctl.marine.engine.batch import simulate_with_steppers
 
             physics = mujoco_physics(options)
             if self.threads not in (None, 1):
@@ -145,7 +145,7 @@ class PlantOptions:
                 yield from simulate_with_steppers(batch_case, list(seeds), processes=self.threads or 1)
                 return
             if self.view:
-                from surctl.engine.viewer import watched
+                from surctl.marine.engine.viewer import watched
 
                 physics = watched(physics)
 
@@ -180,7 +180,7 @@ class PlantOptions:
         result["plant_options"] = options.of(run.vehicle).to_dict()
         if self.film is not None:
             with saving("film"):
-                from surctl.report import save_film
+                from surctl.marine.report import save_film
 
                 result["film"] = str(save_film(run, self.film, options=options))
                 lines.append(f"  {result['film']}")

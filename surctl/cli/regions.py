@@ -10,10 +10,10 @@ from surctl.cli.activity import timed
 from surctl.cli.output import refusal_line
 
 if TYPE_CHECKING:
-    from surctl.control import Gains
-    from surctl.vehicle import Vehicle
+    from surctl.marine.control import Gains
+    from surctl.marine.vehicle import Vehicle
+    from surctl.marine.verification.region import RegionStatement
     from surctl.verification import Inapplicable
-    from surctl.verification.region import RegionStatement
 
 __all__ = ["Regions", "check_regions", "is_region", "prove_regions", "region_of", "require_own_speeds"]
 
@@ -53,7 +53,7 @@ def region_of(word: str) -> RegionStatement:
     Raises:
         InputError: the claim is unknown, or the file is not a region claim.
     """
-    from surctl.verification.region import load_region, region_statement
+    from surctl.marine.verification.region import load_region, region_statement
 
     return load_region(Path(word)) if word.endswith(".toml") else region_statement(word)
 
@@ -131,9 +131,9 @@ def prove_regions(
     Raises:
         InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
     """
-    from surctl.control import load_gains
-    from surctl.vehicle import load_vehicle
-    from surctl.verification.region import RegionStatement, applicable_region, prove_statement
+    from surctl.marine.control import load_gains
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
 
     robot = load_vehicle(vehicle)
     values = load_gains(gains) if isinstance(gains, str) else gains

@@ -11,7 +11,7 @@ from surctl.cli.activity import progress
 from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
 
 if TYPE_CHECKING:
-    from surctl.reproduction import Row
+    from surctl.marine.reproduction import Row
 
 __all__ = ["reproduce", "row_lines"]
 
@@ -44,7 +44,7 @@ def reproduce(
     Examples: surctl reproduce --quick; surctl reproduce tank-static E5 v1-printed; surctl reproduce --out paper
     """
     from surctl.files import prepare_folder
-    from surctl.reproduction import reproduce as compute
+    from surctl.marine.reproduction import reproduce as compute
 
     if out is not None:
         prepare_folder(out)
@@ -73,7 +73,7 @@ def reproduce(
         ]
         words += [f"--seeds {seeds}"] if seeds else []
         with saving("page"):
-            from surctl.reproduction.page import write_reproduction
+            from surctl.marine.reproduction.page import write_reproduction
 
             page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
             lines.append(f"page {page}")

@@ -23,10 +23,10 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
             obstacle.
     """
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.engine import EngineOptions, write_mjcf
     from surctl.errors import InputError
-    from surctl.simulation import load_scenario
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.engine import EngineOptions, write_mjcf
+    from surctl.marine.simulation import load_scenario
+    from surctl.marine.vehicle import load_vehicle
 
     context = click.get_current_context()
     for parameter in context.command.params:

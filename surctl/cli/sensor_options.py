@@ -12,9 +12,9 @@ import click
 from surctl.cli.output import together
 
 if TYPE_CHECKING:
-    from surctl.sensing import Fault, FaultChances, SonarArray
-    from surctl.simulation import Scenario
-    from surctl.simulation.sensors import Sensors
+    from surctl.marine.sensing import Fault, FaultChances, SonarArray
+    from surctl.marine.simulation import Scenario
+    from surctl.marine.simulation.sensors import Sensors
 
 __all__ = ["SensorOptions", "parse_chances", "parse_fault", "sensor_data", "sensor_options", "simulated_echoes"]
 
@@ -63,7 +63,7 @@ class SensorOptions:
         chances: fault probabilities in the form of `parse_chances`; they replace all probabilities of the scenario.
         beam: full opening angle of the sonars [°].
         own_state: which state of the robot the law receives: `measured` (with errors) or `truth` (exact).
-        echoes: name of an echo model, see `surctl.simulation.ECHOES`.
+        echoes: name of an echo model, see `surctl.marine.simulation.ECHOES`.
     """
 
     faults: Sequence[str] = ()
@@ -74,10 +74,10 @@ class SensorOptions:
 
     def check(self, *, law: str, sensing: str) -> None:
         """Raise InputError for an option that has no effect on the runs, or for an unknown value."""
-        from surctl.control import law_source
         from surctl.errors import InputError, nearest
+        from surctl.marine.control import law_source
+        from surctl.marine.simulation import SENSING
         from surctl.own_code import label
-        from surctl.simulation import SENSING
 
         if sensing not in SENSING:
             raise InputError("is not known", key="--sensing", value=sensing, remedy=nearest(sensing, SENSING))
@@ -108,7 +108,7 @@ class SensorOptions:
             remedy = nearest(self.own_state, OWN_STATES)
             raise InputError("is not known", key="--own-state", value=self.own_state, remedy=remedy)
         if self.echoes is not None:
-            from surctl.simulation import ECHOES
+            from surctl.marine.simulation import ECHOES
 
             if self.echoes not in ECHOES:
                 remedy = nearest(self.echoes, ECHOES)
@@ -123,7 +123,7 @@ class SensorOptions:
         return replace(scenario, sensors=self._sensors(scenario.sensors))
 
     def _sensors(self, old: Sensors) -> Sensors:
-        from surctl.sensing import OwnState
+        from surctl.marine.sensing import OwnState
 
         if self.echoes is not None:
             old = old.hearing(self.echoes)
@@ -145,8 +145,8 @@ def parse_fault(text: str) -> Fault:
     """
     from surctl.errors import InputError, nearest
     from surctl.files import validate
-    from surctl.sensing import FAULT_KINDS
-    from surctl.simulation.sensors import SonarTable
+    from surctl.marine.sensing import FAULT_KINDS
+    from surctl.marine.simulation.sensors import SonarTable
 
     head, *rest = text.split(":")
     kind, equals, delay = head.partition("=")
@@ -181,7 +181,7 @@ def parse_chances(texts: Sequence[str]) -> FaultChances:
             probabilities add up to more than 1.
     """
     from surctl.errors import InputError, nearest
-    from surctl.sensing import FAULT_KINDS, FaultChances
+    from surctl.marine.sensing import FAULT_KINDS, FaultChances
 
     chances: dict[str, float] = {}
     for text in texts:
@@ -227,7 +227,7 @@ def sensor_data(scenario: Scenario) -> dict[str, Any]:
 
 def _checked(array: SonarArray, text: str) -> Fault:
     from surctl.errors import InputError
-    from surctl.sensing import check_faults
+    from surctl.marine.sensing import check_faults
 
     fault = parse_fault(text)
     try:
@@ -239,7 +239,7 @@ def _checked(array: SonarArray, text: str) -> Fault:
 
 def _possible(array: SonarArray, texts: Sequence[str]) -> FaultChances:
     from surctl.errors import InputError
-    from surctl.sensing import check_faults
+    from surctl.marine.sensing import check_faults
 
     chances = parse_chances(texts)
     try:

@@ -128,10 +128,10 @@ def simulate(
     apart.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import build_law, law_source, load_gains
     from surctl.files import prepare_folder
-    from surctl.simulation import Case, law_numbers, load_scenario, save_record, stop_reason, time_limit_reason
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.control import build_law, law_source, load_gains
+    from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record, stop_reason, time_limit_reason
+    from surctl.marine.vehicle import load_vehicle
 
     _check_save(save, frame, out=out, campaign=campaign.any)
     if out is not None:
@@ -256,8 +256,8 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
     if save is None and frame is None:
         return
     from surctl.errors import InputError, nearest
-    from surctl.simulation import RUN_FORMATS
-    from surctl.vehicle import check_frame
+    from surctl.marine.simulation import RUN_FORMATS
+    from surctl.marine.vehicle import check_frame
 
     if frame is not None:
         check_frame(frame, key="--frame")

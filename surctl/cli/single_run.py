@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from surctl.simulation import Run
-    from surctl.vehicle import Vehicle
+    from surctl.marine.simulation import Run
+    from surctl.marine.vehicle import Vehicle
 
 from surctl.cli.output import saving
 
@@ -64,7 +64,7 @@ def failure(run: Run) -> str | None:
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
     """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
-    from surctl.control import law_source
+    from surctl.marine.control import law_source
 
     if law_source(run.law.ref).steering is not None:
         result["linear"] = None
@@ -102,8 +102,9 @@ def linear_warning(
     line.
     """
     from surctl.errors import InputError
-    from surctl.verification.cascade import has_cascade
-    from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin, slowest_mode
+    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.linear import corner_margin, slowest_mode
+    from surctl.verification.linear import LEAST_DISK_MARGIN
 
     if not has_cascade(law, guidance):
         return None, []
@@ -125,7 +126,7 @@ def linear_warning(
 
 def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
     from surctl.errors import InputError
-    from surctl.verification import law_loop
+    from surctl.marine.verification import law_loop
 
     try:
         loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.fastest)
@@ -142,28 +143,28 @@ def further_output(
 
     Explanations and the path of the animation are also added to `result`.
     """
-    from surctl.simulation import depth_changes, thruster_use
+    from surctl.marine.simulation import depth_changes, thruster_use
 
     lines = [f"  {change}" for change in depth_changes(run)]
     if (use := thruster_use(run)) is not None:
         result["thrusters"] = use.to_dict()
         lines.append(f"  {use.line()}")
     if explained:
-        from surctl.simulation import explain
+        from surctl.marine.simulation import explain
 
         explanations = explain(run)
         result["explanations"] = [asdict(one) for one in explanations]
         lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
     if out is not None:
         with saving("plots"):
-            from surctl.report import save_priority, save_run
+            from surctl.marine.report import save_priority, save_run
 
             lines.append(f"  {save_run(run, out)}")
             if explained:
                 lines.append(f"  {save_priority(run, out)}")
     if animate is not None:
         with saving("animation"):
-            from surctl.report import save_animation
+            from surctl.marine.report import save_animation
 
             result["animation"] = str(save_animation(run, animate))
             lines.append(f"  {result['animation']}")

@@ -76,7 +76,7 @@ def sonar_replay(
     """
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
-    from surctl.sensing import filtered_rows, read_readings, replay_readings, sonar_array
+    from surctl.marine.sensing import filtered_rows, read_readings, replay_readings, sonar_array
 
     if not isfinite(scale):
         raise InputError("must be finite", key="--scale", value=scale, remedy="give the scale from surctl calibrate")
@@ -89,7 +89,7 @@ def sonar_replay(
     rows = write_file(out / "filtered.csv", filtered_rows(replayed))
     files = [rows]
     with saving("plot"):
-        from surctl.report import save_sonar_replay
+        from surctl.marine.report import save_sonar_replay
 
         files.append(save_sonar_replay(replayed, out, title=recording.name))
     summaries = [replayed.summary(sensor) for sensor in replayed.sensors]

@@ -15,8 +15,8 @@ class Speeds(click.ParamType[tuple[float, ...]]):
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         """Return the cruise speeds, slowest first; InputError if the text is not a list or range of speeds."""
         from surctl.errors import InputError
+        from surctl.marine.verification import cruise_speeds
         from surctl.tuning import Span, parse_axis
-        from surctl.verification import cruise_speeds
 
         key, text = "--cruise", str(value)
         single = text.split(",")

@@ -69,13 +69,13 @@ def study(
     study.json; surctl study my_system.py:build --seconds 5
     """
     if is_system(words, "words", "out", "workers", "seconds", "as_json"):
-        from surctl.control import LAW_NAMES
+        from surctl.marine.control import LAW_NAMES
 
         study_system(words, seconds=seconds, workers=workers, out=out, as_json=as_json, reserved=LAW_NAMES)
     if len(words) > 1:
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     file = words[0] if words else None
-    from surctl.study import conduct, load_plan
+    from surctl.marine.study import conduct, load_plan
 
     chosen = [f"--vehicle {vehicle}"] if vehicle else [file] if file else []
     chosen += [f"--gains {gains}"] if gains else []
@@ -83,7 +83,7 @@ def study(
     plan = load_plan(file, vehicle=vehicle, trust=trust)
     plan = plan if gains is None else plan.with_gains(gains)
     if film:
-        from surctl.engine.pictures import check_pictures
+        from surctl.marine.engine.pictures import check_pictures
 
         check_pictures()
     with stoppable(f"the finished points are in {out}; to continue: {same_command()}"):
@@ -122,7 +122,7 @@ def _margin_line(margin: LoopMargins) -> str:
 
 def _examined(law: str, about: list[str]) -> list[str]:
     """Return the command that checks the gains: `verify`, or `simulate` if no analysis is about the law."""
-    from surctl.control import law_source
+    from surctl.marine.control import law_source
 
     _, scenario, *others = about
     simulated = ["surctl", "simulate", scenario, *others, *law_words(law)]

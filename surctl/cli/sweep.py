@@ -24,10 +24,11 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from surctl.control import Gains
-    from surctl.simulation import Case
-    from surctl.tuning import Executor, Sensitivity, SweepTable
-    from surctl.verification import Locus
+    from surctl.marine.control import Gains
+    from surctl.marine.simulation import Case
+    from surctl.marine.tuning import Sensitivity, SweepTable
+    from surctl.marine.verification import Locus
+    from surctl.tuning import Executor
 
 __all__ = ["sweep"]
 
@@ -157,14 +158,15 @@ def sweep(
     """
     if is_system(axes, "seconds", "workers", "out", "as_json"):
         sweep_system(axes, seconds=seconds, workers=workers, out=out, as_json=as_json)
-    from surctl.control import law_source, load_gains, write_gains
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder, write_file
-    from surctl.simulation import load_scenario
-    from surctl.tuning import build_cases, check_column, make_design, parse_axis, saltelli
-    from surctl.tuning import sensitivity as indices
-    from surctl.tuning import sweep as run_sweep
-    from surctl.vehicle import load_vehicle
+    from surctl.marine.control import law_source, load_gains, write_gains
+    from surctl.marine.simulation import load_scenario
+    from surctl.marine.tuning import build_cases, check_column
+    from surctl.marine.tuning import sensitivity as indices
+    from surctl.marine.tuning import sweep as run_sweep
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.tuning import make_design, parse_axis, saltelli
 
     parsed = [parse_axis(text) for text in axes]
     if sensitivity is None:
@@ -210,7 +212,7 @@ def sweep(
     pictures = _pictures(table, sobol, out)
     if locus is not None:
         with saving("root locus"):
-            from surctl.report import save_locus
+            from surctl.marine.report import save_locus
 
             at = {} if picked is None else table.at(picked)
             axis = next(axis for axis in table.axes if axis.name == locus)
@@ -265,7 +267,7 @@ def _executor(workers: int | None, dask: str | None) -> Executor:
 def _pictures(table: SweepTable, sobol: Sensitivity | None, out: Path) -> list[Path]:
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.report import save_heat_map, save_parallel, save_sensitivity
+        from surctl.marine.report import save_heat_map, save_parallel, save_sensitivity
 
         pictures.append(save_parallel(table, out) if sobol is None else save_sensitivity(sobol, out))
         if sobol is None and table.is_grid and len(table.axes) > 1:
@@ -279,7 +281,7 @@ def _locus(
     # poles of the first vehicle at its largest cruise speed, about the point `at`
     import numpy as np
 
-    from surctl.verification import sweep_locus
+    from surctl.marine.verification import sweep_locus
 
     first = cases[0]
     values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
@@ -310,7 +312,7 @@ def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
         ]
     import numpy as np
 
-    from surctl.simulation import METRICS
+    from surctl.marine.simulation import METRICS
 
     indices = list(np.ndindex(table.shape))
     columns = {name: table.column(name) for name in _PRINTED if name in table.columns}

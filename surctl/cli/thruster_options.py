@@ -7,7 +7,7 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from surctl.simulation import ThrusterFault
+    from surctl.marine.simulation import ThrusterFault
 
 __all__ = ["FORM", "parse_thruster_fault", "split_faults"]
 
@@ -38,7 +38,7 @@ def parse_thruster_fault(text: str) -> ThrusterFault:
         InputError: a part is missing, superfluous, not a number or out of range.
     """
     from surctl.errors import InputError
-    from surctl.simulation import ThrusterFault
+    from surctl.marine.simulation import ThrusterFault
 
     name, *times = text.removeprefix(_KIND).split(":")
     numbers = []

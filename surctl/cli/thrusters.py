@@ -40,10 +40,10 @@ def thrusters(
     Examples: surctl vehicle thrusters bluerov2-heavy --out pictures; surctl vehicle thrusters bluerov2-heavy --failed
     T2 --force 40 30 0 5
     """
-    from surctl.allocation import allocate, working_flags
     from surctl.errors import InputError
-    from surctl.simulation import held_share, thruster_findings
-    from surctl.vehicle import axis_ends, load_vehicle
+    from surctl.marine.allocation import allocate, working_flags
+    from surctl.marine.simulation import held_share, thruster_findings
+    from surctl.marine.vehicle import axis_ends, load_vehicle
 
     if not 0 <= speed <= _FASTEST:
         problem = f"must be at least 0 and at most {_FASTEST:g}"
@@ -97,7 +97,7 @@ def thrusters(
         lines.append(f"  not controlled: roll {allocation.roll:.3g} N m, pitch {allocation.pitch:.3g} N m")
     if out is not None:
         with saving("plot"):
-            from surctl.report import save_attainable
+            from surctl.marine.report import save_attainable
 
             result["file"] = str(save_attainable(vehicle, out, failed=failed))
             lines.append(f"wrote {result['file']}")

@@ -178,13 +178,12 @@ def tune(
         return
     if scenario or port or no_browser:
         raise click.UsageError(_needs_page(scenario))
-    from surctl.control import default_law, write_gains
     from surctl.errors import InputError
     from surctl.files import prepare_folder, write_file
-    from surctl.own_code import label
-    from surctl.study import load_plan
-    from surctl.study.conduct import assessed
-    from surctl.tuning import (
+    from surctl.marine.control import default_law, write_gains
+    from surctl.marine.study import load_plan
+    from surctl.marine.study.conduct import assessed
+    from surctl.marine.tuning import (
         CHECKED,
         Request,
         advice,
@@ -203,9 +202,10 @@ def tune(
         tuning_dict,
         with_floor,
     )
-    from surctl.tuning import tune as run_tuning
+    from surctl.marine.tuning import tune as run_tuning
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.own_code import label
     from surctl.tuning.journal import BEST
-    from surctl.vehicle import load_vehicle
 
     plan = load_plan(file, trust=trust)
     plan = plan if law is None else plan.with_law(law)
@@ -299,7 +299,7 @@ def tune(
     everything = write_file(out / "tuning.json", json.dumps(finite(result), ensure_ascii=False, indent=1) + "\n")
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.report import save_tuning  # loads matplotlib only now
+        from surctl.marine.report import save_tuning  # loads matplotlib only now
 
         pictures = save_tuning(tuning, out)
     headline, *figures = comparison.lines()

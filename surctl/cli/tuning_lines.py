@@ -10,11 +10,11 @@ from surctl.cli.vehicle_choice import at_hand
 
 if TYPE_CHECKING:
     from surctl.assessment import Assessment
-    from surctl.control import Gains
-    from surctl.simulation import Case, Scenario
-    from surctl.study import Plan
-    from surctl.tuning import Finals, Goal, Miss, Tuning
-    from surctl.vehicle import Vehicle
+    from surctl.marine.control import Gains
+    from surctl.marine.simulation import Case, Scenario
+    from surctl.marine.study import Plan
+    from surctl.marine.tuning import Finals, Goal, Miss, Tuning
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["caps", "check_goal_cases", "floor_lines", "look", "region_words", "unrepresentative"]
 
@@ -35,8 +35,8 @@ def check_goal_cases(goals: Sequence[Goal], plan: Plan, file: str) -> None:
 
 def caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
     """Return one line for each vehicle whose speed limit exceeds the largest speed with a stable linear loop."""
-    from surctl.verification.cascade import has_cascade
-    from surctl.verification.linear import cap_above_bearable
+    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.linear import cap_above_bearable
 
     distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cascade(c.law, c.guidance)}
     texts = (cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt) for c in distinct.values())
@@ -65,9 +65,9 @@ def floor_lines(tuning: Tuning, finals: Finals, plan: Plan, *, trials: int) -> l
 
 def _why(plan: Plan, after: Assessment) -> str:
     """Return what limits the margin: of gains that follow from the vehicle, or of the corners."""
-    from surctl.control import default_law
     from surctl.errors import InputError
-    from surctl.tuning import derive_gains
+    from surctl.marine.control import default_law
+    from surctl.marine.tuning import derive_gains
 
     nominal, least = after.figures["nominal_disk_margin"].value, after.figures["disk_margin"].least
     if plan.law != default_law(plan.vehicle):
@@ -89,7 +89,7 @@ def unrepresentative(tuning: Tuning) -> list[str]:
     """Return a line if goals about a step response of the linear loop do not describe the run, see `ACTIVE`."""
     import numpy as np
 
-    from surctl.tuning import Goal, figures
+    from surctl.marine.tuning import Goal, figures
     from surctl.tuning.representative import not_representative, step_goals
 
     names = [
@@ -119,9 +119,9 @@ def look(missed: Sequence[Miss], gains: str, law: Sequence[str]) -> list[str]:
 
 def region_words(law: str, scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[str]:
     """Return the region claim to suggest next."""
-    from surctl.control import PATH_FOLLOWING, default_law, law_source
     from surctl.errors import NotApplicable
-    from surctl.verification.region import applicable_region
+    from surctl.marine.control import PATH_FOLLOWING, default_law, law_source
+    from surctl.marine.verification.region import applicable_region
 
     if law != default_law(vehicle) and PATH_FOLLOWING not in law_source(law).parts:
         return []

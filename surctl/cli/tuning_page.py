@@ -33,13 +33,13 @@ def serve_page(
     trust: bool,
 ) -> None:
     """Serve the page for a law of the robot until Ctrl-C; arguments that are None take the study's values."""
-    from surctl.control import law_ref, load_gains
-    from surctl.report.bench import Bench
-    from surctl.simulation import findings, load_scenario
-    from surctl.study import load_plan
-    from surctl.tuning import goals_at, load_goals
-    from surctl.vehicle import load_vehicle
-    from surctl.verification import check_held
+    from surctl.marine.control import law_ref, load_gains
+    from surctl.marine.report.bench import Bench
+    from surctl.marine.simulation import findings, load_scenario
+    from surctl.marine.study import load_plan
+    from surctl.marine.tuning import goals_at, load_goals
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification import check_held
 
     plan = load_plan(study, trust=trust)
     if vehicles:

@@ -13,7 +13,7 @@ from surctl.cli.output import FiniteRange, as_json, finish, saving
 from surctl.cli.thrusters import thrusters
 
 if TYPE_CHECKING:
-    from surctl.vehicle import Identified, MotionLog, Prediction, Vehicle
+    from surctl.marine.vehicle import Identified, MotionLog, Prediction, Vehicle
 
 __all__ = ["vehicle"]
 
@@ -102,7 +102,7 @@ def from_geometry(
     Example: surctl vehicle from-geometry --name mine --diameter "40 cm" --mass "6 kg" --thrust 0.5kgf
     --yaw-thrust "0.4 N m"
     """
-    from surctl.vehicle import sphere
+    from surctl.marine.vehicle import sphere
 
     robot = sphere(
         name,
@@ -154,7 +154,7 @@ def from_gazebo(
 
     Example: surctl vehicle from-gazebo model.sdf --name auv --diameter 0.5 --thrust 40 --yaw-thrust 6
     """
-    from surctl.vehicle import gazebo_vehicle
+    from surctl.marine.vehicle import gazebo_vehicle
 
     robot = gazebo_vehicle(
         model,
@@ -249,10 +249,10 @@ def from_log(
 
     Example: surctl vehicle from-log trial.csv --start my-vehicle.toml --name fitted
     """
-    from surctl.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording, topic_lines
+    from surctl.marine.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording, topic_lines
 
     if topics:
-        from surctl.vehicle.logs.log_map import load_log_map
+        from surctl.marine.vehicle.logs.log_map import load_log_map
 
         if len(logs) > 1:
             raise click.UsageError("--topics takes one log")
@@ -299,7 +299,7 @@ def from_log(
     def plot() -> None:
         with saving("plot"):
             from surctl.errors import InputError
-            from surctl.report import save_prediction
+            from surctl.marine.report import save_prediction
 
             if not predictions or picture is None:
                 raise InputError("needs a prediction", key="--picture", remedy="give a longer log")
@@ -316,8 +316,8 @@ def from_log(
 
 def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
     from surctl.errors import InputError
-    from surctl.vehicle import read_mapped_log, read_motion_log
-    from surctl.vehicle.logs.read import READERS
+    from surctl.marine.vehicle import read_mapped_log, read_motion_log
+    from surctl.marine.vehicle.logs.read import READERS
 
     if map_file is not None:
         if frame is not None:
@@ -334,7 +334,7 @@ def _read_log(log: Path, map_file: Path | None, frame: str | None) -> MotionLog:
 
 
 def _fit_lines(fit: Identified) -> list[str]:
-    from surctl.vehicle.identification.model import LONGEST
+    from surctl.marine.vehicle.identification.model import LONGEST
 
     lines = [f"{fit.vehicle.name}: {fit.vehicle.note}"]
     if fit.sections > 1:
@@ -391,7 +391,7 @@ def _write(
     plot: Callable[[], None] = lambda: None,
 ) -> None:  # fmt: skip
     from surctl.cli.new import path_of, write_new
-    from surctl.vehicle import write_vehicle
+    from surctl.marine.vehicle import write_vehicle
 
     target = write_new(out or path_of(robot.name, ".toml"), write_vehicle(robot), force=force)
     plot()

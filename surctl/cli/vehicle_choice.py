@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from surctl.simulation import Scenario
-    from surctl.vehicle import Vehicle
+    from surctl.marine.simulation import Scenario
+    from surctl.marine.vehicle import Vehicle
 
 __all__ = ["DEFAULT_VEHICLE", "VehicleChoice", "at_hand", "choose_vehicle"]
 
@@ -53,8 +53,8 @@ def choose_vehicle(
 
 def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
     """Return the command-line options that select the given mission, vehicle and gain file."""
-    from surctl.simulation import LIBRARY as SCENARIOS
-    from surctl.vehicle import LIBRARY as VEHICLES
+    from surctl.marine.simulation import LIBRARY as SCENARIOS
+    from surctl.marine.vehicle import LIBRARY as VEHICLES
 
     def word(source: str, library: Path) -> str:
         return Path(source).stem if Path(source).parent == library else source

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from surctl.errors import NotApplicable
-    from surctl.vehicle import Vehicle
+    from surctl.marine.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
     from surctl.verification.stack import StackConditions
 
@@ -126,7 +126,7 @@ def verify(
         verify_system(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
         verify_motion(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
-    from surctl.assessment import Mission, assess
+    from surctl.assessment import assess
     from surctl.cli.barrier_options import check_barrier
     from surctl.cli.braking import is_braking, prove_all
     from surctl.cli.law_option import choose_law
@@ -134,13 +134,15 @@ def verify(
     from surctl.cli.next_export import export_command
     from surctl.cli.regions import check_regions, is_region, prove_regions, region_of, require_own_speeds
     from surctl.cli.vehicle_choice import choose_vehicle
-    from surctl.control import CASCADE, PATH_FOLLOWING, build_law, law_source
     from surctl.files import prepare_folder
+    from surctl.marine.assessment import Mission
+    from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
+    from surctl.marine.simulation import load_scenario
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification import check_held
+    from surctl.marine.verification.region import write_region
     from surctl.own_code import label
-    from surctl.simulation import load_scenario
-    from surctl.vehicle import load_vehicle
-    from surctl.verification import Inapplicable, check_held, decide, write_claim
-    from surctl.verification.region import write_region
+    from surctl.verification import Inapplicable, decide, write_claim
 
     conditions = {name: _stack(name) for name in stacks}  # first, because it refuses unknown names
     # claims of one's own alone concern no vehicle, so nothing is said of one
@@ -288,7 +290,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
     """
     from surctl.cli.next_export import MISSION
     from surctl.errors import InputError
-    from surctl.simulation import load_scenario
+    from surctl.marine.simulation import load_scenario
 
     mission = load_scenario(MISSION if scenario is None else scenario)
     speed = mission.cruise if cruise is None else cruise
@@ -314,7 +316,7 @@ def _draw(
     proved = {region["claim"]: region["certificate"] for region in regions if region["certificate"]}
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.report import save_margins, save_regions, save_verdicts
+        from surctl.marine.report import save_margins, save_regions, save_verdicts
 
         pictures += save_verdicts(verdicts, out)
         pictures += save_regions(proved, out)
@@ -323,7 +325,8 @@ def _draw(
 
 
 def _stack(name: str) -> StackConditions:
-    from surctl.verification.stack import shipped_stack, stack_conditions
+    from surctl.marine.verification.stack import shipped_stack
+    from surctl.verification.stack import stack_conditions
 
     shipped = shipped_stack(name)
     return stack_conditions(shipped.stack, shipped.region, parameters=shipped.parameters)
@@ -334,8 +337,9 @@ def _chosen(
 ) -> tuple[list[Claim], Mapping[str, NotApplicable]]:
     # without names and files, the claims are those of the library; they do not concern the law `law`
     from surctl.errors import InputError, NotApplicable
-    from surctl.tuning import has_tuned
-    from surctl.verification import applicable_claims, load_claim
+    from surctl.marine.tuning import has_tuned
+    from surctl.marine.verification import applicable_claims
+    from surctl.verification import load_claim
 
     if not words:  # where the paper errs concerns its own robot
         every, refused = ((), {}) if law else applicable_claims(gains, vehicle=vehicle)

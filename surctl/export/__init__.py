@@ -1,9 +1,7 @@
-"""Export of a control law as a C99 bundle, and checks by execution that C and Python compute the same numbers."""
+"""Export of a controller as a C99 bundle, and checks by execution that C and Python compute the same numbers."""
 
 from surctl.export.bundle import Bundle, ExportedFile, check_folder, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
-from surctl.export.closed import ClosedForm, closed_form
-from surctl.export.compiled_law import CompiledLaw
 from surctl.export.contract import STATUS, Exportable
 from surctl.export.emulated import EmulatedLine, emulated, emulated_target
 from surctl.export.envelope import Envelope, Rate
@@ -11,14 +9,10 @@ from surctl.export.evidence import evidence_of, with_evidence
 from surctl.export.fmu import write_fmu
 from surctl.export.in_process import ExportedController, ExportedStep
 from surctl.export.link import Line, LineDown, Reply, connect
-from surctl.export.linked import LinkedLaw, LinkFaults, LinkReport
-from surctl.export.operating_envelope import operating_envelope
-from surctl.export.origin import Origin, fitting_certificates, load_certificates, origin_of
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, build_controller
 from surctl.export.prove import Alarm, ProofReport, gain_box, prove_bundle, with_proof
 from surctl.export.records import Records, as_records
-from surctl.export.robot_bundle import build_bundle
 from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop, software_in_the_loop_runs
 from surctl.export.supplement import Supplement
 from surctl.export.targets import TARGETS, Target, chosen_targets
@@ -32,8 +26,6 @@ __all__ = [
     "BuildReport",
     "Bundle",
     "CheckReport",
-    "ClosedForm",
-    "CompiledLaw",
     "Controller",
     "Difference",
     "EmulatedLine",
@@ -44,10 +36,6 @@ __all__ = [
     "ExportedStep",
     "Line",
     "LineDown",
-    "LinkFaults",
-    "LinkReport",
-    "LinkedLaw",
-    "Origin",
     "ProofReport",
     "Rate",
     "Records",
@@ -56,22 +44,16 @@ __all__ = [
     "Supplement",
     "Target",
     "as_records",
-    "build_bundle",
     "build_controller",
     "check_builds",
     "check_folder",
     "chosen_targets",
-    "closed_form",
     "compare_runs",
     "connect",
     "emulated",
     "emulated_target",
     "evidence_of",
-    "fitting_certificates",
     "gain_box",
-    "load_certificates",
-    "operating_envelope",
-    "origin_of",
     "prove_bundle",
     "software_in_the_loop",
     "software_in_the_loop_runs",

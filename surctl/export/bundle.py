@@ -112,7 +112,7 @@ def build_bundle(
     envelope: Envelope | None = None,
     supplement: Supplement | None = None,
 ) -> Bundle:
-    """Return the C bundle of a controller, as `surctl.export.build_bundle`, with what an application adds to it.
+    """Return the C bundle of a controller, as `surctl.marine.export.build_bundle`, with what an application adds to it.
 
     Raises:
         InputError: as there, or an addition does not belong to this controller.
@@ -255,10 +255,11 @@ def write_bundle(bundle: Bundle, directory: Path | str) -> list[ExportedFile]:
         InputError: the folder cannot be written.
 
     Example:
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle, write_bundle
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.export import write_bundle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> written = write_bundle(build_bundle(law, law.gains.unpack(p)), "closed_form")

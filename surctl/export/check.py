@@ -191,10 +191,11 @@ def check_builds(
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import TARGETS, Records, build_bundle, build_controller, check_builds
-        >>> from surctl.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.export import TARGETS, Records, build_controller, check_builds
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)

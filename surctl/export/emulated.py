@@ -75,8 +75,9 @@ def emulated(bundle: Bundle, target: Target, folder: Path) -> EmulatedLine:
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.control import build_law
-        >>> from surctl.export import build_bundle, emulated, emulated_target
+        >>> from surctl.marine.control import build_law
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.export import emulated, emulated_target
         >>> law = build_law("closed_form")
         >>> bundle = build_bundle(law, {}, real="float32")
         >>> with emulated(bundle, emulated_target("cortex-m4f"), Path("board")) as line:

@@ -45,10 +45,11 @@ def evidence_of(
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import Records, build_bundle, build_controller, compare_runs, evidence_of, with_evidence
-        >>> from surctl.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.export import Records, build_controller, compare_runs, evidence_of, with_evidence
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)
@@ -92,8 +93,9 @@ def with_evidence(
 
     Example:
         >>> import json
-        >>> from surctl.control import build_law
-        >>> from surctl.export import build_bundle, with_evidence
+        >>> from surctl.marine.control import build_law
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.export import with_evidence
         >>> sil = {"steps": 100, "tau": 0.0, "status_mismatches": 0, "fault_cases": 9, "fault_failures": []}
         >>> sil |= {"passed": True, "compiler": "gcc"}
         >>> flight = {"scenario": "mine", "vehicle": "mine", "sensing": "truth", "seed": 0, "failure": "it collides"}

@@ -79,10 +79,11 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
 
     Example:
         >>> from zipfile import ZipFile
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle, write_fmu
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.export import write_fmu
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> file = write_fmu(law, build_bundle(law, law.gains.unpack(p)), p, "fmu")

@@ -72,10 +72,11 @@ class ExportedController:
 
     Example:
         >>> import numpy as np
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import ExportedController, build_bundle, operating_envelope
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.export import ExportedController
+        >>> from surctl.marine.export import build_bundle, operating_envelope
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)

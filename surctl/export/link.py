@@ -201,8 +201,9 @@ def connect(address: str, *, patience: float = 5.0) -> Line:
     Example:
         >>> from pathlib import Path
         >>> from subprocess import PIPE, Popen
-        >>> from surctl.control import build_law
-        >>> from surctl.export import build_bundle, connect, write_bundle
+        >>> from surctl.marine.control import build_law
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.export import connect, write_bundle
         >>> from surctl.ir import compile_program
         >>> law, folder = build_law("closed_form"), Path("closed_form")
         >>> bundle = build_bundle(law, {})

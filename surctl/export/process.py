@@ -133,10 +133,11 @@ def build_controller(law: Exportable, bundle: Bundle, directory: Path) -> Contro
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle, build_controller
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.export import build_controller
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> controller = build_controller(law, build_bundle(law, law.gains.unpack(p)), Path("closed_form"))

@@ -152,10 +152,11 @@ def prove_bundle(law: Exportable, bundle: Bundle, limit: Vector | None = None) -
         SurctlError: Frama-C reports an error, or does not finish in time.
 
     Example:
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle, closed_form, operating_envelope, prove_bundle
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.export import build_bundle, closed_form, operating_envelope
+        >>> from surctl.export import prove_bundle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> shipped = closed_form(law, real="float32", constants=p)
@@ -288,10 +289,11 @@ def with_proof(bundle: Bundle, report: ProofReport) -> Bundle:
 
     Example:
         >>> from json import loads
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import build_bundle, closed_form, operating_envelope, prove_bundle, with_proof
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.export import build_bundle, closed_form, operating_envelope
+        >>> from surctl.export import prove_bundle, with_proof
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> shipped = closed_form(law, real="float32", constants=p)
@@ -316,10 +318,10 @@ def gain_box(law: Exportable, values: Vector, ranges: Mapping[str, tuple[float, 
         InputError: a value is outside its range.
 
     Example:
-        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import gain_box
-        >>> from surctl.simulation import law_numbers, load_scenario
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> box = gain_box(law, p, {"k_v": (1.0, 2.0)})

@@ -53,10 +53,10 @@ def as_records(law: Exportable, records: AnyRecord) -> Records:
         InputError: there is no step, or an array does not fit the law's layouts.
 
     Example:
-        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import Records, as_records
-        >>> from surctl.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)

@@ -164,10 +164,10 @@ def software_in_the_loop(
         InputError: the records do not fit the law.
 
     Example:
-        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import Records, software_in_the_loop
-        >>> from surctl.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)
@@ -191,10 +191,10 @@ def software_in_the_loop_runs(
     Arguments and errors are those of `software_in_the_loop`; an InputError is also raised if there is no run.
 
     Example:
-        >>> from surctl.control import build_law, load_gains
+        >>> from surctl.marine.control import build_law, load_gains
         >>> from surctl.export import Records, software_in_the_loop_runs
-        >>> from surctl.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> runs = [simulate(mission, vehicle, gains=gains, law=law, seed=seed).record for seed in (0, 1)]
@@ -221,10 +221,11 @@ def compare_runs(controller: Controller, runs: Sequence[AnyRecord]) -> tuple[Sil
 
     Example:
         >>> from pathlib import Path
-        >>> from surctl.control import build_law, load_gains
-        >>> from surctl.export import Records, build_bundle, build_controller, compare_runs
-        >>> from surctl.simulation import law_numbers, load_scenario, simulate
-        >>> from surctl.vehicle import load_vehicle
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.export import Records, build_controller, compare_runs
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
         >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
         >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
         >>> run = simulate(mission, vehicle, gains=gains, law=law)

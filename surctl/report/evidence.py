@@ -57,7 +57,8 @@ def margin_slice(verdict: Verdict) -> MarginSlice:
 
     Example:
         >>> from surctl.report import margin_slice
-        >>> from surctl.verification import claims, falsify
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import falsify
         >>> [claim] = claims(names=["v1-printed"])
         >>> verdict = falsify(claim, samples=256, starts=2)
         >>> cut = margin_slice(verdict)
@@ -112,7 +113,8 @@ def plot_counterexample(verdict: Verdict, ax: Axes | None = None) -> Axes:
 
     Example:
         >>> from surctl.report import plot_counterexample
-        >>> from surctl.verification import claims, falsify
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import falsify
         >>> [claim] = claims(names=["v1-printed"])
         >>> verdict = falsify(claim, samples=256, starts=2)
         >>> ax = plot_counterexample(verdict)
@@ -133,7 +135,8 @@ def plot_replay(verdict: Verdict, trajectory: Replay, ax: Axes | None = None) ->
 
     Example:
         >>> from surctl.report import plot_replay
-        >>> from surctl.verification import claims, falsify, replay
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import falsify, replay
         >>> [claim] = claims(names=["v1-printed"])
         >>> verdict = falsify(claim, samples=256, starts=2)
         >>> ax = plot_replay(verdict, replay(claim, verdict.counterexample))
@@ -179,7 +182,8 @@ def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
 
     Example:
         >>> from surctl.report import margin_slice, plot_slice
-        >>> from surctl.verification import claims, falsify
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import falsify
         >>> [claim] = claims(names=["v1-printed"])
         >>> verdict = falsify(claim, samples=256, starts=2)
         >>> ax = plot_slice(margin_slice(verdict))

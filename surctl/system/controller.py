@@ -257,7 +257,7 @@ def command_ports(controller: SampledController) -> Layout:
     """Return the layout of the commands, which are the first outputs of a controller.
 
     Example:
-        >>> from surctl.control import build_law
+        >>> from surctl.marine.control import build_law
         >>> from surctl.system import command_ports
         >>> [(port.name, port.size) for port in command_ports(build_law("closed_form"))]
         [('tau', 4)]

@@ -12,7 +12,7 @@ def planar_rotation(psi: ca.SX) -> ca.SX:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.vehicle import planar_rotation
+        >>> from surctl.marine.vehicle import planar_rotation
         >>> ca.DM(planar_rotation(ca.SX(ca.pi / 2)) @ ca.DM([0.2, 0.0])).full().round(3).ravel().tolist()
         [0.0, 0.2]
     """
@@ -25,7 +25,7 @@ def jacobian(psi: ca.SX) -> ca.SX:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.vehicle import jacobian
+        >>> from surctl.marine.vehicle import jacobian
         >>> ca.DM(jacobian(ca.SX(ca.pi / 2)) @ ca.DM([0.2, 0.0, 0.0, 0.1])).full().round(3).ravel().tolist()
         [0.0, 0.2, 0.0, 0.1]
     """

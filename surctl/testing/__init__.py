@@ -1,8 +1,7 @@
-"""Conformance checks for custom laws, systems, tasks, limits and QP backends; a failed check states where it fails."""
+"""Conformance checks for systems, tasks, limits and QP backends; a failed check states where it fails."""
 
 from surctl.testing.backends import BACKEND_FAMILIES, BackendReport, check_backend, measure_backend
 from surctl.testing.finding import CheckFailed
-from surctl.testing.laws import LawReport, check_law
 from surctl.testing.limits import LimitReport, check_limit
 from surctl.testing.ranges import Parameter
 from surctl.testing.systems import SystemReport, check_controller, check_plant
@@ -12,14 +11,12 @@ __all__ = [
     "BACKEND_FAMILIES",
     "BackendReport",
     "CheckFailed",
-    "LawReport",
     "LimitReport",
     "Parameter",
     "SystemReport",
     "TaskReport",
     "check_backend",
     "check_controller",
-    "check_law",
     "check_limit",
     "check_plant",
     "check_task",

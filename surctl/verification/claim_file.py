@@ -184,7 +184,8 @@ def write_claim(claim: Claim) -> str:
         InputError: a name in the claim is not a valid name of the claim grammar.
 
     Example:
-        >>> from surctl.verification import claims, write_claim
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import write_claim
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> print(*write_claim(claim).splitlines()[1:5], sep="\n")
         name = "m-norm-corrected"

@@ -119,7 +119,8 @@ def evaluate(claim: Claim, values: Mapping[str, float]) -> tuple[float, bool]:
         InputError: the value of a variable is missing, or a name is not a variable of the claim.
 
     Example:
-        >>> from surctl.verification import claims, evaluate
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import evaluate
         >>> [claim] = claims(names=["v1-printed"])
         >>> margin, inside = evaluate(claim, {"x_e": 2.0, "y_e": -2.0, "z_e": 0.0, "turn": 0.4})
         >>> round(margin, 3), claim.unit, inside  # V1 grows there: the claim fails
@@ -144,7 +145,8 @@ def replay(claim: Claim, counterexample: Counterexample, *, points: int = 101) -
         SolverError: the integration failed.
 
     Example:
-        >>> from surctl.verification import claims, falsify, replay
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import falsify, replay
         >>> [claim] = claims(names=["v1-printed"])
         >>> run = replay(claim, falsify(claim, samples=256, starts=2).counterexample)
         >>> print(f"{run.name} [{run.unit}]: {run.watched[0]:.1f} to {run.watched[-1]:.1f}")

@@ -59,7 +59,8 @@ def decide(
         InputError: `falsify` rejects its arguments.
 
     Example:
-        >>> from surctl.verification import claims, decide
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import decide
         >>> for claim in claims(names=["v1-printed", "v1-corrected"]):
         ...     print(claim.name, decide(claim, samples=256, starts=2).verdict)
         v1-printed refuted

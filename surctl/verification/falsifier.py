@@ -56,7 +56,8 @@ def falsify(claim: Claim, *, samples: int = 4096, starts: int = 16, seed: int = 
             finite at a point of the domain.
 
     Example:
-        >>> from surctl.verification import claims, falsify
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import falsify
         >>> [claim] = claims(names=["v1-printed"])
         >>> found = falsify(claim, samples=256, starts=2)
         >>> found.verdict, round(found.counterexample.margin, 3), found.counterexample.unit

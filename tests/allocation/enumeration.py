@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.vehicle import Actuators
+from surctl.marine.vehicle import Actuators
 
 Array = NDArray[np.float64]
 

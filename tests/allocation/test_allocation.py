@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.allocation import Allocation, allocate, allocation_block
 from surctl.errors import InputError
 from surctl.ir import compile_block, replay, runnable
+from surctl.marine.allocation import Allocation, allocate, allocation_block
+from surctl.marine.vehicle import Actuators, Thruster, attainable, load_vehicle
 from surctl.priority import Level, Row, build_problem, solve
-from surctl.vehicle import Actuators, Thruster, attainable, load_vehicle
 from tests.allocation.enumeration import Enumeration
 
 Array = NDArray[np.float64]

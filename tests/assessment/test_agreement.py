@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.assessment import Mission, assess
-from surctl.control import Gains, load_gains, write_gains
-from surctl.tuning import derive_gains
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import linear_table
-from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin
+from surctl.assessment import assess
+from surctl.marine.assessment import Mission
+from surctl.marine.control import Gains, load_gains, write_gains
+from surctl.marine.tuning import derive_gains
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import linear_table
+from surctl.marine.verification.linear import corner_margin
+from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.cli.process import surctl_here
 
 DT = 0.05

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.assessment import Mission, assess, assumptions
-from surctl.control import load_gains
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.vehicle.specs import DEFAULTED
-from surctl.verification.linear import corner_margin
+from surctl.assessment import assess
+from surctl.marine.assessment import Mission, assumptions
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.vehicle.specs import DEFAULTED
+from surctl.marine.verification.linear import corner_margin
 from tests.cli.process import surctl_here
 
 GAINS = load_gains("default")

@@ -8,7 +8,8 @@ from math import inf, nan, pi, radians
 import numpy as np
 import pytest
 
-from surctl.bridge import (
+from surctl.errors import InputError
+from surctl.marine.bridge import (
     Attitude,
     Axes,
     Beat,
@@ -24,12 +25,11 @@ from surctl.bridge import (
     parse_address,
     parse_site,
 )
-from surctl.bridge.inputs import Inputs
-from surctl.bridge.site import body_velocity, yaw_rate
-from surctl.control import build_law
-from surctl.errors import InputError
-from surctl.simulation import load_scenario
-from surctl.vehicle import load_vehicle, swap_pose
+from surctl.marine.bridge.inputs import Inputs
+from surctl.marine.bridge.site import body_velocity, yaw_rate
+from surctl.marine.control import build_law
+from surctl.marine.simulation import load_scenario
+from surctl.marine.vehicle import load_vehicle, swap_pose
 from tests.tools import need_module
 
 

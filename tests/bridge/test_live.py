@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from surctl.bridge import Bridge, Ended, FrameLog, SimulatedSub, Wire, parse_address, run_session
-from surctl.bridge.guardian import Guardian
-from surctl.bridge.wire import Parser
 from surctl.errors import InputError
+from surctl.marine.bridge import Bridge, Ended, FrameLog, SimulatedSub, Wire, parse_address, run_session
+from surctl.marine.bridge.guardian import Guardian
+from surctl.marine.bridge.wire import Parser
 from tests.bridge.test_rehearsal import plan
 
 _STEP = 0.025

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.bridge import (
+from surctl.errors import InputError
+from surctl.marine.bridge import (
     Act,
     Bridge,
     LinkQuality,
@@ -24,11 +25,10 @@ from surctl.bridge import (
     plan_session,
     rehearse,
 )
-from surctl.control import load_gains
-from surctl.errors import InputError
-from surctl.simulation import Run, load_scenario, simulate
-from surctl.vehicle import load_vehicle
-from surctl.vehicle.logs.read import read_recording
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Run, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.vehicle.logs.read import read_recording
 from tests.simulation.test_scene_file import messages
 from tests.tools import need_compiler, need_module
 

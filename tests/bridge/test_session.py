@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from surctl.bridge import Clock, Limits, Session, sending
-from surctl.bridge.session import after_arrival, after_beat, after_estimate, after_law, after_time
 from surctl.errors import InputError
+from surctl.marine.bridge import Clock, Limits, Session, sending
+from surctl.marine.bridge.session import after_arrival, after_beat, after_estimate, after_law, after_time
 
 MODE, OTHER = 2, 19
 LIMITS = Limits()

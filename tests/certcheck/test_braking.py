@@ -15,11 +15,11 @@ from surctl.certcheck import check_document
 from surctl.certcheck.braking_claim import read_claim
 from surctl.certcheck.braking_distance import forces, largest_disturbance, read_distance, thrust_ahead
 from surctl.certcheck.document import Rejected
-from surctl.control import load_gains
-from surctl.control.stopping import BARRIERS, BRAKE
-from surctl.control.velocity import velocity_control
-from surctl.guidance.braking import brakes_of
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.control.stopping import BARRIERS, BRAKE
+from surctl.marine.control.velocity import velocity_control
+from surctl.marine.guidance.braking import brakes_of
+from surctl.marine.vehicle import load_vehicle
 from tests.certcheck import encounters
 from tests.certcheck.altering import altered, numbers, put, sealed, value_of
 

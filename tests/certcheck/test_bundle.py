@@ -24,20 +24,22 @@ from surctl.certcheck.document import read
 from surctl.certcheck.law_points import Law as Listing
 from surctl.certcheck.law_points import compare_braking
 from surctl.certcheck.region_claim import read_claim as read_region
-from surctl.control import Law, build_law, law_source, load_gains
 from surctl.errors import InputError
-from surctl.export import Bundle, Origin, build_bundle, load_certificates, write_bundle
+from surctl.export import Bundle, write_bundle
 from surctl.export.bundle import build_bundle as build_core
 from surctl.export.bundle import law_id
-from surctl.export.origin import manifest_of
 from surctl.export.plant_lists import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import continuous_dynamics
 from surctl.lyapunov.claims import _plain
-from surctl.simulation import law_numbers, load_scenario
+from surctl.marine.control import Law, build_law, law_source, load_gains
+from surctl.marine.export import Origin, build_bundle, load_certificates
+from surctl.marine.export.origin import manifest_of
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import claims
 from surctl.system import Action, Controller, Plant, System
-from surctl.vehicle import load_vehicle
-from surctl.verification import claims, prove
+from surctl.verification import prove
 
 REGION = Path(__file__).with_name("region-cruise-20.json")
 MISSION = load_scenario("pool-behind")  # at the cruise of the certificate

@@ -11,7 +11,7 @@ from surctl.certcheck import check_document
 from surctl.certcheck.heading_claim import read_claim
 from surctl.certcheck.heading_law import true_rate
 from surctl.certcheck.heading_loop import Plane, constant, rows
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant
+from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant
 from tests.certcheck.altering import altered, put, sealed
 
 HERE = Path(__file__).parent

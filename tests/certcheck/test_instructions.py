@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from surctl.certcheck import Rejected
 from surctl.certcheck.instructions import digest, evaluate, read_list
 from surctl.certcheck.leaves import Leaves
-from surctl.control import build_law, load_gains
 from surctl.ir import Gather, Loop, Program, Routine, replay
 from surctl.ir.ops import OPERATIONS
 from surctl.ir.program import Instruction
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 
 
 @pytest.mark.parametrize("law", ["guarded", "steered", "paper"])

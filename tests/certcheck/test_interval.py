@@ -8,7 +8,8 @@ import pytest
 
 from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
-from surctl.verification import claims, falsify, prove
+from surctl.marine.verification import claims
+from surctl.verification import falsify, prove
 from surctl.verification.formula import parse, to_casadi, variable
 from tests.verification.made_claims import claim_from
 

@@ -17,9 +17,9 @@ from surctl.certcheck.region_exact import inverse, is_positive_definite, product
 from surctl.certcheck.region_flow import steady_trim
 from surctl.certcheck.region_law import Vehicle, commanded_thrust, commanded_velocity, true_rate, turned
 from surctl.certcheck.region_trim import axis_pairs
-from surctl.control import build_law, law_parameters, load_gains
-from surctl.guidance import Path as Route
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
+from surctl.marine.control import build_law, law_parameters, load_gains
+from surctl.marine.guidance import Path as Route
+from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
 from tests.certcheck.altering import altered, put, sealed
 from tests.certcheck.cruise import boats, matrix, omega, rate, rest, thrust, worst
 

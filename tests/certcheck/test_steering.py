@@ -18,12 +18,12 @@ from surctl.certcheck.steering import _matrix, check, extent_of
 from surctl.certcheck.steering_claim import read_claim
 from surctl.certcheck.steering_law import draw_crafts, true_rate
 from surctl.certcheck.steering_loop import delivered, lookahead, nodes, parameters, vertices
-from surctl.control import build_law, law_parameters, law_source, turning_radius
-from surctl.guidance import Path as Route
-from surctl.report import plot_region
-from surctl.tuning import derived_gains
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
-from surctl.verification.portrait import planes_of, portrait
+from surctl.marine.control import build_law, law_parameters, law_source, turning_radius
+from surctl.marine.guidance import Path as Route
+from surctl.marine.report import plot_region
+from surctl.marine.tuning import derived_gains
+from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
+from surctl.marine.verification.portrait import planes_of, portrait
 from tests.certcheck.altering import altered, put, sealed
 
 KEPT = Path(__file__).parent / "region-steered-20.json"

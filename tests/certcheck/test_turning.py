@@ -23,9 +23,16 @@ from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_law import draw_motions, draw_vehicles, true_rate
 from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
 from surctl.certcheck.turning_terms import other_forces, other_moment
-from surctl.control import build_law, law_parameters, load_gains
-from surctl.guidance import Path as Route
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle, plant_parameters
+from surctl.marine.control import build_law, law_parameters, load_gains
+from surctl.marine.guidance import Path as Route
+from surctl.marine.vehicle import (
+    PLANT_DISTURBANCE,
+    PLANT_PARAMETERS,
+    PLANT_STATE,
+    build_plant,
+    load_vehicle,
+    plant_parameters,
+)
 from tests.certcheck.altering import altered, put, sealed
 
 HERE = Path(__file__).parent

@@ -5,8 +5,8 @@ import pytest
 from surctl.certcheck import check_file
 from surctl.cli import braking
 from surctl.errors import InputError
-from surctl.verification import claims
-from surctl.verification.braking import BRAKING_CLAIMS
+from surctl.marine.verification import claims
+from surctl.marine.verification.braking import BRAKING_CLAIMS
 from tests.cli.process import surctl_here
 
 

@@ -149,7 +149,7 @@ def test_mistakes_are_told_in_one_line(words, complaint, tmp_path):
 
 def test_a_run_file_of_another_kind_is_told(tmp_path):
     (tmp_path / "s.toml").write_text(
-        (Path(__file__).parents[2] / "surctl/simulation/library/tank-static.toml").read_text()
+        (Path(__file__).parents[2] / "surctl/marine/simulation/library/tank-static.toml").read_text()
     )
     done = surctl_here("simulate", "--from", "s.toml", cwd=tmp_path)
     assert done.status == 2 and "kind = 'scenario'" in done.complaint

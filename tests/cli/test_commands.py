@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from surctl.certcheck import seal
-from surctl.control import LAW_NAMES, load_gains
-from surctl.simulation import LIBRARY as SCENARIOS
+from surctl.marine.control import LAW_NAMES, load_gains
+from surctl.marine.simulation import LIBRARY as SCENARIOS
 from tests.cli.process import surctl, surctl_here
 from tests.tools import need, need_compiler
 

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import pytest
 
-from surctl.control import build_law, load_gains
-from surctl.export import Origin, build_bundle, closed_form, write_bundle
+from surctl.export import write_bundle
 from surctl.ir import compile_program
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import Origin, build_bundle, closed_form
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 from tests.cli.process import LIBRARY, surctl, surctl_here
 from tests.processes import Running
 from tests.tools import need_compiler

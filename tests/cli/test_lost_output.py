@@ -65,7 +65,8 @@ def unguarded(tree: ast.AST) -> list[str]:
     drawn = {
         alias.asname or alias.name
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(("surctl.report", "surctl.reproduction"))
+        if isinstance(node, ast.ImportFrom)
+        and (node.module or "").startswith(("surctl.report", "surctl.marine.reproduction"))
         for alias in node.names
         if alias.name.startswith(PLOTTING)
     }

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 from surctl.cli import regions
 from surctl.cli.app import app
 from surctl.cli.next_export import export_command
-from surctl.simulation import LIBRARY as SCENARIOS
-from surctl.verification.region import REGION_CLAIMS, load_region
+from surctl.marine.simulation import LIBRARY as SCENARIOS
+from surctl.marine.verification.region import REGION_CLAIMS, load_region
 from tests.certcheck import test_bundle
 from tests.cli.process import surctl, surctl_here
 

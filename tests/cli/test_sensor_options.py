@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from surctl.cli.sensor_options import SensorOptions, parse_chances, parse_fault
 from surctl.errors import InputError
-from surctl.sensing import Equipment, Fault, FaultChances, OwnState, SonarArray
-from surctl.simulation import load_scenario
-from surctl.simulation.scenario import LIBRARY
-from surctl.simulation.sensors import Sensors
+from surctl.marine.sensing import Equipment, Fault, FaultChances, OwnState, SonarArray
+from surctl.marine.simulation import load_scenario
+from surctl.marine.simulation.scenario import LIBRARY
+from surctl.marine.simulation.sensors import Sensors
 from tests.cli.process import surctl, surctl_here
 
 SONAR = ["simulate", "pool-behind", "--sensing", "sonar"]

@@ -1,10 +1,11 @@
 """`surctl verify --cruise` with several speeds."""
 
-from surctl.assessment import Mission, assess
+from surctl.assessment import assess
 from surctl.cli.linear_part import linear_part, over_speeds
-from surctl.control import load_gains
-from surctl.vehicle import load_vehicle
-from surctl.verification import worst_margins
+from surctl.marine.assessment import Mission
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import worst_margins
 from tests.cli.process import surctl
 
 GAINS = load_gains("default").values

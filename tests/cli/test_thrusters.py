@@ -4,8 +4,8 @@ import pytest
 
 from surctl.cli.thruster_options import parse_thruster_fault, split_faults
 from surctl.errors import InputError
-from surctl.simulation import ThrusterFault, thruster_findings
-from surctl.vehicle import load_vehicle
+from surctl.marine.simulation import ThrusterFault, thruster_findings
+from surctl.marine.vehicle import load_vehicle
 from tests.cli.process import surctl
 
 

@@ -7,18 +7,19 @@ from pathlib import Path
 
 import pytest
 
-from surctl.assessment import Mission, assess
+from surctl.assessment import assess
 from surctl.cli.linear_part import linear_part as linear_side_of
 from surctl.cli.next_export import export_command
 from surctl.cli.single_run import failure, linear_part
 from surctl.cli.vehicle_choice import DEFAULT_VEHICLE, at_hand, choose_vehicle
 from surctl.cli.verify import _speeds
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import LIBRARY as SCENARIOS
-from surctl.simulation import load_scenario, simulate
-from surctl.vehicle import load_vehicle
-from surctl.verification import check_held
+from surctl.marine.assessment import Mission
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import LIBRARY as SCENARIOS
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import check_held
 from tests.cli.process import surctl
 from tests.tools import need_compiler
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.control import Gains, load_gains
-from surctl.control.perception import PerceptionStage, build_perception
-from surctl.control.ports import SECTORS, law_parameters, scan_inputs, sonar_inputs
-from surctl.guidance import Path
 from surctl.ir import Native, compile_block
-from surctl.sensing import Equipment, LocalMap, SonarArray, firing_samples, true_range
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.world import Shape, site_walls
+from surctl.marine.control import Gains, load_gains
+from surctl.marine.control.perception import PerceptionStage, build_perception
+from surctl.marine.control.ports import SECTORS, law_parameters, scan_inputs, sonar_inputs
+from surctl.marine.guidance import Path
+from surctl.marine.sensing import Equipment, LocalMap, SonarArray, firing_samples, true_range
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.world import Shape, site_walls
 
 Array = NDArray[np.float64]
 Wrong = Callable[[Array, int], Array | None]

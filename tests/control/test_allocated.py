@@ -7,11 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.allocation import allocate
-from surctl.control import SATURATED, WORKING, Law, build_law, in_real, law_parameters, load_gains, with_allocation
-from surctl.guidance import Path
 from surctl.ir import replay
-from surctl.vehicle import Actuators, Vehicle, load_vehicle
+from surctl.marine.allocation import allocate
+from surctl.marine.control import (
+    SATURATED,
+    WORKING,
+    Law,
+    build_law,
+    in_real,
+    law_parameters,
+    load_gains,
+    with_allocation,
+)
+from surctl.marine.guidance import Path
+from surctl.marine.vehicle import Actuators, Vehicle, load_vehicle
 
 VEHICLE = load_vehicle("bluerov2-heavy")
 

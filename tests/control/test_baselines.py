@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from qpsolvers import solve_qp
 
-from surctl.control import (
+from surctl.errors import InputError
+from surctl.marine.control import (
     CONTACT_SLOTS,
     DEGRADED,
     LAW_NAMES,
@@ -24,11 +25,10 @@ from surctl.control import (
     law_parameters,
     load_gains,
 )
-from surctl.control.baselines import apf, cbf, dwa, vo
-from surctl.control.baselines.situation import NEVER, time_to_contact
-from surctl.errors import InputError
-from surctl.guidance import Path, disc_contact, wall_contacts
-from surctl.vehicle import load_vehicle
+from surctl.marine.control.baselines import apf, cbf, dwa, vo
+from surctl.marine.control.baselines.situation import NEVER, time_to_contact
+from surctl.marine.guidance import Path, disc_contact, wall_contacts
+from surctl.marine.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 BASELINES = ("apf", "dwa", "vo", "cbf")

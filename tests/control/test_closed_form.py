@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
-from surctl.control.closed_form import DAMPING
 from surctl.errors import InputError
-from surctl.export import closed_form
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.control.closed_form import DAMPING
+from surctl.marine.export import closed_form
+from surctl.marine.simulation import law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from surctl.priority.nsb import nsb
-from surctl.simulation import law_numbers, load_scenario, simulate
-from surctl.vehicle import load_vehicle
 
 GAINS = load_gains("default")
 

@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.control import PARAMETERS, law_parameters, load_gains
-from surctl.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
-from surctl.control.reference import path_following
-from surctl.guidance import Path, disc_contact
 from surctl.ir import Layout, Port
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import PARAMETERS, law_parameters, load_gains
+from surctl.marine.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
+from surctl.marine.control.reference import path_following
+from surctl.marine.guidance import Path, disc_contact
+from surctl.marine.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 DT, PATIENCE, LIMIT = 0.5, 10.0, 30.0

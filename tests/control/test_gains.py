@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.control import GAINS, LIBRARY, Gains, load_gains, write_gains
 from surctl.errors import InputError
+from surctl.marine.control import GAINS, LIBRARY, Gains, load_gains, write_gains
 
 TEXT = (LIBRARY / "default.toml").read_text(encoding="utf-8")
 BOUNDED = {"brake": 1.0, "lms_step": 1.0, "beta_max": 0.5}

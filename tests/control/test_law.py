@@ -12,7 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.control import (
+from surctl.errors import InputError
+from surctl.ir import replay, to_casadi
+from surctl.marine.control import (
     CONTACT_SLOTS,
     DEGRADED,
     GAINS,
@@ -26,10 +28,8 @@ from surctl.control import (
     law_parameters,
     load_gains,
 )
-from surctl.errors import InputError
-from surctl.guidance import FORMS, Path
-from surctl.ir import replay, to_casadi
-from surctl.vehicle import load_vehicle
+from surctl.marine.guidance import FORMS, Path
+from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]

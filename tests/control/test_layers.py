@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.control import Law, build_law, law_parameters, load_gains
-from surctl.control.layers import LAYER_PORTS
-from surctl.guidance import Path
 from surctl.ir import memory, replay
-from surctl.sensing import Equipment
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import Law, build_law, law_parameters, load_gains
+from surctl.marine.control.layers import LAYER_PORTS
+from surctl.marine.guidance import Path
+from surctl.marine.sensing import Equipment
+from surctl.marine.vehicle import load_vehicle
 
 Array = NDArray[np.float64]
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import (
+from surctl.ir import Layout
+from surctl.marine.control import (
     ARC_LENGTHS,
     FED,
     LAWS,
@@ -20,12 +21,11 @@ from surctl.control import (
     load_gains,
     ports,
 )
-from surctl.control.ports import PARAMETERS
-from surctl.guidance import BEND, PASS, VISIT, Path
-from surctl.ir import Layout
-from surctl.simulation import Obstacle, Scenario, load_scenario, simulate
-from surctl.simulation.numbers import feeder_of
-from surctl.vehicle import load_vehicle
+from surctl.marine.control.ports import PARAMETERS
+from surctl.marine.guidance import BEND, PASS, VISIT, Path
+from surctl.marine.simulation import Obstacle, Scenario, load_scenario, simulate
+from surctl.marine.simulation.numbers import feeder_of
+from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS = load_vehicle("sur400"), load_gains("default")
 TURNS = np.linspace(0, 5 * np.pi, 40)

@@ -12,24 +12,24 @@ import pytest
 from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
-from surctl.control import GainSpec, build_law, law_ref, law_source, load_gains, write_gains
 from surctl.errors import InputError
-from surctl.export import build_bundle
 from surctl.ir import replay
+from surctl.marine.control import GainSpec, build_law, law_ref, law_source, load_gains, write_gains
+from surctl.marine.export import build_bundle
+from surctl.marine.report import save_run
+from surctl.marine.report.words import simulate_command
+from surctl.marine.simulation import Case, case_parameters, law_numbers, load_scenario, simulate, simulate_batch
+from surctl.marine.testing import check_law
+from surctl.marine.tuning import build_cases, default_tuned, gain_ranges
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.cascade import has_cascade
 from surctl.own_code import own_file
-from surctl.report import save_run
-from surctl.report.words import simulate_command
-from surctl.simulation import Case, case_parameters, law_numbers, load_scenario, simulate, simulate_batch
-from surctl.testing import check_law
-from surctl.tuning import build_cases, default_tuned, gain_ranges
-from surctl.vehicle import load_vehicle
-from surctl.verification.cascade import has_cascade
 
 STUDY = Path(__file__).parents[2] / "analysis" / "27_own_law"
 
 LAW = """
 import casadi as ca
-from surctl.control import Decision, GainSpec, LawSource
+from surctl.marine.control import Decision, GainSpec, LawSource
 from surctl.ir import Port
 from surctl.tasks import Task, depth_task, heading_task
 
@@ -65,8 +65,8 @@ def law(tmp_path: Path) -> str:
 @pytest.fixture
 def mission(tmp_path: Path) -> Path:
     water = replace(load_scenario("tank-static"), obstacles=(), path=load_scenario("tank-static").path)
-    from surctl.simulation.scenario_table import scenario_table
-    from surctl.simulation.toml_text import toml_text
+    from surctl.marine.simulation.scenario_table import scenario_table
+    from surctl.marine.simulation.toml_text import toml_text
 
     file = tmp_path / "water.toml"
     table = scenario_table(replace(water, name="water"))
@@ -155,7 +155,7 @@ def test_a_study_file_may_name_an_own_law(law: str, mission: Path, tmp_path: Pat
         'kind = "study"\nname = "mine"\nvehicle = "sur540-flooded"\nlaw = "my_law.py:wall"\n[[runs]]\n'
         'scenario = "water.toml"\n[sweep]\n[[sweep.axes]]\ngain = "k_wall"\nvalues = [0.3, 0.4]\n'
     )
-    from surctl.study import load_plan
+    from surctl.marine.study import load_plan
 
     with pytest.raises(InputError, match=r"study.toml: law = 'my_law.py:wall': names Python code"):
         load_plan(str(study))
@@ -204,7 +204,7 @@ BAD = {
 def test_each_mistake_is_one_line_with_the_file(tmp_path: Path, body: str) -> None:
     (tmp_path / "my_law.py").write_text(
         "import math\nimport casadi as ca\n"
-        "from surctl.control import Decision, GainSpec, LawSource\nfrom surctl.ir import Port\n"
+        "from surctl.marine.control import Decision, GainSpec, LawSource\nfrom surctl.ir import Port\n"
         "from surctl.tasks import depth_task\n\ndef hold(s, depth=0):\n"
         '    return Decision([depth_task(s.eta, s.p["depth"] + depth, gain=0.4)])\n'
         f"def made():\n    {body}\n"

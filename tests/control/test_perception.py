@@ -11,14 +11,23 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.control import NONFINITE, build_law
-from surctl.control.decision import Scan, lower_levels
-from surctl.control.perception import CELLS_A_HULL, LAST_THRUST, build_perception
-from surctl.control.ports import SECTORS, scan_inputs, sonar_inputs
 from surctl.errors import InputError
 from surctl.ir import Gather, Loop, Routine
-from surctl.sensing import BaseStation, Delivery, Equipment, MoverTracker, OwnState, RangeTracker, SonarArray, map_view
-from surctl.world import Disc
+from surctl.marine.control import NONFINITE, build_law
+from surctl.marine.control.decision import Scan, lower_levels
+from surctl.marine.control.perception import CELLS_A_HULL, LAST_THRUST, build_perception
+from surctl.marine.control.ports import SECTORS, scan_inputs, sonar_inputs
+from surctl.marine.sensing import (
+    BaseStation,
+    Delivery,
+    Equipment,
+    MoverTracker,
+    OwnState,
+    RangeTracker,
+    SonarArray,
+    map_view,
+)
+from surctl.marine.world import Disc
 from tests.control.robot import CONTACTS, DT, EDGE, HULL, TRUTH, Robot, exact, parameters, senses
 from tests.tools import need_compiler
 

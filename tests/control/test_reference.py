@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.control import PARAMETERS, law_parameters, load_gains
-from surctl.control.guarded import _back_first, _strays
-from surctl.control.reference import learnt, path_following
-from surctl.control.stopping import BARRIERS
-from surctl.guidance import Path
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import PARAMETERS, law_parameters, load_gains
+from surctl.marine.control.guarded import _back_first, _strays
+from surctl.marine.control.reference import learnt, path_following
+from surctl.marine.control.stopping import BARRIERS
+from surctl.marine.guidance import Path
+from surctl.marine.vehicle import load_vehicle
 
 DT = 0.05
 

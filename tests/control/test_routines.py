@@ -8,12 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surctl.control import DEGRADED, Law, build_law, in_real, load_gains
 from surctl.errors import InputError
-from surctl.export import origin_of
 from surctl.ir import replay
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import DEGRADED, Law, build_law, in_real, load_gains
+from surctl.marine.export import origin_of
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 
 
 @cache

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from surctl.control import build_law
-from surctl.control.ports import PARAMETERS, SECTORS, YAW_SHARE
-from surctl.guidance import Path
 from surctl.ir import Layout
-from surctl.sensing import Equipment
-from surctl.vehicle import LIBRARY, Parameter, load_vehicle
+from surctl.marine.control import build_law
+from surctl.marine.control.ports import PARAMETERS, SECTORS, YAW_SHARE
+from surctl.marine.guidance import Path
+from surctl.marine.sensing import Equipment
+from surctl.marine.vehicle import LIBRARY, Parameter, load_vehicle
 from tests.control.robot import CONTACTS, HULL, known, parameters
 
 WIDE_OPEN = (-50.0, 50.0, -48.0, 52.0)  # the path in its middle

@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from surctl.cli.app import app
-from surctl.control import (
+from surctl.errors import InputError
+from surctl.marine.control import (
     Gains,
     Law,
     build_law,
@@ -21,14 +22,13 @@ from surctl.control import (
     load_gains,
     turning_radius,
 )
-from surctl.control.steered import steered_thrust
-from surctl.control.steering import Moving, moved
-from surctl.errors import InputError
-from surctl.simulation import Run, findings, law_numbers
-from surctl.simulation.toml_text import toml_text
-from surctl.vehicle import load_vehicle
-from surctl.vehicle.vehicle_file import write_vehicle
-from surctl.verification import build_cascade, law_loop, loop_margins
+from surctl.marine.control.steered import steered_thrust
+from surctl.marine.control.steering import Moving, moved
+from surctl.marine.simulation import Run, findings, law_numbers
+from surctl.marine.simulation.toml_text import toml_text
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.vehicle.vehicle_file import write_vehicle
+from surctl.marine.verification import build_cascade, law_loop, loop_margins
 from tests.craft import CRUISE, craft, mission, table
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surctl.control import load_gains, turning_radius
-from surctl.control.steered import STEERED_GAINS
-from surctl.simulation import Case, simulate_batch
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains, turning_radius
+from surctl.marine.control.steered import STEERED_GAINS
+from surctl.marine.simulation import Case, simulate_batch
+from surctl.marine.vehicle import load_vehicle
 from tests.craft import CRUISE, mission
 
 GAINS = load_gains("default", own=STEERED_GAINS)

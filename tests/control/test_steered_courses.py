@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.control import DEGRADED, LAWS, Law, build_law_of, courses, law_parameters, load_gains, steered
-from surctl.guidance import Path
+from surctl.marine.control import DEGRADED, LAWS, Law, build_law_of, courses, law_parameters, load_gains, steered
+from surctl.marine.guidance import Path
 from tests.craft import CRUISE, craft
 
 SITE = (0.0, 60.0, 0.0, 60.0)

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surctl.control import PARAMETERS, build_law, law_parameters, load_gains
-from surctl.control.stopping import BARRIERS, BRAKE, HARD, Barrier, braked
 from surctl.errors import InputError
-from surctl.guidance import Path
-from surctl.guidance.braking import Watch, allowed_speed, brakes_of
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import PARAMETERS, build_law, law_parameters, load_gains
+from surctl.marine.control.stopping import BARRIERS, BRAKE, HARD, Barrier, braked
+from surctl.marine.guidance import Path
+from surctl.marine.guidance.braking import Watch, allowed_speed, brakes_of
+from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS, DT = load_vehicle("sur540-flooded"), load_gains("default"), 0.05
 

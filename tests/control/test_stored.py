@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build, build_law, load_gains
-from surctl.control.law import Law
-from surctl.control.stored import law_bytes, law_from
 from surctl.errors import SurctlError
 from surctl.ir import replay
-from surctl.sensing import Equipment, SonarArray
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build, build_law, load_gains
+from surctl.marine.control.law import Law
+from surctl.marine.control.stored import law_bytes, law_from
+from surctl.marine.sensing import Equipment, SonarArray
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 
 CASES = [
     {"law": "closed_form"},
@@ -117,7 +117,7 @@ def test_sources_that_changed_under_the_process_leave_the_cache_alone(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def changed(*_: str) -> str:
-        raise SurctlError("surctl.control changed since this process began")
+        raise SurctlError("surctl.marine.control changed since this process began")
 
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))
     monkeypatch.setattr(build, "source_digest", changed)

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.control.velocity import velocity_control
-from surctl.simulation import advance
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, load_vehicle, plant_parameters, trim_thrust
+from surctl.marine.control.velocity import velocity_control
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, load_vehicle, plant_parameters, trim_thrust
 
 Array = NDArray[np.float64]
 DT, K_V, K_R = 0.05, 1.5, 1.2

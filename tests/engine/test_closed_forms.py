@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from surctl.engine import EngineOptions, MujocoPhysics
-from surctl.simulation import Physics, build_world
-from surctl.vehicle import Vehicle, missing_buoyancy, plant_state, steady_speed
-from surctl.vehicle.thrusters import Actuators, Swivel, Thruster
+from surctl.marine.engine import EngineOptions, MujocoPhysics
+from surctl.marine.simulation import Physics, build_world
+from surctl.marine.vehicle import Vehicle, missing_buoyancy, plant_state, steady_speed
+from surctl.marine.vehicle.thrusters import Actuators, Swivel, Thruster
 from tests.engine.tools import MIDDLE, NO_DRAG, NO_TILT_DRAG, STILL, load_vehicle, own, physics, with_values
 
 TILTING = load_vehicle("sur540-tilting")

@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-import surctl.control
+import surctl.marine.control
 from surctl.cli.app import app
 from surctl.cli.controller_options import ControllerOptions
 from surctl.cli.plant_options import PlantOptions
-from surctl.control import load_gains, write_gains
-from surctl.engine.library import mujoco_library
 from surctl.errors import InputError
+from surctl.marine.control import load_gains, write_gains
+from surctl.marine.engine.library import mujoco_library
 
 SAME = (
     "--vehicle sur540-flooded",
@@ -93,7 +93,7 @@ def reached(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Any]:
         found.append(self)
         yield None
 
-    monkeypatch.setattr(surctl.control, "build_law", lambda name, **words: SimpleNamespace(name=name, **words))
+    monkeypatch.setattr(surctl.marine.control, "build_law", lambda name, **words: SimpleNamespace(name=name, **words))
     monkeypatch.setattr(PlantOptions, "runs", runs)
     monkeypatch.setattr(ControllerOptions, "opened", opened)
     return found

@@ -17,15 +17,15 @@ from click.testing import CliRunner
 from PIL import Image
 
 from surctl.cli.app import app
-from surctl.control import build_law, load_gains
-from surctl.engine import CAMERAS, EngineOptions, Moment, Scene, batch, mujoco_physics, parse_plant
-from surctl.engine.library import mujoco_library
 from surctl.errors import InputError, ToolMissing
-from surctl.export import CompiledLaw
-from surctl.report import film_frames, film_pictures, render_page, save_film
-from surctl.reproduction import Simulations
-from surctl.reproduction.scenarios import _arrivals
-from surctl.simulation import build_world, load_scenario, simulate
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, batch, mujoco_physics, parse_plant
+from surctl.marine.engine.library import mujoco_library
+from surctl.marine.export import CompiledLaw
+from surctl.marine.report import film_frames, film_pictures, render_page, save_film
+from surctl.marine.reproduction import Simulations
+from surctl.marine.reproduction.scenarios import _arrivals
+from surctl.marine.simulation import build_world, load_scenario, simulate
 from tests.engine.tools import load_vehicle
 from tests.pictures import blank_pictures
 from tests.report.test_page import bare
@@ -63,7 +63,7 @@ def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path, monkeypatch: py
     run = simulate(short, BOAT, gains=load_gains("default"), law=build_law("closed_form"), physics=mujoco_physics())
     frames, again = list(film_frames(run)), next(film_frames(run))
     assert frames[0].tobytes() == again.tobytes()
-    monkeypatch.setattr("surctl.report.film.film_frames", lambda *_, **__: iter(frames))
+    monkeypatch.setattr("surctl.marine.report.film.film_frames", lambda *_, **__: iter(frames))
     with Image.open(save_film(run, tmp_path / "run.gif")) as film:
         assert film.size == (640, 540) and getattr(film, "n_frames", 1) == 3
 
@@ -208,8 +208,8 @@ def test_the_options_are_written_as_they_are_read() -> None:
 
 
 def test_the_column_of_the_reproduction(monkeypatch: pytest.MonkeyPatch) -> None:
-    from surctl.reproduction import scenarios
-    from surctl.reproduction.row import agrees
+    from surctl.marine.reproduction import scenarios
+    from surctl.marine.reproduction.row import agrees
 
     monkeypatch.setattr(scenarios, "_simulated", lambda *_: agrees("all arrived"))
     result = _arrivals(Simulations(1, independent=True), "pool-behind", "truth")

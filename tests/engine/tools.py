@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import pytest
 
-from surctl.engine import EngineOptions, MujocoPhysics
-from surctl.engine.library import mujoco_library as library
-from surctl.simulation import OwnPhysics, build_world, load_scenario
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.vehicle.parameters import Parameter
+from surctl.marine.engine import EngineOptions, MujocoPhysics
+from surctl.marine.engine.library import mujoco_library as library
+from surctl.marine.simulation import OwnPhysics, build_world, load_scenario
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.vehicle.parameters import Parameter
 
 # MuJoCo must not be imported here: surctl first chooses what renders without a screen; under CI it must be installed
 if os.environ.get("CI") != "true" and importlib.util.find_spec("mujoco") is None:
@@ -28,7 +28,7 @@ def with_values(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
     known = dict(vehicle.parameters)
     for name, value in values.items():
         known[name] = Parameter(float(value), "", None, "test")
-    from surctl.vehicle import PARAMETERS, TERMS
+    from surctl.marine.vehicle import PARAMETERS, TERMS
 
     ordered = {name: known[name] for name in (*PARAMETERS, *TERMS) if name in known}
     return replace(vehicle, parameters=ordered)

@@ -6,8 +6,9 @@ from functools import cache
 
 import casadi as ca
 
-from surctl.export import Bundle, build_bundle
+from surctl.export import Bundle
 from surctl.ir import Layout, Port, Real
+from surctl.marine.export import build_bundle
 from surctl.system import Action, Controller
 
 LONGEST = 60.0  # [s]

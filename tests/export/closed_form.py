@@ -8,13 +8,14 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from surctl.control import build_law, load_gains
-from surctl.export import Bundle, Records, as_records, build_bundle, closed_form, operating_envelope
+from surctl.export import Bundle, Records, as_records
 from surctl.export.contract import Exportable
 from surctl.export.envelope import anywhere
 from surctl.ir import Block, Call, Gather, Layout, Loop, Port, Real, Routine, lower
-from surctl.simulation import law_numbers, load_scenario, simulate
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle, closed_form, operating_envelope
+from surctl.marine.simulation import law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import Vehicle, load_vehicle
 from tests.export.standin import StandIn
 
 SCENARIO = "pool-ahead"

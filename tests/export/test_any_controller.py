@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from surctl.errors import InputError
-from surctl.export import build_bundle, software_in_the_loop
+from surctl.export import software_in_the_loop
 from surctl.ir import Layout, Port
+from surctl.marine.export import build_bundle
 from surctl.system import Controller, run_system
 from tests.system.examples import level
 from tests.tools import need_compiler

@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 
 from surctl.certcheck.bundle import manifest_seal
-from surctl.control import build_law
 from surctl.errors import InputError
-from surctl.export import Bundle, build_bundle, write_bundle
+from surctl.export import Bundle, write_bundle
 from surctl.export.examples import EXAMPLES
 from surctl.export.process import compile_controller
 from surctl.export.texts import comment
 from surctl.ir import Layout, Port, compile_program, find_compiler
-from surctl.simulation import load_scenario
+from surctl.marine.control import build_law
+from surctl.marine.export import build_bundle
+from surctl.marine.simulation import load_scenario
 from tests.export.standin import GAINS, StandIn, stand_in
 from tests.processes import run_python
 from tests.tools import need_compiler, need_make

@@ -22,7 +22,6 @@ from surctl.export import (
     Controller,
     Records,
     as_records,
-    build_bundle,
     build_controller,
     check_builds,
     chosen_targets,
@@ -31,6 +30,7 @@ from surctl.export import (
 from surctl.export.precision import Rounded
 from surctl.export.trial import trial_steps
 from surctl.ir import Block, Layout, Port, Real, lower, stack_of, without_libm
+from surctl.marine.export import build_bundle
 from tests.export.altered import altered
 from tests.export.closed_form import exported
 from tests.export.standin import StandIn, recorded, stand_in

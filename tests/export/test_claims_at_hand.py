@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from surctl.certcheck.bundle import stated_sha256
-from surctl.control import build_law, load_gains
-from surctl.export.origin import _stated, manifest_of, origin_of
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
-from surctl.verification import claims
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export.origin import _stated, manifest_of, origin_of
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import claims
 
 GAINS, LAW = load_gains("default"), build_law(barrier="inertia")
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.export import ClosedForm, closed_form
 from surctl.ir import Routine, replay
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import ClosedForm, closed_form
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 
 
 def test_a_law_that_keeps_limits_answers_alike_with_constant_gains() -> None:

@@ -10,11 +10,11 @@ from typing import Any
 import casadi as ca
 import pytest
 
-from surctl.control import build_law, load_gains
-from surctl.export import build_bundle
 from surctl.ir import Real
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 
 PINNED: dict[str, Any] = tomllib.loads((Path(__file__).parents[1] / "golden/digests.toml").read_text())
 BUNDLES: dict[str, tuple[str, str, Real]] = {

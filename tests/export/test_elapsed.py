@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build_law
 from surctl.export import Records, build_controller, write_bundle
 from surctl.export.elapsed import RESTART, aged, longest_gap
 from surctl.export.precision import replayed
 from surctl.export.process import compile_controller
 from surctl.ir import Real, compile_program
-from surctl.simulation import load_scenario
+from surctl.marine.control import build_law
+from surctl.marine.simulation import load_scenario
 from tests.export.clocks import DRIVER, LONGEST, clocks
 from tests.export.standin import Vector
 from tests.tools import need_compiler

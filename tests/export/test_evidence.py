@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-import surctl.simulation
+import surctl.marine.simulation
 from surctl.certcheck.bundle import read_bundle
 from surctl.cli.export import export
 from surctl.errors import InputError
@@ -58,7 +58,7 @@ def test_a_command_that_ends_half_way_leaves_no_bundle(tmp_path: Path, monkeypat
     def killed(*args: Any, **options: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(surctl.simulation, "simulate", killed)
+    monkeypatch.setattr(surctl.marine.simulation, "simulate", killed)
     assert CliRunner().invoke(export, list(OPTIONS)).exit_code != 0
     assert not list(tmp_path.iterdir())
 

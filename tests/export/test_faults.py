@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from surctl.export import SilReport, build_bundle, build_controller, compare_runs
+from surctl.export import SilReport, build_controller, compare_runs
 from surctl.export.faults import fault_cases
+from surctl.marine.export import build_bundle
 from tests.export.altered import altered
 from tests.export.standin import recorded, stand_in
 from tests.tools import need_compiler

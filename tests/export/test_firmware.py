@@ -12,16 +12,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.control import build_law
-from surctl.export import Bundle, build_bundle, origin_of, write_bundle
+from surctl.export import Bundle, write_bundle
 from surctl.export.contract import STATUS
-from surctl.export.origin import origin_entries
-from surctl.export.robot_wiring import _sonars
 from surctl.export.wiring import DEMANDS
 from surctl.ir import Layout, Port
-from surctl.sensing import Equipment, SonarArray
-from surctl.simulation import load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law
+from surctl.marine.export import build_bundle, origin_of
+from surctl.marine.export.origin import origin_entries
+from surctl.marine.export.robot_wiring import _sonars
+from surctl.marine.sensing import Equipment, SonarArray
+from surctl.marine.simulation import load_scenario
+from surctl.marine.vehicle import load_vehicle
 from tests.export.closed_form import SCENARIO, exported
 from tests.export.standin import StandIn
 from tests.export.test_gains_in_c import guarded

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
-from surctl.export import build_bundle
 from surctl.export.fmu import unit_sources, write_fmu
 from surctl.export.fmu_description import description_2, description_3
 from surctl.export.precision import Rounded, evaluated
 from surctl.ir import compile_program
-from surctl.simulation import law_numbers, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle
+from surctl.marine.simulation import law_numbers, simulate
+from surctl.marine.vehicle import load_vehicle
 from tests.export.standin import Vector
 from tests.export.test_check import Exact, exact
 from tests.export.test_gains_in_c import guarded

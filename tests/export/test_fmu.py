@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.export import REALS, Records, as_records, build_bundle
+from surctl.export import REALS, Records, as_records
 from surctl.export.fmu import write_fmu
 from surctl.export.precision import Rounded, evaluated
 from surctl.ir import Real
+from surctl.marine.export import build_bundle
 from tests.export.standin import recorded
 from tests.export.test_check import Exact, exact
 from tests.tools import need_compiler

@@ -9,26 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build_law
 from surctl.errors import InputError
-from surctl.export import (
-    REALS,
-    TARGETS,
-    Envelope,
-    Rate,
-    build_controller,
-    check_builds,
-    compare_runs,
-    operating_envelope,
-    write_bundle,
-)
+from surctl.export import REALS, TARGETS, Envelope, Rate, build_controller, check_builds, compare_runs, write_bundle
 from surctl.export.envelope import ITER, RANGE, anywhere
 from surctl.export.faults import fault_cases
 from surctl.export.precision import Guarded, evaluated, in_precision, replayed
 from surctl.export.process import compile_controller
 from surctl.ir import Real
-from surctl.simulation import load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law
+from surctl.marine.export import operating_envelope
+from surctl.marine.simulation import load_scenario
+from surctl.marine.vehicle import load_vehicle
 from tests.export.altered import altered
 from tests.export.closed_form import exported, vehicle
 from tests.export.standin import stand_in

@@ -20,28 +20,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.control import Law, LawStep, build_law, load_gains
 from surctl.errors import InputError
-from surctl.export import (
-    TARGETS,
-    Bundle,
-    Line,
-    LineDown,
-    LinkedLaw,
-    LinkFaults,
-    Reply,
-    build_bundle,
-    closed_form,
-    connect,
-    emulated,
-    emulated_target,
-    write_bundle,
-)
+from surctl.export import TARGETS, Bundle, Line, LineDown, Reply, connect, emulated, emulated_target, write_bundle
 from surctl.export.link import VERSION, Identity
 from surctl.export.precision import Rounded
 from surctl.ir import Layout, Port, Real, compile_program
-from surctl.simulation import GONE, LATE, LINK_LOST, Run, law_numbers, load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import Law, LawStep, build_law, load_gains
+from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle, closed_form
+from surctl.marine.simulation import GONE, LATE, LINK_LOST, Run, law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from tests.export import test_check
 from tests.export.altered import altered
 from tests.export.standin import StandIn

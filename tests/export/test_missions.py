@@ -9,23 +9,15 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.export import (
-    LinkedLaw,
-    LinkFaults,
-    Records,
-    build_bundle,
-    build_controller,
-    compare_runs,
-    connect,
-    write_bundle,
-)
+from surctl.export import Records, build_controller, compare_runs, connect, write_bundle
 from surctl.export.fields import transfers
-from surctl.guidance import Path
 from surctl.ir import compile_program
-from surctl.simulation import Scenario, law_numbers, load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import Scenario, law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from tests.export.standin import stand_in
 from tests.export.test_link import serving
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from surctl.export import Bundle, build_bundle, write_bundle
+from surctl.export import Bundle, write_bundle
 from surctl.ir import Real
+from surctl.marine.export import build_bundle
 from tests.export.closed_form import exported, searching
 from tests.export.test_gains_in_c import guarded
 from tests.tools import need, need_compiler

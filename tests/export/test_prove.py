@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
 from surctl.export import ProofReport, gain_box, prove_bundle, with_proof
 from surctl.export.mutants import caught_by, mutants
 from surctl.export.prove import _program
 from surctl.ir import Program
-from surctl.simulation import law_numbers, load_scenario
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import law_numbers, load_scenario
 from tests.export.altered import altered
 from tests.export.closed_form import exported, searching, vehicle
 from tests.tools import need, need_compiler

@@ -17,9 +17,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.export import Bundle, build_bundle, write_bundle
+from surctl.export import Bundle, write_bundle
 from surctl.export.examples import example_values
 from surctl.ir import Layout, Port
+from surctl.marine.export import build_bundle
 from tests.export.clocks import clocks
 from tests.export.standin import StandIn, Vector
 from tests.export.test_gains_in_c import guarded

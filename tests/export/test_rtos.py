@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import Law, LawStep, load_gains
 from surctl.export import write_bundle
 from surctl.export.process import compile_controller
 from surctl.ir import compile_program
-from surctl.simulation import load_scenario, simulate
+from surctl.marine.control import Law, LawStep, load_gains
+from surctl.marine.simulation import load_scenario, simulate
 from tests.export.closed_form import vehicle
 from tests.export.standin import Vector
 from tests.export.test_gains_in_c import guarded

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.control import DEGRADED, SATURATED, SWITCHED, build_law, in_real, load_gains
-from surctl.export import Controller, Records, build_bundle, build_controller, compare_runs
+from surctl.export import Controller, Records, build_controller, compare_runs
 from surctl.ir import memory
-from surctl.sensing import Fault
-from surctl.simulation import Run, load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import DEGRADED, SATURATED, SWITCHED, build_law, in_real, load_gains
+from surctl.marine.export import build_bundle
+from surctl.marine.sensing import Fault
+from surctl.marine.simulation import Run, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler
 
 Vector = NDArray[np.float64]

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError, ToolMissing
 from surctl.export import Records, software_in_the_loop
 from surctl.export.sil import _difference
-from surctl.simulation import load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from tests.export.standin import StandIn, StandInStep, recorded, stand_in
 from tests.tools import need_compiler
 

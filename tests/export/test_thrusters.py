@@ -7,10 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.control import build_law, load_gains
-from surctl.export import Records, build_bundle, operating_envelope, software_in_the_loop
-from surctl.simulation import ThrusterFault, law_numbers, load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.export import Records, software_in_the_loop
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.export import build_bundle, operating_envelope
+from surctl.marine.simulation import ThrusterFault, law_numbers, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler
 
 

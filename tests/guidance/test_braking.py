@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.guidance import braking
-from surctl.guidance.braking import (
+from surctl.marine.guidance import braking
+from surctl.marine.guidance.braking import (
     Brakes,
     Watch,
     admissible,
@@ -27,9 +27,9 @@ from surctl.guidance.braking import (
     stopping_distance,
     stopping_distance_with_drag,
 )
-from surctl.guidance.braking_symbols import BrakeSymbols, closing_bound, range_symbol, stopping_symbol
-from surctl.guidance.sideways import beside, sideways_force
-from surctl.vehicle import load_vehicle
+from surctl.marine.guidance.braking_symbols import BrakeSymbols, closing_bound, range_symbol, stopping_symbol
+from surctl.marine.guidance.sideways import beside, sideways_force
+from surctl.marine.vehicle import load_vehicle
 
 FLOODED = load_vehicle("sur540-flooded")
 BRAKES = brakes_of(FLOODED)

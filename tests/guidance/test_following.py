@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.guidance import FOLLOWING, MAX_WAYPOINTS, SKIPS, Follower, Path, follow, follow_on
 from surctl.ir import Layout, on_vectors
+from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, SKIPS, Follower, Path, follow, follow_on
 
 FOLD = Path(np.array([[1.0, 2.5], [6.0, 2.5], [1.0, 2.5]]))
 SQUARE = Path(np.array([[2.0, 1.5], [8.0, 1.5], [8.0, 3.5], [2.0, 3.5], [2.0, 1.5]]))

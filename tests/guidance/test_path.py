@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.guidance import MAX_WAYPOINTS, Path, next_leg, path_target
+from surctl.marine.guidance import MAX_WAYPOINTS, Path, next_leg, path_target
 
 Array = NDArray[np.float64]
 coordinates = st.integers(-60, 60).map(lambda k: k / 10)

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.guidance import (
+from surctl.marine.guidance import (
     AHEAD,
     MAX_WAYPOINTS,
     Path,
@@ -17,7 +17,7 @@ from surctl.guidance import (
     window_next,
     window_values,
 )
-from surctl.guidance.window import last_first
+from surctl.marine.guidance.window import last_first
 
 RNG = np.random.default_rng(4)
 POINTS = np.cumsum(RNG.uniform([-1.1, -1.5], [1.9, 1.5], (30, 2)), axis=0)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.ir import Program, lower, nearby_angles, replay
-from surctl.simulation import advance
+from surctl.marine.simulation import advance
 
 
 def stages() -> Program:

@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
 from surctl.ir import Instruction, Program, lower, replay, with_constants
-from surctl.simulation import law_numbers, load_scenario
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.vehicle import load_vehicle
 from tests.ir.expressions import EXACT
 
 PICKS = (

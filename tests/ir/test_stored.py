@@ -14,7 +14,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.control import build_law
 from surctl.errors import InputError
 from surctl.ir import (
     OPERATIONS,
@@ -31,6 +30,7 @@ from surctl.ir import (
     write_block,
 )
 from surctl.ir.routine import nested
+from surctl.marine.control import build_law
 from tests.ir.expressions import EXACT, grown, picks
 from tests.ir.routines import random_routine
 from tests.ir.test_routine import grid, growth

@@ -11,13 +11,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from surctl.control import load_gains
-from surctl.report import ReportData, loop_responses
-from surctl.simulation import Run, load_scenario, simulate
-from surctl.tuning import SweepTable
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import Verdict, claims, closed_loop_poles, falsify, loop_margins
-from surctl.verification.linear import linear_side
+from surctl.marine.control import load_gains
+from surctl.marine.report import ReportData, loop_responses
+from surctl.marine.simulation import Run, load_scenario, simulate
+from surctl.marine.tuning import SweepTable
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import claims, closed_loop_poles, loop_margins
+from surctl.marine.verification.linear import linear_side
+from surctl.verification import Verdict, falsify
 
 COLUMNS = {
     "path_error_m": "m",

@@ -19,11 +19,11 @@ from PIL import Image
 from surctl.cli.animate_option import check_animate
 from surctl.cli.simulate import simulate
 from surctl.errors import InputError, ToolMissing
-from surctl.report import check_animation, save_animation
-from surctl.report.animation import _gif, frame_steps, frames
-from surctl.report.beams import INSTANT, beams_at
+from surctl.marine.report import check_animation, save_animation
+from surctl.marine.report.animation import _gif, frame_steps, frames
+from surctl.marine.report.beams import INSTANT, beams_at
+from surctl.marine.simulation import Run
 from surctl.report.theme import ROBOT
-from surctl.simulation import Run
 from tests.report.data import run
 from tests.report.test_player import stretched
 from tests.report.test_plots import first_tick
@@ -114,7 +114,7 @@ def test_a_long_run_is_played_faster(monkeypatch: pytest.MonkeyPatch) -> None:
         told.append(frame_steps(flown, apart=apart))
         return told[-1][:2]
 
-    monkeypatch.setattr("surctl.report.animation.frame_steps", two)
+    monkeypatch.setattr("surctl.marine.report.animation.frame_steps", two)
     assert len(list(frames(stretched(flight(), 20)))) == 2  # 80 s
     assert 15 < len(told[0]) <= 152
 
@@ -188,7 +188,7 @@ def test_several_runs_and_campaigns_are_refused_before_anything_is_made(tmp_path
 def test_the_command_writes_the_file_and_refuses_before_it_flies(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("surctl.report.animation.frame_steps", lambda run, apart: [0, len(run.record.time) - 1])
+    monkeypatch.setattr("surctl.marine.report.animation.frame_steps", lambda run, apart: [0, len(run.record.time) - 1])
 
     def command(*words: str) -> int:
         return int(simulate.main(["pool-behind", *words], standalone_mode=False))

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.report import plot_calibration, save_calibrations
-from surctl.report.calibration_plots import plot_errors, plot_studentised
-from surctl.sensing import SensorCalibration, calibrate, calibrate_table_ii
+from surctl.marine.report import plot_calibration, save_calibrations
+from surctl.marine.report.calibration_plots import plot_errors, plot_studentised
+from surctl.marine.sensing import SensorCalibration, calibrate, calibrate_table_ii
 from tests.pictures import rendered
 
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from surctl.report import Check, render_page, render_sections
+from surctl.marine.report import render_page, render_sections
+from surctl.marine.report.findings import findings_section
+from surctl.marine.verification import claims
+from surctl.report import Check
 from surctl.report.claim_words import claim_words
 from surctl.report.document import Section, Table
-from surctl.report.findings import findings_section
-from surctl.verification import Inapplicable, claims
+from surctl.verification import Inapplicable
 from tests.report.data import report
 from tests.report.reader import Reader
 from tests.report.test_page import bare

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.report import GoalBars, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
-from surctl.report.goals import goal_views
-from surctl.tuning import Goal, tune
+from surctl.marine.report import GoalBars, goal_bars, goal_view, plot_front, plot_goal_bars, plot_goal_view
+from surctl.marine.report.goals import goal_views
+from surctl.marine.tuning import Goal, tune
 from tests.pictures import rendered
 from tests.tuning.synthetic import CLEAR, MARGIN, NEAR, THRIFT, case, install, request
 

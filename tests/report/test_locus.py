@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 
-from surctl.report.locus import plot_locus
-from surctl.verification import Locus
+from surctl.marine.report.locus import plot_locus
+from surctl.marine.verification import Locus
 
 VALUES = np.array([1.0, 2.0, 3.0])
 

@@ -14,14 +14,14 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import QuadMesh
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.report import map_view, plot_map, plot_maps
-from surctl.sensing import LocalMap
-from surctl.sensing import map_view as map_values
-from surctl.simulation import Run, Sensing, load_scenario, simulate
-from surctl.vehicle import load_vehicle
-from surctl.world import Heights
+from surctl.marine.control import load_gains
+from surctl.marine.report import map_view, plot_map, plot_maps
+from surctl.marine.sensing import LocalMap
+from surctl.marine.sensing import map_view as map_values
+from surctl.marine.simulation import Run, Sensing, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.world import Heights
 from tests.tools import need_compiler
 
 

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from surctl.control import write_gains
 from surctl.errors import InputError
 from surctl.export import Difference, ExportedFile, SilReport
-from surctl.report import (
-    Check,
+from surctl.marine.control import write_gains
+from surctl.marine.report import (
     ExportSummary,
     ReportData,
     plot_run,
@@ -24,6 +23,7 @@ from surctl.report import (
     runs_section,
     write_page,
 )
+from surctl.report import Check
 from surctl.report.document import Heading, Section, picture
 from surctl.report.theme import png
 from tests.pictures import blank_pictures
@@ -128,7 +128,7 @@ def test_the_same_plot_gives_the_same_bytes() -> None:
 def test_many_runs_do_not_make_the_page_grow_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
     blank_pictures(monkeypatch)
     size = sum(len(one) for one in re.findall(r'<img[^>]*src="([^"]*)"', render_page(bare(runs=(run(),)))))
-    monkeypatch.setattr("surctl.report.evidence_sections._BUDGET", 2.5 * size)
+    monkeypatch.setattr("surctl.marine.report.evidence_sections._BUDGET", 2.5 * size)
     flown = run(sensing="sonar")
     stopped = replace(flown, metrics=replace(flown.metrics, reached=False, stopped_because="collision"))
     many = render_page(bare(runs=(stopped,) * 40))

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.report import Check, write_page
-from surctl.simulation import Run
+from surctl.marine.report import write_page
+from surctl.marine.simulation import Run
+from surctl.report import Check
 from tests.browser import WIDTHS, Opened, open_page
 from tests.report.data import run, verdict
 from tests.report.test_page import bare

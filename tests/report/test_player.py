@@ -12,10 +12,10 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from surctl.report import render_page
+from surctl.marine.report import render_page
+from surctl.marine.report.player import player, player_frames
+from surctl.marine.simulation import Run
 from surctl.report.document import Picture
-from surctl.report.player import player, player_frames
-from surctl.simulation import Run
 from tests.report.data import run
 from tests.report.reader import Reader
 from tests.report.test_page import bare

@@ -12,31 +12,29 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle, Wedge
 
 from surctl.errors import InputError
-from surctl.guidance import Path as Route
-from surctl.report import (
+from surctl.marine.guidance import Path as Route
+from surctl.marine.report import (
     loop_responses,
-    margin_slice,
     plot_bode,
-    plot_counterexample,
     plot_heat_map,
     plot_nyquist,
     plot_parallel,
     plot_poles,
-    plot_replay,
     plot_run,
     plot_run_signals,
     plot_sensitivity,
-    plot_slice,
     save_heat_map,
     save_run,
 )
+from surctl.marine.report.signals import plot_force, spans
+from surctl.marine.simulation import Run, load_scenario, simulate
+from surctl.marine.tuning import Sensitivity, SweepTable
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import build_cascade
+from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice
 from surctl.report.evidence import _sense
-from surctl.report.signals import plot_force, spans
 from surctl.report.theme import BAD, printable
-from surctl.simulation import Run, load_scenario, simulate
-from surctl.tuning import Sensitivity, SweepTable
-from surctl.vehicle import load_vehicle
-from surctl.verification import build_cascade, evaluate, replay
+from surctl.verification import evaluate, replay
 from tests.pictures import rendered
 from tests.report.data import ABOUT, GAINS, report, run, sweep, swept, vehicle, verdict
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from surctl.cli.single_run import further_output
-from surctl.control import build_law, load_gains
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.report.priority_plot import plot_priority, relaxation_text
+from surctl.marine.simulation import Run, explain, load_scenario, priority_timeline, simulate
+from surctl.marine.vehicle import load_vehicle
 from surctl.priority import PriorityTimeline
 from surctl.priority.timeline import NOTICEABLE
-from surctl.report.priority_plot import plot_priority, relaxation_text
-from surctl.simulation import Run, explain, load_scenario, priority_timeline, simulate
-from surctl.vehicle import load_vehicle
 from tests.pictures import blank_pictures
 
 

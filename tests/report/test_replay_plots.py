@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.report import plot_replay_sensor, plot_sonar_replay, save_sonar_replay
-from surctl.sensing import Replay, read_readings, replay_readings, sonar_array
+from surctl.marine.report import plot_replay_sensor, plot_sonar_replay, save_sonar_replay
+from surctl.marine.sensing import Replay, read_readings, replay_readings, sonar_array
 from tests.pictures import rendered
 from tests.sensing.recording import recorded, write
 

@@ -9,7 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from surctl.report.sonar_plots import (
+from surctl.marine.report.sonar_plots import (
     FilterErrors,
     LmsTrace,
     RangeTrace,

@@ -7,8 +7,8 @@ import pytest
 from matplotlib.patches import Rectangle
 
 from surctl.errors import InputError
-from surctl.report import plot_attainable
-from surctl.vehicle import attainable, load_vehicle
+from surctl.marine.report import plot_attainable
+from surctl.marine.vehicle import attainable, load_vehicle
 from tests.pictures import rendered
 
 

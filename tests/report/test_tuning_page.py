@@ -9,20 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.assessment import Mission, assess, motion
-from surctl.control import load_gains
+from surctl.assessment import assess
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics
-from surctl.report.bench import Bench, save_gains
+from surctl.marine.assessment import Mission, motion
+from surctl.marine.control import load_gains
+from surctl.marine.report.bench import Bench, save_gains
+from surctl.marine.simulation import load_scenario
+from surctl.marine.tuning import Goal, load_goals
+from surctl.marine.vehicle import load_vehicle
 from surctl.report.design_bench import SystemBench, activity
 from surctl.report.page_parts import page, respond
 from surctl.report.panel import Curve, Panel, Shade, draw_panel, panel_svg
 from surctl.report.theme import new_axes
-from surctl.simulation import load_scenario
 from surctl.system import Controller, Plant, System
-from surctl.tuning import Goal, Overshoot, Profile, Rejection, Settling, load_goals
-from surctl.vehicle import load_vehicle
+from surctl.tuning import Overshoot, Profile, Rejection, Settling
 from surctl.verification import system_margins
 from tests.browser import open_page
 from tests.cli.process import surctl_here

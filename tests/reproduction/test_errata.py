@@ -8,14 +8,14 @@ from functools import partial
 
 import pytest
 
-from surctl.reproduction import avoidance_errata as avoidance
-from surctl.reproduction import scenario_errata as scenario
-from surctl.reproduction import sensing_errata as sensing
-from surctl.reproduction import tracking_errata as tracking
-from surctl.reproduction.errata import errata_items
-from surctl.sensing import SonarArray
-from surctl.sensing.ranging.filters import lms_step
-from surctl.verification import tracking_claims
+from surctl.marine.reproduction import avoidance_errata as avoidance
+from surctl.marine.reproduction import scenario_errata as scenario
+from surctl.marine.reproduction import sensing_errata as sensing
+from surctl.marine.reproduction import tracking_errata as tracking
+from surctl.marine.reproduction.errata import errata_items
+from surctl.marine.sensing import SonarArray
+from surctl.marine.sensing.ranging.filters import lms_step
+from surctl.marine.verification import tracking_claims
 
 ITEMS = {item.id: item for item in errata_items()}
 

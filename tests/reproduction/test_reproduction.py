@@ -14,19 +14,19 @@ import numpy as np
 import pytest
 
 from surctl.cli.app import app
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.reproduction import WORDS, Item, Reproduction, Result, Simulations, items, reproduce, required
-from surctl.reproduction import tables as tables_module
-from surctl.reproduction.claims import claim_items, judged
-from surctl.reproduction.page import write_reproduction
-from surctl.reproduction.row import agrees
-from surctl.reproduction.simulations import scenario_names
-from surctl.reproduction.tables import table_items
-from surctl.sensing.calibration.table2 import RangeTest
-from surctl.simulation import load_scenario, simulate
-from surctl.vehicle import load_vehicle
-from surctl.verification import claims
+from surctl.marine.control import load_gains
+from surctl.marine.reproduction import WORDS, Item, Reproduction, Result, Simulations, items, reproduce, required
+from surctl.marine.reproduction import tables as tables_module
+from surctl.marine.reproduction.claims import claim_items, judged
+from surctl.marine.reproduction.page import write_reproduction
+from surctl.marine.reproduction.row import agrees
+from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.reproduction.tables import table_items
+from surctl.marine.sensing.calibration.table2 import RangeTest
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import claims
 from tests.cli.process import surctl
 from tests.pictures import blank_pictures
 from tests.report.reader import Reader

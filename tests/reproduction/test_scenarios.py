@@ -10,11 +10,11 @@ import pytest
 
 from surctl.cli.reproduce import row_lines
 from surctl.errors import InputError
-from surctl.reproduction import Row, Simulations
-from surctl.reproduction.instants import avoidances, instant_items
-from surctl.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items, time_verdict
-from surctl.reproduction.simulations import scenario_names
-from surctl.simulation import METRICS, BatchResult
+from surctl.marine.reproduction import Row, Simulations
+from surctl.marine.reproduction.instants import avoidances, instant_items
+from surctl.marine.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items, time_verdict
+from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.simulation import METRICS, BatchResult
 
 
 def batch(**columns: float | list[float]) -> BatchResult:

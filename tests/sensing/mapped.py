@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surctl.sensing import SonarArray, map_step, true_range
-from surctl.world import Box, Disc, Wall
+from surctl.marine.sensing import SonarArray, map_step, true_range
+from surctl.marine.world import Box, Disc, Wall
 
 HULL = 0.27
 EDGE = HULL / 4

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from surctl.sensing.mapping.firing import (
+from surctl.marine.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
     _OF_A_MARK,
@@ -15,7 +15,7 @@ from surctl.sensing.mapping.firing import (
     READING,
     RING,
 )
-from surctl.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
+from surctl.marine.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
 
 SIZE = sum(size for _, size, _ in READING)
 

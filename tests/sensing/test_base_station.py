@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import BaseStation, Delivery, OwnState
+from surctl.marine.sensing import BaseStation, Delivery, OwnState
 
 
 def test_obstacles_are_measured_with_the_stated_noise():

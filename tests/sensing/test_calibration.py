@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from surctl.errors import InputError
-from surctl.sensing import Calibration, Estimate, calibrate
-from surctl.sensing.calibration.estimation import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
+from surctl.marine.sensing import Calibration, Estimate, calibrate
+from surctl.marine.sensing.calibration.estimation import LEAST_ROWS, LEAST_ROWS_OF_SLOPE
 
 BIAS, SCALE = 0.02, 0.985
 SETS = 40  # tables of each kind of noise
@@ -219,7 +219,7 @@ def test_many_rows_are_weighted_in_cells_as_a_thousand_are_one_by_one() -> None:
 
 def _one_by_one(x: np.ndarray, y: np.ndarray) -> Calibration:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("surctl.sensing.calibration.noise_shape._CELLS", len(x))
+        patch.setattr("surctl.marine.sensing.calibration.noise_shape._CELLS", len(x))
         return calibrate(x, y)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import (
+from surctl.marine.sensing import (
     SensorCalibration,
     calibrate,
     calibrate_file,

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.sensing import Delivery, delayed, delayed_symbols
+from surctl.marine.sensing import Delivery, delayed, delayed_symbols
 
 DT = 0.05
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import (
+from surctl.marine.sensing import (
     SolidBox,
     SolidDisc,
     SolidWalls,
@@ -21,7 +21,7 @@ from surctl.sensing import (
     firing_samples,
     true_range,
 )
-from surctl.world import Box, Disc, nearest_echo, site_walls
+from surctl.marine.world import Box, Disc, nearest_echo, site_walls
 from tests.raycasting import corners, nearest_by_rays
 
 WEBOTS = math.radians(22.5)

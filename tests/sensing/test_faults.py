@@ -11,7 +11,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.files import Strict, validate
 from surctl.ir import Layout
-from surctl.sensing import (
+from surctl.marine.sensing import (
     FAULT_KINDS,
     SLOT,
     Fault,

@@ -10,8 +10,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout
-from surctl.sensing import SensorFilter, SonarArray, fire, gate, lms_step, weighted_average
-from surctl.world import Wall
+from surctl.marine.sensing import SensorFilter, SonarArray, fire, gate, lms_step, weighted_average
+from surctl.marine.world import Wall
 
 ARRAY = SonarArray()
 ALLOWED = {

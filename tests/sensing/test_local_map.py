@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.ir import Call, Layout, Routine, compile_batch, compile_block, lower, replay
-from surctl.sensing import LocalMap, map_step, map_view
-from surctl.sensing.mapping.local_map import BLIND, READING, RING
-from surctl.world import Disc
+from surctl.marine.sensing import LocalMap, map_step, map_view
+from surctl.marine.sensing.mapping.local_map import BLIND, READING, RING
+from surctl.marine.world import Disc
 from tests.raycasting import heard_along
 from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, SPIN, directions, firing, journey
 from tests.sensing.plain_map import plain_map

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import SonarArray, true_range
-from surctl.sensing.sonar.mounting import open_cones
-from surctl.world import Disc
+from surctl.marine.sensing import SonarArray, true_range
+from surctl.marine.sensing.sonar.mounting import open_cones
+from surctl.marine.world import Disc
 
 R = 0.27
 

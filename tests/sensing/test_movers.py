@@ -10,7 +10,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, lower
-from surctl.sensing import BaseStation, Delivery, MoverTracker, mover_step
+from surctl.marine.sensing import BaseStation, Delivery, MoverTracker, mover_step
 
 DT = 0.05
 

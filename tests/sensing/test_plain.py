@@ -8,7 +8,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout
-from surctl.sensing import (
+from surctl.marine.sensing import (
     SensorFilter,
     SonarArray,
     gate,

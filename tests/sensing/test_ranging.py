@@ -12,9 +12,9 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, on_vectors
-from surctl.sensing import RangeTracker, SonarArray, fire
-from surctl.sensing.ranging.tracker import Ranging
-from surctl.world import Wall
+from surctl.marine.sensing import RangeTracker, SonarArray, fire
+from surctl.marine.sensing.ranging.tracker import Ranging
+from surctl.marine.world import Wall
 from tests.sensing.test_filters import ALLOWED
 
 DT = 0.05

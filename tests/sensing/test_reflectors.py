@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import (
+from surctl.marine.sensing import (
     REFLECTORS,
     Reflector,
     SolidBox,
@@ -31,7 +31,7 @@ from surctl.sensing import (
     weak_range,
     weak_range_symbols,
 )
-from surctl.world import Box, Disc, nearest_facing, site_walls
+from surctl.marine.world import Box, Disc, nearest_facing, site_walls
 from tests.conerays import nearest_in_space, shares, weak_probability
 from tests.raycasting import nearest_by_rays
 

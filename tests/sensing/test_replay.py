@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.sensing import (
+from surctl.marine.sensing import (
     RangeTracker,
     Replay,
     Tracked,
@@ -16,7 +16,7 @@ from surctl.sensing import (
     sonar_array,
     track,
 )
-from surctl.sensing.replay import tracked
+from surctl.marine.sensing.replay import tracked
 from tests.sensing.recording import ARRAY, recorded, truth, write
 
 

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from surctl.sensing import Calibration, Estimate, NoiseStream, SonarArray, calibrate, fire, table_ii
-from surctl.world import Wall
+from surctl.marine.sensing import Calibration, Estimate, NoiseStream, SonarArray, calibrate, fire, table_ii
+from surctl.marine.world import Wall
 
 ARRAY = SonarArray()
 TABLES = 400

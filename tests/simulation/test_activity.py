@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
-from surctl.simulation import Run, load_scenario, simulate
-from surctl.simulation.record import measure
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import Run, load_scenario, simulate
+from surctl.marine.simulation.record import measure
+from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
 

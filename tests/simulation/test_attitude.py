@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from surctl.guidance import Follower, Path
-from surctl.simulation import attitude_of
+from surctl.marine.guidance import Follower, Path
+from surctl.marine.simulation import attitude_of
 
 TIME = np.arange(0.0, 80.0, 0.05)
 LINE = Path(np.array([[0.0, 0.0], [20.0, 0.0]]))

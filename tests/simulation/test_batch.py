@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import Gains, load_gains
 from surctl.errors import InputError, ToolMissing
-from surctl.simulation import (
+from surctl.marine.control import Gains, load_gains
+from surctl.marine.simulation import (
     METRICS,
     STOPS,
     Case,
@@ -22,8 +22,8 @@ from surctl.simulation import (
     simulate,
     simulate_batch,
 )
-from surctl.simulation.batch import engines
-from surctl.vehicle import load_vehicle
+from surctl.marine.simulation.batch import engines
+from surctl.marine.vehicle import load_vehicle
 
 
 def _case(name: str, *, seconds: float | None = None, **more: Any) -> Case:

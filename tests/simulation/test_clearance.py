@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
-from surctl.guidance import Path
-from surctl.simulation import LIBRARY, Disturbance, Obstacle, Scenario, findings, load_scenario
-from surctl.simulation.clearance import layers
-from surctl.simulation.passage import tightest_gap
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import LIBRARY, Disturbance, Obstacle, Scenario, findings, load_scenario
+from surctl.marine.simulation.clearance import layers
+from surctl.marine.simulation.passage import tightest_gap
+from surctl.marine.vehicle import load_vehicle
 
 TANK, POOL = load_scenario("tank-static"), load_scenario("pool-static")
 HULL = load_vehicle("sur540-flooded")

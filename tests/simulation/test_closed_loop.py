@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surctl.control import NONFINITE, build_law, load_gains
 from surctl.errors import InputError
-from surctl.sensing import Fault, FaultChances
-from surctl.simulation import (
+from surctl.marine.control import NONFINITE, build_law, load_gains
+from surctl.marine.sensing import Fault, FaultChances
+from surctl.marine.simulation import (
     SENSING,
     STOPS,
     BatchResult,
@@ -24,7 +24,7 @@ from surctl.simulation import (
     simulate,
     simulate_batch,
 )
-from surctl.vehicle import load_vehicle
+from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler
 
 SCENARIOS = ("tank-static", "pool-static", "pool-behind", "tank-speed-015")

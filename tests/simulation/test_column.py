@@ -8,11 +8,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.simulation import Body
-from surctl.simulation.batch.bodies import Body as Symbols
-from surctl.simulation.column import BAND, FOOTPRINT, LONGEST, beside, column
-from surctl.simulation.scenario import load_scenario
-from surctl.world import WHOLE, Box, Disc, Heights, Prism
+from surctl.marine.simulation import Body
+from surctl.marine.simulation.batch.bodies import Body as Symbols
+from surctl.marine.simulation.column import BAND, FOOTPRINT, LONGEST, beside, column
+from surctl.marine.simulation.scenario import load_scenario
+from surctl.marine.world import WHOLE, Box, Disc, Heights, Prism
 
 HULL = 0.27
 TANK = replace(load_scenario("tank-static"), depths=(-4.0, -0.5))

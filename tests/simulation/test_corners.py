@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from surctl.cli.single_run import run_line
-from surctl.control import load_gains
-from surctl.guidance import Path
-from surctl.simulation import Case, Scenario, load_scenario, simulate, simulate_batch
-from surctl.simulation.clearance import end_findings
-from surctl.simulation.obstacle import Obstacle
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import Case, Scenario, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.clearance import end_findings
+from surctl.marine.simulation.obstacle import Obstacle
+from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS, SITE = load_vehicle("sur400"), load_gains("default"), load_scenario("tank-static")
 FOLD = [[1, 2.5], [6, 2.5], [1.5, 2.9]]

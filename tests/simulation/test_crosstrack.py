@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 
-from surctl.control import Law, build_law, load_gains
-from surctl.guidance import Guidance, Path
-from surctl.simulation import Run, Scenario, load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import Law, build_law, load_gains
+from surctl.marine.guidance import Guidance, Path
+from surctl.marine.simulation import Run, Scenario, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 
 FREE = Path(np.array([[0.5, 2.5], [28.0, 2.5]]))
 

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surctl.control import TRAPPED, build_law, law_parameters, load_gains
-from surctl.control.dead_end import SEARCH_PORT
-from surctl.guidance import Path
 from surctl.ir import Layout
-from surctl.simulation import (
+from surctl.marine.control import TRAPPED, build_law, law_parameters, load_gains
+from surctl.marine.control.dead_end import SEARCH_PORT
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import (
     STANDSTILL,
     Case,
     Obstacle,
@@ -21,7 +21,7 @@ from surctl.simulation import (
     simulate,
     stop_reason,
 )
-from surctl.vehicle import load_vehicle
+from surctl.marine.vehicle import load_vehicle
 
 
 def _box(name: str, centre: tuple[float, float], size: tuple[float, float]) -> Obstacle:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from surctl.cli.single_run import further_output
-from surctl.control import load_gains
-from surctl.simulation import (
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import (
     Case,
     Obstacle,
     Run,
@@ -23,7 +23,7 @@ from surctl.simulation import (
     simulate_batch,
     stop_reason,
 )
-from surctl.vehicle import load_vehicle
+from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler
 
 SILL = load_scenario(str(FilePath(__file__).parent / "scenarios" / "tank-sill.toml"))

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from surctl.files import read_toml
-from surctl.sensing import SonarArray
-from surctl.simulation import Finding, findings, load_scenario
-from surctl.simulation.echo_fit import echo_findings, silent_faces
-from surctl.simulation.scenario import LIBRARY, scenario_from_table
-from surctl.vehicle import load_vehicle
+from surctl.marine.sensing import SonarArray
+from surctl.marine.simulation import Finding, findings, load_scenario
+from surctl.marine.simulation.echo_fit import echo_findings, silent_faces
+from surctl.marine.simulation.scenario import LIBRARY, scenario_from_table
+from surctl.marine.vehicle import load_vehicle
 
 BASE = load_scenario("tank-static")
 VEHICLE = load_vehicle(BASE.vehicle)

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.sensing import Equipment, SonarArray
-from surctl.simulation import LIBRARY, findings, load_scenario, simulate
-from surctl.simulation.sensors import Sensors
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.sensing import Equipment, SonarArray
+from surctl.marine.simulation import LIBRARY, findings, load_scenario, simulate
+from surctl.marine.simulation.sensors import Sensors
+from surctl.marine.vehicle import load_vehicle
 from tests.cli.process import surctl
 
 TANK, POOL = load_scenario("tank-static"), load_scenario("pool-static")

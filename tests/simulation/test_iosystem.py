@@ -8,10 +8,10 @@ import control
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import closed_loop_system, load_scenario, simulate
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import closed_loop_system, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
 
 
 def test_python_control_flies_the_same_flight() -> None:

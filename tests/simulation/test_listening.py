@@ -7,13 +7,13 @@ from math import pi
 
 import numpy as np
 
-from surctl.control import load_gains
-from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
-from surctl.simulation import Case, Sensors, load_scenario, simulate, simulate_batch
-from surctl.simulation.batch.engines import compiled_loop
-from surctl.simulation.batch.loop import build_loop
-from surctl.simulation.batch.pack import pack, structure_of
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
+from surctl.marine.simulation import Case, Sensors, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.batch.engines import compiled_loop
+from surctl.marine.simulation.batch.loop import build_loop
+from surctl.marine.simulation.batch.pack import pack, structure_of
+from surctl.marine.vehicle import load_vehicle
 from tests.tools import need_compiler
 
 MOUNTED = SonarArray(

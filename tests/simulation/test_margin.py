@@ -9,12 +9,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surctl.control import load_gains
-from surctl.guidance.braking import brakes_of, stopping_distance_with_drag, tabled_stopping_distance
-from surctl.simulation import Obstacle, build_world, findings, load_scenario, margin_needed, safety_claim, turn_rate
-from surctl.simulation.margin import munk
-from surctl.simulation.motion import closest
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.guidance.braking import brakes_of, stopping_distance_with_drag, tabled_stopping_distance
+from surctl.marine.simulation import (
+    Obstacle,
+    build_world,
+    findings,
+    load_scenario,
+    margin_needed,
+    safety_claim,
+    turn_rate,
+)
+from surctl.marine.simulation.margin import munk
+from surctl.marine.simulation.motion import closest
+from surctl.marine.vehicle import load_vehicle
 
 SCENARIO = load_scenario("tank-static")
 VEHICLE = load_vehicle(SCENARIO.vehicle)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surctl.simulation.metrics import avoidance_intervals, path_error
+from surctl.marine.simulation.metrics import avoidance_intervals, path_error
 
 
 def test_an_avoidance_interval_ends_when_the_robot_is_back_in_the_tube() -> None:

@@ -10,15 +10,15 @@ import pytest
 from click.testing import CliRunner
 
 from surctl.cli.app import app
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.guidance import Path
-from surctl.simulation import Case, Obstacle, findings, load_scenario, simulate, stop_reason
-from surctl.simulation.scenario_table import scenario_table
-from surctl.simulation.steering_fit import planned_radius
-from surctl.simulation.toml_text import toml_text
-from surctl.tuning import prepare
-from surctl.vehicle import Vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import Case, Obstacle, findings, load_scenario, simulate, stop_reason
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.steering_fit import planned_radius
+from surctl.marine.simulation.toml_text import toml_text
+from surctl.marine.tuning import prepare
+from surctl.marine.vehicle import Vehicle
 from tests.craft import CRUISE, craft, mission
 from tests.simulation.test_missions import GAINS, VEHICLE, loops, written
 

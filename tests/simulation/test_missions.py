@@ -8,15 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.guidance import Path
-from surctl.simulation import METRICS, Case, Scenario, closed_loop_system, load_scenario, simulate, simulate_batch
-from surctl.simulation.batch import build_loop
-from surctl.simulation.batch.pack import structure_of
-from surctl.simulation.numbers import fed_ranges
-from surctl.simulation.scenario import scenario_from_table
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.guidance import Path
+from surctl.marine.simulation import (
+    METRICS,
+    Case,
+    Scenario,
+    closed_loop_system,
+    load_scenario,
+    simulate,
+    simulate_batch,
+)
+from surctl.marine.simulation.batch import build_loop
+from surctl.marine.simulation.batch.pack import structure_of
+from surctl.marine.simulation.numbers import fed_ranges
+from surctl.marine.simulation.scenario import scenario_from_table
+from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS, SITE = load_vehicle("sur400"), load_gains("default"), load_scenario("tank-static")
 

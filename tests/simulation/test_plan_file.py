@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from surctl.cli.mission import scenario
 from surctl.errors import InputError
-from surctl.simulation import load_scenario, mission_scenario, read_mission
+from surctl.marine.simulation import load_scenario, mission_scenario, read_mission
 
 
 def _item(command: int, *params: float | None) -> dict[str, Any]:

@@ -11,12 +11,12 @@ import pytest
 import xarray
 from scipy.io import loadmat, savemat
 
-from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import file_name
-from surctl.simulation import RECORD_FORMATS, Run, load_scenario, record_columns, save_record, simulate
-from surctl.study.scaled import write_missions
-from surctl.vehicle import (
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import RECORD_FORMATS, Run, load_scenario, record_columns, save_record, simulate
+from surctl.marine.study.scaled import write_missions
+from surctl.marine.vehicle import (
     FRAME_TEXT,
     FRAMES,
     LOG_MOTION,

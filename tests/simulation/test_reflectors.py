@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from surctl.cli.sensor_options import sensor_data
-from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.files import read_toml
-from surctl.sensing import REFLECTORS, Reflector
-from surctl.simulation import ECHOES, LIBRARY, Case, Scenario, findings, load_scenario, simulate, simulate_batch
-from surctl.simulation.scenario import scenario_from_table
-from surctl.simulation.scenario_table import scenario_table
-from surctl.simulation.weak_echoes import WeakEchoes
-from surctl.simulation.world import build_world
-from surctl.vehicle import load_vehicle
-from surctl.world import Disc
+from surctl.marine.control import load_gains
+from surctl.marine.sensing import REFLECTORS, Reflector
+from surctl.marine.simulation import ECHOES, LIBRARY, Case, Scenario, findings, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.scenario import scenario_from_table
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.weak_echoes import WeakEchoes
+from surctl.marine.simulation.world import build_world
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.world import Disc
 from tests.tools import need_compiler
 
 POOL = read_toml(LIBRARY / "pool-static.toml")

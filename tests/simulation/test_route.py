@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.guidance import BEND, MAX_WAYPOINTS, PASS, VISIT
-from surctl.simulation import Scenario, load_scenario
-from surctl.simulation.scenario_table import scenario_table
-from surctl.simulation.toml_text import toml_text
+from surctl.marine.guidance import BEND, MAX_WAYPOINTS, PASS, VISIT
+from surctl.marine.simulation import Scenario, load_scenario
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.toml_text import toml_text
 
 HEAD = """
 kind = "scenario"

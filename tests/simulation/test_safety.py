@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
-from surctl.guidance.braking import (
+from surctl.marine.control import load_gains
+from surctl.marine.guidance.braking import (
     Brakes,
     Watch,
     brakes_of,
@@ -20,11 +20,11 @@ from surctl.guidance.braking import (
     range_needed,
     stopping_distance_with_drag,
 )
-from surctl.sensing import SurfaceModel
-from surctl.simulation import SafetyClaim, Scenario, findings, load_scenario, safety_claim
-from surctl.simulation.detection import detection_range, unanswered
-from surctl.simulation.reflectors import Reflectors, ReflectorTable
-from surctl.vehicle import load_vehicle
+from surctl.marine.sensing import SurfaceModel
+from surctl.marine.simulation import SafetyClaim, Scenario, findings, load_scenario, safety_claim
+from surctl.marine.simulation.detection import detection_range, unanswered
+from surctl.marine.simulation.reflectors import Reflectors, ReflectorTable
+from surctl.marine.vehicle import load_vehicle
 from tests.guidance.test_braking import fly
 
 SCENARIO = load_scenario("tank-static")

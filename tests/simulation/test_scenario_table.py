@@ -7,11 +7,11 @@ from math import pi, radians, ulp
 import pytest
 
 from surctl.errors import InputError
-from surctl.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
-from surctl.simulation import LIBRARY, Sensors, load_scenario
-from surctl.simulation.scenario import scenario_from_table
-from surctl.simulation.scenario_table import scenario_table
-from surctl.simulation.toml_text import toml_text
+from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
+from surctl.marine.simulation import LIBRARY, Sensors, load_scenario
+from surctl.marine.simulation.scenario import scenario_from_table
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.toml_text import toml_text
 
 LATE = Delivery(period=0.2, latency=0.15, loss=0.1, gaps=((1.0, 2.5),))
 SENSORS = {

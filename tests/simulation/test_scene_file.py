@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import LAYOUT, Obstacle, Run, SceneFile, load_scenario, save_record, save_scene, simulate
+from surctl.marine.vehicle import load_vehicle
 from surctl.recorded_mcap import SCHEMAS, McapFile
-from surctl.simulation import LAYOUT, Obstacle, Run, SceneFile, load_scenario, save_record, save_scene, simulate
-from surctl.vehicle import load_vehicle
 from tests.tools import need_module
 
 Messages = dict[str, list[tuple[float, str, dict[str, Any]]]]

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.sensing import SonarArray
-from surctl.simulation import LIBRARY, load_scenario, safety_claim
-from surctl.simulation.sensors import FIRING, firing_plan
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.sensing import SonarArray
+from surctl.marine.simulation import LIBRARY, load_scenario, safety_claim
+from surctl.marine.simulation.sensors import FIRING, firing_plan
+from surctl.marine.vehicle import load_vehicle
 
 POOL = (LIBRARY / "pool-behind.toml").read_text(encoding="utf-8")
 

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.sensing import Fault, FaultChances
-from surctl.simulation import (
+from surctl.marine.control import load_gains
+from surctl.marine.sensing import Fault, FaultChances
+from surctl.marine.simulation import (
     METRICS,
     STOPPED_LIMIT,
     STOPS,
@@ -24,9 +24,9 @@ from surctl.simulation import (
     stop_reason,
     time_limit_reason,
 )
-from surctl.simulation.batch import Structure, build_loop
-from surctl.simulation.sensors import Sensors
-from surctl.vehicle import load_vehicle
+from surctl.marine.simulation.batch import Structure, build_loop
+from surctl.marine.simulation.sensors import Sensors
+from surctl.marine.vehicle import load_vehicle
 from tests.craft import mission
 
 _SENSORS = range(4)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from surctl.errors import SurctlError
-from surctl.simulation.batch import stored
-from surctl.simulation.batch.loop import Loop, Structure, build_loop
+from surctl.marine.simulation.batch import stored
+from surctl.marine.simulation.batch.loop import Loop, Structure, build_loop
 
 PLAIN = Structure("closed_form", "corrected", "nsb", "truth", ("disc",))
 

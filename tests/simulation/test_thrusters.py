@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import Run, ThrusterFault, load_scenario, simulate, thruster_use
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import Run, ThrusterFault, load_scenario, simulate, thruster_use
+from surctl.marine.vehicle import load_vehicle
 
 HEAVY = load_vehicle("bluerov2-heavy")
 

@@ -5,7 +5,7 @@ import tomllib
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from surctl.simulation.toml_text import toml_text
+from surctl.marine.simulation.toml_text import toml_text
 
 NAMES = st.text(max_size=8)
 VALUES = st.recursive(

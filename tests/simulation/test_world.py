@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.simulation import Body, Scenario, World, build_world, load_scenario
-from surctl.vehicle import load_vehicle
-from surctl.world import Disc
+from surctl.marine.simulation import Body, Scenario, World, build_world, load_scenario
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.world import Disc
 
 TIMES = np.linspace(0, 60, 241)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from surctl.control import build_law
 from surctl.errors import InputError
-from surctl.study import load_plan
-from surctl.study.shipping import with_perception
+from surctl.marine.control import build_law
+from surctl.marine.study import load_plan
+from surctl.marine.study.shipping import with_perception
 
 
 @pytest.mark.parametrize("name", ["girona500", "lauv", "sur540-light"])

@@ -7,18 +7,18 @@ import pytest
 import xarray
 
 from surctl.assessment import assess
-from surctl.assessment.loop import unstable_text
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.simulation import LIBRARY as SCENARIOS
-from surctl.simulation import simulate
-from surctl.study import conduct, load_plan
-from surctl.study.conduct import assessed
-from surctl.study.loops import loops_of
-from surctl.study.notes import summary
-from surctl.study.shipping import with_perception
-from surctl.vehicle import LIBRARY, load_vehicle
-from surctl.verification.linear import slowest_mode
+from surctl.marine.assessment.loop import unstable_text
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.simulation import LIBRARY as SCENARIOS
+from surctl.marine.simulation import simulate
+from surctl.marine.study import conduct, load_plan
+from surctl.marine.study.conduct import assessed
+from surctl.marine.study.loops import loops_of
+from surctl.marine.study.notes import summary
+from surctl.marine.study.shipping import with_perception
+from surctl.marine.vehicle import LIBRARY, load_vehicle
+from surctl.marine.verification.linear import slowest_mode
 from tests.cli.process import surctl
 from tests.report.data import swept
 from tests.tools import need_compiler

@@ -8,12 +8,13 @@ from typing import Any
 import casadi as ca
 import pytest
 
-from surctl.control import Decision, LawSource
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
+from surctl.marine.control import Decision, LawSource
+from surctl.marine.testing import check_law
 from surctl.system import Action, Controller, Plant
 from surctl.tasks import depth_task
-from surctl.testing import CheckFailed, check_controller, check_law, check_plant
+from surctl.testing import CheckFailed, check_controller, check_plant
 
 ANGLE, RATE = Port("angle", (1,), "rad", "from upright"), Port("rate", (1,), "rad/s", "of the angle")
 TORQUE = Port("torque", (1,), "N m", "at the pivot")

@@ -9,10 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.priority import Level, build_problem, solve
-from surctl.simulation import advance
-from surctl.tasks import AccelerationLimit, ActuatorLimits, ThrustLimit, VelocityBox
-from surctl.vehicle import (
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_PARAMETERS,
     PLANT_STATE,
@@ -21,6 +19,8 @@ from surctl.vehicle import (
     plant_parameters,
     plant_thrust_limit,
 )
+from surctl.priority import Level, build_problem, solve
+from surctl.tasks import AccelerationLimit, ActuatorLimits, ThrustLimit, VelocityBox
 from tests.tasks.numbers import function, missed, rows_at
 
 VEHICLES = ("sur540-flooded", "sur540-light", "sur400", "bluerov2-vonbenzon", "bluerov2-wu")

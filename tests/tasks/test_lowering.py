@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from surctl.ir import lower
+from surctl.marine.vehicle import PLANT_PARAMETERS, plant_thrust_limit
 from surctl.tasks import (
     AccelerationLimit,
     ActuatorLimits,
@@ -16,7 +17,6 @@ from surctl.tasks import (
     VelocityBox,
     position_task,
 )
-from surctl.vehicle import PLANT_PARAMETERS, plant_thrust_limit
 
 ETA, NU, MASS = ca.SX.sym("eta", 4), ca.SX.sym("nu", 4), ca.SX.sym("M", 4, 4)
 FLAT, PARTS = PLANT_PARAMETERS.symbols("p")

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from surctl.control import load_gains
-from surctl.simulation import METRICS, Case, load_scenario
-from surctl.tuning import measure, netcdf
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import METRICS, Case, load_scenario
+from surctl.marine.tuning import measure, netcdf
+from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
 

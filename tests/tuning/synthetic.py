@@ -5,10 +5,10 @@ from importlib import import_module
 
 import numpy as np
 
-from surctl.control import load_gains
-from surctl.simulation import METRICS, BatchResult, Case, load_scenario
-from surctl.tuning import Goal, Request, conditions, gain_ranges
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import METRICS, BatchResult, Case, load_scenario
+from surctl.marine.tuning import Goal, Request, conditions, gain_ranges
+from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
 
@@ -71,12 +71,12 @@ def linear(vehicle, values, *, base, cruise, dt, model=None, **_):
 
 
 def install(monkeypatch, loop=None):
-    from surctl.tuning import cegis, evaluation
+    from surctl.marine.tuning import cegis, evaluation
 
     loop = loop or Loop()
     monkeypatch.setattr(evaluation, "simulate_batch", loop)
     monkeypatch.setattr(
-        import_module("surctl.tuning.misses"), "simulate_batch", loop
+        import_module("surctl.marine.tuning.misses"), "simulate_batch", loop
     )  # the package has a function of this name
     monkeypatch.setattr(evaluation, "linear_table", linear)
     monkeypatch.setattr(cegis, "starting_sets", lambda *_, **__: [])

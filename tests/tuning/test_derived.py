@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from surctl.cli.gains_choice import choose_gains
-from surctl.control import GAINS, Gains, load_gains, write_gains
 from surctl.errors import InputError
-from surctl.simulation import findings
-from surctl.tuning import default_cruise, derive_gains, derived_gains, gains_for, shared_gains
-from surctl.tuning.vehicle_rule import inner_start, munk_rate, rule
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import check_held
-from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin, corners, worst_linear_side
+from surctl.marine.control import GAINS, Gains, load_gains, write_gains
+from surctl.marine.simulation import findings
+from surctl.marine.tuning import default_cruise, derive_gains, derived_gains, gains_for, shared_gains
+from surctl.marine.tuning.vehicle_rule import inner_start, munk_rate, rule
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import check_held
+from surctl.marine.verification.linear import corner_margin, corners, worst_linear_side
+from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.craft import mission
 
 WU, VON_BENZON = load_vehicle("bluerov2-wu"), load_vehicle("bluerov2-vonbenzon")
@@ -95,7 +96,7 @@ def test_the_formulae_are_those_documented() -> None:
 def test_the_result_does_not_depend_on_anything_but_the_arguments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from surctl.tuning import derived
+    from surctl.marine.tuning import derived
 
     first = derive_gains(WU, cruise=0.15)
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path))

@@ -7,15 +7,26 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from surctl.assessment import Figure, Mission, Part, assess
-from surctl.control import Gains, load_gains
+from surctl.assessment import Figure, Part, assess
 from surctl.errors import InputError
-from surctl.simulation import METRICS, load_scenario
-from surctl.tuning import ASSESSED, CHECKED, Goal, Tuning, check_finals, goals_from_tables, load_goals, tune, with_floor
-from surctl.tuning.assessed import PART_OF
+from surctl.marine.assessment import Mission
+from surctl.marine.control import Gains, load_gains
+from surctl.marine.simulation import METRICS, load_scenario
+from surctl.marine.tuning import (
+    ASSESSED,
+    CHECKED,
+    Goal,
+    Tuning,
+    check_finals,
+    goals_from_tables,
+    load_goals,
+    tune,
+    with_floor,
+)
+from surctl.marine.tuning.assessed import PART_OF
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import LINEAR_METRICS
 from surctl.tuning.goal_file import GoalTable
-from surctl.vehicle import load_vehicle
-from surctl.verification import LINEAR_METRICS
 from tests.tuning.synthetic import CLEAR, NEAR, THRIFT, install, request
 
 WIDE = Goal("region", "region_m", "m", 0.2, "at least", "hard")

@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.tuning import Condition, Goal, conditions, corners, evaluate, load_goals
-from surctl.vehicle import load_vehicle
+from surctl.marine.tuning import Condition, Goal, conditions, corners, evaluate, load_goals
+from surctl.marine.vehicle import load_vehicle
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, case, install
 
 POLE = Goal("settle", "slowest_pole_per_s", "1/s", -0.1)

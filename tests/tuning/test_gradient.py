@@ -7,12 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, load_scenario, simulate
-from surctl.tuning.gradient import SURROGATES, DifferentiableRun, prepare
-from surctl.tuning.refine import refine
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Case, load_scenario, simulate
+from surctl.marine.tuning.gradient import SURROGATES, DifferentiableRun, prepare
+from surctl.marine.tuning.refine import refine
+from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
 NAMES = ("k_v", "lookahead", "margin", "k1", "k_r")

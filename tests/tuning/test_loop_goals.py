@@ -8,15 +8,15 @@ import control
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.simulation import load_scenario
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import load_scenario
+from surctl.marine.tuning import Goal, build_cases, case_loop, conditions, evaluate, load_goals
 from surctl.system import Action, Controller, LinearLoop, Plant, System, linearise
 from surctl.tuning import (
     LOOP_GOAL_KEYS,
     Effort,
-    Goal,
     LoopGoal,
     LoopShape,
     Margins,
@@ -30,12 +30,7 @@ from surctl.tuning import (
     StepRejection,
     StepTracking,
     Tracking,
-    build_cases,
-    case_loop,
-    conditions,
-    evaluate,
     judge_loops,
-    load_goals,
     load_loop_goals,
     operating_loops,
     tune_system,

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import load_scenario
-from surctl.tuning import build_cases
-from surctl.tuning.measure import LINEAR_COLUMNS, Evaluation
-from surctl.tuning.start import _no_start
-from surctl.tuning.table import judged
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import load_scenario
+from surctl.marine.tuning import build_cases
+from surctl.marine.tuning.measure import LINEAR_COLUMNS, Evaluation
+from surctl.marine.tuning.start import _no_start
+from surctl.marine.tuning.table import judged
+from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
 

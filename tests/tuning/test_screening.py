@@ -3,13 +3,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.tuning import Goal, cegis, search, tune
-from surctl.tuning.cegis import _chosen, _ended
-from surctl.tuning.descent import descend
+from surctl.marine.tuning import Goal, cegis, search, tune
+from surctl.marine.tuning.cegis import _chosen, _ended
+from surctl.marine.tuning.descent import descend
+from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo
+from surctl.marine.tuning.rounds import Round
+from surctl.marine.tuning.screening import reduced_pool, screen
 from surctl.tuning.journal import Journal
-from surctl.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo
-from surctl.tuning.rounds import Round
-from surctl.tuning.screening import reduced_pool, screen
 from tests.tuning.synthetic import CLEAR, GAINS, NEAR, THRIFT, Loop, heavy, install, request
 
 

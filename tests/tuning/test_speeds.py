@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.control import load_gains, write_gains
 from surctl.errors import InputError
-from surctl.simulation import load_scenario
-from surctl.tuning import (
+from surctl.marine.control import load_gains, write_gains
+from surctl.marine.simulation import load_scenario
+from surctl.marine.tuning import (
     Condition,
     Goal,
     build_cases,
@@ -16,20 +16,19 @@ from surctl.tuning import (
     evaluate,
     goal_rows,
     goals_at,
-    grid,
     load_goals,
-    parse_axis,
     summary,
     tune,
     tuned_gains,
     tuning_dict,
 )
-from surctl.tuning.descent import _functions
-from surctl.tuning.measure import Evaluation, check_request
-from surctl.tuning.montecarlo import monte_carlo
-from surctl.tuning.pool import joined
-from surctl.tuning.trials import frozen, remembered
-from surctl.verification import LINEAR_METRICS, linear_table
+from surctl.marine.tuning.descent import _functions
+from surctl.marine.tuning.measure import Evaluation, check_request
+from surctl.marine.tuning.montecarlo import monte_carlo
+from surctl.marine.tuning.pool import joined
+from surctl.marine.tuning.trials import frozen, remembered
+from surctl.marine.verification import LINEAR_METRICS, linear_table
+from surctl.tuning import grid, parse_axis
 from tests.tuning.synthetic import CLEAR, GAINS, THRIFT, Loop, case, install, request
 
 SPEEDS = (0.05, 0.15, 0.22)
@@ -39,7 +38,7 @@ DELAY = Goal("delay", "delay_margin_s", "s", 0.2, "at least", "hard", cruise=(0.
 
 @pytest.fixture
 def flights_cost_nothing(monkeypatch):
-    monkeypatch.setattr("surctl.tuning.evaluation.simulate_batch", Loop())
+    monkeypatch.setattr("surctl.marine.tuning.evaluation.simulate_batch", Loop())
 
 
 @pytest.fixture
@@ -50,7 +49,7 @@ def everything_costs_nothing(monkeypatch):
         k_v = np.asarray(values.get("k_v", base["k_v"]), dtype=float)
         return {"delay_margin_s": 0.6 / k_v * (1.2 - np.asarray(cruise))}
 
-    monkeypatch.setattr("surctl.tuning.evaluation.linear_table", linear)
+    monkeypatch.setattr("surctl.marine.tuning.evaluation.linear_table", linear)
 
 
 def test_the_worst_speed_decides_in_every_condition(flights_cost_nothing):

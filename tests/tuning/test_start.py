@@ -7,14 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from surctl.control import Gains, load_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, load_scenario
-from surctl.tuning import Goal, Request, conditions, gain_ranges
-from surctl.tuning.start import lqr_start, starting_sets
-from surctl.vehicle import load_vehicle
-from surctl.verification import CASCADE_GAINS
-from surctl.verification.linear import LEAST_DISK_MARGIN, corner_margin
+from surctl.marine.control import Gains, load_gains
+from surctl.marine.simulation import Case, load_scenario
+from surctl.marine.tuning import Goal, Request, conditions, gain_ranges
+from surctl.marine.tuning.start import lqr_start, starting_sets
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import CASCADE_GAINS
+from surctl.marine.verification.linear import corner_margin
+from surctl.verification.linear import LEAST_DISK_MARGIN
 
 ABOUT = {"cruise": 0.15, "dt": 0.05}
 
@@ -58,7 +59,7 @@ def test_a_search_without_a_regulator_advises_nothing_that_no_option_can_set(mon
     def none(*_: object, **__: object) -> None:
         raise InputError("no cascade has a margin at the control period of 0.05 s", key="dt", remedy="shorten it")
 
-    monkeypatch.setattr("surctl.tuning.start.lqr_start", none)
+    monkeypatch.setattr("surctl.marine.tuning.start.lqr_start", none)
     gains = load_gains("default")
     runs = conditions([Case(load_scenario("pool-behind"), load_vehicle("sur400"), gains)], seeds=[0])
     told: list[str] = []
@@ -79,7 +80,7 @@ def test_a_search_starts_from_the_regulator_and_from_the_descent(monkeypatch: py
         asked.append((cases, gains, tuple(ranges), options["seed"]))
         return SimpleNamespace(gains=better)
 
-    monkeypatch.setattr("surctl.tuning.start.refine", refine)
+    monkeypatch.setattr("surctl.marine.tuning.start.refine", refine)
     near = Goal("near", "deviation_m", "m", 0.1)
     space = gain_ranges(poor, {"k_v": (0.9, 1.6), "lookahead": (0.3, 2.5)})
     case = Case(scenario, vehicle, poor)

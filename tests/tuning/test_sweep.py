@@ -13,28 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import METRICS, load_scenario, store
-from surctl.simulation.store import ChunkStore
-from surctl.tuning import (
-    Axis,
-    LocalExecutor,
-    Span,
-    build_cases,
-    grid,
-    load_sweep,
-    make_design,
-    measure,
-    parse_axis,
-    saltelli,
-    sensitivity,
-    spread,
-    sweep,
-)
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import METRICS, load_scenario, store
+from surctl.marine.simulation.store import ChunkStore
+from surctl.marine.tuning import build_cases, load_sweep, measure, sensitivity, sweep
+from surctl.marine.tuning.sweep import run_chunks
+from surctl.marine.tuning.table import judged
+from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, spread
 from surctl.tuning.executors import DaskExecutor
-from surctl.tuning.sweep import run_chunks
-from surctl.tuning.table import judged
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.processes import run_python
 from tests.tools import PATIENCE
@@ -327,7 +314,7 @@ def test_a_harmed_chunk_alone_is_run_again(cheap, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("surctl.tuning.netcdf._write", full)
+        patch.setattr("surctl.marine.tuning.netcdf._write", full)
         with pytest.raises(InputError, match=r"No space left on device.*kept.*resumes"):
             sweep([stub.case()], GRID, out=tmp_path)
     files = sorted(tmp_path.glob("sweep.chunks/*/*.chunk"))
@@ -398,8 +385,8 @@ KILLED = """
 import os, random, signal, sys, time
 from pathlib import Path
 from surctl.tuning.executors import LocalExecutor
-from surctl.simulation.store import ChunkStore
-from surctl.tuning.sweep import run_chunks
+from surctl.marine.simulation.store import ChunkStore
+from surctl.marine.tuning.sweep import run_chunks
 from tests.tuning.chunk_work import CHUNKS, slow_squares
 
 shelf, draw = ChunkStore(Path(sys.argv[1]), "request"), random.Random(int(sys.argv[2]))

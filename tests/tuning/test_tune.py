@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from surctl.control import law_ref, load_gains, write_gains
 from surctl.errors import InputError
-from surctl.tuning import (
+from surctl.marine.control import law_ref, load_gains, write_gains
+from surctl.marine.tuning import (
     Counterexample,
     Goal,
     advice,
@@ -30,13 +30,13 @@ from surctl.tuning import (
     tuned_gains,
     tuning_dict,
 )
-from surctl.tuning.claim_points import ClaimPoint, excess, expected_to_hold, refuted_claims
-from surctl.tuning.conflict import demands, minimal_subset
-from surctl.tuning.evaluation import judged
+from surctl.marine.tuning.claim_points import ClaimPoint, excess, expected_to_hold, refuted_claims
+from surctl.marine.tuning.conflict import demands, minimal_subset
+from surctl.marine.tuning.evaluation import judged
+from surctl.marine.tuning.montecarlo import fresh, monte_carlo
+from surctl.marine.tuning.pool import Pool
+from surctl.marine.tuning.rounds import Record
 from surctl.tuning.journal import Journal
-from surctl.tuning.montecarlo import fresh, monte_carlo
-from surctl.tuning.pool import Pool
-from surctl.tuning.rounds import Record
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, Loop, case, heavy, install, request
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.allocation import allocate
-from surctl.control import build_law, law_source, load_gains
-from surctl.control.steering import turning_radius
 from surctl.errors import InputError
-from surctl.simulation import (
+from surctl.marine.allocation import allocate
+from surctl.marine.control import build_law, law_source, load_gains
+from surctl.marine.control.steering import turning_radius
+from surctl.marine.simulation import (
     METRICS,
     Case,
     Scenario,
@@ -24,10 +24,10 @@ from surctl.simulation import (
     thruster_findings,
     thruster_use,
 )
-from surctl.simulation.scenario import Disturbance
-from surctl.simulation.thruster_faults import Thrusters
-from surctl.tuning import default_tuned
-from surctl.vehicle import (
+from surctl.marine.simulation.scenario import Disturbance
+from surctl.marine.simulation.thruster_faults import Thrusters
+from surctl.marine.tuning import default_tuned
+from surctl.marine.vehicle import (
     LIBRARY,
     PLANT_DISTURBANCE,
     PLANT_STATE,

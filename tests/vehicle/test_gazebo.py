@@ -11,9 +11,9 @@ from click.testing import CliRunner
 
 from surctl.cli.lint import lint
 from surctl.errors import InputError
-from surctl.vehicle import gazebo_vehicle, load_vehicle, write_vehicle
-from surctl.vehicle.parameters import LIBRARY
-from surctl.vehicle.specs import undamped
+from surctl.marine.vehicle import gazebo_vehicle, load_vehicle, write_vehicle
+from surctl.marine.vehicle.parameters import LIBRARY
+from surctl.marine.vehicle.specs import undamped
 
 GIVEN = {"radius": 0.25, "thrust": 40.0, "yaw_thrust": 5.0}
 SDF = """<?xml version="1.0"?>

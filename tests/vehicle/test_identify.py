@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.vehicle import (
+from surctl.marine.vehicle import (
     FITTED,
     LOG_MOTION,
     LOG_THRUST,
@@ -24,9 +24,9 @@ from surctl.vehicle import (
     sphere,
     write_vehicle,
 )
-from surctl.vehicle.identification.model import Model, sections_of
-from surctl.vehicle.identification.solve import simulable
-from surctl.vehicle.parameters import vehicle_from_table
+from surctl.marine.vehicle.identification.model import Model, sections_of
+from surctl.marine.vehicle.identification.solve import simulable
+from surctl.marine.vehicle.parameters import vehicle_from_table
 
 START = load_vehicle("sur540-flooded")
 TRUE = START.with_values({"m11": 88.0, "m22": 97.0, "Xuu": 70.0, "Nrr": 1.3, "thrust_lag": 0.25})

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from surctl.cli.vehicle import vehicle as vehicle_command
 from surctl.errors import InputError
-from surctl.vehicle import (
+from surctl.marine.vehicle import (
     MotionLog,
     Vehicle,
     held_out,
@@ -23,10 +23,10 @@ from surctl.vehicle import (
     velocity_notes,
     write_vehicle,
 )
-from surctl.vehicle.identification.intervals import spread_of
-from surctl.vehicle.identification.model import sections_of
-from surctl.vehicle.motion_log import LOG_MOTION, LOG_THRUST
-from surctl.vehicle.parameters import Parameter, vehicle_from_table
+from surctl.marine.vehicle.identification.intervals import spread_of
+from surctl.marine.vehicle.identification.model import sections_of
+from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_THRUST
+from surctl.marine.vehicle.parameters import Parameter, vehicle_from_table
 from tests.vehicle.test_identify import START, TRUE, made_log
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.vehicle.identification.intervals import spread_of
-from surctl.vehicle.identification.solve import products
+from surctl.marine.vehicle.identification.intervals import spread_of
+from surctl.marine.vehicle.identification.solve import products
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.simulation import advance
-from surctl.vehicle import (
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_STATE,
     linearise,

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.vehicle import jacobian, planar_rotation
+from surctl.marine.vehicle import jacobian, planar_rotation
 
 _PSI = ca.SX.sym("psi")
 _J = ca.Function("J", [_PSI], [ca.densify(jacobian(_PSI)), planar_rotation(_PSI)])

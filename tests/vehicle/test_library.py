@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from surctl.simulation import advance
-from surctl.vehicle import (
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_STATE,
     Vehicle,

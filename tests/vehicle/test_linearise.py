@@ -11,9 +11,9 @@ from scipy.linalg import expm
 
 from surctl.cli.gains import derive
 from surctl.errors import InputError
-from surctl.simulation import advance
-from surctl.vehicle import PLANT_DISTURBANCE, PLANT_STATE, linearise, load_vehicle, plant_parameters, trim_thrust
-from surctl.vehicle.linearise import check_cruise
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, linearise, load_vehicle, plant_parameters, trim_thrust
+from surctl.marine.vehicle.linearise import check_cruise
 
 STATES = ["x", "y", "z", "psi", "u", "v", "w", "r", "Fu", "Fv", "Fw", "Fr"]
 

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from surctl.cli.vehicle import vehicle
 from surctl.errors import InputError
-from surctl.vehicle import read_mapped_log, read_motion_log, read_recording
+from surctl.marine.vehicle import read_mapped_log, read_motion_log, read_recording
 from tests.vehicle import logs_written as written
 from tests.vehicle.test_logs import TLOG
 

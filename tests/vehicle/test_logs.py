@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.vehicle import (
+from surctl.marine.vehicle import (
     FRAME_TEXT,
     read_mapped_log,
     read_motion_log,
@@ -20,8 +20,8 @@ from surctl.vehicle import (
     swap_pose,
     topic_lines,
 )
-from surctl.vehicle.logs.joining import heading_frame, roll_pitch_heading
-from surctl.vehicle.logs.recording import Rows, step_back
+from surctl.marine.vehicle.logs.joining import heading_frame, roll_pitch_heading
+from surctl.marine.vehicle.logs.recording import Rows, step_back
 from tests.vehicle import logs_written as written
 
 DIVE = written.dive()

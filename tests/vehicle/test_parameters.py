@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle, parameter_spec
+from surctl.marine.vehicle import LIBRARY, PARAMETERS, Vehicle, load_vehicle, parameter_spec
 
 COLUMNS = (
     *("radius", "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr"),

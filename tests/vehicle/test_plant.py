@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.simulation import advance
-from surctl.vehicle import (
+from surctl.marine.simulation import advance
+from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_PARAMETERS,
     PLANT_STATE,

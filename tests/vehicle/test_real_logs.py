@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.vehicle import (
+from surctl.marine.vehicle import (
     MotionLog,
     Vehicle,
     held_out_windows,
@@ -20,7 +20,7 @@ from surctl.vehicle import (
     read_mapped_log,
     velocity_notes,
 )
-from surctl.vehicle.identification.model import sections_of
+from surctl.marine.vehicle.identification.model import sections_of
 
 TANK = """
 kind = "log-map"

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from surctl.control import PARAMETERS, load_gains
 from surctl.errors import InputError, NotApplicable
-from surctl.simulation import advance, law_numbers, load_scenario, safety_claim
-from surctl.vehicle import (
+from surctl.marine.control import PARAMETERS, load_gains
+from surctl.marine.simulation import advance, law_numbers, load_scenario, safety_claim
+from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_STATE,
     TERMS,
@@ -32,8 +32,8 @@ from surctl.vehicle import (
     trim_thrust,
     write_vehicle,
 )
-from surctl.verification import build_cascade
-from surctl.verification.braking_claims import braking_keeps
+from surctl.marine.verification import build_cascade
+from surctl.marine.verification.braking_claims import braking_keeps
 
 Array = NDArray[np.float64]
 STILL = PLANT_DISTURBANCE.pack()

@@ -9,10 +9,19 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from surctl.allocation import allocate
 from surctl.errors import InputError
-from surctl.simulation import held_share, thruster_findings
-from surctl.vehicle import LIBRARY, Actuators, MotionLog, Vehicle, attainable, identify, load_vehicle, write_vehicle
+from surctl.marine.allocation import allocate
+from surctl.marine.simulation import held_share, thruster_findings
+from surctl.marine.vehicle import (
+    LIBRARY,
+    Actuators,
+    MotionLog,
+    Vehicle,
+    attainable,
+    identify,
+    load_vehicle,
+    write_vehicle,
+)
 
 NAMES = sorted(path.stem for path in LIBRARY.glob("*.toml") if "[[thruster]]" in path.read_text(encoding="utf-8"))
 

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, advance, load_scenario, simulate, simulate_batch
-from surctl.simulation.tilting import tilt_findings
-from surctl.vehicle import (
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Case, advance, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation.tilting import tilt_findings
+from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     TERMS,
     Parameter,
@@ -26,8 +26,8 @@ from surctl.vehicle import (
     plant_state,
     trim_thrust,
 )
-from surctl.vehicle.dynamics import trim_tilt
-from surctl.verification import linear_table
+from surctl.marine.vehicle.dynamics import trim_tilt
+from surctl.marine.verification import linear_table
 
 Array = NDArray[np.float64]
 STILL = PLANT_DISTURBANCE.pack()

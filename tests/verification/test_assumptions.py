@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import NotApplicable
-from surctl.simulation import load_scenario, safety_claim, turn_rate
-from surctl.simulation.margin import mass_difference
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import applicable_claims, claims
-from surctl.verification.braking import BRAKING_CLAIMS, braking_claim_named
-from surctl.verification.region import REGION_CLAIMS, region_statement
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import load_scenario, safety_claim, turn_rate
+from surctl.marine.simulation.margin import mass_difference
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import applicable_claims, claims
+from surctl.marine.verification.braking import BRAKING_CLAIMS, braking_claim_named
+from surctl.marine.verification.region import REGION_CLAIMS, region_statement
 
 GAINS = load_gains("default")
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.verification import claims, decide, evaluate, load_claim, replay, write_claim
+from surctl.marine.verification import claims
+from surctl.verification import decide, evaluate, load_claim, replay, write_claim
 
 TEXT = """
 kind = "claim"

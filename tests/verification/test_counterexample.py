@@ -6,7 +6,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from surctl.errors import InputError
-from surctl.verification import Counterexample, claims, falsify, replay
+from surctl.marine.verification import claims
+from surctl.verification import Counterexample, falsify, replay
 
 REFUTED = [c.name for c in claims() if c.expected == "refuted"]
 LYAPUNOV = ["v1-printed", "v1-speed-cap", "course-printed", "v2-printed", "v2-obstacle", "v2-clockwise"]

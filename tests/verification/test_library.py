@@ -9,20 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.vehicle import load_vehicle
-from surctl.verification import (
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import (
     avoidance_claims,
     braking_claims,
     claims,
     course_claims,
-    decide,
-    evaluate,
-    falsify,
-    prove,
-    setting_from,
     settling_intrusion,
     tracking_claims,
 )
+from surctl.verification import decide, evaluate, falsify, prove, setting_from
 
 ALL = [claim.name for claim in claims()]
 PRINTED = [claim.name for claim in claims() if claim.expected == "refuted"]

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import tf2ss
 
-from surctl.control import load_gains
-from surctl.control.velocity import velocity_control
 from surctl.errors import InputError
-from surctl.guidance.tracking import along_command, tracking_velocity
-from surctl.vehicle import load_vehicle, planar_rotation
-from surctl.verification import build_cascade, closed_loop_poles, loop_margins, margins_of, worst_margins
+from surctl.marine.control import load_gains
+from surctl.marine.control.velocity import velocity_control
+from surctl.marine.guidance.tracking import along_command, tracking_velocity
+from surctl.marine.vehicle import load_vehicle, planar_rotation
+from surctl.marine.verification import build_cascade, closed_loop_poles, loop_margins, worst_margins
+from surctl.verification import margins_of
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")

@@ -11,12 +11,12 @@ import pytest
 from click.testing import CliRunner
 
 from surctl.cli.app import app
-from surctl.control import Law, LawStep, build_law, law_ref, law_source, load_gains
 from surctl.errors import InputError
-from surctl.guidance import Path as Route
-from surctl.simulation import Disturbance, Run, load_scenario, simulate
-from surctl.vehicle import load_vehicle
-from surctl.verification import law_loop, steady_motion
+from surctl.marine.control import Law, LawStep, build_law, law_ref, law_source, load_gains
+from surctl.marine.guidance import Path as Route
+from surctl.marine.simulation import Disturbance, Run, load_scenario, simulate
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import law_loop, steady_motion
 
 FILES = Path(__file__).parents[2] / "analysis" / "27_own_law"
 WALL = law_ref(f"{FILES / 'wall.py'}:wall")
@@ -117,7 +117,7 @@ def test_the_command_line_judges_an_own_law_and_no_claim_of_another() -> None:
 
 def test_a_mistake_in_a_law_is_an_error_and_no_missing_margin(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        "from surctl.control import LawSource\ndef made():\n    return LawSource('mine', lambda s: 4)\n"
+        "from surctl.marine.control import LawSource\ndef made():\n    return LawSource('mine', lambda s: 4)\n"
     )
     words = ["verify", "--scenario", str(FILES / "wall.toml"), "--law", f"{tmp_path / 'mine.py'}:made"]
     with pytest.raises(InputError, match=r"mine\.py:made: mine\.decide: returned int, not Decision"):
@@ -126,7 +126,7 @@ def test_a_mistake_in_a_law_is_an_error_and_no_missing_margin(tmp_path: Path) ->
 
 def test_a_law_whose_run_ends_with_a_fault_fails(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        "import casadi as ca\nfrom surctl.control import Decision, LawSource\nfrom surctl.tasks import velocity_task\n"
+        "import casadi as ca\nfrom surctl.marine.control import Decision, LawSource\nfrom surctl.tasks import velocity_task\n"
         "def decide(s):\n    return Decision([velocity_task(s.eta, ca.vertcat(0.1 * ca.sqrt(0.6 - s.eta[0]), 0))])\n"
         "def made():\n    return LawSource('mine', decide)\n"
     )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.sensing import Delivery, OwnState
-from surctl.vehicle import load_vehicle
-from surctl.verification import SonarMargins, law_loop
-from surctl.verification.sonar_margins import sonar_loop
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.sensing import Delivery, OwnState
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import SonarMargins, law_loop
+from surctl.marine.verification.sonar_margins import sonar_loop
 
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
 

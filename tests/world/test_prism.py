@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.world import WHOLE, Box, Disc, Heights, Prism, Wall
+from surctl.marine.world import WHOLE, Box, Disc, Heights, Prism, Wall
 
 STEP = 0.02
 Points = NDArray[np.float64]

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.world import Box, Disc, Wall, site_walls
+from surctl.marine.world import Box, Disc, Wall, site_walls
 from tests.raycasting import CAST, corners
 
 RAYS = 40_001

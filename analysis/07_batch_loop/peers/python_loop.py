@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-import surctl.simulation.loop as reference
-from surctl.simulation import advance
+import surctl.marine.simulation.loop as reference
+from surctl.marine.simulation import advance
 
 __all__ = ["Step", "control_step", "flown_by", "matched", "scipy_step"]
 
@@ -29,7 +29,7 @@ _HALF, _DT = reference.FIRING, 2 * reference.FIRING
 
 
 def plant(x: Sequence[float], tau: Sequence[float], d: Sequence[float], p: Sequence[float]) -> list[float]:
-    """Return the plant's equation (3) with lag and current; layouts as in `surctl.vehicle`."""
+    """Return the plant's equation (3) with lag and current; layouts as in `surctl.marine.vehicle`."""
     c, s = cos(x[3]), sin(x[3])
     u, v, w, r = x[4], x[5], x[6], x[7]
     cx, cy = c * d[0] + s * d[1], c * d[1] - s * d[0]
@@ -86,7 +86,7 @@ def control_step(rtol: float) -> Step:
 
 @contextmanager
 def flown_by(step: Step) -> Iterator[None]:
-    """Run `surctl.simulation.simulate` with its plant integrated by `step`."""
+    """Run `surctl.marine.simulation.simulate` with its plant integrated by `step`."""
     with patch.object(reference.Loop, "_advance", _stepped(step)):
         yield
 

@@ -8,8 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.simulation import METRICS, Obstacle, Scenario, build_world
-from surctl.vehicle import Vehicle, plant_parameters
+from surctl.marine.simulation import METRICS, Obstacle, Scenario, build_world
+from surctl.marine.vehicle import Vehicle, plant_parameters
 
 __all__ = ["COUNTED", "LUCK", "MOST_OBSTACLES", "OWN_METRICS", "Array", "luck_of", "scene_of", "with_corners"]
 

@@ -87,7 +87,8 @@ def prove(
         InputError: the time limit is not positive, or the slack is negative or not finite.
 
     Example:
-        >>> from surctl.verification import claims, prove
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import prove
         >>> [claim] = claims(names=["m-norm-corrected"])
         >>> proof = prove(claim)
         >>> print(claim.statement)

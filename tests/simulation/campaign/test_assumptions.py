@@ -3,12 +3,12 @@ from types import MappingProxyType
 
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.guidance.braking import Watch, brakes_of, range_needed, stopping_distance_with_drag
-from surctl.simulation import Case, Obstacle, Reflectors, load_scenario
-from surctl.simulation.campaign import assumptions
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.guidance.braking import Watch, brakes_of, range_needed, stopping_distance_with_drag
+from surctl.marine.simulation import Case, Obstacle, Reflectors, load_scenario
+from surctl.marine.simulation.campaign import assumptions
+from surctl.marine.vehicle import load_vehicle
 
 SCENARIO = load_scenario("tank-static")
 VEHICLE = load_vehicle(SCENARIO.vehicle)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.simulation import METRICS, STOPS
-from surctl.simulation.campaign import RunTable, run_campaign, summarise
+from surctl.marine.simulation import METRICS, STOPS
+from surctl.marine.simulation.campaign import RunTable, run_campaign, summarise
 from tests.simulation.campaign.test_draws import plan
 
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import METRICS, Case, load_scenario, simulate_batch
-from surctl.simulation.campaign import MonteCarlo, draw_plant
-from surctl.simulation.scenario import scenario_from_table
-from surctl.simulation.scenario_table import scenario_table
-from surctl.simulation.uncertainty import Uncertainty
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import METRICS, Case, load_scenario, simulate_batch
+from surctl.marine.simulation.campaign import MonteCarlo, draw_plant
+from surctl.marine.simulation.scenario import scenario_from_table
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.uncertainty import Uncertainty
+from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
 

@@ -8,13 +8,13 @@ from math import hypot
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.simulation import Case, build_world, findings
-from surctl.simulation.batch.pack import structure_of
-from surctl.simulation.campaign import RandomWorlds, random_world, world_template
-from surctl.simulation.scenario_table import scenario_table
-from surctl.vehicle import load_vehicle
+from surctl.marine.control import load_gains
+from surctl.marine.simulation import Case, build_world, findings
+from surctl.marine.simulation.batch.pack import structure_of
+from surctl.marine.simulation.campaign import RandomWorlds, random_world, world_template
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.vehicle import load_vehicle
 
 VEHICLE, GAINS = load_vehicle("sur540-flooded"), load_gains("default")
 

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document, check_file, seal
-from surctl.control import build_law, load_gains
 from surctl.errors import InputError
-from surctl.guidance.braking import fastest_obstacle, stopping_distance, stopping_distance_with_drag
-from surctl.simulation import load_scenario, safety_claim
-from surctl.vehicle import load_vehicle
-from surctl.verification.braking import (
+from surctl.marine.control import build_law, load_gains
+from surctl.marine.guidance.braking import fastest_obstacle, stopping_distance, stopping_distance_with_drag
+from surctl.marine.simulation import load_scenario, safety_claim
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.braking import (
     BrakingClaim,
     BrakingProof,
     braking_claim_named,
     law_numbers,
     prove_braking,
 )
-from surctl.verification.braking.distance import distance_table, encounter, figures, largest_obstacle
-from surctl.verification.braking.episodes import run_episodes
+from surctl.marine.verification.braking.distance import distance_table, encounter, figures, largest_obstacle
+from surctl.marine.verification.braking.episodes import run_episodes
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 GAINS = load_gains("default")

@@ -7,9 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.vehicle import load_vehicle
-from surctl.verification import build_cascade, loop_margins
-from surctl.verification.linear import DISK_PLACES, OpenLoop, disk_margin, open_loop, structured_bounds
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import build_cascade, loop_margins
+from surctl.marine.verification.linear import DISK_PLACES, open_loop
+from surctl.verification.linear import OpenLoop, disk_margin, structured_bounds
 from surctl.verification.linear.disk import _balanced, stored_disk_margin
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}

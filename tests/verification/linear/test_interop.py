@@ -9,15 +9,14 @@ import control
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.vehicle import Vehicle, load_vehicle
-from surctl.verification import closed_loop_poles, loop_margins
-from surctl.verification.cascade import LOOP_NAMES, build_cascade
-from surctl.verification.linear import (
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import closed_loop_poles, loop_margins
+from surctl.marine.verification.cascade import LOOP_NAMES, build_cascade
+from surctl.marine.verification.linear import (
     DISK_PLACES,
     closed_system,
-    disk_margin,
     loop_system,
     open_loop,
     open_system,
@@ -25,6 +24,7 @@ from surctl.verification.linear import (
     sampled_loop_system,
     sampled_poles,
 )
+from surctl.verification.linear import disk_margin
 
 CRUISE, DT = 0.15, 0.05
 

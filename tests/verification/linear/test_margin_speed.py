@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from surctl.assessment import Mission, assess
+from surctl.assessment import assess
 from surctl.cli.linear_part import linear_part, speed_lines
-from surctl.control import load_gains
-from surctl.vehicle import Vehicle, load_vehicle
+from surctl.marine.assessment import Mission
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import Vehicle, load_vehicle
 
 GAINS = load_gains("default").values
 WU = load_vehicle("bluerov2-wu")

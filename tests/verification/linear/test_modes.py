@@ -5,17 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
-from surctl.vehicle import load_vehicle
-from surctl.verification import build_cascade
-from surctl.verification.linear import (
-    DiskMargin,
-    bearable_speed,
-    disk_margin,
-    linear_side,
-    open_loop,
-    slowest_mode,
-)
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import build_cascade
+from surctl.marine.verification.linear import bearable_speed, linear_side, open_loop, slowest_mode
+from surctl.verification.linear import DiskMargin, disk_margin
 
 GAINS = load_gains("default").values
 WU = load_vehicle("bluerov2-wu")  # 17 kg in surge, 24.2 kg in sway

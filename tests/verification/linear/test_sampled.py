@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.vehicle import load_vehicle
-from surctl.verification import Cascade, build_cascade
-from surctl.verification.linear import (
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import Cascade, build_cascade
+from surctl.marine.verification.linear import (
     corners,
     largest_period,
     sampled,

@@ -2,11 +2,12 @@ import control
 import numpy as np
 import pytest
 
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.vehicle import load_vehicle
-from surctl.verification import build_cascade
-from surctl.verification.linear import OpenLoop, open_loop, sensitivity_of
+from surctl.marine.control import load_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification import build_cascade
+from surctl.marine.verification.linear import open_loop
+from surctl.verification.linear import OpenLoop, sensitivity_of
 
 GAINS = load_gains("default").values
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.tuning import derived_gains
-from surctl.vehicle import load_vehicle
-from surctl.verification.region import (
+from surctl.marine.tuning import derived_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.region import (
     REGION_CLAIMS,
     RegionProof,
     TurningClaim,
@@ -17,7 +17,7 @@ from surctl.verification.region import (
     region_statement,
     turning_claim,
 )
-from surctl.verification.region.next_step import implies
+from surctl.marine.verification.region.next_step import implies
 
 ROV = load_vehicle("bluerov2-heavy")
 GAINS = derived_gains(ROV, cruise=0.17)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document, check_file
-from surctl.control import load_gains
 from surctl.errors import InputError
-from surctl.tuning import derived_gains
-from surctl.vehicle import load_vehicle
-from surctl.verification.region import (
+from surctl.marine.control import load_gains
+from surctl.marine.tuning import derived_gains
+from surctl.marine.vehicle import load_vehicle
+from surctl.marine.verification.region import (
     REGION_CLAIMS,
     HeadingClaim,
     RegionClaim,
@@ -29,11 +29,11 @@ from surctl.verification.region import (
     region_statement,
     turning_claim,
 )
+from surctl.marine.verification.region.loop import force_gain, steady_cruise
+from surctl.marine.verification.region.ratio import level_ratios
+from surctl.marine.verification.region.turning_loop import steady_turning, vertices
+from surctl.marine.verification.region.turning_shells import violated, worst_rate
 from surctl.verification.region.conic import minimise, symmetric_basis
-from surctl.verification.region.loop import force_gain, steady_cruise
-from surctl.verification.region.ratio import level_ratios
-from surctl.verification.region.turning_loop import steady_turning, vertices
-from surctl.verification.region.turning_shells import violated, worst_rate
 from tests.certcheck.cruise import boats, matrix, rate, rest, thrust
 
 KEPT = Path(__file__).parents[2] / "certcheck"
@@ -71,8 +71,10 @@ def test_a_stored_search_is_only_a_proposal_that_is_checked_again(
 ) -> None:
     first, folder = searched
     monkeypatch.setenv("SURCTL_CACHE", str(folder))
-    monkeypatch.setattr("surctl.verification.region.proof.search", None)
-    monkeypatch.setattr("surctl.verification.region.proof.turning_search", None)  # from here on nothing is searched
+    monkeypatch.setattr("surctl.marine.verification.region.proof.search", None)
+    monkeypatch.setattr(
+        "surctl.marine.verification.region.proof.turning_search", None
+    )  # from here on nothing is searched
     again = prove_region(claimed(name="another"), attempts=1)
     assert first.verdict == again.verdict == "proved" and again.ratios == first.ratios
     assert again.certificate()["claim"] == first.certificate()["claim"]

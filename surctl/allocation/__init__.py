@@ -1,6 +1,0 @@
-"""Allocation of a force and yaw moment to the thrusters of a vehicle, by strict priorities within their limits."""
-
-from surctl.allocation.allocate import Allocation, allocate, working_flags
-from surctl.allocation.program import allocation_block
-
-__all__ = ["Allocation", "allocate", "allocation_block", "working_flags"]

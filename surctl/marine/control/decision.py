@@ -1,0 +1,122 @@
+"""The decision of a law (tasks by priority, barriers and next state), and symbolic expressions that all laws use."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import casadi as ca
+
+from surctl.ir import Port
+from surctl.marine.control.reference import DesiredMotion
+from surctl.tasks import HalfPlane, Task, depth_task, heading_task
+
+__all__ = ["DECISION_PORTS", "Decision", "Scan", "TaskLevel", "lower_levels", "weakest_acceleration"]
+
+DECISION_PORTS = (
+    Port("side", (1,), "1", "latched passing side: 0 none, +1 obstacle on the right, -1 on the left", gap="anew"),
+    Port(
+        "blocker",
+        (2,),
+        "m",
+        "x, y in {E} of the contact that blocked the desired velocity in the last step",
+        gap="anew",
+    ),
+    Port("last_velocity", (2,), "m/s", "horizontal velocity commanded in the last step, in {E}", gap="anew"),
+)
+
+
+class TaskLevel(NamedTuple):
+    """A task of one priority: J ν should equal `reference` (k, 1) [unit]; J is (k, 4), and ν is the velocity (4, 1)."""
+
+    name: str
+    J: ca.SX
+    reference: ca.SX
+    unit: str
+
+    @staticmethod
+    def of(task: Task) -> TaskLevel:
+        """Return the task as a priority level."""
+        return TaskLevel(task.name, task.jacobian(), task.reference(), task.rate_unit)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The priority problem and the next state that a law decides on.
+
+    Attributes:
+        levels: tasks, highest priority first; a task with zero Jacobian and zero reference has no effect.
+        rows: barriers as linear inequalities on the velocity ν, for the priority modes with inequalities.
+        velocity: commanded horizontal velocity (2, 1) in {E} [m/s].
+        avoiding: 1 while an obstacle changes the desired velocity.
+        degraded: 1 if no course satisfies the speed bounds of all obstacles.
+        state: next values of the state entries by name; an entry that is not named does not change.
+        stopped: 1 while the robot stops, or nearly stops, because it does not know what is ahead.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control import Decision
+        >>> from surctl.tasks import depth_task
+        >>> eta = ca.SX.sym("eta", 4)
+        >>> [level.name for level in Decision([depth_task(eta, -0.5, gain=0.4)]).levels]
+        ['depth']
+    """
+
+    levels: Sequence[TaskLevel | Task]
+    rows: Sequence[HalfPlane] = ()
+    velocity: ca.SX = field(default_factory=lambda: ca.SX.zeros(2))
+    avoiding: ca.SX = field(default_factory=lambda: ca.SX(0))
+    degraded: ca.SX = field(default_factory=lambda: ca.SX(0))
+    state: Mapping[str, ca.SX] = field(default_factory=dict)
+    stopped: ca.SX = field(default_factory=lambda: ca.SX(0))
+
+    def task_levels(self) -> list[TaskLevel]:
+        """Return the levels, with each `Task` replaced by its Jacobian and reference."""
+        return [level if isinstance(level, TaskLevel) else TaskLevel.of(level) for level in self.levels]
+
+
+class Scan(NamedTuple):
+    """The inputs, except obstacle points, of a law with a sonar map; see `ports.scan_inputs`.
+
+    `smooth` is True if obstacles answer near their normal only.
+    """
+
+    unknown: ca.SX
+    sonars: ca.SX
+    placed: ca.SX
+    echoed: ca.SX
+    smooth: bool = False
+
+
+def lower_levels(
+    eta: ca.SX,
+    desired: DesiredMotion,
+    p: Mapping[str, ca.SX],
+    scan: Scan | None = None,
+    side: ca.SX | None = None,
+) -> tuple[TaskLevel, TaskLevel]:
+    """Return the tasks with lower priority than the velocity task: depth, then heading.
+
+    With a sonar map, the robot turns continuously instead of holding a heading. The yaw rate is the gain `spin`, or
+    less if the yaw thrusters cannot sustain this rate; it is 0 until a sonar answers, because turning without any echo
+    scans nothing. While the robot does not know its position, its commanded depth
+    rate is 0.
+
+    If obstacles are smooth (`Scan.smooth`), the robot turns to the left while it passes an obstacle on its right
+    (`side` 1), and to the right while it passes one on its left: each beam then sweeps past the obstacle from back to
+    front. In the other sense, the obstacle's end passes unheard through the gap between two beams.
+    """
+    depth = TaskLevel.of(depth_task(eta, p["depth"], gain=p["k2"]))
+    if scan is None:
+        return depth, TaskLevel.of(heading_task(eta, desired.heading, gain=p["k_psi"]))
+    turning = ca.if_else(scan.echoed, ca.fmin(ca.fmax(p["spin_limit"], -p["spin"]), p["spin"]), 0)
+    if scan.smooth and side is not None:
+        turning = ca.if_else(side == 0, turning, side * ca.fabs(turning))
+    depth = depth._replace(reference=ca.if_else(scan.placed, depth.reference, 0))
+    return depth, TaskLevel("scan", ca.SX([[0, 0, 0, 1]]), turning, "rad/s")
+
+
+def weakest_acceleration(p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the least horizontal acceleration at full thrust [m/s²]: the smaller thrust limit over the larger mass."""
+    return ca.fmin(p["thrust_limit"][0], p["thrust_limit"][1]) / ca.fmax(p["mass"][0], p["mass"][1])

@@ -1,0 +1,278 @@
+"""The control law: sonar filters, guidance, tasks, priorities and velocity control as one object with explicit state.
+
+A block is an instruction list or a routine of `surctl.ir`. The block `closed` solves the task priorities by the closed
+form, equation (16) of the paper. In the modes that respect limits, the law has three parts: the block `pre`, then the
+priority solver as a routine with bounded loops, then the block `post`. In every mode, `block` is the complete law that
+runs and that is exported as C. Python, C, verification and tuning all use this one block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple, TypeAlias
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.ir import Block, Layout, Port, on_vectors, runnable, to_casadi
+from surctl.marine.control.perception import PerceptionStage
+from surctl.marine.control.ports import PARAMETERS
+from surctl.marine.control.stopping import Barrier, Movers
+from surctl.marine.guidance import AvoidanceForm, Guidance
+from surctl.marine.vehicle import Actuators
+from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
+from surctl.system import NONFINITE
+
+__all__ = ["DEGRADED", "NONFINITE", "SATURATED", "SWITCHED", "TELEMETRY", "TRAPPED", "Law", "LawStep", "Stages"]
+
+Vector: TypeAlias = NDArray[np.float64]
+
+SATURATED, SWITCHED, DEGRADED, TRAPPED = 1, 2, 4, 8
+
+TELEMETRY = (
+    Port("tau", (4,), "N, N m", "thrust command F_u, F_v, F_w, F_r in {B}"),
+    Port("nu_reference", (4,), "m/s, rad/s", "velocity reference from the priority solver, limited, in {B}"),
+    Port("path_error", (2,), "m", "along-track error x_e and cross-track error y_e of (8)"),
+    Port("avoiding", (1,), "1", "1 while a contact changes the desired velocity"),
+    Port("nearest", (1,), "m", "smallest clearance to any contact that the law knows"),
+    Port("ranges", (4,), "m", "filtered sonar ranges"),
+)
+
+TRAPPED_PORT = Port(
+    "trapped", (1,), "1", "1 after the law gave up in a dead end: it holds its place and avoids moving obstacles"
+)
+
+DEPTH_PORT = Port(
+    "depth_reference", (1,), "m", "commanded z in {E}; it differs from the path's z while the robot passes a dead end"
+)
+
+
+def scan_telemetry(sensors: int) -> tuple[Port, ...]:
+    """Return the telemetry entries (`Port`) of a law with a sonar map and `sensors` sonars."""
+    return (
+        *(port for port in TELEMETRY if port.name != "ranges"),
+        Port("ranges", (sensors,), "m", "filtered sonar ranges"),
+        Port("bounds", (sensors,), "m", "largest error of each range"),
+        Port("healthy", (sensors,), "1", "1 where the law trusts the sonar"),
+        Port("stopped", (1,), "1", "1 while the robot stops because it does not know what is ahead"),
+    )
+
+
+class LawStep(NamedTuple):
+    """The result of one control step.
+
+    Attributes:
+        tau: thrust command (4,) [N, N m] in {B}.
+        x_next: next state as a flat vector.
+        status: 0, or a sum of the bits `SATURATED`, `SWITCHED`, `DEGRADED`, `TRAPPED`; or `NONFINITE`, in which case
+            tau is 0 and the state does not change.
+        telemetry: flat vector of all entries of `Law.outputs` except the first, which is tau.
+    """
+
+    tau: Vector
+    x_next: Vector
+    status: int
+    telemetry: Vector
+
+
+class Stages:
+    """Parts of a law; each part is built when it is first used, and calls libm functions such as sin.
+
+    Attributes:
+        closed: complete law with the closed form, equation (16) of the paper, in every mode; it maps (x, u, p) to (tau,
+            x_next, status, telemetry).
+        pre: part before the priority solver; it maps (x, u, p) to (J row by row, references, inequality constraints,
+            velocity bounds (8,), carried, reported, flags). `carried` is the next state before the velocity integral is
+            updated, `reported` is the telemetry except `nu_reference`, and `flags` is the sum of the status bits.
+        post: part after the priority solver; it maps (u, p, carried, reported, flags, nu_reference, number of the
+            solver's fallback) to (tau, x_next, status, telemetry).
+    """
+
+    def __init__(self, closed: Callable[[], Block], pre: Callable[[], Block], post: Callable[[], Block]) -> None:
+        self._closed, self._pre, self._post = closed, pre, post
+
+    @cached_property
+    def closed(self) -> Block:
+        """Return the complete law with the closed form, equation (16) of the paper."""
+        return self._closed()
+
+    @cached_property
+    def pre(self) -> Block:
+        """Return the part of the law before the priority solver."""
+        return self._pre()
+
+    @cached_property
+    def post(self) -> Block:
+        """Return the part of the law after the priority solver."""
+        return self._post()
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A controller, which maps (state, input, parameters) to (thrust command τ, next state, status, telemetry).
+
+    Attributes:
+        name: name of the law, a C identifier.
+        ref: reference of the law's source, see `law_ref`.
+        avoidance: form of the avoidance velocity, equation (20) of the paper.
+        mode: priority mode.
+        dt: control period [s].
+        state, inputs, gains, outputs: layouts of the flat vectors.
+        block: the complete law, which maps (x, u, p) to (tau, x_next, status, telemetry). In mode nsb it is `closed`;
+            in other modes it combines `pre`, the priority solver and `post`. It calls no libm functions: sin, cos and
+            atan2 are replaced by elementary operations.
+        stages: the law in closed form (`closed`), and its parts before and after the priority solver (`pre`, `post`).
+        levels: (name, number of rows of J, unit) of each task, highest priority first.
+        rows: names of the inequality constraints: first the velocity bounds, then the barriers.
+        perception: the part of the law that runs before the decision, or None. In a law with perception, the inputs x
+            and u of `stages` are the state of the decision and the outputs of perception.
+        guidance, barrier, movers, fallback: the arguments of `build_law`.
+        base: the law without allocation, or None if the vehicle has no thrusters of its own; `stages`, `problem` and
+            `explained` are those of the base.
+        actuators: the thrusters to which the law allocates its thrust, or None.
+    """
+
+    name: str
+    ref: str
+    avoidance: AvoidanceForm
+    mode: Mode
+    dt: float
+    state: Layout
+    inputs: Layout
+    gains: Layout
+    outputs: Layout
+    block: Block = field(repr=False)
+    stages: Stages = field(repr=False)
+    levels: tuple[tuple[str, int, str], ...]
+    rows: tuple[str, ...]
+    perception: PerceptionStage | None = None
+    guidance: Guidance = "los"
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
+    fallback: Fallback = "exact"
+    base: Law | None = None
+    actuators: Actuators | None = None
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """Return the law in closed form as a CasADi function, which takes symbols or numbers and is differentiable."""
+        return to_casadi(self.stages.closed)
+
+    def initial_state(self) -> Vector:
+        """Return the state before the first step."""
+        return self.state.pack()
+
+    def step(self, x: Vector, u: Vector, p: Vector) -> LawStep:
+        """Compute one control step.
+
+        If an input or a result contains a number that is not finite, the thrust is 0 and the status is `NONFINITE`.
+
+        Raises:
+            InputError: a vector does not have the size of its layout.
+        """
+        x, u, p = self._vectors(x, u, p)
+        if not (np.isfinite(x).all() and np.isfinite(u).all() and np.isfinite(p).all()):
+            return self._fail_safe(x)
+        parts = self._run(x, u, p)
+        if not all(np.isfinite(part).all() for part in parts):
+            return self._fail_safe(x)
+        tau, x_next, status, telemetry = parts
+        return LawStep(tau, x_next, int(status[0]), telemetry)
+
+    @cached_property
+    def _run(self) -> Callable[[Vector, Vector, Vector], list[Vector]]:
+        """Return the law as a function of NumPy vectors: CasADi runs the closed form, compiled C a routine with loops.
+
+        Without a compiler, the routine runs in Python, which gives equal numbers more slowly.
+        """
+        closed = self.mode == "nsb" and self.perception is None and self.base is None
+        return on_vectors(to_casadi(self.block).expand()) if closed else runnable(self.block, quick=True)
+
+    @cached_property
+    def _before(self) -> Callable[..., list[Vector]]:
+        # the part of the law before the priority solver
+        return on_vectors(to_casadi(self.stages.pre).expand())
+
+    @cached_property
+    def _sense(self) -> Callable[..., list[Vector]]:
+        assert self.perception is not None
+        return runnable(self.perception.block, quick=True)
+
+    def telemetry_slice(self, name: str) -> slice:
+        """Return the index range of an output in the telemetry vector, which does not contain tau."""
+        where = self.outputs.slice(name)
+        return slice(where.start - 4, where.stop - 4)
+
+    def problem(self, x: Vector, u: Vector, p: Vector) -> PriorityProblem:
+        """Return the priority problem of one control step, with a name for every inequality constraint.
+
+        Raises:
+            InputError: a vector does not have the size of its layout, or the problem contains a non-finite number.
+        """
+        x, u, p = self._vectors(x, u, p)
+        if self.base is not None:
+            return self.base.problem(x, u[: self.base.inputs.size], p)
+        if self.perception is not None:
+            x, u = x[: -self.perception.state.size], self.decision_inputs(x, u, p)
+        J, references, rows, *_ = self._before(x, u, p)
+        # a limit row without a bound has ±inf as bound, but a NaN is an error
+        if not np.isfinite(J).all() or not np.isfinite(references).all() or np.isnan(rows).any():
+            raise InputError("is not finite", key=f"{self.name}.problem", remedy="check x, u and p")
+        levels, at = [], 0
+        for name, count, unit in self.levels:
+            here = slice(at, at + count)
+            levels.append(Level(name, J.reshape(-1, 4)[here], references[here], unit=unit))
+            at += count
+        limits = [
+            Row(name, "barrier" if row[6] else "actuator", row[:4], float(row[4]), float(row[5]))
+            for name, row in zip(self.rows, rows.reshape(-1, 7), strict=True)
+        ]
+        # the numbers are finite and the law was checked at assembly, so the checks of build_problem are not repeated
+        return PriorityProblem(tuple(levels), tuple(limits))
+
+    def decision_inputs(self, x: Vector, u: Vector, p: Vector) -> Vector:
+        """Return the inputs of the decision in one control step: a flat vector with the layout `perception.outputs`.
+
+        For a law without perception, these inputs are u.
+
+        Raises:
+            InputError: a vector does not have the size of its layout.
+        """
+        x, u, p = self._vectors(x, u, p)
+        if self.base is not None:
+            return self.base.decision_inputs(x, u[: self.base.inputs.size], p)
+        if self.perception is None:
+            return u
+        anew = [x[self.state.slice("changing")] < -0.5] if "changing" in self.state else []
+        _, outputs = self._sense(x[-self.perception.state.size :], u, p[: PARAMETERS.size], *anew)
+        return np.asarray(outputs, dtype=np.float64).reshape(-1)
+
+    def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
+        """Solve the priority problem of one control step in NumPy; the solution names tasks, constraints and causes.
+
+        Raises:
+            InputError: the law has the fallback `bounded`, whose velocity can differ from that of `solve`.
+        """
+        if self.fallback != "exact":
+            raise InputError("is not explained", key="fallback", value=self.fallback, remedy="use the exact fallback")
+        return solve(self.problem(x, u, p), mode=self.mode)
+
+    def _vectors(self, *vectors: Vector) -> list[Vector]:
+        flat = []
+        for vector, layout, name in zip(vectors, (self.state, self.inputs, self.gains), "xup", strict=True):
+            array = np.asarray(vector)
+            if array.size != layout.size or array.dtype.kind not in "fiu":
+                raise InputError(
+                    f"is an array of shape {array.shape} and type {array.dtype}",
+                    key=f"{self.name}.{name}",
+                    remedy=f"give {layout.size} real numbers in the order of its layout",
+                )
+            flat.append(array.astype(float, copy=False).reshape(-1))
+        return flat
+
+    def _fail_safe(self, x: Vector) -> LawStep:
+        return LawStep(np.zeros(4), np.array(x, dtype=float), NONFINITE, np.zeros(self.outputs.size - 4))

@@ -1,0 +1,409 @@
+"""Perception: the part of a law that converts sensor readings to the inputs of the decision, with its own state.
+
+Perception estimates four things: the robot's own state, from delayed position fixes; moving obstacles, from delayed
+messages; the range of every sonar, with an error bound; and the map of `sensing.mapping`. The nearest marks (occupied
+cells) of the map become obstacle points, in addition to the obstacles from the base station. An echo that a wall or a
+known obstacle explains is not marked in the map. The radius of every obstacle point includes the uncertainty of its
+position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import ceil, cos, sin
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.ir import (
+    Block,
+    Call,
+    Layout,
+    Port,
+    Program,
+    Recording,
+    Routine,
+    each,
+    lower_named,
+    rearranged,
+    without_libm,
+)
+from surctl.marine.control.beams import (
+    SILENT,
+    Around,
+    beams,
+    corrected,
+    expected,
+    floor_range,
+    honest,
+    least_of,
+    slotted,
+)
+from surctl.marine.control.faces import FACE_PORTS, Firing, face_after, with_face
+from surctl.marine.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
+from surctl.marine.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
+from surctl.marine.sensing.mapping.local_map import READING, RING
+from surctl.marine.vehicle import planar_rotation
+
+__all__ = ["CELLS_A_HULL", "LAST_THRUST", "PERCEPTION", "PerceptionStage", "build_perception"]
+
+CELLS_A_HULL = 4.0
+"""Number of map cells per hull radius (*chosen*); the cell size is 6.75 cm in the tank and 5 cm in the pool."""
+
+LAST_THRUST = Port("last_thrust", (4,), "N, N m", "thrust command of the step before", gap="anew")
+"""The first entry of the state; the decision writes it, and the filter of the robot's own state reads it."""
+
+PERCEPTION = "perception"
+"""Name of the block of a `PerceptionStage`."""
+
+_READING = 0.03  # [m] largest error of one plausible firing: four standard deviations
+_DIAGONAL = 0.71  # [cells] half a cell's diagonal
+_AROUND_A_MARK = 0.8  # [cells] radius of the contact for a mark: half a diagonal plus an allowance for drift
+_EXPLAINS = 0.5  # [cells] distance beyond a reading within which a mark explains the reading
+_MARGIN_SD = 0.02 / 3  # [m] standard deviation of the robot's position that the law's margin already covers
+_DEAF = 0.3  # [s] time without a plausible firing, after which a sonar is not trusted
+_PLACED_SD = 0.2  # [m] standard deviation above which the position counts as unknown
+_SILENT_MARGIN = 0.05  # [m] added to the radius of every mark while a sonar is silent, since obstacles drift
+_NEVER = 1e5  # [s] longest silence of a sonar; also of a sonar that was never plausible
+_FAR = 1e5  # [m²] larger than any squared distance in the map
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptionStage:
+    """The part of a law that runs before the decision.
+
+    Attributes:
+        state: layout of the perception state, with `LAST_THRUST` first.
+        inputs: layout of the perception inputs.
+        outputs: layout of the perception outputs, which are the inputs of the decision.
+        block: instruction list or routine that maps (state, inputs, parameters) to (next state without `LAST_THRUST`,
+            outputs). If other depths are allowed, it has a fourth input, which is 1 in a step in which the map is
+            cleared.
+    """
+
+    state: Layout
+    inputs: Layout
+    outputs: Layout
+    block: Block
+
+
+def build_perception(
+    equipment: Equipment,
+    inputs: Layout,
+    outputs: Layout,
+    *,
+    dt: float,
+    model_noise: float = OwnStateFilter.model_noise,
+    acceleration_noise: float = OwnStateFilter.acceleration_noise,
+) -> PerceptionStage:
+    """Assemble the perception of a law for its sensors.
+
+    Args:
+        equipment: the sensors that the law assumes.
+        inputs: see `ports.sonar_inputs`.
+        outputs: see `ports.scan_inputs`.
+        dt: control period [s].
+        model_noise, acceleration_noise: see `OwnStateFilter`.
+
+    Raises:
+        InputError: the hull divides the beam of a sonar into two parts.
+    """
+    return _Builder(equipment, inputs, outputs, dt, model_noise, acceleration_noise).build()
+
+
+@dataclass(frozen=True)
+class _Builder:
+    equipment: Equipment
+    inputs: Layout
+    outputs: Layout
+    dt: float
+    model_noise: float
+    acceleration_noise: float
+
+    def build(self) -> PerceptionStage:
+        array = self.equipment.array
+        if any(len(cones) > 1 for cones in array.cones):
+            raise InputError(
+                "the hull splits a beam in two, but the map takes one cone per sonar",
+                key="array.mounts",
+                remedy="move that sonar",
+            )
+        split, measure, report = self._split(), self._measure(), self._report()
+        # a law that changes its depth clears the map, because echoes from the old depth no longer apply
+        anew, corner = (("anew",), "corner") if "column" in self.outputs else ((), "map_corner")
+        steps = (
+            Call(split, ("x",), tuple(name for name, _ in split.outputs)),
+            Call(measure, ("small", "u", "p"), ("small_next", "place", "walls", "readings", "perceived")),
+            *(Call(self._anew(), ("map_corner", name), (corner,)) for name in anew),
+            Call(
+                self._map.routine(),
+                ("map_cells", corner, "place", "walls", "readings"),
+                ("map_cells_next", "map_corner_next", "marked", "unknown"),
+            ),
+            Call(report, ("p", "perceived", "marked", "unknown"), ("decision_inputs",)),
+            Call(self._join(), ("small_next", "map_cells_next", "map_corner_next"), ("x_next",)),
+        )
+        sizes = (("x", self.state.size), ("u", self.inputs.size), ("p", PARAMETERS.size), *((n, 1) for n in anew))
+        block = without_libm(Routine(PERCEPTION, sizes, steps, ("x_next", "decision_inputs")))
+        return PerceptionStage(self.state, self.inputs, self.outputs, block)
+
+    @cached_property
+    def _map(self) -> LocalMap:
+        array = self.equipment.array
+        slots = min(array.size, ceil(self.dt / array.firing_period - 1e-9))
+        smooth, specular = (self.equipment.surface_model == model for model in ("smooth", "specular"))
+        return LocalMap(dt=self.dt, slots=slots, sectors=SECTORS, smooth=smooth, specular=specular)
+
+    @property
+    def _smooth(self) -> bool:
+        return self.equipment.surface_model != "diffuse"
+
+    @cached_property
+    def _ranges(self) -> RangeTracker:
+        array = replace(self.equipment.array, bias=0.0)  # `corrected` has already removed the bias
+        return RangeTracker(array=array, dt=self.dt)
+
+    @cached_property
+    def _own(self) -> OwnStateFilter | None:
+        own = self.equipment.own
+        if own is None:
+            return None
+        return OwnStateFilter(
+            dt=self.dt,
+            latency=own.fixes.latency,
+            period=own.fixes.period,
+            position_sd=max(own.position_sd, 1e-4),
+            yaw_sd=max(own.yaw_sd, 1e-4),
+            rate_sd=max(own.rate_sd, 1e-4),
+            model_noise=self.model_noise,
+            acceleration_noise=self.acceleration_noise,
+        )
+
+    @cached_property
+    def _movers(self) -> MoverTracker | None:
+        station = self.equipment.station
+        slots = self.inputs.port("contacts").shape[0] if "contacts" in self.inputs else 0
+        if not slots:
+            return None
+        return MoverTracker(
+            dt=self.dt,
+            slots=slots,
+            latency=station.messages.latency,
+            position_sd=station.position_sd,
+            velocity_sd=station.velocity_sd,
+        )
+
+    @cached_property
+    def _small(self) -> Layout:
+        # without the last thrust and the map
+        own = self._own.ports("own_") if self._own else ()
+        movers = self._movers.ports("mover_") if self._movers else ()
+        n = self.equipment.array.size
+        silent = Port("silent", (n,), "s", "time since the last plausible firing of each sonar", _NEVER)
+        launched = Port("launched", (1,), "1", "1 after the free water around the start is marked in the map")
+        face = FACE_PORTS if self._map.smooth else ()
+        last = tuple(after_gap(port) for port in (*own, *movers, *self._ranges.ports("sonar_"), silent, *face))
+        return Layout((*last, launched))
+
+    @cached_property
+    def state(self) -> Layout:
+        return Layout((LAST_THRUST, *self._small.ports, *self._map.ports("map_")))
+
+    @cached_property
+    def _perceived(self) -> Layout:
+        # values that are known before the map is evaluated
+        sonars = self.outputs.port("sonars")
+        slots = self._movers.slots if self._movers else 0
+        known = (Port("movers", (slots, 6), "m, m/s, 1", "moving obstacles at the present time"),) if slots else ()
+        pose = tuple(self.outputs.port(name) for name in ("eta", "nu"))
+        column = (self.outputs.port("column"),) if "column" in self.outputs else ()
+        face = (Port("face", (3,), "m, m^2", "nearest point of the face beside the robot"),) if self._map.smooth else ()
+        uncertainty = Port("uncertainty", (1,), "m", "position uncertainty that the margin does not cover")
+        flags = tuple(self.outputs.port(name) for name in ("placed", "echoed"))
+        return Layout((*pose, uncertainty, *flags, *known, sonars, *column, *face))
+
+    def _split(self) -> Program:
+        # three parts: small states, map cells, map corner
+        size = self.state.size
+        parts = {f"map_{name}": self.state.slice(f"map_{name}") for name in ("cells", "corner")}
+        pieces = {"small": slice(0, LAST_THRUST.size + self._small.size), **parts}
+        return rearranged("split", {"x": size}, {k: [("x", part.start, part.stop)] for k, part in pieces.items()})
+
+    def _anew(self) -> Program:
+        # to clear the map, its corner is moved far away
+        corner, anew = ca.SX.sym("corner", 2), ca.SX.sym("anew")
+        nowhere = self.state.port("map_corner").default
+        return lower_named("anew", {"corner": corner, "anew": anew}, {"at": ca.if_else(anew > 0.5, nowhere, corner)})
+
+    def _join(self) -> Program:
+        parts = {"small": self._small.size}
+        parts |= {name: self.state.port(name).size for name in ("map_cells", "map_corner")}
+        return rearranged("join", parts, {"x_next": [(name, 0, size) for name, size in parts.items()]})
+
+    def _measure(self) -> Block:
+        recording = Recording()
+        with recording:
+            inputs, outputs = self._measured()
+        return recording.block("measure", inputs, outputs)
+
+    def _measured(self) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        # inputs and outputs of the block `measure`
+        array, local_map = self.equipment.array, self._map
+        small = ca.SX.sym("small", LAST_THRUST.size + self._small.size)
+        x = self._small.split(small[LAST_THRUST.size :])
+        u, inputs = self.inputs.symbols("u")
+        p, known = PARAMETERS.symbols("p")
+        around, after = self._around(x, small[: LAST_THRUST.size], inputs, known)
+        edge = known["hull"] / CELLS_A_HULL
+        axes, apexes, halves = beams(array, around, known["hull"])
+        velocity = planar_rotation(around.eta[3]) @ around.nu[:2]
+        ranges = expected(array, around, apexes, known, smooth=self._smooth)
+        ranges = ranges.where(around.placed, 2 * array.maximum)  # without a position, no echo counts as too long
+        shortest = array.lowest / array.scale + array.resolution  # no range is expected below the shortest reading
+        ranging = self._ranges.update(
+            x,
+            corrected(array, inputs["samples"]),
+            fresh=inputs["fresh"],
+            closing=ca.vertcat(*(ca.dot(velocity, axis) for axis in axes)),
+            expected=ca.fmax(ranges.walls, shortest),
+            longest=ca.fmax(ranges.sure, shortest) if self._smooth else None,
+            turn=around.nu[3],
+            prefix="sonar_",
+        )
+        floor = floor_range(self.equipment, around.eta[2])
+        # near the start an object within the blind range was never measured: its marks stay where they are
+        starting = ca.sumsqr(around.eta[:2] - known["waypoints"][0, :].T) <= LAUNCHED**2
+        firings, silent, fired = [], [], []
+        for i in range(array.size):
+            reading, recent = ranging.reading[i], ranging.state["sonar_recent"][i, :]
+            arrived = ca.logic_and(
+                inputs["fresh"][i] > 0.5, honest(array, inputs["samples"], ranging, i, repeats=self._ranges.repeats)
+            )
+            silent.append(ca.if_else(arrived, 0.0, ca.fmin(x["silent"][i] + self.dt, _NEVER)))
+            strange = ranges.unexplained(reading, i)
+            if floor is not None:
+                strange = ca.logic_and(strange, reading < floor)
+            echo = ca.logic_and(reading < array.maximum - SILENT, strange)
+            blind = reading <= shortest
+            usable = ca.logic_and(arrived, around.placed)
+            clear = ca.fmax(least_of(recent) - _READING - _DIAGONAL * edge, 0)
+            cleared = ca.if_else(starting, 0, clear) if local_map.smooth else clear
+            fired.append(Firing(apexes[i], axes[i], halves[i], usable, reading, least_of(recent), echo, blind))
+            firing = {
+                "apex": apexes[i],
+                "axis": axes[i],
+                "half": ca.DM([cos(halves[i]), sin(halves[i])]),
+                "clear": ca.if_else(blind, -ca.fmax(cleared, 1e-3), clear),
+                "near": ca.fmax(reading - _READING - 0.5 * edge, 0),
+                "far": ca.if_else(echo, reading + _READING + 0.5 * edge, -1),
+                "cutoff": reading + _EXPLAINS * edge + 0.01,
+            }
+            listed = ca.vertcat(*(firing[name] for name, _, _ in READING))
+            firings.append((usable, listed))
+        healthy = ca.vertcat(*silent) <= _DEAF
+        sonars = [
+            ca.horzcat(ranging.range[i], ranging.bound[i], healthy[i], ranging.age[i], axes[i].T)
+            for i in range(array.size)
+        ]
+        perceived = {
+            "eta": around.eta,
+            "nu": around.nu,
+            "uncertainty": around.uncertainty,
+            "placed": around.placed,
+            "echoed": least_of(ca.vertcat(*silent)) < _NEVER,
+            "sonars": ca.vertcat(*sonars),
+        }
+        if self._movers:
+            perceived["movers"] = around.movers
+        if "column" in self.outputs:
+            perceived["column"] = inputs["column"]
+        if local_map.smooth:
+            face = face_after(x, fired, around.eta[:2], dt=self.dt, blind=shortest, hull=known["hull"], deep=edge / 2)
+            after |= face.state
+            perceived["face"] = face.foot
+        free = known["hull"] + ca.if_else(x["launched"], 0, known["launch"])
+        outputs = {
+            "small_next": self._small.join(
+                {
+                    **after,
+                    **ranging.state,
+                    "silent": ca.vertcat(*silent),
+                    "launched": ca.logic_or(x["launched"], around.placed),
+                }
+            ),
+            # if the robot does not know its position, the cells under its hull do not count as free
+            "place": ca.vertcat(around.eta[:2], ca.if_else(around.placed, free, 0), edge),
+            "walls": known["walls"],
+            "readings": slotted(firings, local_map.slots),
+            "perceived": self._perceived.join(perceived),
+        }
+        return {"small": small, "u": u, "p": p}, outputs
+
+    def _around(
+        self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
+    ) -> tuple[Around, dict[str, ca.SX]]:
+        movers = ca.SX(0, 6)
+        after: dict[str, ca.SX] = {}
+        if self._movers:
+            tracked = self._movers.update(x, message=u["contacts"], message_fresh=u["contacts_fresh"], prefix="mover_")
+            after |= tracked.state
+            rows = tracked.rows
+            movers = ca.horzcat(rows[:, :2], rows[:, 2] + tracked.bound, rows[:, 3:])
+        if self._own is None:
+            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
+        own = self._own.update(
+            x,
+            fix=u["fix"],
+            fix_fresh=u["fix_fresh"],
+            yaw=u["yaw"],
+            yaw_rate=u["yaw_rate"],
+            tau=tau,
+            model=p,
+            prefix="own_",
+        )
+        placed = own.position_sd < _PLACED_SD
+        uncertainty = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
+        return Around(own.eta, own.nu, uncertainty, placed, movers), {**after, **own.state}
+
+    def _report(self) -> Block:
+        local_map = self._map
+        p, known = PARAMETERS.symbols("p")
+        flat, perceived = self._perceived.symbols("perceived")
+        marked, unknown = ca.SX.sym("marked", 3 * local_map.sectors), ca.SX.sym("unknown", 3 * local_map.sectors)
+        position, edge = perceived["eta"][:2], known["hull"] / CELLS_A_HULL
+        every = ca.sum1(perceived["sonars"][:, 2]) > self.equipment.array.size - 0.5
+        around = _AROUND_A_MARK * edge + perceived["uncertainty"] + ca.if_else(every, 0, _SILENT_MARGIN)
+
+        def mover(row: ca.SX) -> list[ca.SX]:
+            return [ca.if_else(row[5] > 0.5, row + ca.vertcat(0, 0, perceived["uncertainty"], 0, 0, 0), 0)]
+
+        def sector(mark: ca.SX, blank: ca.SX) -> list[ca.SX]:
+            contact = ca.vertcat(position + mark[:2], around, 0, 0, 1)
+            there = blank[2] < _FAR
+            distance = ca.sqrt(ca.if_else(there, blank[2], 1))
+            unknown_row = ca.vertcat(
+                blank[:2] / distance, distance - known["hull"] - RING * edge - perceived["uncertainty"]
+            )
+            return [ca.if_else(mark[2] < _FAR, contact, 0), ca.if_else(there, unknown_row, ca.DM([0, 0, 100]))]
+
+        with Recording() as recording:
+            tables = [ca.reshape(flat, 3, local_map.sectors).T for flat in (marked, unknown)]
+            if local_map.smooth:
+                tables[0] = with_face(tables[0], perceived["face"])
+            marks, blank = each("sector_ahead", sector, *tables)
+            contacts = [*(each("mover_ahead", mover, perceived["movers"]) if self._movers else []), marks]
+        values = {
+            "eta": perceived["eta"],
+            "nu": perceived["nu"],
+            "contacts": ca.vertcat(*contacts),
+            "unknown": blank,
+            "sonars": perceived["sonars"],
+            "placed": perceived["placed"],
+            "echoed": perceived["echoed"],
+        }
+        if "column" in perceived:
+            values["column"] = perceived["column"]
+        inputs = {"p": p, "perceived": flat, "marked": marked, "unknown": unknown}
+        return recording.block("report", inputs, {"decision_inputs": self.outputs.join(values)})

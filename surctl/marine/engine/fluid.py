@@ -1,0 +1,240 @@
+"""The force of the water on a hull in MuJoCo, as an instruction list that is compiled to C.
+
+MuJoCo integrates a rigid body with the mass m and the inertia I, without added mass. The vehicle file states the whole
+inertia matrix M of rigid body and water. Where M is that of the rigid body, MuJoCo has all of it. Otherwise the
+remainder Δ = M − diag(m, I) acts through the force of the water. With the load F on the hull and the momenta P = M ν,
+Kirchhoff's equations (Fossen 2021, equation 6.44) are M ν̇ = F − k(M, ν), where k is the rate of the momenta because the
+frame turns. MuJoCo computes diag(m, I) ν̇ = f − k(diag(m, I), ν), so the force must be f = F − k(Δ, ν) − Δ ν̇ with
+ν̇ = M⁻¹ (F − k(M, ν)). This solves for the acceleration in the same instant; a force that follows from an acceleration
+of the step before would diverge where the added mass exceeds the mass. A contact meets the mass m alone.
+
+The velocity ν is that through the water. A constant current does not change m ν̇, because the frame that moves with the
+water is inertial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import pi, sqrt
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.ir import Program, lower_named
+from surctl.marine.engine.options import EngineOptions
+from surctl.marine.vehicle import GRAVITY, WATER, Actuators, PlantForm, Vehicle, plant_layout, plant_parameters
+
+if TYPE_CHECKING:
+    from surctl.marine.simulation import Scenario
+
+__all__ = ["Body", "body_of", "environment", "fluid_program"]
+
+_GAUSS = ((-sqrt(0.15), 5 / 18), (0.0, 8 / 18), (sqrt(0.15), 5 / 18))  # places and weights on (-1/2, 1/2)
+_TILTING = set("KMpq")
+_LINEAR, _ANGULAR = [0, 1, 2], [4, 5, 3]  # places of (u, v, w) and (p, q, r) in (u, v, w, r, p, q)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A hull as MuJoCo has it: what of the inertia matrix is the rigid body's, and which water force remains.
+
+    Attributes:
+        options: the options, with 4 or 6 degrees of freedom.
+        form: the optional terms of the vehicle that act with these degrees of freedom.
+        mass: mass of the rigid body [kg].
+        inertia: its moments of inertia about x, y, z [kg m²].
+        parameters: the vehicle's parameters with the layout `plant_layout(form)`.
+        coupled: whether a part of the inertia matrix is left to the force of the water.
+        actuators: the thrusters, which act beside the total thrust, or None.
+    """
+
+    options: EngineOptions
+    form: PlantForm
+    mass: float
+    inertia: tuple[float, float, float]
+    parameters: NDArray[np.float64]
+    coupled: bool
+    actuators: Actuators | None = None
+
+
+def body_of(vehicle: Vehicle, options: EngineOptions) -> Body:
+    """Return the rigid body of a vehicle in MuJoCo.
+
+    Example:
+        >>> from surctl.marine.engine import EngineOptions, body_of
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> body = body_of(load_vehicle("sur400"), EngineOptions())
+        >>> body.mass, body.coupled, body_of(load_vehicle("otter"), EngineOptions()).coupled
+        (50.0, False, True)
+    """
+    options = options.of(vehicle)
+    names = [name for name in vehicle.form.terms if options.dof == 6 or not set(name) & _TILTING]
+    form = PlantForm.of(names)
+    full = plant_layout(vehicle.form).unpack(plant_parameters(vehicle))
+    retained = [name in names for name in vehicle.form.terms]
+    if names:
+        full["terms"] = full["terms"][retained]
+    parameters = plant_layout(form).pack({port.name: full[port.name] for port in plant_layout(form).ports})
+    matrix = vehicle.inertia
+    mass = float(np.diag(matrix)[:3].min())
+    yaw = float(matrix[3, 3])
+    turning = (float(matrix[4, 4]), float(matrix[5, 5]), yaw) if options.dof == 6 else (yaw, yaw, yaw)
+    if 2 * max(turning) > sum(turning):  # no rigid body has such moments
+        turning = (min(turning),) * 3
+    mine = [mass, mass, mass, turning[2], turning[0], turning[1]]
+    size = options.dof
+    coupled = not np.array_equal(matrix[:size, :size], np.diag(mine[:size]))
+    return Body(options, form, mass, turning, parameters, coupled, vehicle.actuators)
+
+
+def environment(body: Body, scenario: Scenario, hull: float) -> NDArray[np.float64]:
+    """Return the input `e` (17,) of `fluid_program` without an outer force, for a hull with this radius [m]."""
+    options = body.options
+    ballast = scenario.depth if options.ballast == "path" else -2 * max(hull, *(options.box or (0,)))
+    current = scenario.disturbance.current_m_per_s
+    box = options.box or (0.0, 0.0, 0.0)
+    return np.array([*current, 0, 0, 0, 0, 0, hull, options.surface, ballast, body.mass, *body.inertia, *box])
+
+
+def fluid_program(body: Body) -> Program:
+    """Return the instruction list of the force of the water on a hull, in MuJoCo's generalised coordinates.
+
+    Its inputs are `q` and `v` (positions and velocities of MuJoCo), `thrust` (4 + N,) after the lag (surge, sway, heave
+    and yaw, then the force components of the thrusters), the vehicle's parameters `p`, and `e` (17,): current (3,)
+    [m/s], outer force (3,) in {E} and yaw moment, hull radius, share of the missing buoyancy, depth to which the hull
+    is ballasted, mass and moments of inertia of the rigid body, and the sides of a hull that is a box.
+
+    Example:
+        >>> from surctl.marine.engine import EngineOptions, body_of, fluid_program
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> program = fluid_program(body_of(load_vehicle("sur400"), EngineOptions()))
+        >>> [(name, size) for name, size in program.inputs]
+        [('q', 4), ('v', 4), ('thrust', 4), ('p', 17), ('e', 17)]
+    """
+    options = body.options
+    return _program(body.form, options.dof, options.drag, body.coupled, options.box is not None, body.actuators)
+
+
+@cache
+def _program(form: PlantForm, dof: int, drag: str, coupled: bool, boxed: bool, actuators: Actuators | None) -> Program:
+    q, v = ca.SX.sym("q", 7 if dof == 6 else 4), ca.SX.sym("v", dof)
+    single = np.zeros((6, 0)) if actuators is None else np.hstack([one.columns for one in actuators.thrusters])
+    thrust, e = ca.SX.sym("thrust", 4 + single.shape[1]), ca.SX.sym("e", 17)
+    flat, p = plant_layout(form).symbols("p")
+    terms = {name: p["terms"][k] for k, name in enumerate(form.terms)}
+    current, outer, yaw = e[:3], e[3:6], e[6]
+    radius, share, ballast = e[7], e[8], e[9]
+    rotation = _from_quaternion(q[3:]) if dof == 6 else _about_z(q[3])
+    through = rotation.T @ (v[:3] - current)
+    nu = ca.vertcat(through, v[5], v[3], v[4]) if dof == 6 else ca.vertcat(through, v[3])
+
+    load = -_drag(nu, p, terms, form, drag)
+    level = rotation[:2, 0] / ca.norm_2(rotation[:2, 0])
+    forces = ca.SX.zeros(4)
+    for axis, name in form.constant():
+        forces[axis] += terms[name]
+    ahead = ca.vertcat(ca.horzcat(level[0], -level[1]), ca.horzcat(level[1], level[0])) @ forces[:2]
+    lift = terms.get("buoyancy", ca.SX(0)) - terms.get("weight", ca.SX(0))
+    up = rotation[2, :].T
+    density = share * WATER * GRAVITY
+    if boxed:
+        volume, arm = _emerged_box(q[2], up, e[14:])
+        afloat, _ = _emerged_box(ballast, ca.SX([0, 0, 1]), e[14:])
+    else:
+        volume, arm, afloat = _emerged(q[2], radius), ca.SX.zeros(3), _emerged(ballast, radius)
+    world = outer + ca.vertcat(ahead, forces[2]) + ca.vertcat(0, 0, lift - density * (volume - afloat))
+    moment = (yaw + forces[3]) * up - density * ca.cross(arm, up)
+    arm_moment = ca.SX.zeros(3)  # moment of the thrust about the origin
+    if dof == 6:
+        points = {name: ca.vertcat(*(terms.get(f"{axis}{name}", ca.SX(0)) for axis in "xyz")) for name in "gbt"}
+        moment += ca.cross(terms["buoyancy"] * points["b"] - terms["weight"] * points["g"], up)
+        arm_moment = ca.cross(points["t"], thrust[:3])
+    load += _wrench(rotation.T @ world, moment, dof)
+    if coupled:
+        apart = ca.DM(single) @ thrust[4:]
+        pushing = _wrench(thrust[:3] + apart[:3], arm_moment + ca.vertcat(0, 0, thrust[3]) + apart[3:], dof)
+        mine = ca.diag(ca.vertcat(e[10], e[10], e[10], e[13], e[11], e[12])[:dof])
+        whole = ca.SX(mine)
+        diagonal = [*(p["mass"][k] for k in range(4)), *([terms["mpp"], terms["mqq"]] if dof == 6 else [])]
+        for k, entry in enumerate(diagonal):
+            whole[k, k] = entry
+        for i, j, name in form.inertia():
+            whole[i, j] = whole[j, i] = terms[name]
+        rest = whole - mine
+        factors = ca.ldl(whole)
+        rate = ca.ldl_solve(load + pushing - _turned(whole @ nu, nu, dof), *factors)
+        load = load - _turned(rest @ nu, nu, dof) - rest @ rate
+    force = rotation @ load[:3]
+    generalised = ca.vertcat(force, load[4], load[5], load[3]) if dof == 6 else ca.vertcat(force, load[3])
+    inputs = {"q": q, "v": v, "thrust": thrust, "p": flat, "e": e}
+    return lower_named("fluid", inputs, {"force": generalised})
+
+
+def _wrench(force: ca.SX, moment: ca.SX, dof: int) -> ca.SX:
+    # in the order of ν: (X, Y, Z, N, K, M), or (X, Y, Z, N)
+    return ca.vertcat(force, moment[2], *([moment[0], moment[1]] if dof == 6 else []))
+
+
+def _turned(momentum: ca.SX, nu: ca.SX, dof: int) -> ca.SX:
+    # k(M, ν): rate of the momenta because the frame of the hull turns and moves
+    if dof == 4:
+        turning = nu[0] * momentum[1] - nu[1] * momentum[0]
+        return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning)
+    linear, angular = momentum[_LINEAR], momentum[_ANGULAR]
+    velocity, spin = nu[_LINEAR], nu[_ANGULAR]
+    return _wrench(ca.cross(spin, linear), ca.cross(spin, angular) + ca.cross(velocity, linear), dof)
+
+
+def _drag(nu: ca.SX, p: dict[str, ca.SX], terms: dict[str, ca.SX], form: PlantForm, model: str) -> ca.SX:
+    size = nu.numel()
+    speed = ca.fabs(nu[:4])
+    if model == "speed":
+        speed[:3] = ca.sqrt(nu[0] ** 2 + nu[1] ** 2 + nu[2] ** 2)
+    elif model == "ellipsoid":
+        speed[:3] = 0
+    drag = ca.vertcat((p["linear_drag"] + p["quadratic_drag"] * speed) * nu[:4], ca.SX.zeros(size - 4))
+    for axis, by, name in form.drag():
+        drag[axis] += terms[name] * (nu[by[0]] if len(by) == 1 else ca.fabs(nu[by[0]]) * nu[by[1]])
+    return drag
+
+
+def _emerged(z: ca.SX, radius: ca.SX) -> ca.SX:
+    height = ca.fmin(ca.fmax(z + radius, 0), 2 * radius)
+    return pi * height * height * (3 * radius - height) / 3
+
+
+def _emerged_box(z: ca.SX, up: ca.SX, sides: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the volume above the water of a box about the origin, and its first moment (3,) in the frame of the hull.
+
+    Nine columns along the box's height at the points of Gauss's rule: exact while the water line crosses the four
+    sides alone. `up` is the vertical in the frame of the hull; beyond 84 degrees of tilt it counts as 84 degrees.
+    """
+    volume, first = ca.SX(0), ca.SX.zeros(3)
+    rising = ca.fmax(up[2], 0.1)
+    for a, share_a in _GAUSS:
+        for b, share_b in _GAUSS:
+            x, y = a * sides[0], b * sides[1]
+            top = z + up[0] * x + up[1] * y + rising * sides[2] / 2
+            height = ca.fmin(ca.fmax(top / rising, 0), sides[2])
+            part = share_a * share_b * sides[0] * sides[1] * height
+            volume += part
+            first += part * ca.vertcat(x, y, (sides[2] - height) / 2)
+    return volume, first
+
+
+def _about_z(angle: ca.SX) -> ca.SX:
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(ca.horzcat(c, -s, 0), ca.horzcat(s, c, 0), ca.horzcat(0, 0, 1))
+
+
+def _from_quaternion(quaternion: ca.SX) -> ca.SX:
+    unit = quaternion / ca.norm_2(quaternion)
+    w, x, y, z = (unit[k] for k in range(4))
+    return ca.vertcat(
+        ca.horzcat(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        ca.horzcat(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        ca.horzcat(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )

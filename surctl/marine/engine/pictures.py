@@ -1,0 +1,187 @@
+"""Pictures of a scene in MuJoCo, rendered without a screen: from above, from the side, from the robot's nose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import cos, sin
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.marine.engine.fluid import body_of
+from surctl.marine.engine.library import mujoco_library
+from surctl.marine.engine.mjcf import OBSTACLE, mjcf
+from surctl.marine.engine.options import EngineOptions
+from surctl.marine.engine.physics import AWAY, quaternion
+from surctl.marine.engine.renderer import no_renderer
+
+if TYPE_CHECKING:
+    from surctl.marine.simulation import Body, Scenario
+    from surctl.marine.vehicle import Vehicle
+
+__all__ = ["CAMERAS", "Moment", "Scene"]
+
+Picture = NDArray[np.uint8]
+
+CAMERAS = ("above", "side", "nose")
+_PATH, _TRACK = (0.95, 0.97, 1.0, 0.9), (0.98, 0.85, 0.25, 0.9)
+_ECHO, _SILENT = (1.0, 0.45, 0.30, 0.55), (0.70, 0.90, 1.0, 0.22)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What a picture shows.
+
+    Attributes:
+        eta: position and heading of the hull (4,) [m, rad].
+        tilt: roll and pitch [rad].
+        bodies: the obstacles in the water.
+        track: positions of the hull until now (n, 3) [m].
+        beams: apex x, y [m], axis [rad], half opening angle [rad], length [m] and whether there is an echo, of each
+            sonar.
+    """
+
+    eta: NDArray[np.float64]
+    tilt: tuple[float, float] = (0.0, 0.0)
+    bodies: Sequence[Body] = ()
+    track: NDArray[np.float64] | None = None
+    beams: Sequence[tuple[float, float, float, float, float, bool]] = ()
+
+
+def check_pictures() -> None:
+    """Raise ToolMissing if MuJoCo, or a library that renders without a screen, is not installed."""
+    _renderer(mujoco_library().MjModel.from_xml_string("<mujoco/>"), (8, 8)).close()
+
+
+def _renderer(model: Any, size: tuple[int, int]) -> Any:
+    width, height = size
+    try:
+        return mujoco_library().Renderer(model, height, width)
+    except Exception as error:  # MuJoCo and PyOpenGL raise errors of many classes
+        raise no_renderer(str(error)) from None
+
+
+class Scene:
+    """The scene of a scenario, which can be rendered; use it in a `with` statement.
+
+    Args:
+        scenario: the scenario.
+        vehicle: the vehicle.
+        options: the options of the simulation.
+        size: width and height of the pictures [pixels].
+
+    Raises:
+        ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.
+
+    Example:
+        >>> from surctl.marine.engine import Moment, Scene
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
+        >>> with Scene(scenario, boat, size=(160, 90)) as scene:
+        ...     picture = scene.picture("above", Moment(scenario.start_pose))
+        >>> picture.shape
+        (90, 160, 3)
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        vehicle: Vehicle,
+        *,
+        options: EngineOptions | None = None,
+        size: tuple[int, int] = (640, 360),
+    ) -> None:
+        self._mujoco: Any = mujoco_library()
+        options = options or EngineOptions()
+        self._scenario, self._six = scenario, body_of(vehicle, options).options.dof == 6
+        self.model = self._mujoco.MjModel.from_xml_string(mjcf(scenario, vehicle, options=options))
+        self.data = self._mujoco.MjData(self.model)
+        self._mocap = {o.name: int(self.model.body(OBSTACLE + o.name).mocapid[0]) for o in scenario.obstacles}
+        self._heights = {name: float(self.data.mocap_pos[k, 2]) for name, k in self._mocap.items()}
+        self._renderer = _renderer(self.model, size)
+        flags = self._renderer.scene.flags
+        kinds = self._mujoco.mjtRndFlag
+        flags[kinds.mjRND_SHADOW] = flags[kinds.mjRND_REFLECTION] = 0
+        flags[kinds.mjRND_FOG] = 1
+        self._look = self._mujoco.MjvOption()
+        self._look.geomgroup[3] = 1
+
+    def __enter__(self) -> Scene:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the memory of the renderer."""
+        self._renderer.close()
+
+    def picture(self, camera: str, moment: Moment) -> Picture:
+        """Return a picture (height, width, 3) of a moment, by the camera `above`, `side` or `nose`."""
+        if camera not in CAMERAS:
+            raise InputError("is not known", key="camera", value=camera, remedy=nearest(camera, CAMERAS))
+        self._pose(moment)
+        self._renderer.update_scene(self.data, camera=camera, scene_option=self._look)
+        draw(self._mujoco, self._renderer.scene, self._scenario, moment, lines=camera != "nose")
+        return np.array(self._renderer.render())
+
+    def _pose(self, moment: Moment) -> None:
+        place(self.data, moment, self._mocap, self._heights, six=self._six)
+        self._mujoco.mj_kinematics(self.model, self.data)
+        self._mujoco.mj_camlight(self.model, self.data)
+
+
+def place(data: Any, moment: Moment, mocap: dict[str, int], heights: dict[str, float], *, six: bool) -> None:
+    """Set the positions of the hull and of the obstacles to those of a moment."""
+    if six:
+        data.qpos[:3], data.qpos[3:] = moment.eta[:3], quaternion(*moment.tilt, float(moment.eta[3]))
+    else:
+        data.qpos[:] = moment.eta
+    there = {body.name: body.shape.center for body in moment.bodies if hasattr(body.shape, "center")}
+    for name, k in mocap.items():
+        data.mocap_pos[k] = (*there[name], heights[name]) if name in there else AWAY
+
+
+def draw(mujoco: Any, scene: Any, scenario: Scenario, moment: Moment, *, lines: bool) -> None:
+    """Add sonar beams, and with `lines` also path and track, to a scene of MuJoCo."""
+    z = float(moment.eta[2])
+    points = scenario.path.waypoints
+    rises = scenario.path.rises
+    heights = np.full(len(points), scenario.depth) if rises is None else scenario.depth + rises
+    if lines:
+        _line(mujoco, scene, np.column_stack([points, heights]), 0.008, _PATH)
+    if lines and moment.track is not None and len(moment.track) > 1:
+        apart = max(1, len(moment.track) // 150)
+        _line(mujoco, scene, moment.track[::apart], 0.012, _TRACK)
+    for x, y, axis, half, length, echo in moment.beams:
+        apex, colour = np.array([x, y, z]), _ECHO if echo else _SILENT
+        rim = [apex + length * _direction(axis + half * k / 4) for k in range(-4, 5)]
+        for end in (rim[0], rim[-1]):
+            _line(mujoco, scene, np.array([apex, end]), 0.006, colour)
+        _line(mujoco, scene, np.array(rim), 0.012 if echo else 0.006, colour)
+
+
+def _direction(angle: float) -> NDArray[np.float64]:
+    return np.array([cos(angle), sin(angle), 0.0])
+
+
+def _line(mujoco: Any, scene: Any, points: Iterable[Any], radius: float, colour: Sequence[float]) -> None:
+    rows = [np.asarray(point, dtype=float) for point in points]
+    for begin, end in pairwise(rows):
+        if scene.ngeom >= scene.maxgeom or np.allclose(begin, end):
+            continue
+        geom = scene.geoms[scene.ngeom]
+        kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+        mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), np.array(colour, dtype=np.float32))
+        mujoco.mjv_connector(geom, kind, radius, begin, end)
+        geom.emission = 0.6
+        # MuJoCo leaves these as they are in memory, and draws a geom of the model in another light
+        geom.objtype, geom.objid, geom.segid = int(mujoco.mjtObj.mjOBJ_UNKNOWN), -1, -1
+        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        scene.ngeom += 1

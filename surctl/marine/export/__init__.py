@@ -1,0 +1,23 @@
+"""Export of a marine law with its vehicle, its evidence and its closed form; the law on a link in the mission's loop."""
+
+from surctl.marine.export.closed import ClosedForm, closed_form
+from surctl.marine.export.compiled_law import CompiledLaw
+from surctl.marine.export.linked import LinkedLaw, LinkFaults, LinkReport
+from surctl.marine.export.operating_envelope import operating_envelope
+from surctl.marine.export.origin import Origin, fitting_certificates, load_certificates, origin_of
+from surctl.marine.export.robot_bundle import build_bundle
+
+__all__ = [
+    "ClosedForm",
+    "CompiledLaw",
+    "LinkFaults",
+    "LinkReport",
+    "LinkedLaw",
+    "Origin",
+    "build_bundle",
+    "closed_form",
+    "fitting_certificates",
+    "load_certificates",
+    "operating_envelope",
+    "origin_of",
+]

@@ -1,0 +1,395 @@
+"""The barrier with inertia: at which distance from an obstacle must a vehicle with thrust lag start to brake?
+
+Let n be the unit vector that points from robot to obstacle when the robot begins to brake. While the robot brakes, n is
+held fixed, even if the direction to the obstacle changes (step 5). If the masses in surge and sway are equal, m11 = m22
+= m, no Coriolis force acts along n, so m v̇ = F + f − D(v − c) and Ḟ = (u − F)/τ. Here v is the speed of the robot
+along n, F the thrust, τ the time constant of the thrust, u the thrust command, D the drag, c the speed of the water,
+all along n, and f any other force. While the robot brakes, u ≤ −F_b, where F_b is the guaranteed braking force. Let v_o
+be the largest speed of the obstacle towards the robot, s = v + v_o the closing speed, and z = s + τ max(F + F_b, 0)/m.
+
+1. By definition, z ≥ s. Let F' = F_b − f − D(v_o + c) be the net braking force for the largest drag. While s ≥ 0, ż ≤
+   −(F_b − f + D(v − c))/m ≤ −F'/m, because D is odd and increasing. (If the robot brakes with more than F_b, then F <
+   −F_b and z = s, and ż has the same upper bound −F'/m.)
+2. The stopping distance S = m z²/(2F') satisfies Ṡ = m z ż/F' ≤ −z ≤ −s, and the clearance l satisfies l̇ ≥ −s, so l −
+   S does not decrease. While s < 0, the clearance l increases, and S, evaluated at s = 0, decreases with F. So if l ≥ S
+   when braking begins, then l ≥ S ≥ 0 as long as the robot brakes. The function `stopping_distance` computes S = m
+   s²/(2F') + s τ(F + F_b)/F' + τ²(F + F_b)²/(2F' m). S increases with s and F, and S is convex in m, so the worst mass
+   is one of the two ends of the mass range. (S may also be evaluated while the robot retreats, at s = −r < 0 < z. The
+   drag D(v_o + c + r) then acts towards the obstacle, and l − S does not decrease as long as z (D(v_o + c + r) + f −
+   F_b) ≤ r F'. For z ≤ 0, S is 0. If the thrust lag is shorter than τ, z decreases faster, so steps 1 and 2 still
+   hold.)
+3. Drag shortens the stopping distance. Let B be the distance whose derivative B'(z) is the maximum over v ≤ z of m(v +
+   v_o)/(F_b − f + D(v − c)), with the least drag for v > c and the largest drag for v < c. Then Ḃ ≤ −(v + v_o), so if l
+   ≥ B when braking begins, l ≥ B as long as the robot brakes. For a present speed v_0, B has the form m G(v_0 + τ(F +
+   F_b)/m) with a convex function G; such a perspective function is convex in m. The function
+   `stopping_distance_with_drag` computes B by an upper sum; S is 1.1 to 2.2 times B.
+4. The law decides once per control period T whether to brake. The measured range d is `age` old and has an error of up
+   to ε, the measured speed v has an error of up to e_v, and during a period without braking any thrust up to F⁺ may
+   act. Let V be the largest speed of the robot since the echo, and a⁺ = (F⁺ + f + D(v_o + c))/m_min the largest
+   acceleration. If d − ε − (V + v_o) age − (v + e_v + v_o) T − a⁺T²/2 ≥ S(v + e_v + a⁺T, F⁺), then l ≥ S at the next
+   decision too. If this inequality fails, the robot brakes fully along n until the inequality holds again; meanwhile l
+   ≥ S by step 2. So the robot never hits an obstacle if the inequality of this step has held at one decision.
+5. The distance to a convex body is a convex function of the robot's position. So the distance that remains along n is
+   never larger than the clearance, where n is the direction to the obstacle at the last decision without braking.
+6. Instead of the inequality of step 4, a law may use its own speed bound b(d). Let x(b) be the excess of v over b at
+   which the law's velocity loop commands the braking force F_b. Such a law ensures l ≥ S (or l ≥ B) if, for every d ≥ 0
+   at which the law does not brake, d − ε is at least the range that step 4 requires at the speed v = b + x.
+
+7. If the masses in surge and sway differ, let m be the lighter one and ρ m the heavier one. With n = (c, s) in axes
+   of the hull, the light one first, and N = ρ c² + s², the acceleration along n is the force along n over μ = ρ m/N,
+   so m ≤ μ ≤ ρ m, if the light axis counts with ρ/N times its force and the heavy one with 1/N times. A force −F_b n
+   stays −F_b. Drag by axes acts as with coefficients between 1/ρ and ρ times their values. A force across n adds at
+   most κ = (ρ − 1)/(2√ρ) of itself, and a hull that turns at r adds the Coriolis force r m (ρ − 1)((ρ + 1) c s v + (ρ
+   c² − s²) w)/N. Both count as f. With z = s + τ max(F + F_b, 0)/m, ż ≤ −F'/μ ≤ −F'/(ρ m), so the distances of steps
+   2 and 3 are ρ times as long. If drag is too large for the retreat in step 2, the distance at s = 0 is used for all
+   s < 0: it suffices, as l increases and F decreases meanwhile.
+
+8. Speeds never exceed V, so B' may stay constant beyond z = V + v_o. A law's loop commands M k_v (v_d − v) + D(v_d)
+   with |v_d| ≤ cap, so F⁺ is at most k_v m (cap + V) + D(cap) of its model. In a period without braking, z rises by at
+   most (u + f + D) T/m with u at its speed (a command held in axes of the hull also turns, by up to r T), and at x the
+   drag of v_d = b − gain x brakes too.
+
+Assumptions: the robot meets one obstacle at a time (braking for one obstacle does not lead the robot into another
+obstacle); the bound v_o on the obstacle's speed holds at all times; m11 = m22, except in step 7. Drag acts on each
+axis of the vehicle separately and not along the velocity. So a sideways speed w at the start of braking adds the
+force `sideways_force` towards the obstacle. At a speed a along n and any heading, drag contributes at least (X a + X2
+a²/√2) minus `sideways_force` to braking, where X and X2 are the linear and quadratic drag coefficients. If drag acted
+along the velocity, the sideways speed would add a force of at most X2 w min(v_o + c, w/2). If the hull turns at r
+rad/s while the robot brakes without a sideways command, the lagging thrust turns with the hull. Then z = s + (τ max(F
++ F_b, 0) + rτ²|F_across|)/m satisfies step 1 with the additional force (rτ)²F, where F_across is the thrust across n.
+The thrust limit acts on each axis separately, so the largest thrust on a diagonal is √2 times the largest thrust of
+one axis.
+
+`surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. For step 3, a
+table of the distance B is checked cell by cell. Certificates (`surctl.marine.verification.braking`) prove steps 4 to 6 for one
+vehicle, one law, and one `Watch` (delay and accuracy of the measurements).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import inf, isfinite, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.marine.vehicle import Vehicle
+
+__all__ = [
+    "LEAST_THRUST",
+    "Brakes",
+    "Watch",
+    "admissible",
+    "allowed_speed",
+    "brakes_of",
+    "fastest_obstacle",
+    "range_needed",
+    "stopping_distance",
+    "stopping_distance_with_drag",
+    "tabled_stopping_distance",
+]
+
+LEAST_THRUST = 0.85
+"""Share of the vehicle's stated thrust that counts as guaranteed for braking."""
+
+_SUMMANDS = 4000  # terms of the upper sum, which is then less than 0.2 % too long
+
+
+@dataclass(frozen=True)
+class Brakes:
+    """The braking data of a vehicle in the worst case, with the same values for surge and sway.
+
+    Attributes:
+        masses: least and largest mass [kg], > 0.
+        least: F_b > 0, guaranteed thrust against the motion [N].
+        most: F⁺, largest thrust towards the obstacle when braking begins [N].
+        lag: time constant τ ≥ 0 of the thrust [s].
+        linear: least and largest linear drag [N s/m].
+        quadratic: least and largest quadratic drag [N s²/m²].
+        disturbance: f ≥ 0, other force towards the obstacle [N].
+        current: c ≥ 0, speed of the water towards the obstacle [m/s].
+
+    Raises:
+        InputError: if a number violates one of the bounds above.
+    """
+
+    masses: tuple[float, float]
+    least: float
+    most: float
+    lag: float
+    linear: tuple[float, float] = (0.0, 0.0)
+    quadratic: tuple[float, float] = (0.0, 0.0)
+    disturbance: float = 0.0
+    current: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values; raise an InputError that names an invalid value."""
+        for name in ("masses", "linear", "quadratic"):
+            low, high = getattr(self, name)
+            positive = low > 0 if name == "masses" else low >= 0
+            if not (positive and low <= high and isfinite(high)):
+                remedy = "give the least value first, and no negative value"
+                raise InputError("is not a range", key=name, value=(low, high), remedy=remedy)
+        for name, strict in (
+            ("least", True),
+            ("most", True),
+            ("lag", False),
+            ("disturbance", False),
+            ("current", False),
+        ):
+            value = getattr(self, name)
+            if not isfinite(value) or value < 0 or (strict and value == 0):
+                bound = "must be greater than 0" if strict else "must be at least 0"
+                raise InputError(bound, key=name, value=value, remedy="correct the number")
+
+    def largest_drag(self, speed: float) -> float:
+        """Return the drag force D(v) ≥ 0 [N] at a speed v ≥ 0 [m/s], for the largest drag coefficients."""
+        return self.linear[1] * speed + self.quadratic[1] * speed**2
+
+    def left(self, obstacle: float) -> float:
+        """Return the net braking force F' = F_b − f − D(v_o + c) [N] for an obstacle's speed v_o; may be negative."""
+        return self.least - self.disturbance - self.largest_drag(obstacle + self.current)
+
+    def acceleration(self, obstacle: float) -> float:
+        """Return a⁺ [m/s²], the largest acceleration of the robot towards the obstacle."""
+        return (self.most + self.disturbance + self.largest_drag(obstacle + self.current)) / self.masses[0]
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Delay and accuracy of the measurements on which a braking decision is based.
+
+    Attributes:
+        period: T > 0, time between two braking decisions [s].
+        age: age of a measured range when the law uses it [s], ≥ 0.
+        range_error: ε ≥ 0, largest error of a measured range [m].
+        speed_error: e_v ≥ 0, largest error of the robot's measured speed [m/s].
+
+    Raises:
+        InputError: if a number violates one of the bounds above.
+    """
+
+    period: float = 0.05
+    age: float = 0.0
+    range_error: float = 0.0
+    speed_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the values; raise an InputError that names an invalid value."""
+        for name in ("period", "age", "range_error", "speed_error"):
+            value = getattr(self, name)
+            if not isfinite(value) or value < 0 or (name == "period" and value == 0):
+                remedy = "give no negative value, and a period above 0"
+                raise InputError("is out of its bounds", key=name, value=value, remedy=remedy)
+
+
+def brakes_of(
+    vehicle: Vehicle,
+    *,
+    share: float = LEAST_THRUST,
+    spread: float | None = None,
+    disturbance: float = 0.0,
+    current: float = 0.0,
+) -> Brakes:
+    """Return the braking data of a vehicle in the worst case of its ranges; without sway force, of surge alone.
+
+    Args:
+        vehicle: the vehicle.
+        share: share of the vehicle's largest thrust that is guaranteed for braking, in (0, 1].
+        spread: relative error of mass and drag; the thrust in the vehicle's file then counts as the largest thrust.
+            None: use the ranges in the vehicle's file; a parameter without a range counts as exact.
+        disturbance, current: values of the attributes `disturbance` and `current` of the result.
+    """
+    if not 0 < share <= 1:
+        raise InputError("must be in (0, 1]", key="share", value=share, remedy="give a share of the thrust")
+    if spread is not None and not 0 <= spread < 1:
+        raise InputError("must be in [0, 1)", key="spread", value=spread, remedy="give a share, for instance 0.2")
+
+    def ends(*names: str) -> tuple[float, float]:
+        ranges = [_ends(vehicle, name, spread) for name in names]
+        return min(low for low, _ in ranges), max(high for _, high in ranges)
+
+    axes = slice(2 if vehicle["Fv_max"] > 0 else 1)
+    most = [vehicle[n] if spread is not None else _ends(vehicle, n, None)[1] for n in ("Fu_max", "Fv_max")[axes]]
+    most += [vehicle[name] for axis, name in vehicle.form.reverse() if axis < 2]
+    return Brakes(
+        ends(*("m11", "m22")[axes]),
+        share * float(min(vehicle.thrust_limit[axes])),
+        max(most),
+        vehicle["thrust_lag"],
+        ends(*("Xu", "Yv")[axes]),
+        ends(*("Xuu", "Yvv")[axes]),
+        disturbance,
+        current,
+    )
+
+
+def _ends(vehicle: Vehicle, name: str, spread: float | None) -> tuple[float, float]:
+    value, stated = vehicle[name], vehicle.parameters[name].range
+    if spread is not None:
+        return value * (1 - spread), value * (1 + spread)
+    return stated or (value, value)
+
+
+def stopping_distance(brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None) -> float:
+    """Return the stopping distance S [m] in closed form; S ignores that drag helps to brake.
+
+    S is infinite if the obstacle is so fast that braking cannot prevent a collision.
+
+    Args:
+        brakes: braking data of the vehicle.
+        speed: speed v of the robot towards the obstacle [m/s].
+        obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
+        thrust: present thrust F [N]; default: the largest thrust F⁺.
+    """
+    left = brakes.left(obstacle)
+    if left <= 0:
+        return inf
+    closing, swing = max(speed + obstacle, 0.0), _swing(brakes, thrust)
+    return max(m * (closing + swing / m) ** 2 / (2 * left) for m in brakes.masses)
+
+
+def stopping_distance_with_drag(
+    brakes: Brakes, speed: float, *, obstacle: float = 0.0, thrust: float | None = None
+) -> float:
+    """Return the stopping distance B ≤ S [m] if the least drag helps to brake; see `stopping_distance`."""
+    if brakes.left(obstacle) <= 0:
+        return inf
+    own, swing = max(speed, -obstacle), _swing(brakes, thrust)
+    return max(_upper_sum(brakes, m, own + swing / m, obstacle) for m in brakes.masses)
+
+
+def tabled_stopping_distance(brakes: Brakes, fastest: float, *, obstacle: float = 0.0) -> Callable[..., float]:
+    """Return `stopping_distance_with_drag` as a function of the speed, from a table for one obstacle speed.
+
+    The tabulated distance is up to 1 % longer than the exact distance, and never shorter.
+
+    Args:
+        brakes: braking data of the vehicle; the table assumes that the present thrust is the largest thrust.
+        fastest: largest speed of the robot for which the table holds a distance [m/s].
+        obstacle: speed v_o ≥ 0 of the obstacle towards the robot [m/s].
+    """
+    swing, left = _swing(brakes, None), brakes.left(obstacle)
+    tables = []
+    for mass in brakes.masses if left > 0 else ():
+        above = _above(brakes, mass, fastest + swing / mass, obstacle)
+        # B is convex, so linear interpolation between the upper sums is an upper bound too
+        tables.append((mass, above, np.concatenate([[0.0], np.cumsum(above.step * above.integrand)])))
+
+    def interpolated(brakes: Brakes, speed: float, *, obstacle: float, thrust: float | None = None) -> float:
+        closing = max(speed, -obstacle) + obstacle
+        return max(
+            (float(np.interp(closing + swing / mass, above.places, total)) for mass, above, total in tables),
+            default=inf,
+        )
+
+    return interpolated
+
+
+def _swing(brakes: Brakes, thrust: float | None) -> float:
+    """Return the impulse [N s] towards the obstacle that the thrust lag adds after the command to brake, τ(F + F_b)."""
+    return brakes.lag * max((brakes.most if thrust is None else thrust) + brakes.least, 0.0)
+
+
+class _Above(NamedTuple):
+    """Upper bound on the derivative of the stopping distance with drag, on each interval of a grid of speeds."""
+
+    step: float
+    places: NDArray[np.float64]  # ends of the steps, starting with 0
+    integrand: NDArray[np.float64]  # the bound on each step
+
+
+def _above(brakes: Brakes, mass: float, top: float, obstacle: float) -> _Above:
+    step = (top + obstacle) / _SUMMANDS
+    v = -obstacle + step * np.arange(1, _SUMMANDS + 1)
+    through = v - brakes.current
+    linear = np.where(through > 0, *brakes.linear)
+    quadratic = np.where(through > 0, *brakes.quadratic)
+    force = brakes.least - brakes.disturbance + through * (linear + quadratic * abs(through))
+    places = np.asarray(step * np.arange(_SUMMANDS + 1), dtype=np.float64)
+    return _Above(step, places, np.maximum.accumulate(mass * (v + obstacle) / force))
+
+
+def _upper_sum(brakes: Brakes, mass: float, top: float, obstacle: float) -> float:
+    above = _above(brakes, mass, top, obstacle)
+    return float(above.step * np.sum(above.integrand))
+
+
+def range_needed(
+    brakes: Brakes,
+    watch: Watch,
+    speed: float,
+    *,
+    obstacle: float = 0.0,
+    thrust: float | None = None,
+    fastest: float | None = None,
+    stopping: Callable[..., float] = stopping_distance,
+) -> float:
+    """Return the smallest measured range [m] at which another period without braking is safe (step 4 in this module).
+
+    Args:
+        brakes, obstacle: see `stopping_distance`.
+        watch: delay and accuracy of the measurements.
+        speed: measured speed v of the robot [m/s].
+        thrust: thrust F⁺ at the end of the period [N]; default: the largest thrust.
+        fastest: largest measured speed V of the robot since the echo that gave the range [m/s]; default: `speed`.
+        stopping: function for the stopping distance, `stopping_distance` or `stopping_distance_with_drag`.
+    """
+    v, period, gain = speed + watch.speed_error, watch.period, brakes.acceleration(obstacle)
+    before = (v if fastest is None else fastest + watch.speed_error) + obstacle
+    left = stopping(brakes, v + gain * period, obstacle=obstacle, thrust=thrust)
+    return watch.range_error + before * watch.age + (v + obstacle) * period + gain * period**2 / 2 + left
+
+
+def admissible(
+    brakes: Brakes,
+    watch: Watch,
+    measured: float,
+    speed: float,
+    *,
+    obstacle: float = 0.0,
+    thrust: float | None = None,
+    fastest: float | None = None,
+) -> float:
+    """Return `measured` minus `range_needed` [m]; if it is at least 0, another period without braking is safe.
+
+    The result is −inf if the obstacle is too fast for braking.
+    """
+    return measured - range_needed(brakes, watch, speed, obstacle=obstacle, thrust=thrust, fastest=fastest)
+
+
+def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: float = 0.0) -> float:
+    """Return the largest speed of the robot [m/s] at which another period without braking is safe.
+
+    The function assumes that the robot was not faster since the echo. If the robot is too near to the obstacle even at
+    a closing speed of 0, the function continues linearly below this speed, so the robot must retreat. The result is
+    −inf if the obstacle is too fast for braking.
+    """
+    left = brakes.left(obstacle)
+    if left <= 0:
+        return -inf
+    gain, late = brakes.acceleration(obstacle), watch.age + watch.period
+    gained, swing = gain * watch.period, _swing(brakes, None)
+    rest = measured - watch.range_error - gain * watch.period**2 / 2 + late * gained
+    closing = inf
+    for m in brakes.masses:
+        k, lost = m / (2 * left), swing / m
+        remaining, slope = rest - k * lost**2, late + 2 * k * lost
+        closing = min(closing, 2 * remaining / (slope + sqrt(slope**2 + 4 * k * max(remaining, 0.0))))
+    return closing - watch.speed_error - obstacle - gained
+
+
+def fastest_obstacle(brakes: Brakes) -> float:
+    """Return the largest obstacle speed v_o [m/s] for which braking guarantees that no collision happens.
+
+    This speed solves D(v_o + c) = F_b − f for the largest drag.
+    """
+    force, linear, quadratic = brakes.least - brakes.disturbance, brakes.linear[1], brakes.quadratic[1]
+    if force <= 0:
+        return 0.0
+    if linear == quadratic == 0:
+        return inf
+    return max(2 * force / (linear + sqrt(linear**2 + 4 * quadratic * force)) - brakes.current, 0.0)

@@ -1,0 +1,114 @@
+"""Tracking law (equations (8)–(12) of the paper) with errata E7 and E9 corrected, and with a limit on the speed.
+
+The law commands the course χ_d = γ_d − atan(y_e/Δ_h), in place of the heading (E7), and the horizontal speed U_h = (U_d
+− k1 x_e) √(y_e² + Δ_h²)/Δ_h, at least 0 (E9). Here γ_d is the direction of the path, x_e the along-track error, y_e the
+cross-track error, Δ_h the look-ahead distance, U_d the speed of the target point, and k1 a gain. So the velocity
+command has the component U_d − k1 x_e along the path and the component −(U_d − k1 x_e) y_e/Δ_h across the path, and the
+code needs no trigonometric function.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+__all__ = ["along_command", "path_error", "progress_rate", "tracking_rate", "tracking_velocity"]
+
+
+def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the along-track error x_e and the cross-track error y_e [m]; y_e is positive left of the path.
+
+    Equation (8) of the paper defines these errors.
+
+    All vector arguments are (2, 1) in {E}.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.guidance import path_error
+        >>> x_e, y_e = path_error(ca.DM([1.0, 0.3]), ca.DM([1.2, 0.0]), ca.DM([1, 0]))
+        >>> round(float(x_e), 2), round(float(y_e), 2)  # 0.2 m behind, 0.3 m to the left
+        (-0.2, 0.3)
+    """
+    offset = position - target
+    x_e = ca.dot(offset, tangent)
+    y_e = tangent[0] * offset[1] - tangent[1] * offset[0]
+    return x_e, y_e
+
+
+def along_command(
+    x_e: ca.SX, y_e: ca.SX, *, speed: ca.SX, k1: ca.SX, lookahead: ca.SX, maximum: ca.SX | None, repaired: bool = True
+) -> ca.SX:
+    """Return the component U_h Δ_h/√(y_e² + Δ_h²) of the commanded horizontal speed U_h along the path [m/s].
+
+    Args:
+        x_e: along-track error [m].
+        y_e: cross-track error [m].
+        speed: speed U_d of the target point along the path [m/s].
+        k1: along-track gain [1/s].
+        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
+        maximum: largest horizontal speed U_h [m/s]; None: no limit, as in the paper.
+        repaired: whether to limit U_h to at least 0; in the law as printed, a negative U_h reverses the sign of the y_e
+            term (erratum E9).
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.guidance import along_command
+        >>> known = dict(speed=ca.SX(0.15), k1=ca.SX(0.3), lookahead=ca.SX(0.8), maximum=ca.SX(0.22))
+        >>> [round(float(along_command(ca.SX(x_e), ca.SX(0), **known)), 3) for x_e in (-0.5, 0.0, 0.3)]
+        [0.22, 0.15, 0.06]
+    """
+    along = speed - k1 * x_e
+    if repaired:
+        along = ca.fmax(along, 0)
+    if maximum is not None:
+        slant = ca.sqrt(y_e * y_e + lookahead * lookahead) / lookahead
+        along = ca.fmin(along, maximum / slant)
+        if not repaired:
+            along = ca.fmax(along, -maximum / slant)
+    return along
+
+
+def tracking_velocity(along: ca.SX, y_e: ca.SX, tangent: ca.SX, lookahead: ca.SX) -> ca.SX:
+    """Return the commanded horizontal velocity (2, 1) in {E} [m/s] for a given along-track command.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.guidance import tracking_velocity
+        >>> tracking_velocity(ca.DM(0.15), ca.DM(0.4), ca.DM([1, 0]), ca.DM(0.8)).full().ravel().round(3).tolist()
+        [0.15, -0.075]
+    """
+    across = -along * y_e / lookahead
+    return ca.vertcat(along * tangent[0] - across * tangent[1], along * tangent[1] + across * tangent[0])
+
+
+def tracking_rate(error: ca.SX, along: ca.SX, *, speed: ca.SX, lookahead: ca.SX, k2: ca.SX, turn: ca.SX) -> ca.SX:
+    """Return the time derivatives of x_e, y_e, z_e [m/s] if the robot follows its commanded velocity exactly.
+
+    The derivatives are those of equation (9) of the paper with the commanded velocities.
+
+    Args:
+        error: (3, 1) along-track, cross-track and depth error x_e, y_e, z_e [m].
+        along: commanded speed along the path [m/s].
+        speed: speed U_d of the target point along the path [m/s].
+        lookahead: look-ahead distance Δ_h of the line-of-sight guidance [m].
+        k2: depth gain [1/s].
+        turn: turn rate γ̇_d of the path direction [rad/s]; it cancels in the derivative of the Lyapunov function V1.
+    """
+    x_e, y_e, z_e = error[0], error[1], error[2]
+    return ca.vertcat(along - speed + y_e * turn, -along * y_e / lookahead - x_e * turn, -k2 * z_e)
+
+
+def progress_rate(x_e: ca.SX, *, speed: ca.SX, wait: ca.SX) -> ca.SX:
+    """Return the speed of the target point along the path [m/s].
+
+    The target's speed is U_d, and it decreases to 0 while the robot's distance behind the target grows from `wait`/2 to
+    `wait` [m]. If the target did not slow down, a robot on a detour would fall far behind, and would then cut corners
+    at full speed to catch up.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.guidance import progress_rate
+        >>> known = dict(speed=ca.SX(0.15), wait=ca.SX(0.8))
+        >>> [round(float(progress_rate(ca.SX(x_e), **known)), 3) for x_e in (0.0, -0.6, -0.8)]
+        [0.15, 0.075, 0.0]
+    """
+    return speed * ca.fmin(ca.fmax(2 * (1 + x_e / wait), 0), 1)

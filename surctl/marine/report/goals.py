@@ -1,0 +1,337 @@
+"""Plots of goals: how well each goal is met, the Pareto front of a tuning, and a metric over time with its bound."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from textwrap import fill
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from surctl.marine.control import Gains
+from surctl.marine.simulation import Run, simulate
+from surctl.marine.tuning import Condition, Goal, Pool, Tuning, figures, scope
+from surctl.marine.vehicle import Vehicle
+from surctl.report.theme import (
+    AVOIDING,
+    BAD,
+    GOOD,
+    INK,
+    MUTED,
+    ROBOT,
+    curve,
+    dress,
+    legend_above,
+    legend_below,
+    new_axes,
+    printable,
+)
+
+__all__ = ["GoalBars", "GoalView", "goal_bars", "goal_view", "plot_front", "plot_goal_bars", "plot_goal_view"]
+
+_MOST = 2.0  # largest normalised value shown; longer bars are cut and labelled with their value
+
+
+@dataclass(frozen=True, eq=False)
+class GoalBars:
+    """Normalised values of m goals for two gain sets.
+
+    Attributes:
+        names: (m,) names of the goals, hard goals first.
+        hard: (m,) whether the goal is hard.
+        hand, tuned: (m,) normalised values of the goals, `hand` with the hand-tuned gains, `tuned` with the tuned
+            gains.
+        speed: (m,) cruise speed [m/s] at which the tuned gains are worst; NaN if the goal names no speeds.
+    """
+
+    names: tuple[str, ...]
+    hard: tuple[bool, ...]
+    hand: NDArray[np.float64]
+    tuned: NDArray[np.float64]
+    speed: NDArray[np.float64]
+
+
+def goal_bars(tuning: Tuning) -> GoalBars:
+    """Return the normalised goals of a tuning, hard goals first.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import goal_bars
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> data = goal_bars(tuning)
+        >>> data.names, data.hard, data.hand.round(2).tolist(), data.tuned.round(2).tolist()
+        (('clear', 'soon'), (True, False), [0.82, 1.02], [0.79, 0.99])
+    """
+    goals = tuning.request.goals
+    order = sorted(range(len(goals)), key=lambda j: goals[j].kind != "hard")
+    hand, tuned = tuning.hand.evaluation.normalised[0], tuning.tuned.evaluation.normalised[0]
+    names = tuple(goals[j].name for j in order)
+    speed = tuning.tuned.evaluation.speed[0][order]
+    return GoalBars(names, tuple(goals[j].kind == "hard" for j in order), hand[order], tuned[order], speed)
+
+
+def plot_goal_bars(data: GoalBars, ax: Axes | None = None) -> Axes:
+    """Plot two bars for each goal, one for each gain set, with a line at 1, the largest value that meets the goal.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import goal_bars, plot_goal_bars
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> ax = plot_goal_bars(goal_bars(tuning))
+        >>> ax.get_title("left"), [label.get_text() for label in ax.get_yticklabels()]
+        ('normalised goals: at most 1 is met', ['clear (hard)', 'soon (soft)'])
+    """
+    count = len(data.names)
+    ax = ax or new_axes(7.0, 1.7 + 0.52 * count)
+    dress(ax, title="normalised goals: at most 1 is met", x="normalised value [1]")
+    ax.grid(visible=False, axis="y")
+    at = np.arange(count)[::-1]
+    right = min(_MOST, max(1.25, 1.1 * _largest(data)))
+    ax.axvspan(1.0, right, color=BAD, alpha=0.08, zorder=0)
+    ax.axvline(1.0, color=BAD, linewidth=1.4, zorder=3)
+    for values, colour, shift in ((data.hand, MUTED, 0.18), (data.tuned, ROBOT, -0.18)):
+        lengths = np.clip(np.nan_to_num(values, nan=np.inf), 0.0, right)
+        ax.barh(at + shift, lengths, height=0.32, color=colour, zorder=2)
+        for y, value, length in zip(at + shift, values, lengths, strict=True):
+            text = f"{value:.3g}" if np.isfinite(value) else "not met"
+            inside = length > 0.8 * right
+            ax.text(
+                length - 0.01 * right if inside else length + 0.01 * right,
+                y,
+                text,
+                ha="right" if inside else "left",
+                va="center",
+                fontsize=8,
+                color="white" if inside else INK,
+                zorder=4,
+            )
+    worst = ["" if np.isnan(speed) else f", worst at {speed:g} m/s" for speed in data.speed]
+    kinds = [("hard" if hard else "soft") + at for hard, at in zip(data.hard, worst, strict=True)]
+    ax.set_yticks(at, [f"{name} ({kind})" for name, kind in zip(data.names, kinds, strict=True)], parse_math=False)
+    ax.set_xlim(0.0, right)
+    ax.set_ylim(-0.6, count - 0.4)
+    legend_below(ax, columns=2, handles=[Patch(color=MUTED, label="start gains"), Patch(color=ROBOT, label="tuned")])
+    return ax
+
+
+def _largest(data: GoalBars) -> float:
+    both = np.concatenate([data.hand, data.tuned])
+    return float(np.max(both[np.isfinite(both)], initial=1.0))
+
+
+_WIDE = 70  # characters of a line of the legend
+_SCORE = "score [1]: worst soft goal over its limit or its start (lower is better)"
+_HARD = "largest hard goal over its limit [1] (lower is better)"
+
+
+def plot_front(tuning: Tuning, ax: Axes | None = None) -> Axes:
+    """Plot score and mean thrust of the Pareto-optimal gain sets, with the start gains and the tuned gains marked.
+
+    Without soft goals, the largest normalised hard goal takes the place of the score. A hollow mark is a set that
+    misses hard goals; the legend has their normalised values, because neither axis shows them.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import plot_front
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> ax = plot_front(tuning)
+        >>> ax.get_title("left"), ax.get_ylabel()
+        ('what the tuning found', 'mean thrust [N] (lower is better)')
+    """
+    soft = any(goal.kind == "soft" for goal in tuning.request.goals)
+    ax = dress(
+        ax or new_axes(5.6, 4.6),
+        title="what the tuning found",
+        x=_SCORE if soft else _HARD,
+        y="mean thrust [N] (lower is better)",
+    )
+    start = tuning.hand.evaluation.normalised[0]
+
+    def places(pool: Pool) -> NDArray[np.float64]:
+        return pool.score(start) if soft else pool.evaluation.normalised.max(axis=1, initial=0.0)
+
+    order = np.argsort(places(tuning.front), kind="stable")
+    score, effort = places(tuning.front)[order], tuning.front.evaluation.effort[order]
+    ax.plot(score, effort, "o", color=GOOD, markersize=5, label="undominated", zorder=2)
+    for pool, mark, colour, label in ((tuning.hand, "s", MUTED, "start gains"), (tuning.tuned, "D", AVOIDING, "tuned")):
+        at, thrust = float(places(pool)[0]), float(pool.evaluation.effort[0])
+        if np.isfinite([at, thrust]).all():
+            missed = _hard_misses(pool)
+            text = f"{label} (hard goals missed: {', '.join(missed)})" if missed else label
+            face = "none" if missed else colour
+            ax.plot(
+                at, thrust, mark, color=colour, markerfacecolor=face, markersize=8,
+                label=fill(printable(text), _WIDE), linestyle="none", zorder=3,
+            )  # fmt: skip
+    ax.axvline(1.0, color=BAD, linewidth=1.0, zorder=0)
+    ax.margins(0.1)
+    legend_below(ax, columns=1, handles=ax.get_legend_handles_labels()[0])
+    return ax
+
+
+def _hard_misses(pool: Pool) -> list[str]:
+    # of the first set
+    shares = zip(pool.evaluation.goals, pool.evaluation.normalised[0], strict=True)
+    return [f"{goal.name} {share:.3g}" for goal, share in shares if goal.kind == "hard" and not share <= 1] + [
+        "a claim" for over in pool.claims[0] if not over <= 0
+    ][:1]
+
+
+@dataclass(frozen=True, eq=False)
+class GoalView:
+    """The metric of a goal over time, in the run that is worst for the goal.
+
+    Attributes:
+        goal: the goal.
+        label: name of the run.
+        course: name of the metric with its unit.
+        time: (k,) times [s], by label of the gain set.
+        values: (k,) values of the metric, by label of the gain set.
+    """
+
+    goal: Goal
+    label: str
+    course: str
+    time: dict[str, NDArray[np.float64]]
+    values: dict[str, NDArray[np.float64]]
+
+
+_OVER_TIME = {
+    "min_clearance_m": "clearance [m]",
+    "deviation_m": "deviation so far, rms [m]",
+    "max_deviation_m": "distance from the path [m]",
+    "effort_n": "thrust so far, mean [N]",
+    "time_s": "distance to the target [m]",  # the bound applies to the time axis
+}
+
+
+def goal_view(tuning: Tuning, goal: Goal) -> GoalView | None:
+    """Return the metric of a goal over time for start gains and tuned gains, in the worst run of the tuned gains.
+
+    The reference simulation repeats this run. The result is None if the metric is not a function of time.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import goal_view
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> view = goal_view(tuning, goals[1])
+        >>> view.label, view.course, round(float(view.values["tuned"].min()), 2)
+        ('pool-behind/sur400/truth, seed 0', 'clearance [m]', 0.1)
+    """
+    return next(goal_views(tuning, [goal]), None)
+
+
+def goal_views(tuning: Tuning, goals: Iterable[Goal]) -> Iterator[GoalView]:
+    """Yield the view of each goal that has one; a run that several of them show is simulated once."""
+    conditions, base = tuning.request.conditions, tuning.request.base
+    sets = {"start gains": base, "tuned": base.with_values(tuning.result.gains)}
+    tuned = {name: np.array([value]) for name, value in tuning.result.gains.items()}
+    runs: dict[tuple[int, str], Run] = {}
+    for goal in goals:
+        if goal.metric not in _OVER_TIME:
+            continue
+        own = scope(goal, conditions)
+        measured = figures([goal], [conditions[k] for k in own], tuned)[goal.metric][0]
+        worst = own[int(goal.normalised(measured).argmax())]
+        time, values = {}, {}
+        for label, gains in sets.items():
+            if (worst, label) not in runs:
+                runs[worst, label] = _simulated(conditions[worst], gains)
+            time[label], values[label] = _course(runs[worst, label], goal.metric)
+        yield GoalView(goal, conditions[worst].label, _OVER_TIME[goal.metric], time, values)
+
+
+def _simulated(condition: Condition, gains: Gains) -> Run:
+    case = condition.case
+    return simulate(
+        case.scenario,
+        _actual_vehicle(case.vehicle, condition),
+        gains=gains,
+        law=case.build(),
+        sensing=case.sensing,
+        seed=condition.seed,
+        model=case.model or case.vehicle,
+    )
+
+
+def _course(run: Run, metric: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    record = run.record
+    away = run.scenario.follower().track(record.eta[:, :2])
+    counted = np.arange(1, len(away) + 1)
+    course = {
+        "min_clearance_m": record.clearance,
+        "deviation_m": np.sqrt(np.cumsum(away**2) / counted),  # the metric is the last value of the curve
+        "max_deviation_m": away,
+        "effort_n": np.cumsum(np.hypot(record.tau[:, 0], record.tau[:, 1])) / counted,
+        "time_s": np.hypot(*(record.eta[:, :2] - run.scenario.target).T),
+    }[metric]
+    return record.time, np.asarray(course, dtype=float)
+
+
+def _actual_vehicle(vehicle: Vehicle, condition: Condition) -> Vehicle:
+    return vehicle.with_values({name.removeprefix("plant."): value for name, value in condition.plant.items()})
+
+
+def plot_goal_view(data: GoalView, ax: Axes | None = None) -> Axes:
+    """Plot the metric of a goal over time; the side of the bound on which the goal is missed is shaded.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import goal_view, plot_goal_view
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> ax = plot_goal_view(goal_view(tuning, goals[1]))
+        >>> ax.get_title("left"), ax.get_ylabel()
+        ('clear', 'clearance [m]')
+    """
+    goal = data.goal
+    ax = ax or new_axes(6.4, 3.9)
+    dress(ax, title=goal.name, x="time [s]", y=data.course)
+    for k, label in enumerate(data.time):
+        curve(ax, data.time[label], data.values[label], label=label, k=k)
+    # the goal of arrival bounds the time axis, every other goal bounds the axis of its metric
+    bounded_values, shade, line, bounded, free = (
+        (data.time, ax.axvspan, ax.axvline, ax.set_xlim, ax.set_ylim)
+        if goal.metric == "time_s"
+        else (data.values, ax.axhspan, ax.axhline, ax.set_ylim, ax.set_xlim)
+    )
+    ends = np.concatenate([*bounded_values.values(), [goal.limit]])
+    known = ends[np.isfinite(ends)]
+    spread = max(float(np.ptp(known)), 1e-6)
+    low, high = min(0.0, float(known.min())) - 0.02 * spread, float(known.max()) + 0.12 * spread
+    above = goal.bad_side() == "above"
+    shade(goal.limit if above else low, high if above else goal.limit, color=BAD, alpha=0.10, zorder=0)
+    line(goal.limit, color=BAD, linewidth=1.4, zorder=1, label=f"{goal.sense} {goal.limit:g} {goal.unit}")
+    bounded(low, high)
+    free(0.0)
+    legend_above(ax, columns=3)
+    label = fill(printable(data.label), 100)
+    ax.set_xlabel(f"{ax.get_xlabel()}\n\n{label}", fontsize=8, color=INK, parse_math=False)
+    return ax

@@ -1,0 +1,308 @@
+"""Sections of the HTML report on the design: loops, sweep, export, computing time, and tables of parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from surctl.export import Difference, SilReport
+from surctl.export.sil import TOLERANCE
+from surctl.marine.control import Gains
+from surctl.marine.report.data import ExportSummary, ReportData
+from surctl.marine.report.heat_map import COLUMN_TITLES, axis_title, plot_heat_map
+from surctl.marine.report.linear_section import linear_blocks
+from surctl.marine.report.loops import LoopResponse, plot_bode, plot_nyquist, plot_poles
+from surctl.marine.report.sweep_plots import plot_parallel
+from surctl.marine.report.words import file_size, number
+from surctl.marine.tuning import SweepTable
+from surctl.marine.vehicle import Vehicle, parameter_spec
+from surctl.report.document import (
+    Block,
+    Cell,
+    Heading,
+    Paragraph,
+    Picture,
+    Pictures,
+    Section,
+    Table,
+    outcome_cell,
+    picture,
+)
+
+__all__ = ["export_section", "gains_section", "loops_section", "sweep_section", "time_section", "vehicle_section"]
+
+_SWEPT = (
+    "score",
+    "deviation_m",
+    "path_error_m",
+    "time_s",
+    "min_clearance_m_worst",
+    "effort_n",
+    "delay_margin_s",
+    "disk_margin",
+)
+
+
+def vehicle_section(data: ReportData) -> Section:
+    """Return a section with all vehicle parameters (unit, range, provenance); other simulated vehicles come last."""
+    others = {run.vehicle.name: run.vehicle for run in data.runs if run.vehicle.name != data.vehicle.name}
+    blocks: list[Block] = [*_note(data.vehicle), _parameters(data.vehicle)]
+    for vehicle in others.values():
+        blocks += [Heading(f"Also simulated: {vehicle.name}"), *_note(vehicle), _parameters(vehicle)]
+    return Section("vehicle", f"Parameters of vehicle {data.vehicle.name}", tuple(blocks))
+
+
+def _note(vehicle: Vehicle) -> list[Block]:
+    return [Paragraph(vehicle.note)] if vehicle.note else []
+
+
+def _parameters(vehicle: Vehicle) -> Table:
+    rows = []
+    for name, p in vehicle.parameters.items():
+        span = "–" if p.range is None else f"{number(p.range[0])} to {number(p.range[1])}"
+        spec = parameter_spec(name)
+        meaning = spec.meaning if spec else ""
+        value = Cell(number(p.value, digits=6), number=True)
+        rows.append((Cell(name, code=True), meaning, value, p.unit, span, p.provenance))
+    heads = ("parameter", "meaning", "value", "unit", "range (same unit)", "provenance")
+    return Table(f"Parameters of {vehicle.name}", heads, tuple(rows))
+
+
+def gains_section(data: ReportData) -> Section:
+    """Return a section with the gains, their units and meanings, and their provenance."""
+    specs = data.gains.specs
+    rows = tuple(
+        (Cell(name, code=True), Cell(number(value, digits=6), number=True), specs[name].unit, specs[name].meaning)
+        for name, value in data.gains.values.items()
+    )
+    table = Table(f"Gains {data.gains.name}", ("gain", "value", "unit", "meaning"), rows)
+    return Section("gains", f"Gains {data.gains.name}", (Paragraph(_provenance(data.gains)), table))
+
+
+def _provenance(gains: Gains) -> str:
+    return f"Provenance: {gains.provenance.rstrip('.')}."
+
+
+def loops_section(data: ReportData) -> Section:
+    """Return a section with the margins of each loop, Bode and Nyquist plots, and poles."""
+    heads = (
+        "loop", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
+        "disk margin [1]", "crossover [rad/s]",
+    )  # fmt: skip
+    rows = tuple(
+        (
+            Cell(m.name, code=True),
+            outcome_cell(m.stable, "stable", "UNSTABLE"),
+            *(
+                Cell(number(v), number=True)
+                for v in (
+                    m.gain_margin,
+                    m.least_gain,
+                    m.phase_margin_deg,
+                    m.delay_margin_s,
+                    m.disk_margin,
+                    m.crossover_rad_s,
+                )
+            ),
+        )
+        for m in data.margins
+    )
+    text = (
+        "Each loop is opened at one place while all others stay closed, about straight cruise. The loops surge, sway, "
+        "heave and yaw are opened at the thrust command, along_track, cross_track, depth and heading at the "
+        "measurement."
+    )
+    if any(m.name == "psi" for m in data.margins):  # a law that is linearised numerically
+        text = (
+            "Each loop of the sampled law is opened at one place while all others stay closed, about straight cruise: "
+            "surge, yaw and the like at the thrust command, x, y, psi, u, v and r at the measurement."
+        )
+    blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *linear_blocks(data.linear)]
+    pictures = _loop_pictures(data)
+    if data.poles is not None:
+        slowest = float(np.max(np.real(data.poles)))
+        pictures += (
+            picture(
+                plot_poles(data.poles),
+                alt=f"Closed-loop poles; the largest real part is {number(slowest)} per second",
+                caption=f"Closed-loop poles; the slowest has the real part {number(slowest)} 1/s.",
+                command=data.command,
+            ),
+        )
+    if pictures:
+        blocks.append(Pictures(pictures))
+    return Section("loops", "Margins of each loop", tuple(blocks), folded=True)
+
+
+def _loop_pictures(data: ReportData) -> tuple[Picture, ...]:
+    pictures = []
+    for at in ("thrust", "measurement"):
+        group = [loop for loop in data.loops if loop.at == at]
+        if group:
+            pictures += [_bode_picture(data, group, at), _nyquist_picture(data, group, at)]
+    return tuple(pictures)
+
+
+def _bode_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
+    return picture(
+        plot_bode(group),
+        alt=f"Bode plot of the loops opened at the {at}: {', '.join(loop.name for loop in group)}",
+        caption=f"Bode plot of the loops opened at the {at}. Dots mark where the loop gain crosses 1.",
+        command=data.command,
+    )
+
+
+def _nyquist_picture(data: ReportData, group: Sequence[LoopResponse], at: str) -> Picture:
+    names = [loop.name for loop in group]
+    disks = [m.disk_margin for m in data.margins if m.name in names and m.stable]
+    least = min(disks, default=None)
+    shading = "" if least is None else f" No curve enters the shaded disk of the least disk margin, {number(least)}."
+    return picture(
+        plot_nyquist(group, disk_margin=least),
+        alt=f"Nyquist plot of the loops opened at the {at}, around the point -1",
+        caption=f"Nyquist plot of the loops opened at the {at}.{shading}",
+        command=data.command,
+    )
+
+
+def sweep_section(data: ReportData, sweep: SweepTable) -> Section:
+    """Return a section with plots of the columns of the sweep, and a table of the picked point."""
+    feasible = sweep.column("feasible") > 0.5
+    over = " and ".join(axis_title(axis) for axis in sweep.axes)
+    text = (
+        f"The sweep has {feasible.size} points over {over}; each is simulated in {', '.join(sweep.cases)}. "
+        f"{int(feasible.sum())} points are feasible: every run arrives without contact and the margins suffice. The "
+        "feasible point with the lowest score is picked."
+    )
+    blocks: list[Block] = [Paragraph(text)]
+    if sweep.picked is None:
+        blocks.append(Paragraph("No point is feasible, so the gains of the file stay in use.", "bad"))
+    else:
+        blocks.append(_picked(sweep, sweep.picked))
+    if sweep.is_grid and len(sweep.axes) > 1:
+        maps = tuple(_heat_picture(data, sweep, name) for name in _SWEPT if name in sweep.columns)
+    else:
+        maps = (_parallel_picture(data, sweep),)
+    return Section("sweep", "Sweep of the gains", (*blocks, Pictures(maps)), folded=True)
+
+
+def _picked(sweep: SweepTable, at: tuple[int, ...]) -> Table:
+    here = sweep.row(at)
+    rows = [(axis.name, Cell(number(here[axis.name]), number=True), axis.unit) for axis in sweep.axes]
+    rows += [
+        (COLUMN_TITLES.get(name, name), Cell(number(here[name]), number=True), sweep.units[name])
+        for name in _SWEPT
+        if name in sweep.columns
+    ]
+    return Table("The picked point", ("quantity", "value", "unit"), tuple(rows))
+
+
+def _heat_picture(data: ReportData, sweep: SweepTable, name: str) -> Picture:
+    one, other, *_ = sweep.axes
+    title = COLUMN_TITLES.get(name, name)
+    return picture(
+        plot_heat_map(sweep, name),
+        alt=f"Heat map over {one.name} and {other.name}: {title}",
+        caption=f"{title[0].upper()}{title[1:]}. The frame marks the picked point; hatched cells are infeasible.",
+        command=data.command,
+    )
+
+
+def _parallel_picture(data: ReportData, sweep: SweepTable) -> Picture:
+    return picture(
+        plot_parallel(sweep),
+        alt=f"Parallel coordinates of the sweep over {', '.join(axis.name for axis in sweep.axes)}",
+        caption="Parallel coordinates: one line per point; each axis has its own scale.",
+        command=data.command,
+    )
+
+
+def export_section(export: ExportSummary) -> Section:
+    """Return a section with the exported files (size, SHA-256), and the comparison of the compiled C with Python."""
+    rows = tuple(
+        (Cell(f.path.name, code=True), Cell(file_size(f.path), number=True), Cell(f.sha256, code=True))
+        for f in export.files
+    )
+    blocks: list[Block] = [Paragraph(f"C99, double precision, prefix {export.name}, law {export.id}.")]
+    if export.status:
+        blocks.append(Paragraph(export.status))
+    blocks.append(Table("Exported files", ("file", "size [byte]", "SHA-256"), rows))
+    blocks += _comparison(export.sil) or [Paragraph("The C was not compiled and not compared with Python.", "note")]
+    return Section("export", "Exported controller", tuple(blocks), folded=True)
+
+
+@dataclass(frozen=True)
+class _Quantity:
+    name: str
+    difference: Difference
+
+
+def _comparison(reports: Sequence[SilReport]) -> list[Block]:
+    if not reports:
+        return []
+    rows: list[tuple[Cell | str, ...]] = []
+    for k, report in enumerate(reports, start=1):
+        kinds = (("thrust", report.tau), ("next state", report.state), ("telemetry", report.telemetry))
+        rows += [_difference_row(k, report.steps, _Quantity(*kind)) for kind in kinds]
+    heads = (
+        "run",
+        "steps",
+        "quantity",
+        "absolute",
+        "relative",
+        f"mixed (limit {TOLERANCE:g})",
+        "at step",
+        "verdict",
+    )
+    caption = "Largest differences between C and Python over all steps; mixed: relative to max(1, |Python|)"
+    blocks: list[Block] = [Heading("Software in the loop"), Table(caption, heads, tuple(rows)), _checks(reports)]
+    for report in reports:
+        blocks += [Paragraph(f"Failed: {label}", "bad") for label in report.fault_failures[:5]]
+    return blocks
+
+
+def _difference_row(k: int, steps: int, quantity: _Quantity) -> tuple[Cell | str, ...]:
+    d = quantity.difference
+    near = d.mixed <= TOLERANCE
+    return (
+        Cell(str(k), number=True),
+        Cell(str(steps), number=True),
+        quantity.name,
+        *(Cell(number(v, digits=2), number=True) for v in (d.absolute, d.relative, d.mixed)),
+        Cell("–" if d.step is None else str(d.step), number=True),
+        outcome_cell(near, "equal", "DIFFERS"),
+    )
+
+
+def _checks(reports: Sequence[SilReport]) -> Table:
+    rows = []
+    for k, r in enumerate(reports, start=1):
+        rows.append(
+            (
+                Cell(str(k), number=True),
+                _count(len(r.resets), "none"),
+                _count(r.status_mismatches, "none"),
+                _count(len(r.fault_failures), f"all {r.fault_cases} cases: zero thrust, negative status"),
+                outcome_cell(r.self_test, "passes", "FAILS"),
+                Cell(number(r.code_bytes, digits=9), number=True),
+                r.compiler,
+            )
+        )
+    heads = (
+        "run", "state resets", "status mismatches", "NaN and infinity at every state, input and gain", "self-test",
+        "code and constants [byte]", "compiler",
+    )  # fmt: skip
+    return Table("Other checks of the compiled controller", heads, tuple(rows))
+
+
+def _count(failures: int, fine: str) -> Cell:
+    return outcome_cell(failures == 0, fine, f"{failures} FAILED")
+
+
+def time_section(data: ReportData) -> Section:
+    """Return a section with the computing time of each part of the study."""
+    rows = [(stage, Cell(number(value, digits=3), number=True)) for stage, value in data.seconds.items()]
+    rows.append(("total", Cell(number(sum(data.seconds.values()), digits=3), number=True)))
+    return Section("time", "Computing time", (Table("Time by stage", ("stage", "time [s]"), tuple(rows)),), folded=True)

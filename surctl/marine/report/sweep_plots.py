@@ -1,0 +1,163 @@
+"""Plots of sweeps over any number of axes: parallel coordinates, and bars of Sobol' indices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from surctl.marine.report.heat_map import axis_title, column_title
+from surctl.marine.tuning import Sensitivity, SweepTable
+from surctl.report.theme import AVOIDING, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
+
+__all__ = ["plot_parallel", "plot_sensitivity"]
+
+_SHOWN = ("deviation_m", "time_s", "min_clearance_m_worst", "effort_n", "delay_margin_s", "disk_margin", "score")
+_LINES = 2000  # largest number of lines drawn, because more lines would merge
+
+
+def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: Axes | None = None) -> Axes:
+    """Plot a sweep in parallel coordinates: one line for each point, one scale for each parameter and metric.
+
+    Feasible points are drawn over infeasible points, and the selected point on top. The line of a point has a gap at a
+    metric without a value. If there are very many points, an evenly spaced selection is drawn.
+
+    Args:
+        table: a sweep of any kind.
+        columns: names of the columns; by default those columns of a standard list that the sweep contains.
+        ax: axes to draw in.
+
+    Raises:
+        InputError: the sweep has no such column.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import plot_parallel
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import build_cases, sweep
+        >>> from surctl.tuning import grid, parse_axis
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
+        >>> table = sweep(cases, grid([parse_axis("k_v=1,2"), parse_axis("lookahead=0.4,0.8,1.2")]))
+        >>> ax = plot_parallel(table, ["time_s", "disk_margin"])
+        >>> ax.get_title("left"), [label.get_text() for label in ax.get_xticklabels()[:2]]
+        ('6 points, 6 feasible', ['k_v [1/s]', 'lookahead [m]'])
+    """
+    names = [name for name in _SHOWN if name in table.columns] if columns is None else list(columns)
+    scales, titles = [], []
+    for k, axis in enumerate(table.axes):
+        place = [1] * len(table.shape)
+        place[k if table.is_grid else 0] = len(axis.values)
+        scales.append(np.broadcast_to(axis.values.reshape(place), table.shape).reshape(-1))
+        titles.append(axis_title(axis))
+    for name in names:
+        scales.append(table.column(name).reshape(-1))
+        titles.append(column_title(table, name))
+    ax = ax or new_axes(1.35 * len(scales) + 1.0, 4.2)
+    ends = [_ends(values) for values in scales]
+    lines = np.stack([(v - low) / (high - low) for v, (low, high) in zip(scales, ends, strict=True)], axis=1)
+    feasible = table.column("feasible").reshape(-1) > 0.5
+    shown = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), _LINES)).astype(int))
+    good, bad = shown[feasible[shown]], shown[~feasible[shown]]
+    dress(ax, title=f"{len(lines)} points, {int(feasible.sum())} feasible")
+    ax.grid(visible=False)
+    strength = float(np.clip(25 / max(len(shown), 1), 0.06, 0.8))
+    for chosen, colour, width in ((bad, OBSTACLE, 0.6), (good, ROBOT, 1.0)):
+        ax.add_collection(_collection(lines[chosen], colour, width, strength))
+    if table.picked is not None:
+        picked = int(np.ravel_multi_index(table.picked, table.shape))
+        ax.add_collection(_collection(lines[[picked]], AVOIDING, 2.6, 1.0))
+    _upright(ax, titles, ends)
+    handles = [Line2D([], [], color=ROBOT, label="feasible"), Line2D([], [], color=OBSTACLE, label="not feasible")]
+    if table.picked is not None:
+        handles.append(Line2D([], [], color=AVOIDING, linewidth=2.6, label="picked"))
+    legend_below(ax, columns=3, handles=handles)
+    return ax
+
+
+def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
+    """Plot the first-order and total Sobol' indices of each parameter with their confidence intervals.
+
+    Args:
+        result: the Sobol' indices.
+        ax: axes to draw in.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import plot_sensitivity
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import build_cases, sensitivity, sweep
+        >>> from surctl.tuning import parse_axis, saltelli
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
+        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
+        >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
+        >>> ax = plot_sensitivity(found)
+        >>> ax.get_title("left"), ax.get_xlabel(), [label.get_text() for label in ax.get_yticklabels()]
+        ('What time_s depends on', 'share of the variance [1]', ['scenario.cruise', 'k_v'])
+    """
+    ax = ax or new_axes(6.4, 1.5 + 0.55 * len(result.axes))
+    title = f"What {result.column} depends on"
+    dress(ax, title=f"{title}: it is constant" if result.constant else title, x="share of the variance [1]")
+    at = np.arange(len(result.axes))[::-1]
+    series = (
+        ("alone (first order)", result.first, result.first_interval, ROBOT, 0.19, None),
+        ("with others (total order)", result.total, result.total_interval, AVOIDING, -0.19, "///"),
+    )
+    for label, values, intervals, colour, offset, hatch in series:
+        heights = np.array(values)
+        ax.barh(
+            at + offset, heights, 0.34, color="white" if hatch else colour, edgecolor=colour, hatch=hatch, label=label
+        )
+        # a bootstrap interval need not contain the estimate
+        errors = np.abs(np.array(intervals).T - heights)
+        ax.errorbar(heights, at + offset, xerr=errors, fmt="none", ecolor=INK, elinewidth=1.1, capsize=2.5)
+    ax.set_yticks(at, [printable(name) for name in result.axes])
+    ends = [v for pair in (*result.first_interval, *result.total_interval) for v in pair]
+    ax.set_xlim(min(0.0, *ends) - 0.02, max(1.0, *ends) + 0.02)
+    ax.axvline(0.0, color=MUTED, linewidth=0.8)
+    handles, _ = ax.get_legend_handles_labels()
+    legend_below(ax, columns=2, handles=handles)
+    return ax
+
+
+def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
+    # the ends differ even if all values are equal
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return 0.0, 1.0
+    low, high = float(known.min()), float(known.max())
+    return (low, high) if high > low else (low - 0.5, high + 0.5)
+
+
+def _collection(lines: NDArray[np.float64], colour: str, width: float, strength: float) -> LineCollection:
+    x = np.arange(lines.shape[1], dtype=float)
+    segments = [np.column_stack([x, np.where(np.isfinite(line), line, np.nan)]) for line in lines]
+    return LineCollection(segments, colors=colour, linewidths=width, alpha=strength)
+
+
+def _upright(ax: Axes, titles: Sequence[str], ends: Sequence[tuple[float, float]]) -> None:
+    # end values on the scale, name below
+    ax.set_xlim(-0.3, len(titles) - 0.7)
+    ax.set_ylim(-0.09, 1.09)
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
+    ax.spines["bottom"].set_visible(False)
+    for k, (low, high) in enumerate(ends):
+        ax.axvline(k, 0.09 / 1.18, 1.09 / 1.18, color=MUTED, linewidth=1.0, zorder=0)
+        for text, y, side in ((low, -0.015, "top"), (high, 1.015, "bottom")):
+            ax.text(k, y, f"{text:.3g}", ha="center", va=side, fontsize=8, color=INK)
+    ax.set_xticks(range(len(titles)), [_lines(title) for title in titles], fontsize=8)
+    ax.tick_params(length=0)
+
+
+def _lines(text: str) -> str:
+    # short enough to fit beside the neighbouring titles
+    words, lines = text.split(), [""]
+    for word in words:
+        if lines[-1] and len(lines[-1]) + 1 + len(word) > 15:
+            lines.append("")
+        lines[-1] = f"{lines[-1]} {word}".strip()
+    return "\n".join(printable(line) for line in lines)

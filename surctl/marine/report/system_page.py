@@ -1,0 +1,207 @@
+"""The report of a study of a system of the user's own: run, margins, region, sweep, export and signals on one page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from numpy.typing import ArrayLike
+
+from surctl.assessment.assessment import Assessment, Line
+from surctl.errors import InputError
+from surctl.export import SilReport
+from surctl.ir import Layout
+from surctl.marine.report.page import render_sections
+from surctl.marine.report.words import number
+from surctl.report.document import (
+    Block,
+    Cell,
+    Paragraph,
+    Pictures,
+    Section,
+    Table,
+    checks_of,
+    marked,
+    outcome_cell,
+    picture,
+)
+from surctl.report.motion_plots import plot_motion
+from surctl.report.system_plot import plot_record
+from surctl.report.system_plots import plot_dependence
+from surctl.system import Record, Runs, entry_labels, entry_units
+
+__all__ = ["SystemStudy", "export_line", "render_system_page"]
+
+
+@dataclass(frozen=True)
+class SystemStudy:
+    """The results of a study of a system.
+
+    Attributes:
+        title: names of plant and controller.
+        record: the run.
+        assessment: what is assessed of the system, with the comparison of C and Python.
+        resting: (label, value, unit) of every number at the equilibrium, by kind; empty if there is none.
+        mode: what the slowest mode does.
+        swept: numbers (n,) of the runs of the sweep by name; empty if nothing was swept.
+        runs: the runs of the sweep.
+        best: lines with the best point of each cost.
+        sil: comparison of C and Python.
+        commands: the command lines of the study, of the run, of the margins and claim, and of the sweep.
+        version: version of surctl.
+    """
+
+    title: str
+    record: Record
+    assessment: Assessment
+    resting: Mapping[str, Sequence[tuple[str, float, str]]]
+    mode: str
+    swept: Mapping[str, ArrayLike]
+    runs: Runs | None
+    best: Sequence[str]
+    sil: SilReport
+    commands: Mapping[str, str]
+    version: str
+
+
+def export_line(sil: SilReport) -> Line:
+    """Return the verdict on the exported C."""
+    most = max(sil.tau.mixed, sil.state.mixed, sil.telemetry.mixed)
+    text = f"C and Python differ by at most {most:.1e} over {sil.steps} steps, {sil.fault_cases} invalid inputs tried"
+    return Line(sil.passed, text, "export")
+
+
+def render_system_page(study: SystemStudy) -> str:
+    """Return the report as one HTML text without links to the network; all text is escaped.
+
+    `surctl study FILE.py:FUNCTION --seconds S` writes it.
+    """
+    assessment = study.assessment
+    system = study.record.system
+    return render_sections(
+        title=study.title,
+        subject=f"Plant {system.plant.name}, controller {system.controller.name}, control period {system.dt:g} s.",
+        version=study.version,
+        command=study.commands["study"],
+        outcome=marked(assessment.passed, assessment.banner),
+        summary=checks_of(assessment),
+        sections=[section for section in _sections(study) if section.blocks],
+    )
+
+
+def _sections(study: SystemStudy) -> list[Section]:
+    sil = [Paragraph(line.strip()) for line in study.sil.summary().splitlines()]
+    return [
+        Section("run", "Run", _run(study)),
+        Section("margins", "Equilibrium and margins", _margins(study)),
+        Section("region", "Region of attraction", _region(study)),
+        Section("sweep", "Sweep", _sweep(study)),
+        Section("export", "Export as C", tuple(sil)),
+        Section("signals", "Signals, parameters and gains", _ports(study.record)),
+    ]
+
+
+def _run(study: SystemStudy) -> tuple[Block, ...]:
+    record, command = study.record, study.commands["run"]
+    figures = picture(
+        plot_record(record),
+        alt=f"States, commands and references over {record.duration:.6g} s",
+        caption="States, commands and references over time; commands are constant between control instants.",
+        command=command,
+    )
+    rows = tuple(
+        (Cell(name, code=True), Cell(number(record.figures[name]), number=True), cost.unit, cost.how, cost.meaning)
+        for name, cost in record.system.costs.items()
+    )
+    table = Table("Costs of the run", ("cost", "value", "unit", "over the run", "meaning"), rows)
+    return (Pictures((figures,)), *([table] if rows else []))
+
+
+def _margins(study: SystemStudy) -> tuple[Block, ...]:
+    loop = study.assessment.sources["loop"]
+    if isinstance(loop, InputError):
+        return (Paragraph(f"Not judged: {loop.problem}.", "note"),)
+    figures = tuple(
+        (Cell(f.name, code=True), Cell(number(f.value), number=True), f.unit, f.meaning, f.where)
+        for f in study.assessment.figures.values()
+    )
+    rest = tuple(
+        (kind, Cell(label, code=True), Cell(number(value, digits=6), number=True), unit)
+        for kind, rows in study.resting.items()
+        for label, value, unit in rows
+    )
+    rows = tuple(
+        (
+            Cell(m.name, code=True), outcome_cell(m.stable, "stable", "UNSTABLE"),
+            *(Cell(number(v), number=True) for v in (
+                m.gain_margin, m.least_gain, m.phase_margin_deg, m.delay_margin_s, m.disk_margin)),
+        )
+        for m in loop.nominal.margins
+    )  # fmt: skip
+    heads = (
+        "opened at", "closed loop", "gain margin [1]", "least gain [1]", "phase margin [deg]", "delay margin [s]",
+        "disk margin of this loop alone [1]",
+    )  # fmt: skip
+    text = "The sampled loop, linear about its equilibrium, is opened at one signal while all others stay closed."
+    together = [margin.line(margin.place) for margin in loop.nominal.disks if loop.nominal.stable]
+    return (
+        Table("Figures of the assessment", ("figure", "value", "unit", "meaning", "worst at"), figures),
+        Paragraph(text),
+        Table("Margins", heads, rows),
+        *map(Paragraph, together),
+        Paragraph(f"Slowest mode: {study.mode}."),
+        Table("Equilibrium", ("kind", "entry", "value", "unit"), rest),
+    )
+
+
+def _region(study: SystemStudy) -> tuple[Block, ...]:
+    solution = study.assessment.sources.get("region")
+    if solution is None:
+        return ()
+    first, *others = (" ".join(line.split()) for line in solution.lines())
+    marks: dict[str, Literal["good", "bad"]] = {"proved": "good", "refuted": "bad"}
+    blocks: list[Block] = [Paragraph(first, marks.get(solution.verdict, "")), *map(Paragraph, others)]
+    claim = None if solution.decision is None else solution.decision.claim
+    if claim is not None and hasattr(claim, "level"):
+        figures = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+        text = "Level set of the Lyapunov function, with solutions of the dynamics."
+        blocks.append(Pictures((picture(figures, alt=text, caption=text, command=study.commands["verify"]),)))
+    return (*blocks, Paragraph(f"Limits of the claim: {solution.problem.dynamics.source}."))
+
+
+def _sweep(study: SystemStudy) -> tuple[Block, ...]:
+    if study.runs is None:
+        return ()
+    figures = tuple(
+        picture(
+            plot_dependence(study.swept, study.runs, name),
+            alt=f"{name} over each number of the sweep",
+            caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
+            command=study.commands["sweep"],
+        )
+        for name, cost in study.record.system.costs.items()
+    )
+    return (Paragraph(f"{len(study.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
+
+
+def _ports(record: Record) -> tuple[Block, ...]:
+    system = record.system
+    layouts: dict[str, Layout] = {
+        "state": system.plant.state, "command": system.commands, "reference": system.references,
+        "measured output": system.plant.outputs, "disturbance": system.plant.disturbances,
+        "controller state": system.controller.state, "telemetry": system.telemetry,
+        "plant parameter": system.plant.parameters, "gain": system.controller.gains,
+    }  # fmt: skip
+    rows = []
+    for kind, layout in layouts.items():
+        meanings = [port.meaning for port in layout for _ in range(port.size)]
+        nominal = layout.pack()
+        if kind == "gain":
+            nominal = record.controller[2]
+        for label, unit, value, meaning in zip(
+            entry_labels(layout), entry_units(layout), nominal, meanings, strict=True
+        ):
+            rows.append((kind, Cell(label, code=True), Cell(number(float(value)), number=True), unit, meaning))
+    heads = ("kind", "entry", "value by default", "unit", "meaning")
+    return (Table("Signals, parameters and gains of this run", heads, tuple(rows)),)

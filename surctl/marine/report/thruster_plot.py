@@ -1,0 +1,111 @@
+"""Plot of the forces that the thrusters of a vehicle can produce."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+
+from surctl.errors import InputError
+from surctl.marine.allocation import working_flags
+from surctl.marine.vehicle import Actuators, Vehicle, attainable
+from surctl.marine.vehicle.linearise import command_range
+from surctl.report.pictures import save_figure
+from surctl.report.theme import CYCLE, INK, dress, legend_below, new_axes
+
+__all__ = ["plot_attainable", "save_attainable"]
+
+_SHARES = (0.0, 0.4, 0.8)  # yaw moments as shares of the largest one
+
+
+def plot_attainable(vehicle: Vehicle, ax: Axes | None = None, *, failed: Sequence[str] = ()) -> Axes:
+    """Plot the attainable surge and sway forces at several yaw moments, without heave, and the box of Fu_max, Fv_max.
+
+    For a craft without sway force, plot the surge forces and yaw moments instead, with the box of Fu_max and Fr_max;
+    if it has fins, at the speed at which its limits hold and at half of this speed.
+
+    Args:
+        vehicle: a vehicle with thrusters.
+        ax: axes to plot into; None: axes of a new figure.
+        failed: names of thrusters that give no force.
+
+    Raises:
+        InputError: the vehicle file describes no thrusters, or a name is unknown.
+
+    Example:
+        >>> from surctl.marine.report import plot_attainable
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> ax = plot_attainable(load_vehicle("bluerov2-heavy"))
+        >>> ax.get_xlabel(), [text.get_text() for text in ax.get_legend().get_texts()][0]
+        ('surge force F_u [N]', 'yaw moment 0 N m')
+    """
+    actuators = thrusters_of(vehicle)
+    if vehicle["Fv_max"] == 0:
+        return _plot_turning(vehicle, ax, failed)
+    working = working_flags(actuators, failed)
+    forces = attainable(actuators)
+    largest = float(np.abs(forces.intervals(working=working)[3]).min())
+    lost = f", without {', '.join(failed)}" if failed else ""
+    title = f"{vehicle.name}: attainable forces{lost}"
+    ax = dress(ax or new_axes(5.4, 5.8), title=title, x="surge force F_u [N]", y="sway force F_v [N]")
+    for k, share in enumerate(_SHARES):
+        yaw = share * largest
+        corners = forces.planar(yaw=yaw, working=working)
+        if len(corners):
+            closed = np.vstack([corners, corners[:1]])
+            ax.fill(*corners.T, color=CYCLE[k], alpha=0.10)
+            ax.plot(*closed.T, color=CYCLE[k], linewidth=1.6, label=f"yaw moment {yaw:.3g} N m")
+    u, v = vehicle.thrust_limit[:2]
+    box = Rectangle((-u, -v), 2 * u, 2 * v, fill=False, edgecolor=INK, linestyle="--", label="Fu_max, Fv_max")
+    ax.add_patch(box)
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.autoscale_view()
+    legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
+    return ax
+
+
+def _plot_turning(vehicle: Vehicle, ax: Axes | None, failed: Sequence[str]) -> Axes:
+    actuators = thrusters_of(vehicle)
+    lost = f", without {', '.join(failed)}" if failed else ""
+    title = f"{vehicle.name}: attainable forces{lost}"
+    ax = dress(ax or new_axes(5.4, 5.8), title=title, x="surge force F_u [N]", y="yaw moment F_r [N m]")
+    forces = attainable(actuators, (0, 3))
+    for k, speed in enumerate((vehicle.speed, vehicle.speed / 2) if actuators.fins else (vehicle.speed,)):
+        corners = forces.outline(working=working_flags(actuators, failed, speed=speed))
+        ax.fill(*corners.T, color=CYCLE[k], alpha=0.10)
+        said = f"at {speed:.3g} m/s" if actuators.fins else "at any speed"
+        ax.plot(*np.vstack([corners, corners[:1]]).T, color=CYCLE[k], linewidth=1.6, label=said)
+    (back, right), (ahead, left) = command_range(vehicle)[:, [0, 3]]
+    size, label = (ahead - back, left - right), "Fu_max, Fr_max"
+    ax.add_patch(Rectangle((back, right), *size, fill=False, edgecolor=INK, linestyle="--", label=label))
+    ax.autoscale_view()
+    legend_below(ax, columns=2, handles=ax.get_legend_handles_labels()[0])
+    return ax
+
+
+def save_attainable(vehicle: Vehicle, folder: Path | str, *, failed: Sequence[str] = ()) -> Path:
+    """Write the plot of `plot_attainable` as a PNG file; return its path.
+
+    Example:
+        >>> from surctl.marine.report import save_attainable
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> print(save_attainable(load_vehicle("bluerov2-heavy"), "pictures").name)
+        bluerov2-heavy-thrusters.png
+    """
+    figure = plot_attainable(vehicle, failed=failed).figure.figure
+    return save_figure(figure, folder, (vehicle.name, "thrusters", *(f"without-{name}" for name in failed)))
+
+
+def thrusters_of(vehicle: Vehicle) -> Actuators:
+    """Return the thrusters of a vehicle; InputError if its file describes none."""
+    if vehicle.actuators is None:
+        raise InputError(
+            "describes no thrusters",
+            key="vehicle",
+            value=vehicle.name,
+            remedy="add [[thruster]] tables, as in surctl list --show bluerov2-heavy",
+        )
+    return vehicle.actuators

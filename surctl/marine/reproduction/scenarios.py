@@ -1,0 +1,246 @@
+"""Compare arrivals, collisions and times of each scenario with the paper, and the position errors of tank and pool.
+
+These comparisons have no expected verdict: the result is as expected if every run arrived and none collided. A time
+that differs from the paper is reported, but it does not make the comparison fail.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from surctl.marine.reproduction.row import Item, Result, agrees, differs
+from surctl.marine.reproduction.scenario_errata import PRINTED_HULL
+from surctl.marine.reproduction.simulations import Factors, Simulations, scenario_names
+from surctl.marine.simulation import Sensing
+
+__all__ = ["ABOUT", "hull_items", "limit_items", "position_items", "scenario_items", "time_verdict"]
+
+ABOUT = 0.08
+"""Largest relative difference at which a number still agrees with the paper's "about"."""
+
+_SENSINGS: tuple[tuple[Sensing, str, str], ...] = (
+    ("truth", "", "true positions"),
+    ("sonar", "-sonar", "with sonar perception"),
+)
+_SERIES = (("tank", "simulation"), ("pool", "experiments"))
+
+_LIMITED = "pool-static"
+_LIMITS: tuple[tuple[str, Factors], ...] = (
+    ("a hull of 0.7 its radius", (("radius", 0.7),)),
+    ("twice the thrust", (("Fu_max", 2.0), ("Fv_max", 2.0))),
+    ("half the mass", (("m11", 0.5), ("m22", 0.5))),
+    ("half the drag", (("Xu", 0.5), ("Yv", 0.5), ("Xuu", 0.5), ("Yvv", 0.5))),
+)
+
+
+def scenario_items(simulations: Simulations) -> list[Item]:
+    """Return two comparisons for each scenario: with true positions, and with sonar perception."""
+    items = []
+    for sensing, ending, words in _SENSINGS:
+        options = ("independent", "webots") if sensing == "sonar" else ("independent",)
+        also = "".join(f" --{option}" for option in options if getattr(simulations, option))
+        items += [
+            Item(
+                f"{name}{ending}",
+                "scenarios",
+                f"{simulations.scenario(name).title}, {words}",
+                simulations.scenario(name).paper.result,
+                None,
+                partial(_arrivals, simulations, name, sensing),
+                f"surctl reproduce {name}{ending} --seeds {simulations.seeds}{also}",
+                options,
+            )
+            for name in scenario_names()
+        ]
+    return items
+
+
+def hull_items(simulations: Simulations) -> list[Item]:
+    """Return comparisons for the pool and a hull of the printed size.
+
+    Any result is valid, because no path is guaranteed for this hull (E15).
+    """
+    return [
+        Item(
+            f"{name}-printed-hull",
+            "scenarios",
+            f"{simulations.scenario(name).title}, true positions, vehicle {PRINTED_HULL}",
+            simulations.scenario(name).paper.result,
+            None,
+            partial(_hull, simulations, name),
+            f"surctl reproduce {name}-printed-hull --seeds {simulations.seeds}",
+        )
+        for name in scenario_names()
+        if simulations.scenario(name).vehicle != PRINTED_HULL
+    ]
+
+
+def limit_items(simulations: Simulations) -> list[Item]:
+    """Return the comparison that shows which vehicle parameter limits the travel time of the slowest scenario."""
+    scenario, name = simulations.scenario(_LIMITED), f"{_LIMITED}-sonar-limit"
+    return [
+        Item(
+            name,
+            "scenarios",
+            f"{scenario.title}, with sonar perception: the vehicle parameter that limits the time",
+            scenario.paper.result,
+            None,
+            partial(_limit, simulations),
+            f"surctl reproduce {name} --seeds {simulations.seeds}",
+        )
+    ]
+
+
+def position_items(simulations: Simulations) -> list[Item]:
+    """Return the comparisons of the position error E_p, for tank and pool scenarios and both kinds of sensing."""
+    items = []
+    for series, where in _SERIES:
+        names = [name for name in scenario_names() if name.startswith(series)]
+        paper = simulations.scenario(names[0]).paper
+        for sensing, ending, words in _SENSINGS:
+            name = f"position-error-{series}{ending}"
+            items.append(
+                Item(
+                    name,
+                    "position errors",
+                    f"E_p of all {where} in the {series}, {words}",
+                    f"VI-B: {paper.position_error_kind} {paper.position_error_m} m",
+                    None,
+                    partial(_position_error, simulations, names, sensing),
+                    f"surctl reproduce {name} --seeds {simulations.seeds}",
+                )
+            )
+    return items
+
+
+def time_verdict(ours: float, paper: float, kind: str) -> tuple[bool, str]:
+    """Return whether a time [s] agrees with the paper's time, and a text that states the difference.
+
+    `kind` states whether the paper's time is approximate or an upper limit.
+    """
+    off = ours / paper - 1
+    if kind == "less than":
+        return ours < paper, f"{ours:.2f} s is {100 * off:.1f} % above {paper:g} s"
+    return abs(off) <= ABOUT, f"{ours:.2f} s is {100 * abs(off):.1f} % {'above' if off > 0 else 'below'} {paper:g} s"
+
+
+def _arrivals(simulations: Simulations, name: str, sensing: Sensing) -> Result:
+    result = _simulated(simulations, name, sensing)
+    if simulations.webots and sensing == "sonar":
+        batch = simulations.in_webots(name)
+        times, runs = batch.column("time_s")[batch.column("reached") > 0.5], batch.runs
+        text, _ = _ended(len(times), int(batch.column("collided").sum()), runs)
+        text += f", {times.mean():.2f} ± {times.std():.2f} s" if len(times) else ""
+        result = replace(result, webots=text, safe=result.safe is not False and len(times) == runs)
+    if not simulations.independent:
+        return result
+    run = simulations.in_engine(name, sensing)
+    m = run.metrics
+    text = f"{run.plant}, seed 0: {m.stopped_because} at {m.time_s:.2f} s, clearance {m.min_clearance_m:.3f} m"
+    contacts = f", contact with {', '.join(one.what for one in run.contacts)}" if run.contacts else ""
+    safe = m.reached and m.min_clearance_m > 0 and not run.contacts
+    return replace(
+        result, independent=f"{text}, E_p {m.path_error_m:.3f} m{contacts}", safe=result.safe is not False and safe
+    )
+
+
+def _simulated(simulations: Simulations, name: str, sensing: Sensing) -> Result:
+    batch, scenario = simulations.batch(name, sensing), simulations.scenario(name)
+    times, collided = simulations.arrived(name, sensing, "time_s"), int(batch.column("collided").sum())
+    reached, runs = len(times), batch.runs
+    text, lost = _ended(reached, collided, runs)
+    error = _mean(simulations.arrived(name, sensing, "path_error_m"))
+    numbers = {"runs": float(runs), "reached": float(reached), "collided": float(collided), "path_error_m": error}
+    numbers["min_clearance_m"] = float(batch.column("min_clearance_m").min())
+    if reached:
+        numbers |= {"time_s": float(times.mean()), "time_sd_s": float(times.std())}
+        text += f", {times.mean():.2f} ± {times.std():.2f} s, E_p {error:.3f} m"
+    if collided or reached < runs:
+        return Result(text, "differs", lost, numbers, safe=False)
+    paper = scenario.paper
+    if paper.time_s is None:
+        return Result(text, "agrees", numbers=numbers, safe=True)
+    ours = _judged_time(simulations, name, sensing)
+    good, off = time_verdict(ours, paper.time_s, paper.time_kind)
+    if good:
+        return Result(text, "agrees", numbers=numbers, safe=True)
+    length = float(batch.column("length_m").mean())
+    straight = scenario.path.length
+    why = (
+        f"{off}: the robot moved {length:.2f} m at {length / times.mean():.3f} m/s on average; the reference path of "
+        f"{straight:.2f} m takes {straight / scenario.cruise:.1f} s at the cruise speed of {scenario.cruise:g} m/s"
+    )
+    return Result(text, "differs", why, numbers, safe=True)
+
+
+def _hull(simulations: Simulations, name: str) -> Result:
+    # `safe` is None, so the comparison cannot fail
+    batch = simulations.batch(name, "truth", PRINTED_HULL)
+    reached, collided, runs = int(batch.column("reached").sum()), int(batch.column("collided").sum()), batch.runs
+    text, lost = _ended(reached, collided, runs)
+    numbers = {"runs": float(runs), "reached": float(reached), "collided": float(collided)}
+    if reached == runs:
+        return agrees(text, **numbers)
+    least = float(batch.column("min_clearance_m").min())
+    return differs(text, f"{lost}, least clearance {least:.3f} m", **numbers)
+
+
+def _limit(simulations: Simulations) -> Result:
+    # `safe` is None, so the comparison cannot fail
+    took = {
+        what: _mean(simulations.arrived(_LIMITED, "sonar", "time_s", factors))
+        for what, factors in (("the vehicle as it is", ()), *_LIMITS)
+    }
+    usual, *changed = took
+    best = min(changed, key=lambda what: np.nan_to_num(took[what], nan=np.inf))  # NaN: none arrived
+    text = "; ".join(f"{what} {seconds:.1f} s" for what, seconds in took.items())
+    return differs(
+        text,
+        f"one vehicle parameter limits the time: with {best} it takes {took[usual] - took[best]:.1f} s less",
+        **{f"{what.replace(' ', '_')}_s": seconds for what, seconds in took.items()},
+    )
+
+
+def _ended(reached: int, collided: int, runs: int) -> tuple[str, str]:
+    text = f"{reached} of {runs} arrived, {collided} collided"
+    return text, f"{collided} of {runs} runs collided and {runs - reached - collided} did not arrive"
+
+
+def _judged_time(simulations: Simulations, name: str, sensing: Sensing) -> float:
+    # mean of a scenario, mean of its series, or longest run
+    paper = simulations.scenario(name).paper
+    if paper.time_of == "series":
+        return float(simulations.arrived(name, sensing, "time_s").max())
+    if paper.time_of == "run":
+        return float(simulations.arrived(name, sensing, "time_s").mean())
+    series = [other for other in scenario_names() if simulations.scenario(other).paper == paper]
+    return _mean([simulations.arrived(other, sensing, "time_s").mean() for other in series])
+
+
+def _position_error(simulations: Simulations, names: Sequence[str], sensing: Sensing) -> Result:
+    paper = simulations.scenario(names[0]).paper
+    runs = {name: simulations.arrived(name, sensing, "path_error_m") for name in names}
+    finite = {name: errors[np.isfinite(errors)] for name, errors in runs.items() if np.isfinite(errors).any()}
+    if not finite:
+        return differs("no result", "no run arrived that has a part of its path outside avoidance")
+    each = {name: float(errors.mean()) for name, errors in finite.items()}
+    most = max(finite, key=lambda name: float(finite[name].max()))
+    ours, largest = _mean(list(each.values())), float(finite[most].max())
+    text = f"{ours:.4f} m on average, at most {largest:.4f} m ({most})"
+    numbers = {"path_error_m": ours, "largest_m": largest, **each}
+    judged = largest if paper.position_error_of == "series" else ours  # of every run, or of the mean
+    bound = (paper.position_error_m or np.inf) * (1 + ABOUT if paper.position_error_kind == "about" else 1)
+    if judged < bound:
+        return agrees(text, **numbers)
+    above = [name for name in finite if float(finite[name].max()) >= bound]
+    return differs(text, f"E_p is above {bound:.3g} m in {', '.join(above)}", **numbers)
+
+
+def _mean(values: Sequence[float] | np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    array = np.asarray(values, dtype=float)
+    finite = array[np.isfinite(array)]
+    return float(finite.mean()) if finite.size else float("nan")

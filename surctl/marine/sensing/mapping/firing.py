@@ -1,0 +1,175 @@
+"""One sonar firing as an input of the local map, and tests whether the firing marks or clears a cell of the map."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from surctl.marine.sensing.mapping.directions import (
+    BESIDE,
+    MOVED,
+    NEAR,
+    PROTECTED,
+    WIDEST,
+    WIDEST_FREE,
+    bearing,
+    confirms,
+    includes,
+    level,
+    sector_with,
+)
+
+__all__ = [
+    "AXIS",
+    "BLIND",
+    "LIMITS",
+    "MIDDLE",
+    "READING",
+    "READING_SIZE",
+    "RING",
+    "by_direction",
+    "cell_line",
+    "direction",
+    "in_front",
+    "limit_values",
+    "named_limits",
+    "nearby",
+    "on_arc",
+    "split",
+]
+
+READING = (
+    ("apex", 2, "m, x and y in {E}"),
+    ("axis", 2, "unit vector of the beam in {E}"),
+    ("half", 2, "cosine and sine of half the beam's opening angle"),
+    ("clear", 1, "m, the cone is free up to |clear|; 0: nowhere; below 0: blind firing, measured marks stay"),
+    ("near", 1, "m, start of the marked band"),
+    ("far", 1, "m, end of the marked band; below `near`: nothing is marked"),
+    ("cutoff", 1, "m, a cell beyond this range does not explain the echo"),
+)
+"""Each group of numbers that describes a firing: name, number of values, meaning."""
+
+BLIND = 0.25
+"""Value of a cell marked by a blind firing, which only shows that an object is nearer than the blind range."""
+
+RING = 1.5
+"""Width [cells] of a ring around the hull that no beam covers fully, so no unknown cell may enter it."""
+
+READING_SIZE = sum(size for _, size, _ in READING)
+
+_INSIDE, _INSIDE_MORE = 0.6, 0.01  # cells, and m: minimum depth of a cell inside a beam for the beam to clear it
+# minimum depth for a narrow beam, as shares of half its width: the middle clears cells; turning clears the others
+_OF_THE_UNKNOWN, _OF_A_MARK = 0.4, 0.75
+MIDDLE = 1.0 - _OF_THE_UNKNOWN
+"""Share of a narrow beam's width in which the beam clears unknown cells."""
+
+LIMITS = ("cosine", "sine", "near", "far", "cutoff", "clear", "whole", "outside", "clears", "ranged", "regular")
+"""Names of the limits of a firing: squared ranges [m²], `whole` and `outside` [m], the last three numbers 0 or 1."""
+
+AXIS = ("axis_x", "axis_y", "moved")
+"""Names of three more limits if the map stores directions: the beam's axis in {E}, and the squared range [m²] from
+which marks in front of the echo have moved."""
+
+
+def split(slots: ca.SX, count: int) -> list[dict[str, ca.SX]]:
+    """Split an array of firings into one dictionary per firing, whose keys are the names in `READING`."""
+    out = []
+    for s in range(count):
+        at, one = s * READING_SIZE, {}
+        for name, size, _ in READING:
+            one[name] = slots[at : at + size]
+            at += size
+        out.append(one)
+    return out
+
+
+def limit_values(slot: dict[str, ca.SX], edge: ca.SX) -> dict[str, ca.SX]:
+    """Return the limits of a firing, named in `LIMITS`, for cells of the given edge length [m]."""
+    cosine, sine = slot["half"][0], slot["half"][1]
+    return {
+        "cosine": cosine,
+        "sine": sine,
+        "near": slot["near"] * slot["near"],
+        "far": slot["far"] * ca.fabs(slot["far"]),
+        "cutoff": slot["cutoff"] * slot["cutoff"],
+        "clear": slot["clear"] * slot["clear"],
+        "whole": _INSIDE * edge + _INSIDE_MORE,
+        "outside": -0.5 * edge,
+        "clears": slot["clear"] > 0,
+        "ranged": slot["clear"] >= 0,
+        # the bounds of a block are valid only under these conditions
+        "regular": ca.logic_and(ca.logic_and(cosine >= 0, sine >= 0), edge > 0),
+        "axis_x": slot["axis"][0],
+        "axis_y": slot["axis"][1],
+        "moved": ca.if_else(slot["far"] > 0, ca.fmax(slot["near"] - MOVED * edge, 0), 1e3) ** 2,
+    }
+
+
+def named_limits(limits: ca.SX) -> dict[str, ca.SX]:
+    """Return the limits of a firing as a dictionary whose keys are the names in `LIMITS`."""
+    return {name: limits[k] for k, name in enumerate((*LIMITS, *AXIS)[: limits.numel()])}
+
+
+def direction(column: ca.SX, row: ca.SX, limit: dict[str, ca.SX]) -> ca.SX:
+    """Return the direction from a firing's apex to a cell, see `directions.bearing`."""
+    along, across = column[0] + row[0], column[1] + row[1]
+    ex, ey = limit["axis_x"], limit["axis_y"]
+    return bearing(along * ex + across * ey, along * ey - across * ex)
+
+
+def by_direction(
+    value: ca.SX, away: ca.SX, *, near: ca.SX, moved: ca.SX, known: float, specular: bool
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
+    """Return what a firing from a direction means for a cell that stores directions.
+
+    The results are: whether the cell is a mark that silence from this direction does not clear; the cell's value after
+    an echo, after a blind firing, and after silence; and whether the cell may have caused an echo.
+
+    Args:
+        value: the cell's value.
+        away: the direction, see `directions.bearing`.
+        near: whether the cell is near the sensor, see `nearby`.
+        moved: whether an echo came from close behind the cell.
+        known, specular: see `LocalMap`.
+    """
+    strict = ca.logic_and(near, ca.logic_not(moved))
+    now, beside = level(value), includes(value, away, BESIDE if specular else ca.if_else(strict, 0, BESIDE))
+    mark = ca.logic_and(now > (0 if specular else PROTECTED), confirms(value))
+    lasts = ca.logic_and(mark, ca.logic_not(beside))
+    remark = sector_with(value, away, goes_on=now > BLIND, widest=WIDEST)
+    if not specular:
+        return lasts, remark, ca.if_else(now > BLIND, value, BLIND), ca.SX(-1), now >= -known
+    unmeasured = sector_with(value, away, goes_on=now > 0, widest=WIDEST) - (1 - BLIND)
+    silent = -sector_with(value, away, goes_on=now < 0, widest=WIDEST_FREE)
+    may = ca.logic_or(now >= -known, ca.logic_not(beside))
+    return lasts, remark, ca.if_else(now > BLIND, value, unmeasured), silent, may
+
+
+def nearby(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
+    """Return whether a cell is nearer to the sensor than `directions.NEAR`."""
+    edge = -2 * limit["outside"]
+    return line[2] < NEAR * NEAR * (edge * edge)
+
+
+def cell_line(column: ca.SX, row: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return a cell's distance along the beam's axis [m], distance from this axis [m], and squared range [m²]."""
+    return column[0] + row[0], ca.fabs(column[1] + row[1]), column[2] + row[2]
+
+
+def on_arc(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
+    """Return whether any part of the cell may have caused the echo."""
+    band = ca.logic_and(line[2] >= limit["near"], line[2] <= limit["far"])
+    return ca.logic_and(_inside(line, limit) > limit["outside"], band)
+
+
+def _inside(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX]) -> ca.SX:
+    # distance [m] from the nearer edge of the cone
+    return line[0] * limit["sine"] - line[1] * limit["cosine"]
+
+
+def in_front(line: tuple[ca.SX, ca.SX, ca.SX], limit: dict[str, ca.SX], value: ca.SX) -> ca.SX:
+    """Return whether the whole cell is free: it lies deep enough inside the cone, and is nearer than the echo."""
+    beam = line[0] * limit["sine"]
+    deep = ca.fmin(limit["whole"], ca.if_else(value > 0, _OF_A_MARK, _OF_THE_UNKNOWN) * beam)
+    marks = value if "axis_x" not in limit else level(value)
+    short = ca.logic_and(line[2] < limit["clear"], ca.logic_or(limit["clears"], marks <= BLIND))
+    return ca.logic_and(_inside(line, limit) > deep, short)

@@ -1,0 +1,397 @@
+"""The local map: a grid of cells around the robot, aligned with {E}; measured ranges carve and mark the cells.
+
+A measured range d means that the cone of the beam is free up to d, and that an object lies somewhere on the arc at d.
+So a reading clears the cells nearer than d and marks the cells on the arc that are not known to be free. If all cells
+on the arc are known to be free (an object moved), the reading marks the whole arc. So one reading of a wide beam marks
+many cells that are in fact free. As the robot turns, the edges of later cones cross these false marks and clear them
+(range-only mapping; see Moravec and Elfes 1985, "High resolution maps from wide angle sonar").
+
+The map is a window of N × N cells that moves with the robot. The map is stored as a torus: the cell (I, J) of the world
+is stored at index (I mod N, J mod N). A cell that enters the window at one side replaces the cell that leaves at the
+opposite side, so the size of the map does not depend on the site. If the window fits between the walls of the site, it
+never extends beyond the walls, because no cells are needed there. Unknown cells in the two rows of cells beside a wall
+are ignored, because the range error hides these two rows from most beams. An object there that is wider than two cells
+also extends into the third row, which is not ignored. Each cell holds one number. When a cell is marked, its number
+becomes 1 and fades to 0 within `mark_time`. When a cell is cleared, its number becomes −1 and fades to 0 within
+`free_time`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+
+import casadi as ca
+
+from surctl.errors import InputError
+from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
+from surctl.marine.sensing.mapping.firing import BLIND, MIDDLE, READING, READING_SIZE, RING
+from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
+
+__all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
+
+_HOLDS = 3  # cells; a disc two cells wide with its centre in a block touches at least this many of its cells
+_NOWHERE = 1e6  # cells; lowest corner of the window before the first update
+_WIDEST = 8  # largest number of cells processed together
+_WHERE = ("is_row", "place", "walls", "slots", "corner", "corner_next")  # inputs that determine a column or row
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalMap:
+    """The local map with its numbers of cells and its times.
+
+    Attributes:
+        dt: period of the updates [s].
+        slots: largest number of firings in one period.
+        blocks: number of blocks (square groups of cells) along one side of the map.
+        block: number of cells along one side of a block, a square group of cells; in each block the map finds the
+            nearest marked cell and the nearest unknown cell.
+        sectors: number of directions in which the map returns the nearest cells, a multiple of 4.
+        mark_time: time [s] until a marked cell has faded to 0 (design choice).
+        free_time: time [s] until a cleared cell has faded to 0 (design choice).
+        known: fraction of `free_time` (design choice); in this last part of `free_time`, a cleared cell no longer
+            counts as known to be free.
+        smooth: whether surfaces answer only near their normal: marks then store the directions from which they were
+            heard, and for 9 s silence clears a mark only from within these directions (see `directions`).
+        specular: whether surfaces are mirrors: as `smooth`, but as long as the mark lasts, and also for marks of blind
+            firings; and a cell that was silent may cause an echo from another direction.
+    """
+
+    dt: float
+    slots: int = 2
+    blocks: int = 12
+    block: int = 4
+    sectors: int = 16
+    mark_time: float = 60.0
+    free_time: float = 60.0
+    known: float = 0.3
+    smooth: bool = False
+    specular: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the values; raise an InputError that names an invalid value."""
+        for name in ("dt", "mark_time", "free_time"):
+            value = getattr(self, name)
+            if not (isfinite(value) and value > 0):
+                raise InputError("must be greater than 0", key=f"map.{name}", value=value, remedy="give s")
+        for name in ("slots", "blocks", "block"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1:
+                raise InputError("must be a whole number, at least 1", key=f"map.{name}", value=value)
+        if not isinstance(self.sectors, int) or self.sectors < 4 or self.sectors % 4:
+            raise InputError("must be a multiple of 4", key="map.sectors", value=self.sectors)
+        if not 0 < self.known < 1:
+            raise InputError("must lie between 0 and 1", key="map.known", value=self.known)
+
+    @property
+    def side(self) -> int:
+        """Number N of cells along one side of the map."""
+        return self.blocks * self.block
+
+    @property
+    def held(self) -> int:
+        """Number of cells not known to be free below which the unknown cells of a block are ignored.
+
+        A disc two cells wide touches the cell of its centre and the four adjacent cells; at least three of these five
+        cells lie in one block. So no object of this size can hide in blocks with fewer cells that are not known to be
+        free.
+        """
+        return min(_HOLDS, self.block * self.block)
+
+    @property
+    def memory(self) -> float:
+        """Time [s] for which a cleared cell counts as known to be free."""
+        return (1.0 - self.known) * self.free_time
+
+    def ports(self, prefix: str = "") -> tuple[Port, ...]:
+        """Return the entries (name, shape, initial value) of the state.
+
+        The state consists of the values of the cells, block by block and row by row, and the lowest cell of the
+        window.
+        """
+        return (
+            Port(f"{prefix}cells", (self.side * self.side,), "1", "1 marked, 0 unknown, -1 cleared; block by block"),
+            Port(f"{prefix}corner", (2,), "1", "lowest cell of the window along x and y of {E}", _NOWHERE),
+        )
+
+    def routine(self) -> Routine:
+        """Return the routine that updates the map by the firings of one period and finds the nearest cells.
+
+        The inputs are `cells`, `corner`, `place`, `walls` and `slots`; the outputs are the next `cells` and `corner`,
+        and `marked` and `unknown`. `cells` and `corner` are the state, see `ports`. `place` (4,) holds the robot's
+        position x, y in {E} [m], the hull radius [m] and the edge length of a cell [m]. `walls` (4,) holds x_min,
+        x_max, y_min, y_max of the site in {E} [m]; a site without walls needs distant walls here. `slots` (slots · 10,)
+        holds the firings one after another, each with the 10 numbers of `READING`. `marked` (sectors · 3,) holds three
+        numbers for each direction: the offset x, y [m] from the robot's centre to the nearest marked cell, and the
+        squared distance [m²] of this cell; the squared distance is 1e6 if no cell is marked. `unknown` (sectors · 3,)
+        holds the corresponding numbers for the nearest unknown cell.
+        """
+        return _Steps(self).routine()
+
+
+class _Steps:
+    """The loops that call the programs of the local map (`MapPrograms`) for all cells and blocks.
+
+    Blocks of cells that the cone of a firing does not touch are skipped. For this purpose, a flag is computed from the
+    extreme values of the block's columns and rows; if the flag is set, a loop that has one iteration is not executed.
+    """
+
+    def __init__(self, local_map: LocalMap) -> None:
+        self.local_map, self.block, self.lanes = local_map, local_map.block, 1
+        while self.lanes < _WIDEST and self.block % (2 * self.lanes) == 0:
+            self.lanes *= 2
+        self.programs = MapPrograms(
+            slots=local_map.slots,
+            side=local_map.side,
+            block=self.block,
+            lanes=self.lanes,
+            sectors=local_map.sectors,
+            fades=(local_map.dt / local_map.mark_time, local_map.dt / local_map.free_time),
+            known=local_map.known,
+            held=local_map.held,
+            smooth=local_map.smooth,
+            specular=local_map.specular,
+        )
+        self.limits, self.explained, self.explained_next, self.idle = (
+            tuple(f"{name}_{s}" for s in range(local_map.slots))
+            for name in ("limits", "explained", "explained_next", "idle")
+        )
+        # base of a column or row, then its beam for each firing
+        self.columns, self.rows = (
+            (name, *(f"{name}_beam_{s}" for s in range(local_map.slots))) for name in ("column", "row")
+        )
+
+    def routine(self) -> Routine:
+        local_map, n, blocks, none = (
+            self.local_map,
+            self.local_map.side,
+            self.local_map.blocks,
+            NONE * self.local_map.sectors,
+        )
+        constants = _constants("constants", (0.0,), (1.0,), (0.0,) * self.lanes, NONE, none, none)
+        names = ("first", "is_row", "zeros", "none", "marked_none", "unknown_none")
+        shared = (*_WHERE, *self.limits, *self.columns, "column_bounds")
+        steps: tuple[Step, ...] = (
+            Call(constants, (), names),
+            Call(self.programs.corner(), ("place", "walls"), ("corner_next",)),
+            Call(self.programs.prepare(), ("place", "slots"), (*self.limits, "hull", "complete", *self.explained)),
+            Loop(
+                self.programs.line(),
+                n // self.lanes,
+                (),
+                self.columns,
+                fixed=("first", "first", *_WHERE[1:]),
+                index=True,
+                lanes=self.lanes,
+            ),
+            Loop(self.programs.bounds(columns=True), blocks, (), ("column_bounds",), sliced=self.columns),
+            Loop(
+                self._seek_row(),
+                blocks,
+                ("complete", *self.explained),
+                ("complete_next", *self.explained_next),
+                sliced=("cells",),
+                fixed=("zeros", *shared),
+                index=True,
+                until=0,
+            ),
+            Loop(
+                self._change_row(),
+                blocks,
+                ("marked_none", "unknown_none"),
+                ("marked", "unknown", "cells_next"),
+                sliced=("cells",),
+                fixed=("zeros", "none", "hull", *self.explained_next, *shared),
+                index=True,
+            ),
+        )
+        inputs = (
+            ("cells", n * n),
+            ("corner", 2),
+            ("place", 4),
+            ("walls", 4),
+            ("slots", local_map.slots * READING_SIZE),
+        )
+        return Routine("local_map", inputs, steps, ("cells_next", "corner_next", "marked", "unknown"))
+
+    def _rows(self) -> tuple[Step, ...]:
+        # the cell rows of a row of blocks, and the bounds of these cell rows
+        fixed = ("group", *_WHERE)
+        return (
+            Loop(self.programs.line(), self.block, (), self.rows, fixed=fixed, index=True),
+            Call(self.programs.bounds(columns=False), self.rows, ("row_bounds",)),
+        )
+
+    # --- whether a cell explains the echo of a firing -----------------------------------------------------------------
+
+    def _seek_row(self) -> Routine:
+        # searches for cells that explain the firings
+        blocks, state = self.local_map.blocks, ("complete", *self.explained)
+        fixed, pieces = ("zeros", *self.limits), (*self.columns, "column_bounds")
+        last = ("complete_next", *self.explained_next)
+        steps = (
+            *self._rows(),
+            Loop(
+                self._seek_block(),
+                blocks,
+                state,
+                last,
+                sliced=("cells", *pieces),
+                fixed=(*fixed, *self.rows, "row_bounds"),
+                until=0,
+            ),
+        )
+        shared = ("zeros", *_WHERE, *self.limits)
+        inputs = self._sized("group", *state, ("cells", blocks), *shared, *((name, blocks) for name in pieces))
+        return Routine("seek_row", inputs, steps, last)
+
+    def _seek_block(self) -> Routine:
+        seek, blank = self._seek_cells(), tuple(f"blank_{s}" for s in range(self.local_map.slots))
+        bounds, last = ("row_bounds", "column_bounds"), ("complete_next", *self.explained_next)
+        steps: list[Step] = [Call(self.programs.blank_arc(), (*bounds, *self.limits, *self.explained), blank)]
+        for s, explained in enumerate(self.explained):
+            fixed = ("cells", "row", f"row_beam_{s}", "column", f"column_beam_{s}", self.limits[s], "zeros")
+            results = (f"sought_{s}", self.explained_next[s])
+            steps.append(Loop(seek, 1, (blank[s], explained), results, fixed=fixed, until=0))
+        steps.append(Call(self.programs.all_explained(), self.explained_next, last[:1]))
+        inputs = (
+            "complete",
+            *self.explained,
+            "cells",
+            *self.columns,
+            "column_bounds",
+            "zeros",
+            *self.limits,
+            *self.rows,
+        )
+        return Routine("seek_block", self._sized(*inputs, "row_bounds"), tuple(steps), last)
+
+    def _seek_cells(self) -> Routine:
+        row = self._over_row(self.programs.seek(), carried=("hits",))
+        lines, fixed = ("cells", "row", "row_beam"), ("column", "column_beam", "limits")
+        steps = (
+            Loop(row, self.block, ("zeros",), ("hits",), sliced=lines, fixed=fixed),
+            Call(self.programs.any_hit(), ("hits",), ("explained_next",)),
+        )
+        return Routine(
+            "seek_cells", self._sized("flag", "explained", *lines, *fixed, "zeros"), steps, ("flag", "explained_next")
+        )
+
+    # --- what the firings change --------------------------------------------------------------------------------------
+
+    def _change_row(self) -> Routine:
+        # also updates the nearest cells found so far
+        blocks, best = self.local_map.blocks, ("marked", "unknown")
+        fixed, pieces = ("zeros", "none", "hull", *self.explained, *self.limits), (*self.columns, "column_bounds")
+        last = ("marked_next", "unknown_next", "cells_next")
+        steps = (
+            *self._rows(),
+            Loop(
+                self._change_block(),
+                blocks,
+                best,
+                last,
+                sliced=("cells", *pieces),
+                fixed=(*fixed, *self.rows, "row_bounds"),
+            ),
+        )
+        shared = ("zeros", "none", "hull", *self.explained, *_WHERE, *self.limits)
+        inputs = self._sized("group", *best, ("cells", blocks), *shared, *((name, blocks) for name in pieces))
+        return Routine("change_row", inputs, steps, last)
+
+    def _change_block(self) -> Routine:
+        last, bounds = ("marked_next", "unknown_next", "cells_next"), ("row_bounds", "column_bounds")
+        touched = [f"cells_{k}" for k in range(self.local_map.slots + 1)]
+        fade, observe, cover = self.programs.fade(), self.programs.observe(), self.programs.cover()
+        idle = Call(self.programs.idle(), (*bounds, *self.limits, "hull"), (*self.idle, "idle_hull"))
+        rows = Loop(self._over_row(fade), self.block, (), ("cells_0",), sliced=("cells", "row"), fixed=("column",))
+        steps: list[Step] = [rows, idle]
+        observe_block = self._over_block(observe)
+        for s, explained in enumerate(self.explained):
+            beams = (f"row_beam_{s}", f"column_beam_{s}", self.limits[s], explained)
+            results = (f"observed_{s}", touched[s + 1])
+            steps.append(Loop(observe_block, 1, (self.idle[s], touched[s]), results, fixed=beams, until=0))
+        fixed, count = ("row", "column", "hull"), self.block * self.block // self.lanes
+        tally = self.programs.tally()
+        steps += [
+            Loop(self._over_block(cover), 1, ("idle_hull", touched[-1]), ("covered", last[-1]), fixed=fixed, until=0),
+            Loop(tally, count, ("zeros", "zeros"), ("largest", "count"), sliced=last[-1:], lanes=self.lanes),
+            Call(self.programs.without(), ("largest", "count"), ("no_marked", "no_unknown")),
+        ]
+        for which in ("marked", "unknown"):
+            results = (f"entered_{which}", f"{which}_next")
+            block = self._enter(which)
+            steps.append(Loop(block, 1, (f"no_{which}", which), results, fixed=(last[-1], *fixed, "none"), until=0))
+        inputs = (
+            "marked",
+            "unknown",
+            "cells",
+            *self.columns,
+            "column_bounds",
+            "zeros",
+            "none",
+            "hull",
+            *self.explained,
+        )
+        return Routine("change_block", self._sized(*inputs, *self.limits, *self.rows, "row_bounds"), tuple(steps), last)
+
+    def _enter(self, which: str) -> Routine:
+        """Return the routine that stores a block's nearest cell if this cell is the nearest so far in its direction."""
+        nearest = self.programs.nearest(unknown=which == "unknown")
+        steps = (
+            Loop(nearest, self.block, ("none",), ("near",), sliced=("cells", "row"), fixed=("column", "hull")),
+            Call(self.programs.sector(), ("near",), ("sector",)),
+            Gather("best", "sector", len(NONE), "so_far"),
+            Call(self.programs.farther(), ("near", "so_far"), ("farther",)),
+            Loop(
+                self.programs.enter(),
+                1,
+                ("farther", "best"),
+                ("done", "best_next"),
+                fixed=("near", "sector"),
+                until=0,
+            ),
+        )
+        inputs = self._sized("flag", "best", "cells", "row", "column", "hull", "none")
+        return Routine(f"enter_{which}", inputs, steps, ("done", "best_next"))
+
+    # --- from one cell to a row of a block, and to a block ------------------------------------------------------------
+
+    def _over_row(self, program: Program, *, carried: tuple[str, ...] = ()) -> Routine:
+        # the program is written for one cell
+        sizes = dict(program.inputs)
+        renamed = dict(zip(sizes, carried, strict=False))
+        own = tuple(name for name in sizes if name in ("cells", "column", "column_beam"))
+        rest = tuple(name for name in sizes if name not in (*renamed, *own))
+        results = tuple(f"{name}_next" for name in carried) or ("after",)
+        loop = Loop(program, self.block // self.lanes, carried, results, sliced=own, fixed=rest, lanes=self.lanes)
+        wide = {**{name: self.block * sizes[name] for name in own}, **{name: sizes[name] for name in rest}}
+        wide |= {name: self.lanes * sizes[old] for old, name in renamed.items()}
+        lines = tuple(name for name in rest if name in ("row", "row_beam"))
+        order = (*carried, *own[:1], *lines, *own[1:], *(name for name in rest if name not in lines))
+        return Routine(f"{program.name}_row", tuple((name, wide[name]) for name in order), (loop,), results)
+
+    def _over_block(self, program: Program) -> Routine:
+        row = self._over_row(program)
+        names = tuple(name for name, _ in row.inputs)
+        lines = tuple(name for name in names if name in ("cells", "row", "row_beam"))
+        fixed = tuple(name for name in names if name not in lines)
+        steps = (Loop(row, self.block, (), ("after",), sliced=lines, fixed=fixed),)
+        return Routine(f"{program.name}_block", self._sized("flag", *names), steps, ("flag", "after"))
+
+    def _sized(self, *names: str | tuple[str, int]) -> tuple[tuple[str, int], ...]:
+        # sizes are for one block unless a name is given with a number of blocks
+        b, sectors = self.block, len(NONE) * self.local_map.sectors
+        sizes = {"cells": b * b, "column": b * BASE, "row": b * BASE, "zeros": self.lanes, "none": len(NONE), "hull": 2}
+        sizes |= dict.fromkeys(("marked", "unknown", "best"), sectors)
+        sizes |= {"place": 4, "walls": 4, "slots": self.local_map.slots * READING_SIZE, "corner": 2, "corner_next": 2}
+        sizes |= dict.fromkeys(("column_beam", "row_beam", *self.columns[1:], *self.rows[1:]), b * BEAM)
+        sizes |= dict.fromkeys(("column_bounds", "row_bounds"), self.programs.bounds_size)
+        sizes |= dict.fromkeys(("limits", *self.limits), len(self.programs.limit_names))
+        listed = [(name, 1) if isinstance(name, str) else name for name in names]
+        return tuple((name, count * sizes.get(name, 1)) for name, count in listed)
+
+
+def _constants(name: str, *values: tuple[float, ...]) -> Program:
+    vectors = [ca.DM(list(v)) for v in values]
+    return lower(ca.Function(name, [], [ca.SX(m) for m in vectors], [], [f"c{k}" for k in range(len(vectors))]))

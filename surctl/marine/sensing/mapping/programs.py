@@ -1,0 +1,400 @@
+"""The CasADi programs of the local map, each for one cell, one row of a block of cells, or one block of cells.
+
+`LocalMap.routine` calls these programs in loops. For each column and each row of cells, there is a vector called base
+and, for each firing, a vector called beam. The base holds four numbers: the offset of the column or row from the robot
+[m]; the square of the offset [m²]; whether the column or row was in the previous window; and the square of the offset
+again, or 1e6 if unknown cells in this column or row are ignored. The beam holds what the column or row contributes to
+three distances of a cell: along the beam's axis [m], from this axis [m], and the squared range [m²]. The sum of the
+vectors of a cell's column and row gives the squared distance of the cell from the robot and the beam of the cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import cos, pi, sin
+
+import casadi as ca
+
+from surctl.ir import Program, lower_named
+from surctl.marine.sensing.mapping.directions import includes, level
+from surctl.marine.sensing.mapping.firing import (
+    AXIS,
+    BLIND,
+    LIMITS,
+    READING_SIZE,
+    RING,
+    by_direction,
+    cell_line,
+    direction,
+    in_front,
+    limit_values,
+    named_limits,
+    nearby,
+    on_arc,
+    split,
+)
+
+__all__ = ["BASE", "BEAM", "NONE", "MapPrograms"]
+
+BASE, BEAM = 4, 3
+"""Number of values in the base of a column or row, and in the beam of a column or row for one firing."""
+BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
+
+_AT_A_WALL = 2  # cells beside a wall where unknown cells are ignored: a larger object also extends into the third cell
+_SLACK = 1e-3  # cells; a wall may be this far from a grid line
+_FAR = 1e6  # m², squared distance for a block without a marked or unknown cell
+_TOUCHED = 0.55  # cells; a block this far outside a cone is skipped (cells on the arc are at most 0.5 outside)
+NONE = (0.0, 0.0, _FAR)
+"""Offset x, y and squared distance that are returned if no marked or unknown cell exists."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapPrograms:
+    """The programs of a local map with given numbers of cells.
+
+    Attributes:
+        slots: largest number of firings in one period.
+        side: number of cells along one side of the window.
+        block: number of cells along one side of a block.
+        lanes: number of neighbouring cells in a row that the processor computes at once (SIMD); the vectors of this
+            many columns are stored together, entry by entry.
+        sectors: number of directions in which the map returns the nearest cells.
+        fades: amounts by which the value of a marked cell and of a cleared cell approach 0 in one period.
+        known: smallest fraction of `free_time` that must remain for a cleared cell to count as known to be free.
+        held: number of cells not known to be free below which the unknown cells of a block are ignored.
+        smooth, specular: whether marks, or all cells, store directions (see `LocalMap`).
+    """
+
+    slots: int
+    side: int
+    block: int
+    lanes: int
+    sectors: int
+    fades: tuple[float, float]
+    known: float
+    held: int
+    smooth: bool = False
+    specular: bool = False
+
+    @property
+    def directed(self) -> bool:
+        """Whether cells store directions."""
+        return self.smooth or self.specular
+
+    @property
+    def limit_names(self) -> tuple[str, ...]:
+        """Names of the limits of a firing."""
+        return (*LIMITS, *AXIS) if self.directed else LIMITS
+
+    @cached_property
+    def bounds_size(self) -> int:
+        """Number of extreme values that `bounds` returns for a block's columns or rows."""
+        return 1 + BOUNDS * self.slots
+
+    def corner(self) -> Program:
+        """Program that computes the window's lowest cell.
+
+        The robot is at the centre of the window, unless the window would then extend beyond a wall of the site.
+        """
+        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+        lowest = ca.floor(walls[[0, 2]] / place[3] + _SLACK)
+        end = -ca.floor(_SLACK - walls[[1, 3]] / place[3])
+        middle = ca.floor(place[:2] / place[3]) - self.side // 2
+        corner = ca.fmax(ca.fmin(middle, end - self.side), lowest)
+        return lower_named("corner", {"place": place, "walls": walls}, {"corner": corner})
+
+    def prepare(self) -> Program:
+        """Program that computes the limits of firings and hull, and tests whether a firing marks no cell."""
+        place, slots = ca.SX.sym("place", 4), ca.SX.sym("slots", self.slots * READING_SIZE)
+        hull, edge = place[2], place[3]
+        limits, explained = {}, {}
+        for s, slot in enumerate(split(slots, self.slots)):
+            values = limit_values(slot, edge)
+            limits[f"limits_{s}"] = ca.vertcat(*(values[name] for name in self.limit_names))
+            explained[f"explained_{s}"] = values["far"] < values["near"]  # no cell is on an empty arc
+        ring = hull + RING * edge
+        everything = explained["explained_0"]
+        for s in range(1, self.slots):
+            everything = ca.logic_and(everything, explained[f"explained_{s}"])
+        outputs = {**limits, "hull": ca.vertcat(hull * hull, ring * ring), "complete": everything, **explained}
+        return lower_named("prepare", {"place": place, "slots": slots}, outputs)
+
+    def line(self) -> Program:
+        """Program that computes the base and the beams of a column or row, number `at` in the block `group`."""
+        at, group, span = ca.SX.sym("at"), ca.SX.sym("group"), ca.SX.sym("span")
+        place, walls = ca.SX.sym("place", 4), ca.SX.sym("walls", 4)
+        slots = ca.SX.sym("slots", self.slots * READING_SIZE)
+        old, new = ca.SX.sym("old", 2), ca.SX.sym("new", 2)
+        n, number, second = self.side, self.block * group + at, span > 0.5
+
+        def of(pair: ca.SX) -> ca.SX:
+            return ca.if_else(second, pair[1], pair[0])
+
+        def world(corner: ca.SX) -> ca.SX:
+            return number + n * ca.floor((corner + (n - 1) - number) / n)
+
+        cell = world(of(new))
+        centre = (cell + 0.5) * place[3]
+        offset = centre - of(place)
+        beside = _AT_A_WALL * place[3]
+        counts = ca.logic_and(centre > of(walls[[0, 2]]) + beside, centre < of(walls[[1, 3]]) - beside)
+        square = offset * offset
+        outputs = {"base": ca.vertcat(offset, square, world(of(old)) == cell, ca.if_else(counts, square, _FAR))}
+        for s, slot in enumerate(split(slots, self.slots)):
+            away, ex, ey = centre - of(slot["apex"]), slot["axis"][0], slot["axis"][1]
+            # across = dx·ey − dy·ex: a row's share has the other sign
+            across = ca.if_else(second, -away * ex, away * ey)
+            outputs[f"beam_{s}"] = ca.vertcat(away * of(slot["axis"]), across, away * away)
+        inputs = {
+            **{"at": at, "group": group, "span": span, "place": place, "walls": walls},
+            **{"slots": slots, "old": old, "new": new},
+        }
+        return lower_named("line", inputs, outputs)
+
+    # --- which blocks a firing, or the hull, touches ------------------------------------------------------------------
+
+    def bounds(self, *, columns: bool) -> Program:
+        """Program that computes the extreme values of base and beams over the columns or rows of a block."""
+        base = ca.SX.sym("base", BASE * self.block)
+        beams = [ca.SX.sym(f"beam_{s}", BEAM * self.block) for s in range(self.slots)]
+
+        def entries(array: ca.SX, size: int, entry: int) -> list[ca.SX]:
+            return [array[self._entry(k, size, entry) if columns else size * k + entry] for k in range(self.block)]
+
+        bounds = [_least(entries(base, BASE, 1))]
+        for beam in beams:
+            along, across, square = (entries(beam, BEAM, e) for e in range(BEAM))
+            bounds += [_largest(along), _least(across), _largest(across), _least(square), _largest(square)]
+        inputs = {"base": base, **{f"beam_{s}": beam for s, beam in enumerate(beams)}}
+        return lower_named("columns_bounds" if columns else "rows_bounds", inputs, {"bounds": ca.vertcat(*bounds)})
+
+    def idle(self) -> Program:
+        """Program that tests whether a firing changes no cell of a block, and whether the hull covers none of them."""
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        limits, hull = self._limits(), ca.SX.sym("hull", 2)
+        outputs = {}
+        for s, limit in enumerate(limits):
+            beside, least, arc = self._bounded(row, column, limit, s)
+            untouched = ca.logic_or(beside, ca.logic_and(arc, least >= limit["clear"]))
+            outputs[f"idle_{s}"] = ca.logic_and(untouched, limit["regular"])
+        outputs["idle_hull"] = row[0] + column[0] >= hull[0]
+        inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), "hull": hull}
+        return lower_named("idle", inputs, outputs)
+
+    def blank_arc(self) -> Program:
+        """Program that tests whether no cell of a block can explain a firing, or another cell already explains it."""
+        row, column = (ca.SX.sym(name, self.bounds_size) for name in ("row_bounds", "column_bounds"))
+        limits = self._limits()
+        explained = {f"explained_{s}": ca.SX.sym(f"explained_{s}") for s in range(self.slots)}
+        outputs = {}
+        for s, limit in enumerate(limits):
+            beside, least, arc = self._bounded(row, column, limit, s)
+            off = ca.logic_or(ca.logic_or(beside, arc), least > limit["cutoff"])
+            outputs[f"blank_{s}"] = ca.logic_or(explained[f"explained_{s}"], ca.logic_and(off, limit["regular"]))
+        inputs = {"row_bounds": row, "column_bounds": column, **self._limit_symbols(limits), **explained}
+        return lower_named("blank_arc", inputs, outputs)
+
+    def _bounded(self, row: ca.SX, column: ca.SX, limit: dict[str, ca.SX], s: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return three results for a block of cells, from bounds on its cells.
+
+        The results are: whether all cells lie beside the cone; the least squared range of the cells; and whether no
+        cell lies on the arc.
+
+        The test uses the extreme values of a block's columns and rows, with the same sums and products as for a single
+        cell, and rounding preserves the order of values. So a condition that holds for the extreme values also holds
+        for every cell of the block, despite rounding. Every condition is false for NaN, so a block with NaN is not
+        skipped.
+        """
+        at = 1 + BOUNDS * s
+        along, low, high, least, most = (row[at + k] + column[at + k] for k in range(BOUNDS))
+        across = ca.fmax(ca.fmax(low, -high), 0)
+        deepest = along * limit["sine"] - across * limit["cosine"]
+        arc = ca.logic_or(least > limit["far"], most < limit["near"])
+        return deepest <= 2 * _TOUCHED * limit["outside"], least, arc
+
+    # --- what happens to a cell ---------------------------------------------------------------------------------------
+
+    def fade(self) -> Program:
+        """Program that computes a cell's value after a period in which no firing observes the cell."""
+        value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
+        inputs = {"cells": value, "column": column, "row": row}
+        return lower_named("fade", inputs, {"faded": self._faded(value, column, row)})
+
+    def seek(self) -> Program:
+        """Program that tests whether a cell may have caused an echo: it is on the arc and not known to be free."""
+        hit, value = ca.SX.sym("hit"), ca.SX.sym("value")
+        column, across, row, down = self._cell()
+        limits = ca.SX.sym("limits", len(self.limit_names))
+        limit, line = named_limits(limits), cell_line(across, down)
+        faded = self._faded(value, column, row)
+        may = self._level(faded) >= -self.known
+        if self.specular:
+            may = ca.logic_or(may, ca.logic_not(includes(faded, direction(across, down, limit))))
+        near = ca.logic_and(may, line[2] <= limit["cutoff"])
+        after = ca.logic_or(hit, ca.logic_and(on_arc(line, limit), near))
+        inputs = {
+            **{"hit": hit, "cells": value, "column": column, "column_beam": across},
+            **{"row": row, "row_beam": down, "limits": limits},
+        }
+        return lower_named("seek", inputs, {"hit_next": after})
+
+    def observe(self) -> Program:
+        """Program that computes a cell's value after a firing."""
+        value, explained = ca.SX.sym("value"), ca.SX.sym("explained")
+        _, across, _, down = self._cell()
+        limits = ca.SX.sym("limits", len(self.limit_names))
+        limit, line = named_limits(limits), cell_line(across, down)
+        free, remark, cleared, may = in_front(line, limit, value), ca.SX(1), ca.SX(-1), value >= -self.known
+        blind = ca.fmax(value, BLIND)
+        if self.directed:
+            away, near, moved = direction(across, down, limit), nearby(line, limit), line[2] > limit["moved"]
+            now = by_direction(value, away, near=near, moved=moved, known=self.known, specular=self.specular)
+            lasts, remark, blind, cleared, may = now
+            free = ca.logic_and(free, ca.logic_not(lasts))
+        marked = ca.logic_and(on_arc(line, limit), ca.logic_or(may, ca.logic_not(explained)))
+        after = ca.if_else(free, cleared, ca.if_else(marked, ca.if_else(limit["ranged"], remark, blind), value))
+        inputs = {"cells": value, "column_beam": across, "row_beam": down, "limits": limits, "explained": explained}
+        return lower_named("observe", inputs, {"after": after})
+
+    def cover(self) -> Program:
+        """Program that computes a cell's value near the hull: a cell that the hull covers becomes free."""
+        value, column, row = ca.SX.sym("value"), ca.SX.sym("column", BASE), ca.SX.sym("row", BASE)
+        hull = ca.SX.sym("hull", 2)
+        inputs = {"cells": value, "column": column, "row": row, "hull": hull}
+        return lower_named("cover", inputs, {"after": ca.if_else(column[1] + row[1] < hull[0], -1, value)})
+
+    def tally(self) -> Program:
+        """Program that computes the largest value of a block's cells, and the number of cells not known to be free."""
+        largest, count, value = ca.SX.sym("largest"), ca.SX.sym("count"), ca.SX.sym("value")
+        outputs = {"largest_next": ca.fmax(largest, value), "count_next": count + (self._level(value) >= -self.known)}
+        return lower_named("tally", {"largest": largest, "count": count, "cells": value}, outputs)
+
+    # --- the nearest cell of a block ----------------------------------------------------------------------------------
+
+    def without(self) -> Program:
+        """Program that tests whether a block has no marked cell, and whether its unknown cells are ignored."""
+        largest, count = ca.SX.sym("largest", self.lanes), ca.SX.sym("count", self.lanes)
+        held = ca.sum1(count) < self.held
+        outputs = {"no_mark": _largest(ca.vertsplit(largest)) <= 0, "no_blank": held}
+        return lower_named("without", {"largest": largest, "count": count}, outputs)
+
+    def any_hit(self) -> Program:
+        """Program that tests whether any of the cells that the processor computes at once explains the firing."""
+        hits = ca.SX.sym("hits", self.lanes)
+        hit = hits[0]
+        for k in range(1, self.lanes):
+            hit = ca.logic_or(hit, hits[k])
+        return lower_named("any_hit", {"hits": hits}, {"hit": hit})
+
+    def all_explained(self) -> Program:
+        """Program that tests whether every firing is explained by some cell, so that the search can end."""
+        explained = [ca.SX.sym(f"explained_{s}") for s in range(self.slots)]
+        complete = explained[0]
+        for one in explained[1:]:
+            complete = ca.logic_and(complete, one)
+        return lower_named(
+            "all_explained", {f"explained_{s}": one for s, one in enumerate(explained)}, {"complete": complete}
+        )
+
+    def nearest(self, *, unknown: bool) -> Program:
+        """Program that extends the search for a block's nearest marked or unknown cell by one row of cells.
+
+        Of several equally near cells, the first cell counts.
+        """
+        near, hull = ca.SX.sym("near", 3), ca.SX.sym("hull", 2)
+        cells, row, columns = (
+            ca.SX.sym("cells", self.block),
+            ca.SX.sym("row", BASE),
+            ca.SX.sym("columns", BASE * self.block),
+        )
+        dx, least, which = near[0], near[2], 3 if unknown else 1
+        for k in range(self.block):
+            value = cells[k]
+            square = columns[self._entry(k, BASE, which)] + row[which]
+            holds = value > 0
+            if unknown:
+                blank = ca.logic_and(self._level(value) >= -self.known, value <= 0)
+                holds = ca.logic_and(blank, square > hull[1])
+            nearer = ca.logic_and(holds, square < least)
+            dx = ca.if_else(nearer, columns[self._entry(k, BASE, 0)], dx)
+            least = ca.if_else(nearer, square, least)
+        dy = ca.if_else(least < near[2], row[0], near[1])
+        inputs = {"near": near, "cells": cells, "row": row, "columns": columns, "hull": hull}
+        name = "nearest_unknown" if unknown else "nearest_marked"
+        return lower_named(name, inputs, {"near_next": ca.vertcat(dx, dy, least)})
+
+    def sector(self) -> Program:
+        """Program that computes the index of the direction in which a cell lies."""
+        near = ca.SX.sym("near", 3)
+        # side of the cell relative to each line through the robot that separates two directions
+        sides = []
+        for k in range(self.sectors // 2):
+            angle = 2 * pi * (k - 0.5) / self.sectors
+            sides.append(near[1] * cos(angle) - near[0] * sin(angle) >= 0)
+        passed = ca.SX(0)
+        for side in sides:
+            passed += side
+        return lower_named(
+            "sector",
+            {"near": near},
+            {"sector": ca.if_else(sides[0], passed - 1, self.sectors - 1 - passed)},
+        )
+
+    def farther(self) -> Program:
+        """Program that tests whether a cell is at least as far as the nearest cell found so far in its direction."""
+        near, best = ca.SX.sym("near", 3), ca.SX.sym("best", 3)
+        return lower_named("farther", {"near": near, "best": best}, {"farther": near[2] >= best[2]})
+
+    def enter(self) -> Program:
+        """Program that stores a cell as the nearest cell found so far in its direction."""
+        flag, best = ca.SX.sym("flag"), ca.SX.sym("best", 3 * self.sectors)
+        near, sector = ca.SX.sym("near", 3), ca.SX.sym("sector")
+        rows = [ca.if_else(sector == k, near, best[3 * k : 3 * k + 3]) for k in range(self.sectors)]
+        inputs = {"flag": flag, "best": best, "near": near, "sector": sector}
+        return lower_named("enter", inputs, {"done": ca.SX(1), "best_next": ca.vertcat(*rows)})
+
+    # --- parts --------------------------------------------------------------------------------------------------------
+
+    def _entry(self, column: int, size: int, entry: int) -> int:
+        # `entry` is an entry of the column's base or beam
+        group, lane = divmod(column, self.lanes)
+        return (group * size + entry) * self.lanes + lane
+
+    def _faded(self, value: ca.SX, column: ca.SX, row: ca.SX) -> ca.SX:
+        old = value * (row[2] * column[2])
+        if self.directed:
+            now = level(old)
+            after = old - ca.if_else(old > 0, self.fades[0], -self.fades[1])
+            return ca.if_else(ca.logic_and(now <= self.fades[0], now >= -self.fades[1]), 0, after)
+        return old - ca.fmin(ca.fmax(old, -self.fades[1]), self.fades[0])
+
+    def _level(self, value: ca.SX) -> ca.SX:
+        return level(value) if self.directed else value
+
+    @staticmethod
+    def _cell() -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        names = (("column", BASE), ("column_beam", BEAM), ("row", BASE), ("row_beam", BEAM))
+        column, across, row, down = (ca.SX.sym(name, size) for name, size in names)
+        return column, across, row, down
+
+    def _limits(self) -> list[dict[str, ca.SX]]:
+        return [named_limits(ca.SX.sym(f"limits_{s}", len(self.limit_names))) for s in range(self.slots)]
+
+    @staticmethod
+    def _limit_symbols(limits: list[dict[str, ca.SX]]) -> dict[str, ca.SX]:
+        return {f"limits_{s}": ca.vertcat(*one.values()) for s, one in enumerate(limits)}
+
+
+def _least(values: list[ca.SX]) -> ca.SX:
+    least = values[0]
+    for value in values[1:]:
+        least = ca.fmin(least, value)
+    return least
+
+
+def _largest(values: list[ca.SX]) -> ca.SX:
+    largest = values[0]
+    for value in values[1:]:
+        largest = ca.fmax(largest, value)
+    return largest

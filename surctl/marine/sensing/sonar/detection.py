@@ -1,0 +1,114 @@
+"""Uniform random numbers of single echoes, which depend only on the run's seed, the instant, the sensor and the echo.
+
+The numbers are counter-based: no state passes from one number to the next, so their order and the number of threads do
+not matter. A number comes from the cipher MiMC (Albrecht, Grassi, Rechberger, Roy and Tiessen 2016): rounds of adding a
+key and a constant and of taking the cube modulo a prime p. The cube is a permutation because p − 1 is not divisible by
+3. With p below 2^26, all products are exact in double precision, so Python, CasADi and C give the same bits.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.marine.sensing.noise import noise_states
+
+__all__ = ["ECHO_KEY", "echo_keys", "echo_uniform", "firing_block", "firing_block_symbols", "uniform_symbols"]
+
+ECHO_KEY = 6
+"""Number of values in the key of a run: whole numbers below 2^26."""
+
+_P = 67108859  # 2^26 − 5, the largest prime below 2^26
+_ROUNDS = 4  # for each of the three counters: instant, sensor, echo
+_CONSTANTS = (14159265, 35897932, 38462643, 38327950, 28841971, 69399375 % _P, 10582097, 49445923, 7816406, 28620899,
+              8628034, 82534211 % _P)  # fmt: skip  # digits of π
+
+
+def echo_keys(seeds: ArrayLike) -> NDArray[np.float64]:
+    """Return the key of each seed, (n, `ECHO_KEY`) whole numbers.
+
+    Example:
+        >>> from surctl.marine.sensing import echo_keys
+        >>> echo_keys([0, 1]).shape
+        (2, 6)
+    """
+    return np.asarray(noise_states(seeds) % _P, dtype=float)
+
+
+def firing_block(key: NDArray[np.float64], instant: int, sensor: int) -> int:
+    """Return the state of a firing, from which `echo_uniform` makes the numbers of its echoes.
+
+    Args:
+        key: (`ECHO_KEY`,) key of the run.
+        instant: number of the firing instant, 0 to 6e7.
+        sensor: index of the sensor that fires.
+
+    Example:
+        >>> from surctl.marine.sensing import echo_keys, firing_block
+        >>> firing_block(echo_keys([7])[0], 40, 1) < 2**26
+        True
+    """
+    return _mixed(_mixed(instant, key, 0) + sensor, key, 1)
+
+
+def echo_uniform(key: NDArray[np.float64], block: int, echo: int) -> float:
+    """Return the uniform random number in (0, 1) of one echo of a firing.
+
+    Args:
+        key: (`ECHO_KEY`,) key of the run.
+        block: state of the firing, from `firing_block`.
+        echo: number of the echo, 0 to 2^22.
+
+    Example:
+        >>> from surctl.marine.sensing import echo_keys, echo_uniform, firing_block
+        >>> key = echo_keys([7])[0]
+        >>> [round(echo_uniform(key, firing_block(key, 40, 1), echo), 4) for echo in (0, 1)]
+        [0.1932, 0.2188]
+    """
+    return (_mixed(block + echo, key, 2) + 0.5) / _P
+
+
+def firing_block_symbols(key: ca.SX, instant: ca.SX, sensor: ca.SX) -> ca.SX:
+    """Return the state of a firing in CasADi symbols, as `firing_block`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.sensing import echo_keys, firing_block, firing_block_symbols
+        >>> key = echo_keys([7])[0]
+        >>> float(ca.evalf(firing_block_symbols(ca.SX(key), ca.SX(40), ca.SX(1)))) == firing_block(key, 40, 1)
+        True
+    """
+    return _mixed_symbols(_mixed_symbols(instant, key, 0) + sensor, key, 1)
+
+
+def uniform_symbols(key: ca.SX, block: ca.SX, echo: ca.SX | int) -> ca.SX:
+    """Return the uniform random number of one echo in CasADi symbols, as `echo_uniform`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.sensing import echo_keys, echo_uniform, uniform_symbols
+        >>> key = echo_keys([7])[0]
+        >>> float(ca.evalf(uniform_symbols(ca.SX(key), ca.SX(5), 3))) == echo_uniform(key, 5, 3)
+        True
+    """
+    return (_mixed_symbols(block + echo, key, 2) + 0.5) / float(_P)
+
+
+def _mixed(x: int, key: NDArray[np.float64], counter: int) -> int:
+    for k in range(counter * _ROUNDS, (counter + 1) * _ROUNDS):
+        x = pow(x + int(key[k % ECHO_KEY]) + _CONSTANTS[k], 3, _P)
+    return x
+
+
+def _mixed_symbols(x: ca.SX, key: ca.SX, counter: int) -> ca.SX:
+    for k in range(counter * _ROUNDS, (counter + 1) * _ROUNDS):
+        x = _remainder(x + key[k % ECHO_KEY] + _CONSTANTS[k])
+        x = _remainder(_remainder(x * x) * x)
+    return x
+
+
+def _remainder(x: ca.SX) -> ca.SX:
+    # exact for whole x below 2^52: the quotient is whole or at least 1/p below the next whole number, and its rounding
+    # error is below 2^-27
+    return x - ca.floor(x / float(_P)) * float(_P)

@@ -1,0 +1,271 @@
+"""The scenario, vehicle and law that a batch simulates, and the parameters that a batch can change by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.marine.control import Barrier, Gains, Law, Movers, build_law, check_forces, default_law, law_ref, law_source
+from surctl.marine.guidance import AvoidanceForm, Guidance
+from surctl.marine.simulation.obstacle import Obstacle
+from surctl.marine.simulation.run import Sensing
+from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.thruster_faults import check_failed
+from surctl.marine.vehicle import Vehicle, parameter_spec
+from surctl.priority import Mode
+
+__all__ = ["Case", "CaseParameter", "case_parameters", "check_speeds", "check_values"]
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One simulation setup: a scenario with one vehicle and one law.
+
+    Attributes:
+        scenario: the mission.
+        vehicle: the simulated vehicle.
+        gains: the law's gains; if the law defines additional gains, missing ones take their defaults.
+        law: text that identifies the law, see `law_ref`; empty: the law for the vehicle's forces, see `default_law`.
+        avoidance, mode, guidance, barrier, movers: further options of the law, as for `build_law`.
+        failed: names of thrusters that have failed from the start, which the law knows.
+        sensing: kind of sensing: `truth` (exact positions) or `sonar`, as for `simulate`.
+        model: vehicle model of the controller; None: the simulated vehicle.
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    gains: Gains
+    law: str = ""
+    mode: Mode = "nsb"
+    sensing: Sensing = "truth"
+    model: Vehicle | None = None
+    avoidance: AvoidanceForm = "corrected"
+    guidance: Guidance = "los"
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
+    failed: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_failed(self.vehicle, self.failed)
+        law = self.law or default_law(self.vehicle)
+        object.__setattr__(self, "law", law_ref(law))  # pinned to the text of its file, if it is of the user's own
+        check_forces(self.law, self.vehicle)
+        object.__setattr__(self, "gains", self.gains.with_own(law_source(self.law).gains))
+
+    @property
+    def name(self) -> str:
+        """Name of the simulation setup: scenario, vehicle and sensing."""
+        return f"{self.scenario.name}/{self.vehicle.name}/{self.sensing}"
+
+    def build(self) -> Law:
+        """Build the law of the simulation setup."""
+        sonar = self.sensing == "sonar"
+        return build_law(
+            self.law,
+            avoidance=self.avoidance,
+            mode=self.mode,
+            sonar=sonar,
+            equipment=self.scenario.sensors.on(self.vehicle["radius"]),
+            guidance=self.guidance,
+            barrier=self.barrier,
+            movers=self.movers,
+            depths=self.scenario.depths is not None,
+            actuators=self.vehicle.actuators,
+        )
+
+
+@dataclass(frozen=True)
+class CaseParameter:
+    """A parameter (number) of the simulation setup that a batch can change.
+
+    Attributes:
+        name: name of the parameter, for instance `k_v`, `vehicle.m11` (plant and model), `plant.m11` (plant only),
+            `scenario.cruise` or `obstacle.NAME.speed`.
+        unit: SI unit of the parameter.
+        meaning: description of the parameter.
+        value: value of the parameter before any change.
+        low, high: bounds of the parameter; `low` itself is not allowed if `open_below` is true.
+        range: range that the vehicle file states for the parameter, or None.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    value: float
+    low: float = -inf
+    high: float = inf
+    open_below: bool = False
+    range: tuple[float, float] | None = None
+
+    def check(self, values: Vector) -> None:
+        """Raise InputError unless every value is finite and within the parameter's bounds."""
+        good = np.isfinite(values) & (values <= self.high)
+        good &= (values > self.low) if self.open_below else (values >= self.low)
+        if not good.all():
+            least = f"greater than {self.low:g}" if self.open_below else f"at least {self.low:g}"
+            bounds = [least] if self.low > -inf else []
+            bounds += [f"at most {self.high:.3g}"] if self.high < inf else []
+            raise InputError(
+                "must be " + " and ".join(bounds or ["finite"]),
+                key=self.name,
+                value=float(values[~good][0]),
+                remedy=f"{self.meaning}, in {self.unit}",
+            )
+
+
+def case_parameters(case: Case) -> Mapping[str, CaseParameter]:
+    """Return every parameter of the simulation setup that a batch can change, by name.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import Case, case_parameters, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> known = case_parameters(Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")))
+        >>> [(name, known[name].value, known[name].unit) for name in ("k_v", "vehicle.m11", "obstacle.OM1.speed")]
+        [('k_v', 1.5, '1/s'), ('vehicle.m11', 50.0, 'kg'), ('obstacle.OM1.speed', 0.2, 'm/s')]
+    """
+    listed = [
+        CaseParameter(name, spec.unit, spec.meaning, case.gains.values[name], 0.0, spec.below, not spec.zero_allowed)
+        for name, spec in case.gains.specs.items()
+    ]
+    for name, known in case.vehicle.parameters.items():
+        spec = parameter_spec(name)
+        assert spec is not None  # a vehicle has no other parameters
+        least, above = -inf if spec.signed else 0.0, not spec.zero_allowed
+        only = f"{spec.meaning}, of the simulated vehicle only; the controller keeps its model"
+        for kind, meaning in (("vehicle", spec.meaning), ("plant", only)):
+            listed.append(
+                CaseParameter(f"{kind}.{name}", spec.unit, meaning, known.value, least, inf, above, known.range)
+            )
+    listed += _scenario_parameters(case.scenario)
+    for obstacle in case.scenario.obstacles:
+        listed += _obstacle_parameters(obstacle, case.vehicle)
+    return {parameter.name: parameter for parameter in listed}
+
+
+def _scenario_parameters(scenario: Scenario) -> list[CaseParameter]:
+    d, chances = scenario.disturbance, scenario.sensors.chances
+    return [
+        *(
+            CaseParameter(f"sonar.{kind}", "1", f"probability of fault {kind} per sonar firing", chance, 0.0, 1.0)
+            for kind, chance in zip(chances.kinds(), chances.numbers, strict=True)
+        ),
+        CaseParameter("scenario.cruise", "m/s", "desired speed along the path", scenario.cruise, 0.0, inf, True),
+        CaseParameter("scenario.cap", "m/s", "largest commanded horizontal speed", scenario.cap, 0.0, inf, True),
+        CaseParameter(
+            "scenario.depth", "m", "desired z, negative below the surface", scenario.depth, -scenario.site[2], 0.0
+        ),
+        CaseParameter(
+            "scenario.arrival_radius",
+            "m",
+            "distance to the target that counts as arrived",
+            scenario.arrival_radius,
+            0.0,
+            inf,
+            True,
+        ),
+        CaseParameter("scenario.time_limit", "s", "longest duration of a run", scenario.time_limit, 0.0, 1e6, True),
+        CaseParameter("scenario.current_x", "m/s", "current along x of {E}", d.current_m_per_s[0]),
+        CaseParameter("scenario.current_y", "m/s", "current along y of {E}", d.current_m_per_s[1]),
+        CaseParameter("scenario.wave_force", "N", "amplitude of the wave force", d.wave_force_n, 0.0),
+        CaseParameter("scenario.wave_period", "s", "period of the waves", d.wave_period_s, 0.0, inf, True),
+        CaseParameter("scenario.drift_force", "N", "amplitude of the slow drift force", d.drift_force_n, 0.0),
+        CaseParameter("scenario.drift_period", "s", "period of the slow drift force", d.drift_period_s, 0.0, inf, True),
+        CaseParameter(
+            "scenario.thrust_error", "1", "largest relative thrust error of an axis", d.thrust_error, 0.0, 1.0
+        ),
+        CaseParameter(
+            "scenario.thrust_bias",
+            "1",
+            "largest thrust bias of an axis, as a share of its limit",
+            d.thrust_bias,
+            0.0,
+            1.0,
+        ),
+    ]
+
+
+def _obstacle_parameters(obstacle: Obstacle, vehicle: Vehicle) -> list[CaseParameter]:
+    def parameter(
+        name: str, unit: str, meaning: str, value: float, least: float | None = None, *, above: bool = False
+    ) -> CaseParameter:
+        low = -inf if least is None else least
+        return CaseParameter(f"obstacle.{obstacle.name}.{name}", unit, meaning, value, low, inf, above)
+
+    common = [
+        parameter("x", "m", "centre of the obstacle at the start, x in {E}", obstacle.centre_m[0]),
+        parameter("y", "m", "centre of the obstacle at the start, y in {E}", obstacle.centre_m[1]),
+        CaseParameter(
+            f"obstacle.{obstacle.name}.there",
+            "1",
+            "1 if the obstacle is in the water, 0 if it is left out",
+            1.0,
+            0.0,
+            1.0,
+        ),
+    ]
+    if obstacle.size_m is not None:
+        common += [
+            parameter(
+                f"size_{axis}",
+                "m",
+                f"edge length of the box along {axis} of {{E}}",
+                obstacle.size_m[k],
+                0.0,
+                above=True,
+            )
+            for k, axis in enumerate("xy")
+        ]
+    else:
+        radius = obstacle.radius_m or vehicle["radius"]
+        common.append(parameter("radius", "m", "radius of the obstacle", radius, 0.0, above=True))
+    if obstacle.shape == "moving":
+        to_x, to_y = obstacle.to_m or obstacle.centre_m
+        return [
+            *common,
+            parameter("to_x", "m", "end of the obstacle's motion, x in {E}", to_x),
+            parameter("to_y", "m", "end of the obstacle's motion, y in {E}", to_y),
+            parameter("speed", "m/s", "speed of the obstacle", float(obstacle.speed_m_per_s or 0.0), 0.0, above=True),
+        ]
+    return [
+        *common,
+        parameter("drift", "m", "amplitude of the obstacle's drift", obstacle.drift_m, 0.0),
+        parameter("drift_period", "s", "period of the obstacle's drift", obstacle.drift_period_s, 0.0, above=True),
+    ]
+
+
+def check_values(case: Case, values: Mapping[str, Vector]) -> None:
+    """Raise InputError for an unknown parameter, or for a value outside its bounds."""
+    known = case_parameters(case)
+    for name, column in values.items():
+        if name not in known:
+            raise InputError("no such parameter in the case", key=name, value=case.name, remedy=nearest(name, known))
+        known[name].check(column)
+    check_speeds(case, values)
+
+
+def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
+    """Raise InputError if the cruise speed is above the speed cap, the largest speed that the law may command.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import Case, check_speeds, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"))
+        >>> check_speeds(case, {"scenario.cruise": [0.1, 0.3]})
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: scenario.cruise = 0.3: is above scenario.cap; lower it
+    """
+    at = {name: values.get(f"scenario.{name}", getattr(case.scenario, name)) for name in ("cruise", "cap")}
+    if np.any(np.greater(at["cruise"], at["cap"])):
+        raise InputError(
+            "is above scenario.cap", key="scenario.cruise", value=float(np.max(at["cruise"])), remedy="lower it"
+        )

@@ -1,0 +1,213 @@
+"""Simulate many closed loops at once, with compiled C or CasADi's virtual machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, ToolMissing, nearest
+from surctl.ir import Batch, SlowerEngine, compile_batch_source, to_casadi, warn_slower
+from surctl.marine.simulation.batch.bodies import ABSENT
+from surctl.marine.simulation.batch.case import Case, check_values
+from surctl.marine.simulation.batch.counting import VARIATIONS
+from surctl.marine.simulation.batch.loop import Loop, Structure, build_loop
+from surctl.marine.simulation.batch.pack import Packed, pack, structure_of
+from surctl.marine.simulation.batch.stored import stored_loop
+from surctl.marine.simulation.metrics import METRICS, STOPS
+
+__all__ = ["ENGINES", "BatchResult", "Engine", "SlowerEngine", "broadcast", "compiled_loop", "simulate_batch"]
+
+Engine = Literal["auto", "c", "vm"]
+ENGINES: tuple[Engine, ...] = get_args(Engine)
+
+Columns = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchResult:
+    """Metrics of n runs.
+
+    Attributes:
+        table: (n, len(METRICS)) metrics of the runs, one row per run, columns in the order of `METRICS`.
+        engine: the engine that simulated the runs, `c` or `vm`.
+    """
+
+    table: Columns = field(repr=False)
+    engine: Engine
+
+    @property
+    def runs(self) -> int:
+        """Number of runs n."""
+        return len(self.table)
+
+    def column(self, name: str) -> Columns:
+        """Return the values (n,) of one metric; if the name is unknown, InputError suggests the most similar name."""
+        if name not in METRICS:
+            raise InputError("no such metric", key="metric", value=name, remedy=nearest(name, METRICS))
+        return self.table[:, list(METRICS).index(name)]
+
+
+def simulate_batch(
+    case: Case,
+    values: Mapping[str, ArrayLike] | None = None,
+    *,
+    seeds: ArrayLike = 0,
+    threads: int = 1,
+    engine: Engine = "auto",
+) -> BatchResult:
+    """Simulate one run for each set of parameter values with its seed; a single value or seed holds for all runs.
+
+    The result of a run depends only on its own parameter values and seed, not on `threads` or the other runs. The
+    metrics equal those of `simulate` with the same setup and seed, except for the last digits. A run that starts inside
+    an obstacle counts as a collision at its start.
+
+    Args:
+        case: the simulated setup (scenario, vehicle, law).
+        values: parameter values by name, see `parameters`: an array (n,) or one number for all runs.
+        seeds: (n,) seeds, or one seed for all runs; a seed is at least 0.
+        threads: number of threads of the compiled loop.
+        engine: `c` compiles with the system's C compiler; `vm` uses CasADi's virtual machine; `auto` takes `c`, or `vm`
+            with a warning `SlowerEngine` if there is no compiler.
+
+    Raises:
+        InputError: a parameter or the engine is unknown, a value is out of bounds, a seed is negative, or the shapes
+            do not match.
+        ToolMissing: the engine is `c`, but there is no compiler.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import Case, load_scenario, simulate_batch
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"), law="closed_form")
+        >>> runs = simulate_batch(case, {"k_v": [1.0, 1.5, 2.0]}, seeds=7, engine="vm")
+        >>> runs.column("time_s").round(2).tolist(), runs.column("min_clearance_m").round(3).tolist()
+        ([21.3, 20.35, 20.05], [0.093, 0.096, 0.097])
+    """
+    if engine not in ENGINES:
+        raise InputError("is not known", key="engine", value=engine, remedy=nearest(str(engine), ENGINES))
+    if threads < 1:
+        raise InputError("must be at least 1", key="threads", value=threads)
+    columns, run_seeds = broadcast(values or {}, seeds)
+    check_values(case, columns)
+    loop = build_loop(structure_of(case, columns))
+    if len(run_seeds) == 0:
+        return BatchResult(np.empty((0, len(METRICS))), "c" if engine == "c" else "vm")
+    packed = pack(case, loop, columns, run_seeds)
+    if engine != "vm":
+        try:
+            compiled = compiled_loop(loop.structure)
+            final = compiled.run(packed.state, packed.parameters, steps=packed.steps, threads=threads)
+            return BatchResult(_metrics(loop, final), "c")
+        except ToolMissing as missing:
+            if engine == "c":
+                raise
+            warn_slower(missing)
+    return BatchResult(_metrics(loop, _through_machine(loop, packed)), "vm")
+
+
+@cache
+def compiled_loop(structure: Structure) -> Batch:
+    """Return the compiled loop of a loop structure (the part of a setup that is fixed at compilation).
+
+    The loop is compiled now, or it comes from the cache of compiled loops.
+
+    Raises:
+        ToolMissing: there is no C compiler.
+    """
+    return compile_batch_source(stored_loop(structure).source)
+
+
+@cache
+def _machine(structure: Structure) -> Any:
+    return to_casadi(build_loop(structure).step)
+
+
+def _through_machine(loop: Loop, packed: Packed) -> Columns:
+    # all runs advance together, one control step at a time
+    step = _machine(loop.structure)
+    state, left = packed.state.copy(), np.arange(len(packed.state))
+    for _ in range(packed.steps):
+        moved = step.map(len(left))(state[left].T, packed.parameters[left].T)
+        state[left] = np.asarray(moved).T
+        left = left[state[left, 0] == 0]
+        if len(left) == 0:
+            break
+    return state
+
+
+def broadcast(values: Mapping[str, ArrayLike], seeds: ArrayLike) -> tuple[dict[str, Columns], NDArray[np.int64]]:
+    """Return values and seeds as arrays (n,) for n runs; raise InputError if they do not match."""
+    try:
+        arrays = {name: np.asarray(value, dtype=float) for name, value in values.items()}
+    except (TypeError, ValueError):
+        raise InputError("must be numbers", key="values", value=sorted(values)) from None
+    seed = np.asarray(seeds)
+    whole = seed.dtype.kind in "iu" or (seed.dtype.kind == "f" and bool(np.all(seed == np.floor(seed))))
+    if not whole or np.any(seed < 0):
+        raise InputError("must be whole numbers, at least 0", key="seeds", value=seed.ravel()[:3].tolist())
+    try:
+        shape = np.broadcast_shapes(seed.shape, *(v.shape for v in arrays.values()))
+    except ValueError:
+        shape = (0, 0)
+    if len(shape) > 1:
+        sizes = {name: v.shape for name, v in arrays.items()}
+        raise InputError("do not match", key="values, seeds", value=sizes, remedy="give arrays (n,) or numbers")
+    n = shape[0] if shape else 1
+    spread = {name: np.broadcast_to(v, (n,)) for name, v in arrays.items()}
+    return spread, np.broadcast_to(seed, (n,)).astype(np.int64)
+
+
+def _crab(loop: Loop, s: Mapping[str, Columns]) -> dict[str, Columns]:
+    # NaN if the law turns the hull to scan, or if the robot never moves
+    straight = loop.law.perception is None
+
+    def mean(total: str, count: str) -> Columns:
+        average: Columns = np.full(len(s[count]), np.nan)
+        return np.divide(s[total], s[count], out=average, where=(s[count] > 0) & straight)
+
+    crab = mean("sum_crab", "count_crab")
+    return {
+        "crab_angle_deg": np.rad2deg(crab),
+        "max_crab_angle_deg": np.rad2deg(np.where(np.isnan(crab), np.nan, s["most_crab"])),
+        "heading_error_deg": np.rad2deg(np.sqrt(mean("sum_heading", "count_moving"))),
+    }
+
+
+def _metrics(loop: Loop, final: Columns) -> Columns:
+    # (n, len(METRICS))
+    s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
+    rows, dt = s["step"] + 1, loop.law.dt
+    error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)
+    columns = {
+        "reached": (s["stop"] == STOPS.index("reached")).astype(float),
+        "collided": (s["stop"] == STOPS.index("collision")).astype(float),
+        "time_s": np.round(s["step"] * dt, 9),
+        "min_clearance_m": np.where(s["least"] < 0.5 * ABSENT, s["least"], np.inf),
+        "path_error_m": np.sqrt(error),
+        "deviation_m": np.sqrt(s["sum_square"] / rows),
+        "max_deviation_m": s["most_away"],
+        "missed_corner_m": np.sqrt(np.maximum(s["missed"], s["corner_behind"])),
+        "overshoot_m": s["most_past"],
+        "length_m": s["length"],
+        "effort_n": s["sum_effort"] / rows,
+        "peak_thrust_share": s["most_thrust"],
+        "saturated_share": s["count_saturated"] / rows,
+        "thrust_rate_n_per_s": np.sqrt(s["sum_jump"] / np.maximum(rows - 1, 1)) / dt,
+        **_crab(loop, s),
+        **{f"variation_{k}_per_s": s[f"sum_{k}"] / (np.maximum(rows - 1, 1) * dt) for k in VARIATIONS},
+        "sign_changes_per_s": np.sum([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
+        "axis_sign_changes_per_s": np.max([s[f"signs_{k}"] for k in VARIATIONS], axis=0) / (rows * dt),
+        "axis_saturated_share": np.max([s[f"limited_{k}"] for k in VARIATIONS], axis=0) / rows,
+        "energy_n15_s": s["sum_energy"] * dt,
+        "stopped": s["stop"],
+    }
+    wasted = np.maximum(s["sum_effort"] - s["sum_needed"], 0.0)
+    spent = s["sum_effort"] > 0
+    columns["wasted_impulse_n_s"] = wasted * dt
+    columns["wasted_share"] = np.divide(wasted, s["sum_effort"], out=np.zeros(len(final)), where=spent)
+    return np.column_stack([columns[name] for name in METRICS])

@@ -1,0 +1,254 @@
+"""Random worlds: scenarios with random still and moving obstacles in the paper's tank."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from math import hypot
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, SurctlError
+from surctl.marine.simulation.campaign.draws import draw_plant
+from surctl.marine.simulation.campaign.plan import SampledRun, SeededPlan
+from surctl.marine.simulation.fit import findings
+from surctl.marine.simulation.motion import closest
+from surctl.marine.simulation.obstacle import Obstacle
+from surctl.marine.simulation.scenario import Scenario, scenario_from_table
+from surctl.marine.vehicle import Vehicle
+
+__all__ = ["FASTEST_MOVER", "SLOWEST", "WORLDS_VEHICLE", "RandomWorlds", "random_world", "world_template"]
+
+LENGTH, WIDTH = 10.0, 5.0  # [m] size of the tank
+START, TARGET = (0.5, 2.5), (9.5, 2.5)
+
+WORLDS_VEHICLE = "sur540-flooded"
+"""Default vehicle in random worlds."""
+
+FASTEST_MOVER = 0.15
+"""Largest speed of a moving obstacle [m/s]."""
+
+SLOWEST = 0.03
+"""Smallest speed of a moving obstacle [m/s] (*chosen*)."""
+
+_BOXES, _CYLINDERS, _MOVERS = 2, 2, 4
+_EDGES = (0.2, 1.6)  # [m] edge lengths of a box (*chosen*; the paper's boxes are 0.3 by 1.6)
+_RADII = (0.1, 0.4)  # [m] radii of a cylinder (*chosen*)
+_BALLS = (0.15, 0.35)  # [m] radii of a moving obstacle (*chosen*; the paper's are as large as the robot)
+_NEAR = 1.0  # [m] from a moving obstacle's start to the hull, and from its end to the target (*chosen*)
+_BETWEEN = 0.1  # [m] extra gap for a hull between two moving obstacles (*chosen*)
+_LEAST_DISTANCE = 1.0  # [m] shortest path of a moving obstacle (*chosen*)
+_TRIES = 100_000
+
+
+def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
+    """Return a random world with 1 to 8 obstacles, half of them moving.
+
+    If the number of obstacles is odd, chance decides whether there is one more still or one more moving obstacle.
+
+    The path goes straight through the 10 x 5 m tank, as in the paper. Still obstacles lie inside the tank and do not
+    overlap. A moving obstacle goes in a straight line clear of the still obstacles, starts away from the robot, ends
+    away from the target, and is removed at its end. Two moving obstacles always leave a gap that is 0.1 m wider than
+    the hull. A moving obstacle may press the hull against a wall or a still obstacle. The function `findings` reports
+    no error for such a world: the hull fits at the start, at the target, and in the tightest gap of the path.
+
+    Args:
+        vehicle: the vehicle that must fit into the world.
+        seed: seed of all random choices.
+
+    Raises:
+        SurctlError: no random world fits this vehicle.
+    """
+    rng = np.random.default_rng([seed, 5])
+    count = int(rng.integers(1, 9))
+    movers = (count + int(rng.integers(0, 2))) // 2
+    still = count - movers
+    for _ in range(_TRIES):
+        table = world_table(f"world-{seed}", vehicle, _still(rng, still))
+        world = _feasible(table, vehicle)
+        if world is None:
+            continue
+        moving = _moving(rng, movers, world, vehicle)
+        if moving is None:
+            continue
+        table["obstacles"] = [*table["obstacles"], *moving]
+        world = _feasible(table, vehicle)
+        if world is not None:
+            return world
+    raise SurctlError(f"{vehicle.name} fits no random world of seed {seed}")
+
+
+def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the content of a scenario file (a TOML table) that describes the tank with the given obstacles."""
+    return {
+        "kind": "scenario",
+        "name": name,
+        "title": "A random world",
+        "provenance": "random obstacles; site, path and speeds as in the paper's tank",
+        "vehicle": vehicle.name,
+        "path_m": [list(START), list(TARGET)],
+        "depth_m": -0.15,
+        "cruise_m_per_s": 0.2,
+        "cap_m_per_s": 0.22,
+        "time_limit_s": 300.0,
+        "site": {"length_m": LENGTH, "width_m": WIDTH, "depth_m": 5.0},
+        "obstacles": [dict(o) for o in obstacles],
+        "paper": {"result": "none: a random world"},
+    }
+
+
+def world_template(vehicle: Vehicle) -> Scenario:
+    """Return a scenario with every possible obstacle of a random world; one compiled loop simulates all worlds."""
+    bodies: list[dict[str, Any]] = [
+        {"name": f"box-{k + 1}", "shape": "box", "size_m": (1.0, 1.0)} for k in range(_BOXES)
+    ]
+    bodies += [{"name": f"cylinder-{k + 1}", "shape": "cylinder", "radius_m": 1.0} for k in range(_CYLINDERS)]
+    bodies += [
+        {"name": f"mover-{k + 1}", "shape": "moving", "radius_m": 1.0, "to_m": (1.0, 1.0), "speed_m_per_s": 0.1}
+        for k in range(_MOVERS)
+    ]
+    empty = scenario_from_table(world_table("random-worlds", vehicle, []), source="")
+    return replace(empty, obstacles=tuple(Obstacle.model_validate({**b, "centre_m": (5.0, 2.5)}) for b in bodies))
+
+
+@dataclass(frozen=True)
+class RandomWorlds(SeededPlan):
+    """Plan of runs in random worlds, which one compiled loop simulates; the seed of a run determines its world.
+
+    The simulation setup has the scenario of `world_template`, with sensors, time limit and other settings that all
+    worlds share.
+
+    Attributes:
+        plant: whether the parameters of the simulated vehicle are drawn too, see `draw_plant`.
+
+    Raises:
+        InputError: the scenario has waves, whose random numbers depend on the number of obstacles.
+    """
+
+    plant: bool = False
+    _known: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Check that the scenario has no waves."""
+        if force := self.case.scenario.disturbance.wave_force_n:
+            raise InputError(
+                "must be 0, since random worlds have no waves",
+                key="disturbance.wave_force_n",
+                value=force,
+                remedy="write 0",
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the drawn parameters, see `Plan.names`."""
+        plant = [f"plant.{name}" for name in self._draw(0)]
+        return (*plant, *(name for o in self.case.scenario.obstacles for name in _values(o, there=False)))
+
+    def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """Return the drawn values of `count` runs, see `Plan.values`."""
+        rows = [self._row(k) for k in range(first, first + count)]
+        return {name: np.array([row[name] for row in rows]) for name in self.names}
+
+    def run(self, k: int) -> SampledRun:
+        """Return run number k, see `Plan.run`."""
+        return SampledRun(replace(self.case, scenario=self.world(k)), self.first + k, self._draw(k))
+
+    def settings(self) -> Mapping[str, object]:
+        """Return the settings of the random draws, see `Plan.settings`."""
+        return {"first seed": self.first, "draws": "worlds and plant" if self.plant else "worlds"}
+
+    def world(self, k: int) -> Scenario:
+        """Return the scenario of run number k, which is drawn once and cached."""
+        if k not in self._known:
+            world = random_world(self.case.vehicle, seed=self.first + k)
+            self._known[k] = replace(self.case.scenario, name=world.name, obstacles=world.obstacles)
+        return self._known[k]
+
+    def _draw(self, k: int) -> dict[str, float]:
+        return draw_plant(self.case.vehicle, seed=self.first + k) if self.plant else {}
+
+    def _row(self, k: int) -> dict[str, float]:
+        row = {f"plant.{name}": value for name, value in self._draw(k).items()}
+        there = {o.name: o for o in self.world(k).obstacles}
+        for slot in self.case.scenario.obstacles:
+            row |= _values(there.get(slot.name, slot), there=slot.name in there)
+        return row
+
+
+def _values(obstacle: Obstacle, *, there: bool) -> dict[str, float]:
+    # including whether the obstacle is in the water
+    values = {"there": float(there), "x": obstacle.centre_m[0], "y": obstacle.centre_m[1]}
+    if obstacle.size_m is not None:
+        values |= {"size_x": obstacle.size_m[0], "size_y": obstacle.size_m[1]}
+    else:
+        values["radius"] = float(obstacle.radius_m or 0.0)
+    if obstacle.to_m is not None:
+        values |= {"to_x": obstacle.to_m[0], "to_y": obstacle.to_m[1], "speed": float(obstacle.speed_m_per_s or 0.0)}
+    return {f"obstacle.{obstacle.name}.{name}": value for name, value in values.items()}
+
+
+def _still(rng: np.random.Generator, count: int) -> list[dict[str, Any]]:
+    boxes = (count + 1) // 2
+    obstacles: list[dict[str, Any]] = []
+    for k in range(count):
+        if k < boxes:
+            size = rng.uniform(*_EDGES, 2)
+            half = size / 2
+            shape: dict[str, Any] = {"name": f"box-{k + 1}", "shape": "box", "size_m": _millimetres(size)}
+        else:
+            radius = rng.uniform(*_RADII)
+            half = np.array([radius, radius])
+            shape = {"name": f"cylinder-{k - boxes + 1}", "shape": "cylinder", "radius_m": round(float(radius), 3)}
+        obstacles.append({**shape, "centre_m": _millimetres(rng.uniform(half, np.array([LENGTH, WIDTH]) - half))})
+    return obstacles
+
+
+def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: Vehicle) -> list[dict[str, Any]] | None:
+    # None if one of the obstacles does not fit
+    obstacles: list[Obstacle] = []
+    for k in range(count):
+        for _ in range(200):
+            radius = round(float(rng.uniform(*_BALLS)), 3)
+            inside = (radius, LENGTH - radius), (radius, WIDTH - radius)
+            start, end = ([round(float(rng.uniform(*ends)), 3) for ends in inside] for _ in range(2))
+            speed = round(float(rng.uniform(SLOWEST, FASTEST_MOVER)), 4)
+            away = radius + vehicle["radius"] + _NEAR
+            if hypot(start[0] - START[0], start[1] - START[1]) < away:
+                continue
+            if (
+                hypot(end[0] - TARGET[0], end[1] - TARGET[1]) < away
+                or hypot(*np.subtract(end, start)) < _LEAST_DISTANCE
+            ):
+                continue
+            path = np.linspace(start, end, 100).tolist()
+            if any(o.distance((x, y)) <= radius for o in scenario.obstacles for x, y in path):
+                continue
+            motion = {"centre_m": start, "to_m": end, "radius_m": radius, "speed_m_per_s": speed}
+            one = Obstacle.model_validate({"name": f"mover-{k + 1}", "shape": "moving", **motion})
+            if all(_leaves_gap(one, other, scenario, vehicle) for other in obstacles):
+                break
+        else:
+            return None
+        obstacles.append(one)
+    return [o.model_dump(exclude_unset=True) for o in obstacles]
+
+
+def _leaves_gap(one: Obstacle, other: Obstacle, scenario: Scenario, vehicle: Vehicle) -> bool:
+    # whether a hull fits between the obstacles whenever both are in the water
+    wide = (one.radius_m or 0.0) + (other.radius_m or 0.0) + 2 * vehicle["radius"] + _BETWEEN
+    return closest(one, other, until=scenario.time_limit) >= wide
+
+
+def _millimetres(vector: NDArray[np.float64]) -> list[float]:
+    return [round(float(value), 3) for value in vector]
+
+
+def _feasible(table: Mapping[str, Any], vehicle: Vehicle) -> Scenario | None:
+    try:
+        scenario = scenario_from_table(dict(table), source="")
+        results = findings(scenario, vehicle)
+    except InputError:
+        return None
+    return None if any(f.level == "error" for f in results) else scenario

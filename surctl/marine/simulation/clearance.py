@@ -1,0 +1,202 @@
+"""Check whether a hull fits at the start, at the target, and in the gaps along the way."""
+
+from __future__ import annotations
+
+from math import floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.marine.control import Gains
+from surctl.marine.control.layers import SLACK
+from surctl.marine.simulation.column import BAND
+from surctl.marine.simulation.finding import Finding
+from surctl.marine.simulation.obstacle import Obstacle
+from surctl.marine.simulation.passage import tightest_gap
+from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.vehicle import Vehicle, floating_depth, missing_buoyancy
+
+__all__ = ["clearance_findings", "end_findings", "layers"]
+
+_CLEARANCE = 0.02  # [m] two standard deviations of the base station's position: the law cannot keep less than that
+
+
+def clearance_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Return all findings about clearance: at start and target, in gaps, in the launch area, at the surface."""
+    return [
+        *end_findings(scenario, vehicle),
+        *_drifting_together(scenario),
+        *_gap(scenario, vehicle, gains),
+        *_launch(scenario, vehicle),
+        *_surface(scenario, vehicle),
+    ]
+
+
+def _met(scenario: Scenario, vehicle: Vehicle) -> list[Obstacle]:
+    # a hull at a depth of the path can touch the obstacle, or passes it vertically within `_CLEARANCE`
+    low, high = scenario.depth_range
+    extent = vehicle["radius"] + _CLEARANCE + (high - low) / 2
+    middle = scenario.depth if low == high else (low + high) / 2
+    return [o for o in scenario.obstacles if o.heights.crosses(middle, extent)]
+
+
+def end_findings(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    """Return the findings at the start and the target only, without the slow search for gaps on the way."""
+    results = _at_walls(scenario, vehicle)
+    for obstacle in _met(scenario, vehicle):
+        results += _at_still(obstacle, scenario, vehicle) if obstacle.still else _at_moving(obstacle, scenario, vehicle)
+    return results
+
+
+def _ends(scenario: Scenario) -> list[tuple[str, NDArray[np.float64], float]]:
+    # name, position, and the distance [m] at which the point counts as reached
+    visited = [(f"corner ({c[0]:g}, {c[1]:g})", c, scenario.arrival_radius) for c in scenario.visited]
+    return [("start", scenario.start, 0.0), *visited, ("target", scenario.target, 0.0)]
+
+
+def _launch(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    # the law takes the launch area as free before its first echoes
+    results = []
+    start = (float(scenario.start[0]), float(scenario.start[1]))
+    for obstacle in _met(scenario, vehicle):
+        own = vehicle["radius"] if not obstacle.still and obstacle.radius_m is None else 0.0
+        clearance = obstacle.distance(start) - own - vehicle["radius"] - obstacle.drift_m
+        if clearance <= 0 and obstacle.still:
+            continue  # `_at_still` reports this obstacle
+        if scenario.launch > 0 and clearance < scenario.launch:
+            hull = f"the hull of {vehicle.name} at the start"
+            text = f"obstacle {obstacle.name!r} may come within {clearance:.3f} m of {hull}"
+            results.append(Finding("error", "launch_m", f"{text}, but launch_m declares {scenario.launch:g} m free"))
+    return results
+
+
+def _at_walls(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    results = []
+    for name, point, near in _ends(scenario):
+        clearance = min(wall.nearest(point)[0] for wall in scenario.walls) - vehicle["radius"] + near
+        if clearance < _CLEARANCE:
+            where = f"{-clearance:.3f} m inside a wall" if clearance < 0 else f"only {clearance:.3f} m from a wall"
+            text = f"the {vehicle['radius']:g} m hull of {vehicle.name} is {where} at the {name} (E15)"
+            results.append(Finding("error", "path_m", text, clearance))
+    return results
+
+
+def _at_still(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    results = []
+    for name, point, near in _ends(scenario):
+        clearance = obstacle.distance((float(point[0]), float(point[1]))) - vehicle["radius"] + near
+        if clearance - obstacle.drift_m > 0:
+            continue
+        if clearance <= 0:
+            what = f"obstacle {obstacle.name!r} for the hull of {vehicle.name}"
+            text = f"the {name} lies {-clearance:.3f} m too close to {what}"
+        else:
+            text = (
+                f"at the {name} the hull of {vehicle.name} is {clearance:.3f} m from obstacle {obstacle.name!r}, which "
+                f"drifts by up to {obstacle.drift_m:g} m: they may touch (E15)"
+            )
+        results.append(Finding("error", f"obstacles.{obstacle.name}", text, clearance))
+    return results
+
+
+def _at_moving(obstacle: Obstacle, scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    key = f"obstacles.{obstacle.name}"
+    contact_distance = vehicle["radius"] + (obstacle.radius_m or vehicle["radius"])
+    centre, end = np.array(obstacle.centre_m), np.array(obstacle.to_m)
+    clearance = float(np.linalg.norm(scenario.target - end)) - contact_distance
+    if clearance > 0:
+        return []
+    speed = float(obstacle.speed_m_per_s or 0.0)
+    when = float(np.linalg.norm(end - centre)) / speed
+    if obstacle.removed:
+        text = (
+            f"the obstacle ends on the target and is removed at {when:.1f} s; at cruise speed the robot is there at "
+            f"{scenario.duration:.1f} s, but cannot arrive while the obstacle is near"
+        )
+        return [Finding("warning", f"{key}.to_m", text)]
+    near = f"{-clearance:.3f} m too close to the target for the hull of {vehicle.name}"
+    text = f"from {when:.1f} s on the obstacle stays {near}"
+    return [Finding("error", f"{key}.to_m", text)]
+
+
+def _drifting_together(scenario: Scenario) -> list[Finding]:
+    still = [o for o in scenario.obstacles if o.still]
+    results = []
+    for k, one in enumerate(still):
+        for other in still[k + 1 :]:
+            clearance, drift = one.apart(other), one.drift_m + other.drift_m
+            if drift > 0 and clearance < drift and one.heights.shares(other.heights):
+                pair = f"obstacles {one.name!r} and {other.name!r}"
+                text = f"{pair} are {clearance:.3f} m apart and may drift into each other"
+                results.append(Finding("warning", f"obstacles.{other.name}.drift_m", text))
+    return results
+
+
+def _gap(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Report the tightest gap on the widest passage to the target if the gap is too narrow for hull and path error.
+
+    If a passage at another depth is wide enough, the finding is not an error but a warning that names this depth.
+    """
+    error = scenario.paper.position_error_m or _CLEARANCE
+    hull = 2 * vehicle["radius"]
+    gap = tightest_gap(scenario, hull / 2 + error)
+    if gap is None or gap.always >= hull + 2 * error:
+        return []
+    drifts = f", {max(gap.always, 0.0):.3f} m at the worst drift" if gap.drift else ""
+    text = (
+        f"the widest passage to the target leads between {gap.between[0]} and {gap.between[1]} near "
+        f"({gap.place[0]:.2f}, {gap.place[1]:.2f}): {max(gap.width, 0.0):.3f} m wide{drifts}; the hull of "
+        f"{vehicle.name} needs {hull:.3f} m, or {hull + 2 * error:.3f} m with an error of {error:g} m on either side"
+    )
+    if gap.always >= hull:
+        return [Finding("warning", "obstacles" if scenario.obstacles else "site", text)]
+    lost = "no passage is guaranteed (E15)" if gap.width >= hull else "no passage is wide enough"
+    if scenario.depths is None:
+        return [Finding("error", "obstacles" if scenario.obstacles else "site", f"{lost}: {text}")]
+    tried = layers(scenario, vehicle, gains)
+    open_depths = [z for z in tried if _passes(scenario, hull / 2 + max(error, BAND), z, hull=hull)]
+    if open_depths:
+        summary = f"the target can be reached only at another depth, first at z = {open_depths[0]:.2f} m"
+        return [Finding("warning", "depths_m", f"{summary}; at the path's depth {lost}: {text}")]
+    listed = ", ".join(f"{z:.2f}" for z in tried) or "none fits"
+    summary = f"no passage is wide enough, neither at the path's depth nor at another depth (z in m: {listed})"
+    return [Finding("error", "depths_m", f"{summary}: {text}")]
+
+
+def _passes(scenario: Scenario, clearance: float, z: float, *, hull: float) -> bool:
+    gap = tightest_gap(scenario, clearance, depth=z)
+    return gap is None or gap.always >= hull
+
+
+def layers(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[float]:
+    """Return the depths z [m] that the law tries in addition to the path's depth, see `control.layers`.
+
+    Depths above the path come first, and the depth nearest to the path comes first among them. The list of depths is
+    empty if the mission has no `depths`. The function does not consider obstacles that the echo sounders may detect on
+    the way to another depth.
+    """
+    if scenario.depths is None:
+        return []
+    lowest, highest = scenario.depths
+    keep, pitch = vehicle["radius"] + gains["margin"], 2 * vehicle["radius"] + gains["margin"]
+    above, below = (
+        max(0, floor((height + SLACK) / pitch))
+        for height in (highest - keep - scenario.depth, scenario.depth - keep - lowest)
+    )
+    return [scenario.depth + k * pitch for k in (*range(1, above + 1), *range(-1, -below - 1, -1))]
+
+
+def _surface(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    out = vehicle["radius"] + scenario.depth_range[1]
+    if out <= 0 or vehicle["Fw_max"] == 0:  # a craft without heave force keeps its depth by its weight
+        return []
+    radius, heave = vehicle["radius"], float(vehicle.thrust_range[1, 2])
+    missing = missing_buoyancy(radius, scenario.depth_range[1])
+    text = f"the top of the hull is {out:.2f} m above the surface at this depth; the model has no buoyancy (E16)"
+    if missing > heave:
+        sunk = floating_depth(radius, heave) if heave > 0 else -radius
+        text += (
+            f"; a hull that keeps its water lacks {missing:.3g} N there, and heave thrust gives {heave:g} N: unless "
+            f"it is ballasted to float at this depth, it comes to rest at z = {sunk:.3f} m; use {-radius:g} m or less"
+        )
+    return [Finding("warning", "depth_m", text)]

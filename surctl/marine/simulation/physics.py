@@ -1,0 +1,133 @@
+"""The seam between the closed loop and what moves the hull and measures distances: surctl's own plant or another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.marine.sensing import SonarArray, certain_range, true_range
+from surctl.marine.simulation.column import beside
+from surctl.marine.simulation.sensors import FIRING
+from surctl.marine.simulation.stepping import advanced
+from surctl.marine.simulation.world import Body, World
+from surctl.marine.vehicle import PLANT_DISTURBANCE, Vehicle, plant_parameters, plant_state
+
+__all__ = ["Contact", "OwnPhysics", "Physics", "PhysicsMaker"]
+
+Vector: TypeAlias = NDArray[np.float64]
+
+
+class Contact(NamedTuple):
+    """A contact of the hull: its time [s], and the name of the obstacle or wall that the hull touches."""
+
+    time: float
+    what: str
+
+
+class Physics(Protocol):
+    """The physics of one run: it moves the hull, and measures its distances from obstacles and walls.
+
+    The closed loop calls `advance` every 25 ms, and reads the state from `state`.
+
+    Attributes:
+        name: name of the physics in results, such as `own`.
+        state: the plant's state as a flat vector: position and heading η (4,), velocity ν (4,) in the heading frame,
+            thrust after its lag (4,), and, if the hull rolls and pitches, `TILT_STATE` (4,). It may be assigned to.
+        contacts: the contacts of the hull until now, one for each obstacle or wall.
+    """
+
+    @property
+    def name(self) -> str:
+        """Return the name of the physics in results."""
+
+    @property
+    def state(self) -> Vector:
+        """Return the plant's state."""
+
+    @state.setter
+    def state(self, value: Vector) -> None:
+        """Set the plant's state."""
+
+    @property
+    def contacts(self) -> Sequence[Contact]:
+        """Return the contacts of the hull until now."""
+
+    def advance(self, thrust: Vector, time: float, components: Vector | None = None) -> Vector:
+        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state.
+
+        `components` are the force components [N] of the vehicle's thrusters before their lag, as in
+        `Actuators.matrix`. They are a part of `thrust`; none (0,) or None if they are not known.
+        """
+
+    def clearance(self, bodies: Sequence[Body]) -> tuple[float, float]:
+        """Return the distance [m] from the hull to the nearest of the obstacles, and to the nearest wall."""
+
+    def echo(self, sensor: int, bodies: Sequence[Body]) -> float:
+        """Return the distance [m] from a sonar's apex to the nearest point that reflects, inf if there is none.
+
+        Echoes with a probability do not count here: the closed loop adds them to every physics.
+        """
+
+
+PhysicsMaker: TypeAlias = Callable[[World, Vehicle, SonarArray], Physics]
+"""Makes the physics of a run from its world, its vehicle and its sonars."""
+
+
+class OwnPhysics:
+    """surctl's own plant: the vehicle's equations of motion by RK4, and distances in the plane.
+
+    Example:
+        >>> from surctl.marine.simulation import OwnPhysics, build_world, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
+        >>> array = scenario.sensors.array_on(boat["radius"])
+        >>> physics = OwnPhysics(build_world(scenario, boat, seed=0), boat, array)
+        >>> for k in range(40):  # one second
+        ...     state = physics.advance([5.0, 0, 0, 0], k * 0.025)
+        >>> round(float(state[4]), 3)  # m/s
+        0.067
+    """
+
+    name = "own"
+    contacts: Sequence[Contact] = ()
+
+    def __init__(self, world: World, vehicle: Vehicle, array: SonarArray) -> None:
+        self.world, self.array, self.surfaces = world, array, world.scenario.surfaces
+        names = [obstacle.name for obstacle in world.scenario.obstacles]
+        self._reflectors = {} if self.surfaces is None else dict(zip(names, self.surfaces.obstacles, strict=True))
+        self.plant, self.move = plant_parameters(vehicle), advanced(vehicle.form)
+        self.state = plant_state(vehicle.form).pack({"eta": world.scenario.start_pose})
+        self._current = [*world.scenario.disturbance.current_m_per_s, 0.0]
+
+    def advance(self, thrust: Vector, time: float, components: Vector | None = None) -> Vector:
+        """Move the hull on by 25 ms from `time` [s] with the commanded thrust (4,), and return the state.
+
+        The plant has the force and yaw moment of the thrusters only; it has no use for their `components`.
+        """
+        d = PLANT_DISTURBANCE.pack({"current": self._current, "force": self.world.force(time)})
+        (self.state,) = self.move(self.state, thrust, d, self.plant)
+        return self.state
+
+    def clearance(self, bodies: Sequence[Body]) -> tuple[float, float]:
+        """Return the distance [m] from the hull to the nearest of the obstacles, and to the nearest wall."""
+        return self.world.clearance(self.state[:3], bodies), self.world.wall_clearance(self.state[:2])
+
+    def echo(self, sensor: int, bodies: Sequence[Body]) -> float:
+        """Return the distance [m] from a sonar's apex to the nearest point that reflects, inf if there is none."""
+        audible = beside(bodies, float(self.state[2]), self.world.hull)
+        walls, heading = self.world.scenario.walls, float(self.state[3])
+        if self.surfaces is not None:
+            upright = [(b.shape, self._reflectors[b.name]) for b in audible]
+            upright += zip(walls, self.surfaces.walls, strict=True)
+            place = self.state[:3].tolist()
+            return certain_range(
+                self.array, sensor, place=place, heading=heading, shapes=upright, surfaces=self.surfaces
+            )
+        shapes = [*(b.shape for b in audible), *walls]
+        return true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes)
+
+
+assert FIRING == 0.025  # [s] the period of `advance`, which `stepping` integrates

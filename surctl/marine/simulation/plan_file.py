@@ -1,0 +1,323 @@
+"""A scenario from a mission of another program: a QGroundControl plan (.plan) or a GPX file."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.files import quoted
+from surctl.marine.simulation.plan_items import Places, geofence, home_position, metres_per_degree, unused, waypoint
+from surctl.marine.simulation.route import MAX_POINTS
+from surctl.marine.simulation.scenario import scenario_from_table
+from surctl.recorded import shown, xml_root
+
+__all__ = ["Mission", "mission_scenario", "read_mission"]
+
+_WAYPOINTS = frozenset({16, 17, 18, 19, 82})  # commands of MAVLink that go to a position
+_SPEED = 178
+_FORWARD = (0, 1)  # types of a change of speed: through the air (or water), over ground
+_FARTHEST = 100_000.0  # m, beyond which the plane of the scenario no longer fits
+_LEAST = 0.05  # m, shorter legs are one point
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """The waypoints of a mission in a plane.
+
+    Attributes:
+        points: (n, 2) x east and y north [m] from the origin.
+        heights: (n,) height above the surface [m], negative below it; NaN if the file gives none.
+        speed: speed through the mission [m/s]; None if the file gives none.
+        origin: latitude and longitude of the origin [°].
+        notes: what of the file was not used.
+        zones: (k, 3) centre x, y and radius [m] of circles that the path must not enter.
+    """
+
+    points: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    speed: float | None
+    origin: tuple[float, float]
+    notes: tuple[str, ...]
+    zones: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def read_mission(path: Path) -> Mission:
+    """Read the waypoints of a QGroundControl plan or a GPX file; the first waypoint is the origin.
+
+    Of a plan, the function takes the waypoints, those of surveys included, the first change of speed, and the circles
+    of the geofence that exclude; the home position is at the surface. Of a GPX file it takes the first route, else the
+    first track, else the waypoints. Everything else that changes the motion, such as hold times, is in the notes.
+
+    Raises:
+        InputError: the file cannot be read, has fewer than two waypoints, or has waypoints in a frame without meaning
+            for a mission, or in metres from a home position that it does not give.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.marine.simulation import read_mission
+        >>> points = "".join(f'<rtept lat="{lat}" lon="10.0"><ele>-2</ele></rtept>' for lat in (63.0, 63.001))
+        >>> _ = Path("bay.gpx").write_text(f"<gpx><rte>{points}</rte></gpx>")
+        >>> mission = read_mission(Path("bay.gpx"))
+        >>> mission.points.round(1).tolist(), mission.heights.tolist()
+        ([[0.0, 0.0], [0.0, 111.5]], [-2.0, -2.0])
+    """
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError("no such file", file=shown(path), remedy="check the path") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read ({error})", file=shown(path), remedy="give a .plan or .gpx file") from None
+    content = _gpx(raw, path) if path.suffix.lower() == ".gpx" else _plan(raw, path)
+    places, notes = content.places, tuple(content.notes)
+    if len(places) > MAX_POINTS:
+        remedy = f"give at most {MAX_POINTS:,} waypoints"
+        raise InputError(f"has {len(places):,} waypoints", file=shown(path), remedy=remedy)
+    for k, (latitude, longitude, _) in enumerate(places):
+        if not (-90 < latitude < 90 and -180 <= longitude <= 180):
+            raise InputError(
+                "is not a position",
+                file=shown(path),
+                key=f"waypoint {k + 1}",
+                value=(latitude, longitude),
+                remedy="correct it",
+            )
+    points: list[NDArray[np.float64]] = []
+    heights: list[float] = []
+    for latitude, longitude, height in places:
+        point = _plane(latitude, longitude, places[0])
+        if points and float(np.hypot(*(point - points[-1]))) < _LEAST:
+            continue
+        points.append(point)
+        heights.append(height)
+    if len(points) < 2:
+        left_out = f" ({'; '.join(notes)})" if notes else ""
+        raise InputError(f"has fewer than two waypoints{left_out}", file=shown(path), remedy="add waypoints")
+    distances = np.hypot(*np.array(points).T)
+    if np.max(distances) > _FARTHEST:
+        at = f"one is {np.max(distances) / 1000:.0f} km from the first"
+        remedy = "check the waypoints; a plane fits up to 100 km"
+        raise InputError(f"has waypoints too far apart: {at}", file=shown(path), remedy=remedy)
+    zones = [[*_plane(latitude, longitude, places[0]), radius] for latitude, longitude, radius in content.zones]
+    origin = (places[0][0], places[0][1])
+    return Mission(np.array(points), np.array(heights), content.speed, origin, notes, np.reshape(zones, (-1, 3)))
+
+
+def mission_scenario(
+    mission: Mission, name: str, *, vehicle: str, cruise: float, margin: float = 5.0, depth: float | None = None
+) -> tuple[str, tuple[str, ...]]:
+    """Return the text of a scenario file with the path of a mission in a site around it, and notes for the user.
+
+    Args:
+        mission: the mission.
+        name: name of the scenario.
+        vehicle: name or file of the vehicle.
+        cruise: desired speed along the path [m/s].
+        margin: free water around the path [m].
+        depth: z of the path [m], below 0; default: the lowest height of the mission.
+
+    Raises:
+        InputError: the mission has no height below the surface, and `depth` is not given; or the scenario would be
+            refused, for example because of a depth above the surface.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.simulation import Mission, mission_scenario
+        >>> mission = Mission(np.array([[0.0, 0.0], [20.0, 0.0]]), np.array([-2.0, -2.0]), None, (63.0, 10.0), ())
+        >>> text, _ = mission_scenario(mission, "bay", vehicle="sur400", cruise=0.15)
+        >>> [line for line in text.splitlines() if line.startswith("path_m")]
+        ['path_m = [[5.0, 5.0], [25.0, 5.0]]']
+    """
+    notes = list(mission.notes)
+    heights = mission.heights[np.isfinite(mission.heights)]
+    if depth is None:
+        if not len(heights) or float(heights.min()) >= 0:
+            raise InputError(
+                "; ".join(["is not below the surface", *notes]) if not len(heights) else "is not below the surface",
+                key="--depth",
+                remedy="give the depth of the path: -0.1 for a boat",
+            )
+        depth = float(heights.min())
+        if float(np.ptp(heights)) > _LEAST:
+            notes.append(
+                f"heights from {heights.min():g} to {heights.max():g} m: the path keeps the lowest, {depth:g} m"
+            )
+    corner = mission.points.min(axis=0) - margin
+    shifted = mission.points - corner
+    length, width = shifted.max(axis=0) + margin
+    duration = float(np.sum(np.hypot(*np.diff(shifted, axis=0).T))) / cruise
+    points = ", ".join(f"[{x!r}, {y!r}]" for x, y in np.round(shifted, 3).tolist())
+    about = (
+        f"{len(shifted)} waypoints; x east, y north; the first at {mission.origin[0]:.7f}°, {mission.origin[1]:.7f}°"
+    )
+    lines = [
+        'kind = "scenario"',
+        f"name = {quoted(name)}",
+        f"title = {quoted(name)}",
+        f"provenance = {quoted(about)}",
+        f"vehicle = {quoted(vehicle)}",
+        f"path_m = [{points}]",
+        f"depth_m = {depth!r}",
+        f"cruise_m_per_s = {cruise!r}",
+        f"cap_m_per_s = {1.25 * cruise!r}",
+        f"time_limit_s = {float(np.ceil(2 * duration + 60))!r}",
+        "",
+        "[site]",
+        f"length_m = {float(np.ceil(length))!r}",
+        f"width_m = {float(np.ceil(width))!r}",
+        f"depth_m = {float(np.ceil(-2 * depth + 1))!r}",
+    ]
+    obstacles, of_zones = _obstacles(mission.zones - np.array([*corner, 0.0]), shifted, (length, width))
+    lines += obstacles
+    notes += of_zones
+    text = "\n".join(lines) + "\n"
+    scenario_from_table(tomllib.loads(text), source=name)  # a file that `lint` refuses is not written
+    return text, tuple(notes)
+
+
+def _obstacles(
+    zones: NDArray[np.float64], points: NDArray[np.float64], site: tuple[float, float]
+) -> tuple[list[str], list[str]]:
+    """Return lines of a scenario with the circles (k, 3) as cylinders, and notes about those that cannot be ones."""
+    lines: list[str] = []
+    notes: list[str] = []
+    used: list[NDArray[np.float64]] = []
+    for number, (x, y, radius) in enumerate(zones.tolist(), start=1):
+        where = f"exclusion circle {number}, of radius {radius:g} m"
+        if min(np.hypot(*(points[k] - (x, y))) for k in (0, -1)) <= radius:
+            problem = "the path begins or ends inside it"
+            raise InputError(problem, key=where, remedy="move the waypoint or the circle, and save the plan again")
+        if not (0 <= x <= site[0] and 0 <= y <= site[1]):
+            notes.append(f"not used: {where} (its centre lies outside the site; a larger --margin includes it)")
+        elif any(np.hypot(x - other[0], y - other[1]) < radius + other[2] for other in used):
+            notes.append(f"not used: {where} (it overlaps an earlier one)")
+        else:
+            used.append(np.array([x, y, radius]))
+            body = [f'name = "exclusion-{number}"', 'shape = "cylinder"']
+            lines += ["", "[[obstacles]]", *body, f"centre_m = [{x:.3f}, {y:.3f}]", f"radius_m = {radius!r}"]
+    if lines:
+        notes.append(f"{len(used)} exclusion circles are cylinders in the water, so sonars see them too")
+    return lines, notes
+
+
+@dataclass
+class _Content:
+    # of a file, in degrees and metres; the zones are circles
+    places: Places
+    speed: float | None
+    notes: list[str]
+    zones: Places = field(default_factory=list)
+
+
+def _plane(latitude: float, longitude: float, origin: tuple[float, float, float]) -> NDArray[np.float64]:
+    # x east and y north
+    east, north = metres_per_degree(origin[0])
+    turn = (longitude - origin[1] + 180) % 360 - 180
+    return np.array([east * turn, north * (latitude - origin[0])])
+
+
+def _plan(raw: bytes, path: Path) -> _Content:
+    try:
+        table = json.loads(raw)
+        items = table["mission"]["items"]
+        assert isinstance(items, list)
+    except (ValueError, KeyError, TypeError, AssertionError, RecursionError):
+        raise InputError("is not a QGroundControl plan", file=shown(path), remedy="give a .plan or .gpx file") from None
+    home = home_position(table["mission"].get("plannedHomePosition"))
+    places: Places = []
+    speeds: list[tuple[str, float, bool]] = []
+    skipped: dict[str, list[str]] = {}
+    for number, item in _items(items):
+        try:
+            if not isinstance(item, dict):
+                raise TypeError
+            if item.get("type") == "ComplexItem":
+                skipped.setdefault(f"{item.get('complexItemType')} without waypoints", []).append(number)
+                continue
+            command, params = int(item["command"]), list(item.get("params", ()))
+            if command in _WAYPOINTS:
+                place, unknown = waypoint(int(item["frame"]), [float(v) for v in params[4:7]], home)
+                places.append(place)
+                for text in (*unknown, *unused(command, params, item)):
+                    skipped.setdefault(text, []).append(number)
+            elif command == _SPEED and params[0] in _FORWARD:
+                speeds.append((number, float(params[1]), bool(places)))
+            else:
+                skipped.setdefault(f"command {command}", []).append(number)
+        except InputError as error:
+            raise InputError(
+                error.problem, file=shown(path), key=f"item {number}", value=error.value, remedy=error.remedy
+            ) from None
+        except (KeyError, TypeError, ValueError, IndexError):
+            remedy = "correct this item in QGroundControl and save the plan again"
+            raise InputError(
+                "cannot be read", file=shown(path), key=f"item {number}", value=shown(item), remedy=remedy
+            ) from None
+    notes = [f"not used: item {', '.join(numbers)} ({what})" for what, numbers in skipped.items()]
+    speed, of_speeds = _speed(speeds, table["mission"].get("cruiseSpeed"))
+    zones, of_fence = geofence(table.get("geoFence"), path)
+    return _Content(places, speed, [*notes, *of_speeds, *of_fence], zones)
+
+
+def _speed(changes: list[tuple[str, float, bool]], cruise: object) -> tuple[float | None, list[str]]:
+    """Return the first change of speed of a plan, else its cruise speed [m/s], and notes of what is not used."""
+    notes: list[str] = []
+    speed: float | None = None
+    for number, value, moving in changes:
+        if not (isfinite(value) and value > 0):
+            notes.append(f"not used: item {number} (speed {value:g} m/s)")
+        elif speed is None:
+            speed = value
+            if moving:
+                notes.append(f"item {number} (speed {value:g} m/s, on the way) holds from the first waypoint")
+        elif value != speed:
+            notes.append(f"not used: item {number} (speed {value:g} m/s; the first one, {speed:g} m/s, holds)")
+    if speed is None and cruise is not None:
+        if isinstance(cruise, int | float) and not isinstance(cruise, bool) and isfinite(cruise) and cruise > 0:
+            return float(cruise), notes
+        notes.append(f"not used: cruiseSpeed = {shown(repr(cruise)[:40])} (not a speed above 0 m/s)")
+    return speed, notes
+
+
+def _items(items: list[Any]) -> Iterator[tuple[str, Any]]:
+    # items with their numbers; in place of a survey its items, as 3.1, 3.2, ...
+    for k, item in enumerate(items, start=1):
+        inner = None
+        if isinstance(item, dict) and item.get("type") == "ComplexItem":
+            transects = item.get("TransectStyleComplexItem")
+            inner = (transects.get("Items") if isinstance(transects, dict) else None) or item.get("Items")
+        if inner and isinstance(inner, list):
+            yield from ((f"{k}.{j}", part) for j, part in enumerate(inner, start=1))
+        else:
+            yield str(k), item
+
+
+def _gpx(raw: bytes, path: Path) -> _Content:
+    root = xml_root(raw, file=path, remedy="give a .plan or .gpx file")
+    groups = [list(rte.iter("rtept")) for rte in root.iter("rte")] + [
+        list(trk.iter("trkpt")) for trk in root.iter("trk")
+    ]
+    groups = [group for group in groups if group] or [list(root.iter("wpt"))]
+    notes = [f"{len(groups) - 1} more routes or tracks are not used"] if len(groups) > 1 else []
+    places: Places = []
+    for k, point in enumerate(groups[0], start=1):
+        latitude, longitude, height = point.get("lat"), point.get("lon"), point.findtext("ele")
+        try:
+            places.append((float(latitude or ""), float(longitude or ""), float(height or "nan")))
+        except ValueError:
+            raise InputError(
+                "is not a position in numbers",
+                file=shown(path),
+                key=f"point {k}",
+                value=(latitude, longitude, height),
+                remedy="give lat and lon in degrees; ele in metres or none",
+            ) from None
+    return _Content(places, None, notes)

@@ -1,0 +1,304 @@
+"""The safety claim as data: what the barrier guarantees in a scenario, and under which assumptions."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from math import ceil, degrees, floor, inf, isfinite
+from typing import Any
+
+import numpy as np
+
+from surctl.marine.control import Barrier, Gains, Movers
+from surctl.marine.guidance.braking import (
+    LEAST_THRUST,
+    Watch,
+    brakes_of,
+    fastest_obstacle,
+    range_needed,
+    stopping_distance_with_drag,
+)
+from surctl.marine.guidance.sideways import beside
+from surctl.marine.sensing import INCIDENCE_LIMITS
+from surctl.marine.simulation.column import BAND, FOOTPRINT
+from surctl.marine.simulation.detection import unanswered
+from surctl.marine.simulation.margin import Bound, mass_difference, munk, turned
+from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.toml_text import toml_text
+from surctl.marine.vehicle import Vehicle, check_equation_3
+
+__all__ = ["Figure", "SafetyClaim", "safety_claim"]
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number of the safety claim with its unit and meaning; the value is inf if the number is not bounded."""
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class SafetyClaim:
+    """The claim that the hull never hits an obstacle if the assumptions hold.
+
+    The claim also states whether detection range and margin are sufficient.
+
+    Attributes:
+        scenario, vehicle: names of the scenario and the vehicle.
+        barrier, movers: options of the law, as for `build_law`.
+        statement: the claim in words.
+        assumptions: the assumptions of the claim, with their numbers.
+        derived: numbers that follow from the assumptions.
+        holds: whether detection range and margin are enough at every speed up to the speed cap, and no obstacle of the
+            scenario contradicts what the claim assumes of surfaces.
+        echoes: what the claim assumes of surfaces, if the law has sonars; else empty.
+        contradicted: which obstacles of the scenario answer otherwise; empty if none does.
+    """
+
+    scenario: str
+    vehicle: str
+    barrier: str
+    movers: str
+    statement: str
+    assumptions: tuple[Figure, ...]
+    derived: tuple[Figure, ...]
+    holds: bool
+    echoes: str = ""
+    contradicted: str = ""
+
+    def __getitem__(self, name: str) -> float:
+        """Return the value of an assumption or a derived number of the claim; KeyError if the name is unknown."""
+        return {f.name: f.value for f in (*self.assumptions, *self.derived)}[name]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the claim as plain data for JSON; the writer converts numbers that are not finite."""
+        return asdict(self)
+
+    def to_toml(self) -> str:
+        """Return the claim as the text of a TOML file; an unbounded number is written as the text "inf"."""
+
+        def rows(figures: tuple[Figure, ...]) -> list[dict[str, Any]]:
+            return [{**asdict(f), "value": f.value if isfinite(f.value) else str(f.value)} for f in figures]
+
+        table = {**self.to_dict(), "assumptions": rows(self.assumptions), "derived": rows(self.derived)}
+        return toml_text({"kind": "safety claim", **table})
+
+    def lines(self) -> list[str]:
+        """Return the claim as lines of text."""
+        head = f"{self.scenario} by {self.vehicle}: {self.statement}"
+        rows = [
+            f"  {what:<8} {f.name:<24} {f.value:8.4g} {f.unit}"
+            for what, figures in (("assumes", self.assumptions), ("gives", self.derived))
+            for f in figures
+        ]
+        speeds = "" if self.contradicted else " at every speed up to the cap"
+        end = "holds" if self.holds else f"DOES NOT HOLD{speeds}: {self.shortfall}"
+        return [head, *rows, *([f"  assumes  {self.echoes}"] if self.echoes else []), f"  {end}"]
+
+    @property
+    def least_margin(self) -> float:
+        """Least sufficient value [m] of the gain `margin`, rounded up to a whole mm; inf if no value is sufficient."""
+        needed = self["margin needed"]
+        return ceil(needed * 1e3 - 1e-9) / 1e3 if isfinite(needed) else inf
+
+    @property
+    def shortfall(self) -> str:
+        """Text that states which numbers are insufficient, by how much, and what to change; empty for a valid claim."""
+        parts = []
+        if self["margin needed"] > self["margin"]:
+            slow = floor(self["covered speed"] * 1e3 + 1e-9) / 1e3
+            remedy = f"set margin = {self.least_margin:g} in the gain file" if isfinite(self.least_margin) else ""
+            slower = f"lower the speed cap to {slow:g} m/s or less" if slow > 0 else ""
+            what = (
+                f"braking needs a margin of {self['margin needed']:.3g} m, and the gain margin is {self['margin']:g} m"
+            )
+            parts.append(f"{what}; {' or '.join(filter(None, (remedy, slower))) or 'lower the speed cap'}")
+        if self["range needed"] > self["detection range"]:
+            what = f"obstacles must be detected at {self['range needed']:.3g} m, and the sensors reach"
+            parts.append(f"{what} {self['detection range']:.3g} m; lower the speed cap")
+        if self.contradicted:
+            parts.append(f"the scenario contradicts what it assumes of surfaces: {self.contradicted}")
+        return "; ".join(parts)
+
+
+def safety_claim(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    barrier: Barrier = "simple",
+    movers: Movers = "predict",
+    watch: Watch | None = None,
+    detection: float = inf,
+    sideways: float = 0.0,
+    spread: float | None = None,
+    turning: float = 0.0,
+    difference: float | None = None,
+) -> SafetyClaim:
+    """Return the safety claim of the guarded law for a scenario and a vehicle.
+
+    The law bounds the speed towards an obstacle by the distance to it. The claim holds if the law's margin is at least
+    the distance that the vehicle needs beyond this speed bound, with the worst values of the vehicle's parameter
+    ranges. If the speed exceeds the bound by a certain excess, the velocity loop commands the least guaranteed thrust,
+    and the vehicle brakes with this thrust. The required margin follows from step 4 in `guidance.braking`; there, the
+    excess is an additional speed error, and drag adds to the braking force. The claim does not cover thrust limits that
+    act on each axis separately: a large simultaneous sideways command may reduce the braking force. The law commands no
+    sideways velocity once the vehicle is 0.02 m/s too fast.
+
+    If the vehicle may change its depth, the claim needs two more assumptions. First, the echo sounders detect every
+    obstacle over or under the hull, since the horizontal sonars do not observe that water. Second, the depth error
+    stays within the vertical thickness of the sonars' fan.
+
+    Args:
+        scenario: the mission, with its speed cap, current and disturbance forces.
+        vehicle: the actual vehicle, which is also the model of the law.
+        gains: gains of the law.
+        barrier, movers: options of the law, as for `build_law`.
+        watch: timing and errors of the measurements; default: exact measurements every 0.05 s.
+        detection: range at which the sensors certainly detect an obstacle [m].
+        sideways: largest sideways speed when braking begins [m/s]; it causes a force, because drag acts on each axis
+            separately.
+        spread: largest relative error of mass and drag, see `brakes_of`.
+        turning: yaw rate of the hull while it brakes [rad/s], see `turn_rate`.
+        difference: largest |m11 - m22| [kg], which causes a force in a turn; the claim states the largest difference
+            that the margin covers. With None, the function takes the mass difference of the vehicle, see
+            `mass_difference`.
+
+    Raises:
+        NotApplicable: the vehicle has terms beyond equation (3) of the paper.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario, safety_claim
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> for barrier in ("simple", "inertia"):
+        ...     claim = safety_claim(mission, vehicle, gains, barrier=barrier)
+        ...     print(f"{barrier}: {claim.holds}, needs {claim['margin needed']:.3f} m, has {claim['margin']} m")
+        simple: False, needs 0.053 m, has 0.05 m
+        inertia: True, needs 0.019 m, has 0.05 m
+    """
+    check_equation_3(vehicle, reverse=True)
+    difference = mass_difference(vehicle, spread) if difference is None else difference
+    watch, share = watch or Watch(), LEAST_THRUST if barrier == "simple" else gains["brake"]
+    d = scenario.disturbance
+    brakes = brakes_of(
+        vehicle,
+        share=share,
+        spread=spread,
+        disturbance=d.drift_force_n + d.wave_force_n,
+        current=float(np.hypot(*d.current_m_per_s)),
+    )
+    level = beside(turned(brakes, turning), sideways)
+    brakes = replace(level, disturbance=level.disturbance + munk(difference, turning, scenario.cap))
+    bound = Bound(brakes, watch, vehicle, gains, barrier, scenario.cap)
+    covered = bound.limit(detection) if movers == "barrier" else 0.0
+    needed = bound.margins(covered)
+    short = min((speed for speed, margin in needed.items() if margin > gains["margin"]), default=inf)
+    safe = scenario.cap if short == inf else max((speed for speed in needed if speed < short), default=0.0)
+    sight = range_needed(brakes, watch, scenario.cap, obstacle=covered, stopping=stopping_distance_with_drag)
+    assumptions: tuple[Figure, ...] = (
+        Figure(
+            "obstacle speed",
+            covered,
+            "m/s",
+            "largest speed towards the vehicle at all times, both true and as known to the law",
+        ),
+        Figure(
+            "detection range",
+            detection,
+            "m",
+            "distance from the hull at which an obstacle is certainly detected, at whatever angle beams meet its faces",
+        ),
+        Figure(
+            "least thrust",
+            brakes.least,
+            "N",
+            f"thrust that certainly acts against the motion: {share:.0%} of the stated limit",
+        ),
+        Figure(
+            "largest thrust", brakes.most, "N", "thrust that may still act towards the obstacle when braking begins"
+        ),
+        Figure("thrust lag", brakes.lag, "s", "time constant of the first-order lag"),
+        Figure("least mass", brakes.masses[0], "kg", "lower bound of m11 and m22"),
+        Figure("largest mass", brakes.masses[1], "kg", "upper bound of m11 and m22"),
+        Figure(
+            "least quadratic drag", brakes.quadratic[0], "N s^2/m^2", "lower bound in surge and sway, for motion ahead"
+        ),
+        Figure(
+            "largest quadratic drag",
+            brakes.quadratic[1],
+            "N s^2/m^2",
+            "upper bound in surge and sway, for motion astern",
+        ),
+        Figure(
+            "push",
+            brakes.disturbance,
+            "N",
+            "force towards the obstacle by waves, drift, sideways drag and, in a turn, the mass difference",
+        ),
+        Figure("current", brakes.current, "m/s", "speed of the water towards the obstacle"),
+        Figure("turn rate", turning, "rad/s", "yaw rate of the hull while it brakes"),
+        Figure("mass difference", difference, "kg", "largest |m11 - m22|, which causes a force in a turn"),
+        Figure("sideways speed", sideways, "m/s", "largest sideways speed when braking begins"),
+        Figure("speed cap", scenario.cap, "m/s", "largest own speed"),
+        Figure("sampling time", watch.period, "s", "time between two decisions of the law"),
+        Figure("range error", watch.range_error, "m", "largest error of a measured range"),
+        Figure("range age", watch.age, "s", "largest age of a range when the law uses it"),
+        Figure("speed error", watch.speed_error, "m/s", "largest error of the measured speed"),
+    )
+    if scenario.depths is not None:
+        coverage = "extra radius beyond the hull: the echo sounders detect every obstacle over or under this disc"
+        fan = "thickness beyond the hull, above and below: the robot passes over or under obstacles outside this fan"
+        assumptions += (Figure("sounder footprint", FOOTPRINT, "m", coverage), Figure("sonar fan", BAND, "m", fan))
+    derived = (
+        Figure("range needed", sight, "m", "distance at which that obstacle must be detected, at the speed cap"),
+        Figure(
+            "margin needed",
+            max(needed.values()),
+            "m",
+            "margin that the vehicle needs beyond the law's bound, at the worst speed",
+        ),
+        Figure("margin", gains["margin"], "m", "margin in the gains"),
+        Figure("covered speed", max(safe, 0.0), "m/s", "own speed up to which that margin is enough"),
+        Figure(
+            "covered difference",
+            replace(bound, brakes=level).difference(covered, turning),
+            "kg",
+            "mass difference up to which that margin is enough",
+        ),
+        Figure(
+            "excess",
+            bound.excess(scenario.cap),
+            "m/s",
+            "speed over the bound, at the cap, at which the velocity loop commands the least thrust",
+        ),
+        Figure(
+            "fastest obstacle", fastest_obstacle(brakes), "m/s", "obstacle speed above which braking guarantees nothing"
+        ),
+    )
+    what = "an obstacle at rest" if movers == "predict" else f"an obstacle that approaches at up to {covered:.3g} m/s"
+    statement = f"the hull never touches {what} (one obstacle at a time, barrier {barrier})"
+    sonar = isfinite(detection)
+    echoes, contradicted = (_echoes(scenario, vehicle, sight), unanswered(scenario)) if sonar else ("", "")
+    holds = short == inf and sight <= detection and not contradicted
+    return SafetyClaim(
+        scenario.name, vehicle.name, barrier, movers, statement, assumptions, derived, holds, echoes, contradicted
+    )
+
+
+def _echoes(scenario: Scenario, vehicle: Vehicle, sight: float) -> str:
+    # what must be true of surfaces for obstacles to be detected at the distance `sight` [m]
+    array = scenario.sensors.array_on(vehicle["radius"])  # refuses mounts that this hull cannot have
+    surfaces = scenario.sensors.equipment.surface_model
+    within, model = INCIDENCE_LIMITS[surfaces], f"surface_model {surfaces}"
+    if within is None:
+        return f"every face of an obstacle in a beam answers, at any angle of incidence ({model})"
+    at = array.corner_range(within)
+    text = f"faces answer within {degrees(within):.3g} deg of their normal ({model})"
+    if at >= sight:
+        return text
+    when = f"is heard {at:.2f} m away at best" if at > 0 else "is touched before it is heard"
+    return f"{text}, and no corner points at the hull: on its bisector it {when}"

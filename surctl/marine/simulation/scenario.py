@@ -1,0 +1,396 @@
+"""Read scenarios from TOML files: site, path, obstacles, disturbances, sensors, numbers from the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import ceil
+from pathlib import Path as FilePath
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from surctl.errors import InputError
+from surctl.files import Strict, pick, read_toml, validate
+from surctl.marine.guidance import MAX_WAYPOINTS, VISIT, Follower, Path
+from surctl.marine.sensing import Surfaces
+from surctl.marine.simulation.disturbance import Disturbance
+from surctl.marine.simulation.obstacle import NotNegative, Obstacle, Positive
+from surctl.marine.simulation.paper_figure import PaperFigure
+from surctl.marine.simulation.reflectors import Reflectors, ReflectorTable, WallTable
+from surctl.marine.simulation.route import PERIOD, Corner, Route
+from surctl.marine.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
+from surctl.marine.simulation.uncertainty import Uncertainty
+from surctl.marine.world import Box, Disc, Wall, site_walls
+
+__all__ = ["LIBRARY", "Scenario", "Shape", "check_spacing", "load_scenario", "scenario_from_table"]
+
+LIBRARY = FilePath(__file__).parent / "library"
+
+Shape = Box | Disc | Wall
+
+_DEPTHS = "z points up: write a value above {:g} and below 0, such as -0.1 for a boat at the surface"
+
+
+class _Site(Strict):
+    length_m: Positive
+    width_m: Positive
+    depth_m: Positive
+    walls: str | WallTable | None = None
+    surface: str | None = None
+    floor: str | None = None
+
+
+class _ScenarioFile(Route):
+    kind: Literal["scenario"]
+    name: str = Field(min_length=1)
+    title: str = Field(min_length=1)
+    provenance: str = Field(min_length=1)
+    vehicle: str
+    depth_m: float
+    cruise_m_per_s: Positive
+    cap_m_per_s: Positive
+    arrival_m: Positive = 0.10
+    time_limit_s: Positive | None = None
+    launch_m: NotNegative = 0.0
+    depths_m: tuple[float, float] | None = None
+    corners: Corner = "pass"
+    site: _Site
+    obstacles: tuple[Obstacle, ...] = ()
+    disturbance: Disturbance = Disturbance()
+    sonar: SonarTable = SonarTable()
+    reflectors: dict[str, ReflectorTable] = Field(default_factory=dict)
+    base_station: StationTable = StationTable()
+    own_state: OwnStateTable = OwnStateTable()
+    uncertainty: Uncertainty = Uncertainty()
+    paper: PaperFigure = PaperFigure()
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One mission at one site, as read from a scenario file.
+
+    Attributes:
+        path: horizontal reference path in the earth frame {E}.
+        depth: z of the path [m], negative below the surface.
+        cruise: desired cruise speed U_d [m/s].
+        cap: speed cap, the largest horizontal speed that the law may command [m/s].
+        arrival_radius: distance to the target [m] within which the robot counts as arrived.
+        site: length along x, width along y, and depth of the site [m]; one corner of the floor plan is the origin.
+        vehicle: name or path of the vehicle that is used by default in the mission.
+        launch: distance around the hull [m] in which the operator ensures free water at the start. A law with sonars
+            relies on this free water, so an obstacle within this distance is an error. The distance is 0.5 m in the
+            built-in missions, or less if an obstacle is nearer.
+        sensors: sonars and their faults, base station, and measurement of the own state.
+        uncertainty: ranges from which a Monte Carlo campaign draws parameters.
+        depths: lowest and highest z [m] that the hull may use if it can reach the target only at another depth than the
+            path's; None: the robot keeps to the path's depth. With `depths` the robot has two echo sounders, one
+            upwards and one downwards.
+        corners: `pass`: the robot may skip corners of the path on a detour; `visit`: the robot must come within
+            `arrival_radius` of every corner, in order, before it can arrive. If the path has kinds of corners, these
+            hold instead.
+        route: the entries of the file that describe the path; None if the scenario is not from a file.
+        reflectors: how walls, water surface and floor answer a sonar, and the kinds of reflectors of the file.
+    """
+
+    name: str
+    title: str
+    provenance: str
+    vehicle: str
+    path: Path
+    depth: float
+    cruise: float
+    cap: float
+    arrival_radius: float
+    time_limit: float
+    site: tuple[float, float, float]
+    obstacles: tuple[Obstacle, ...]
+    disturbance: Disturbance
+    paper: PaperFigure
+    source: str = ""
+    sensors: Sensors = field(default_factory=Sensors)
+    launch: float = 0.0
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    depths: tuple[float, float] | None = None
+    corners: Corner = "pass"
+    route: Route | None = None
+    reflectors: Reflectors = field(default_factory=Reflectors)
+
+    @cached_property
+    def walls(self) -> tuple[Wall, ...]:
+        """The four walls of the site, cached because a run needs the walls at every step."""
+        return site_walls(self.site[1], self.site[0])
+
+    @property
+    def deepest(self) -> float:
+        """Lowest z [m] to which the path and `depths` take the robot."""
+        lowest = self.depth_range[0]
+        return lowest if self.depths is None else min(lowest, self.depths[0])
+
+    @cached_property
+    def surfaces(self) -> Surfaces | None:
+        """How each surface answers a sonar; None if all answer alike, as the `incidence_limit` of the sonars says."""
+        array, echoes = self.sensors.equipment.array, self.sensors.echoes
+        return self.reflectors.surfaces(self.obstacles, array, echoes=echoes, depth=self.site[2])
+
+    @property
+    def start_pose(self) -> NDArray[np.float64]:
+        """Pose η (4,) at the start: x, y, z [m], and heading ψ [rad] along the first path segment."""
+        first_leg = self.path.waypoints[1] - self.start
+        return np.array([*self.start, self.depth, np.arctan2(first_leg[1], first_leg[0])])
+
+    def follower(self) -> Follower:
+        """Return a path follower at the start of the path."""
+        return Follower(self.path, visit=self.visit)
+
+    @property
+    def visit(self) -> float | None:
+        """Distance [m] to a corner within which the corner counts as visited; None if all corners may be skipped."""
+        visits = self.corners == "visit" if self.path.kinds is None else bool(np.any(self.path.kinds == VISIT))
+        return self.arrival_radius if visits else None
+
+    @property
+    def visited(self) -> NDArray[np.float64]:
+        """Corners of the path that must be visited (k, 2) [m]."""
+        kinds = self.path.table(visits=self.corners == "visit")[:, 4]
+        corners: NDArray[np.float64] = self.path.waypoints[1:-1][kinds[1:-1] == VISIT]
+        return corners
+
+    @property
+    def depth_range(self) -> tuple[float, float]:
+        """Lowest and highest z [m] of the path."""
+        rises = np.zeros(1) if self.path.rises is None else self.path.rises
+        return self.depth + float(rises.min()), self.depth + float(rises.max())
+
+    @property
+    def end_depth(self) -> float:
+        """z of the path's end [m]."""
+        return self.depth if self.path.rises is None else self.depth + float(self.path.rises[-1])
+
+    @property
+    def fastest(self) -> float:
+        """Largest speed of the target point along the path [m/s]."""
+        if self.path.speeds is None:
+            return self.cruise
+        speeds = self.path.speeds[1:]
+        return float(np.max(np.where(speeds > 0, speeds, self.cruise)))
+
+    @property
+    def duration(self) -> float:
+        """Time [s] in which the target point goes along the whole path without waiting."""
+        return self.path.duration(self.cruise)
+
+    @property
+    def seeded(self) -> bool:
+        """Whether a run with true positions depends on the random seed."""
+        return self.disturbance.seeded or any(o.drift_m > 0 for o in self.obstacles)
+
+    @property
+    def start(self) -> NDArray[np.float64]:
+        """Start of the path (2,) [m]."""
+        start: NDArray[np.float64] = self.path.waypoints[0]
+        return start
+
+    @property
+    def target(self) -> NDArray[np.float64]:
+        """End of the path (2,) [m]."""
+        target: NDArray[np.float64] = self.path.waypoints[-1]
+        return target
+
+
+def load_scenario(name_or_path: str) -> Scenario:
+    """Load a built-in scenario by name or a scenario file by path; InputError if no vehicle could carry it out.
+
+    Example:
+        >>> from surctl.marine.simulation import load_scenario
+        >>> scenario = load_scenario("pool-static")
+        >>> scenario.title, scenario.cruise, scenario.site, len(scenario.obstacles)
+        ('Four drifting cylinders in the pool', 0.15, (3.0, 2.0, 1.0), 4)
+    """
+    path = pick(str(name_or_path), LIBRARY, what="scenario")
+    return scenario_from_table(read_toml(path), source=str(path))
+
+
+def scenario_from_table(table: dict[str, Any], *, source: str) -> Scenario:
+    """Return a scenario from the content of its TOML file; `source` names the file in error messages."""
+    model = validate(table, _ScenarioFile, file=source)
+    route, path = _route(model, source)
+    try:
+        sensors = replace(sensors_from_tables(model.sonar, model.base_station, model.own_state), source=source)
+    except InputError as error:
+        raise error.inside(source) from None
+    scenario = Scenario(
+        model.name,
+        model.title,
+        model.provenance,
+        model.vehicle,
+        path,
+        model.depth_m,
+        model.cruise_m_per_s,
+        model.cap_m_per_s,
+        model.arrival_m,
+        model.time_limit_s or _time_limit(path, model),
+        (model.site.length_m, model.site.width_m, model.site.depth_m),
+        model.obstacles,
+        model.disturbance,
+        model.paper,
+        source,
+        sensors,
+        model.launch_m,
+        model.uncertainty,
+        model.depths_m,
+        model.corners,
+        route,
+        _reflectors(model),
+    )
+    _check(scenario)
+    return scenario
+
+
+def _route(model: _ScenarioFile, source: str) -> tuple[Route, Path]:
+    route = Route(**{name: getattr(model, name) for name in Route.model_fields})
+    try:
+        path = route.path(
+            depth=model.depth_m, cruise=model.cruise_m_per_s, cap=model.cap_m_per_s, corners=model.corners
+        )
+    except InputError as error:
+        raise error.inside(source, "path_m" if error.key == "path" else error.key) from None
+    return route, path
+
+
+def _reflectors(model: _ScenarioFile) -> Reflectors:
+    site, walls = model.site, model.site.walls
+    each = (walls,) * 4 if not isinstance(walls, WallTable) else (walls.x0, walls.x1, walls.y0, walls.y1)
+    return Reflectors(each, site.surface, site.floor, model.reflectors)
+
+
+def _time_limit(path: Path, model: _ScenarioFile) -> float:
+    # chosen: twice the time that the target point takes, 10 s for each visit, and a minute
+    visits = np.sum(path.table(visits=model.corners == "visit")[1:-1, 4] == VISIT)
+    return float(ceil(2 * path.duration(model.cruise_m_per_s) + 10 * visits + 60))
+
+
+def _check(scenario: Scenario) -> None:
+    source = scenario.source
+    if not -scenario.site[2] < scenario.depth < 0:
+        raise InputError(
+            "is not in the water",
+            file=source,
+            key="depth_m",
+            value=scenario.depth,
+            remedy=_DEPTHS.format(-scenario.site[2]),
+        )
+    if scenario.depths is not None and not (
+        -scenario.site[2] <= scenario.depths[0] < scenario.depth < scenario.depths[1] <= 0
+    ):
+        raise InputError(
+            f"must be a depth below and a depth above the path's depth of {scenario.depth:g}, both in the water",
+            file=source,
+            key="depths_m",
+            value=list(scenario.depths),
+            remedy=f"z points up: write [lowest, highest] between {-scenario.site[2]:g} and 0",
+        )
+    if scenario.cruise > scenario.cap:
+        raise InputError(
+            f"is above cap_m_per_s = {scenario.cap:g}",
+            file=source,
+            key="cruise_m_per_s",
+            value=scenario.cruise,
+            remedy="lower it or raise the cap",
+        )
+    try:
+        _ = scenario.surfaces
+        scenario.sensors.check_floor(scenario.deepest)
+    except InputError as error:
+        raise error.inside(source) from None
+    _check_depths(scenario)
+    check_spacing(scenario, cap=scenario.cap)
+    inside = [("path_m", point) for point in scenario.path.waypoints.tolist()]
+    inside += [(f"obstacles.{o.name}.centre_m", list(o.centre_m)) for o in scenario.obstacles]
+    for key, (x, y) in inside:
+        if not (0 <= x <= scenario.site[0] and 0 <= y <= scenario.site[1]):
+            raise InputError(
+                "lies outside the site", file=source, key=key, value=[x, y], remedy="correct the point or the site"
+            )
+    _unique([o.name for o in scenario.obstacles], source)
+    _apart([o for o in scenario.obstacles if o.still], scenario)
+
+
+def _check_depths(scenario: Scenario) -> None:
+    if scenario.depths is not None and scenario.path.rises is not None and np.any(scenario.path.rises):
+        raise InputError(
+            "cannot be combined with a path that changes its depth",
+            file=scenario.source,
+            key="depths_m",
+            value=list(scenario.depths),
+            remedy="remove it, or remove depth_m from the legs",
+        )
+    for k, leg in enumerate(scenario.route.leg if scenario.route else ()):
+        _in_water(scenario, f"leg.{k}.depth_m", leg.depth_m)
+    if scenario.route and scenario.route.survey:
+        _in_water(scenario, "survey.depth_m", scenario.route.survey.depth_m)
+
+
+def _in_water(scenario: Scenario, key: str, depth: float | None) -> None:
+    if depth is not None and not -scenario.site[2] < depth < 0:
+        raise InputError(
+            "is not in the water",
+            file=scenario.source,
+            key=key,
+            value=depth,
+            remedy=_DEPTHS.format(-scenario.site[2]),
+        )
+
+
+def check_spacing(scenario: Scenario, *, cap: float) -> None:
+    """Raise InputError for points of a long path that are nearer than a robot at speed `cap` moves in a control period.
+
+    The law's window moves on by at most one waypoint in a control period.
+    """
+    lengths, least = scenario.path.lengths, cap * PERIOD
+    if len(lengths) < MAX_WAYPOINTS or lengths.min() >= least:
+        return
+    near = int(np.argmin(lengths))
+    raise InputError(
+        f"is {lengths[near]:.3g} m from the next point of the path, but at the cap of {cap:g} m/s the robot "
+        f"moves {least:.3g} m in a control period",
+        file=scenario.source or None,
+        key="path_m",
+        value=[round(float(c), 4) for c in scenario.path.waypoints[near]],
+        remedy="leave out points, raise arc_error_m, or lower the cap",
+    )
+
+
+def _unique(names: Sequence[str], source: str) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                "is the name of two obstacles", file=source, key="obstacles.name", value=name, remedy="rename one"
+            )
+
+
+def _apart(still: Sequence[Obstacle], scenario: Scenario) -> None:
+    # at zero drift; `findings` checks the drift
+    target = scenario.target.tolist()
+    for k, obstacle in enumerate(still):
+        here = obstacle.heights.crosses(scenario.depth, 0.0)
+        if here and obstacle.distance((target[0], target[1])) <= 0:
+            raise InputError(
+                f"the target lies inside obstacle {obstacle.name!r}",
+                file=scenario.source,
+                key="path_m",
+                value=target,
+                remedy="move the target or the obstacle",
+            )
+        for other in still[k + 1 :]:
+            if obstacle.heights.shares(other.heights) and (gap := obstacle.apart(other)) < 0:
+                raise InputError(
+                    f"overlaps obstacle {obstacle.name!r} by {-gap:.3f} m",
+                    file=scenario.source,
+                    key=f"obstacles.{other.name}.centre_m",
+                    value=list(other.centre_m),
+                    remedy="move one of them or make it smaller",
+                )

@@ -1,0 +1,375 @@
+"""The plan of a study, read from a study file or derived from a vehicle file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from surctl.errors import InputError
+from surctl.files import Strict, pick, read_toml, validate
+from surctl.marine.control import SONARLESS, Gains, check_forces, default_law, law_ref, law_source, load_gains
+from surctl.marine.guidance import Guidance
+from surctl.marine.simulation import Case, Scenario, findings, load_scenario
+from surctl.marine.study.scaled import scaled_axes, scaled_missions, write_missions
+from surctl.marine.tuning import Derivation, Goal, goals_from_tables, load_goals, shared_gains
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import applicable_claims, check_held, cruise_speeds
+from surctl.tuning import Axis, GoalTable
+
+__all__ = ["LIBRARY", "Leg", "Plan", "load_plan"]
+
+LIBRARY = Path(__file__).parent / "library"
+
+_CRUISE = "cruise_m_per_s"
+_SCALED_SEEDS = (0, 1)
+Seed = Annotated[int, Field(ge=0)]
+
+
+class _Run(Strict):
+    scenario: str
+    vehicle: str | None = None
+
+
+class _Axis(Strict):
+    gain: str
+    values: tuple[float, ...]
+
+
+class _Sweep(Strict):
+    axes: tuple[_Axis, ...] = Field(min_length=1)
+    seeds: tuple[Seed, ...] = Field((0,), min_length=1)
+
+
+class _StudyFile(Strict):
+    kind: Literal["study"]
+    name: str = Field(min_length=1)
+    note: str = ""
+    vehicle: str
+    gains: str | None = None
+    law: str | None = None
+    guidance: Guidance = "los"
+    seed: Seed = 0
+    runs: tuple[_Run, ...] = Field(min_length=1)
+    sweep: _Sweep | None = None
+    cruise_m_per_s: tuple[float, ...] | None = None
+    claims: tuple[str, ...] | None = None
+    goals: tuple[GoalTable, ...] = ()
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One mission of a study: a scenario with its vehicle.
+
+    Attributes:
+        exclusion: reason why the scenario cannot be simulated with this vehicle, or None.
+        misfit: reason why the hull does not fit the site, or None; a mission with such a reason is simulated and shown,
+            but does not count towards the result.
+    """
+
+    scenario: Scenario
+    vehicle: Vehicle
+    exclusion: str | None
+    misfit: str | None
+
+    @property
+    def left_out(self) -> str | None:
+        """Reason why the mission does not count towards a result, or None."""
+        return self.exclusion or self.misfit
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A loaded and checked study; it has the built-in goals unless its file defines goals or names a goals file.
+
+    `cruise` holds the speeds [m/s] at which the linear loops are judged; if it is empty, the largest cruise speed of
+    the scenarios is used. `axes` is empty if the study file has no `[sweep]` table; such a study keeps its
+    gains. `named` is false if the study names no gains; they are then the default gains of its vehicles
+    (`tuning.shared_gains`). `derivation` says how they were derived from the vehicle, if they were. `unheard` is the
+    reason why the study simulates no sonars, and exports the law that takes obstacle positions; empty if it does.
+    """
+
+    name: str
+    note: str
+    source: str
+    vehicle: Vehicle
+    gains: Gains
+    law: str
+    guidance: Guidance
+    seed: int
+    legs: tuple[Leg, ...]
+    axes: tuple[Axis, ...]
+    sweep_seeds: tuple[int, ...]
+    claims: tuple[str, ...] | None
+    goals: tuple[Goal, ...]
+    cruise: tuple[float, ...] = ()
+    named: bool = True
+    derivation: Derivation | None = None
+    unheard: str = ""
+
+    @property
+    def deciding(self) -> tuple[Leg, ...]:
+        """The missions whose runs with true positions count towards the result of the study."""
+        return tuple(leg for leg in self.legs if leg.left_out is None)
+
+    @property
+    def left_out(self) -> tuple[Leg, ...]:
+        """The missions that do not count towards the result, because the vehicle does not fit the scenario."""
+        return tuple(leg for leg in self.legs if leg.left_out is not None)
+
+    def by(self, vehicles: Sequence[Vehicle]) -> Plan:
+        """Return the plan in which every scenario is simulated with each of the vehicles; all other settings stay.
+
+        One vehicle that fits none of the scenarios of a built-in study gets missions scaled to it.
+
+        Raises:
+            InputError: no vehicle fits a scenario.
+
+        Example:
+            >>> from surctl.marine.study import load_plan
+            >>> from surctl.marine.vehicle import load_vehicle
+            >>> plan = load_plan().by([load_vehicle("sur540-flooded")])
+            >>> [leg.scenario.name for leg in plan.deciding], [leg.scenario.name for leg in plan.left_out]
+            (['tank-static', 'tank-speed-015'], ['pool-static', 'pool-behind'])
+        """
+        scenarios = {leg.scenario.name: leg.scenario for leg in self.legs}.values()
+        legs = tuple(_leg(scenario, vehicle, lenient=True) for vehicle in vehicles for scenario in scenarios)
+        plan = replace(self, vehicle=vehicles[0], legs=legs)
+        if len(vehicles) == 1 and Path(self.source).parent == LIBRARY and _needs_own(vehicles[0], legs):
+            return _about_vehicle(vehicles[0], vehicles[0].source or vehicles[0].name)
+        plan = _with_mission(plan)
+        if self.named:
+            return plan
+        gains, derivation = shared_gains(None, _about(plan.deciding), own=law_source(self.law).gains)
+        return replace(plan, gains=gains, derivation=derivation)
+
+    def written(self, folder: Path) -> Plan:
+        """Return the plan with its missions in files; those that are in no file are written to `folder`."""
+        missions = write_missions([leg.scenario for leg in self.legs], folder)
+        return replace(self, legs=tuple(replace(leg, scenario=m) for leg, m in zip(self.legs, missions, strict=True)))
+
+    @property
+    def grid(self) -> tuple[Axis, ...]:
+        """The axes of the sweep; without any, the gains of the plan as a single point."""
+        name = next(iter(self.gains.values))
+        return self.axes or (Axis(name, (self.gains[name],)),)
+
+    def with_gains(self, file: str) -> Plan:
+        """Return the plan with the gains of a file (name or path), and without a sweep."""
+        gains = load_gains(file, own=law_source(self.law).gains)
+        return replace(self, gains=gains, axes=(), named=True, derivation=None)
+
+    def with_law(self, law: str) -> Plan:
+        """Return the plan with another law; raise InputError if it does not suit a vehicle of the plan."""
+        law = law_ref(law)
+        for leg in self.legs:
+            check_forces(law, leg.vehicle)
+        return replace(self, law=law, gains=self.gains.with_own(law_source(law).gains))
+
+    @property
+    def sweep_cases(self) -> tuple[Case, ...]:
+        """The setups (scenario, vehicle, law) that the sweep simulates at every point of its grid."""
+        return tuple(
+            Case(leg.scenario, leg.vehicle, self.gains, self.law, guidance=self.guidance) for leg in self.deciding
+        )
+
+
+def load_plan(file: str | None = None, *, vehicle: str | None = None, trust: bool = False) -> Plan:
+    """Load the built-in study, a study file, or the built-in study with another vehicle.
+
+    A vehicle that has no sway force, or fits none of the built-in scenarios, gets missions that are scaled to it
+    (`scaled_missions`), without sonars.
+
+    Args:
+        file: a study file or a vehicle file; None: the built-in study.
+        vehicle: name or file of the vehicle of the built-in study, in place of `file`.
+        trust: whether the code of a user's own law may be executed.
+
+    A name inside a study file is a built-in name or a path relative to the study file. If the study file names a user's
+    own law, FILE.py:FUNCTION, this Python file runs only if `trust` is true.
+
+    Raises:
+        InputError: a file, a key or a value is wrong, or the vehicle fits no scenario of the study.
+
+    Example:
+        >>> from surctl.marine.study import load_plan
+        >>> plan = load_plan()
+        >>> plan.vehicle.name, [leg.scenario.name for leg in plan.legs]
+        ('sur540-flooded', ['tank-static', 'tank-speed-015', 'pool-static', 'pool-behind'])
+        >>> [(axis.name, axis.values) for axis in plan.axes]
+        [('lookahead', (0.5, 0.8, 1.2)), ('k_v', (1.0, 1.5, 2.0)), ('margin', (0.065,)), ('k_psi', (0.4, 0.6))]
+    """
+    if vehicle is not None:
+        if file is not None:
+            problem = "has its own vehicle, so --vehicle does not go with it"
+            raise InputError(problem, key="FILE", value=file, remedy="give one of them")
+        return _about_vehicle(load_vehicle(vehicle), vehicle)
+    if file is None:
+        path = LIBRARY / "default.toml"
+        return _plan(_study(read_toml(path), path), path)
+    path = pick(file, LIBRARY, what="study")
+    table = read_toml(path)
+    if table.get("kind") == "vehicle":
+        return _about_vehicle(load_vehicle(str(path)), str(path.resolve()))
+    if table.get("kind") != "study":
+        raise InputError(
+            "is neither a study nor a vehicle",
+            file=path,
+            key="kind",
+            value=table.get("kind", "(missing)"),
+            remedy='write kind = "study" or kind = "vehicle"',
+        )
+    named = table.pop("goals") if isinstance(table.get("goals"), str) else None
+    return _plan(_study(table, path), path, goals=named, trust=trust)
+
+
+def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
+    """Return the built-in study with one vehicle, or with missions scaled to it; see `load_plan`."""
+    default = LIBRARY / "default.toml"
+    study = _study(read_toml(default), default)
+    legs = [_leg(load_scenario(run.scenario), vehicle, lenient=True) for run in study.runs]
+    name = Path(word).stem
+    if not _needs_own(vehicle, legs):
+        own = tuple(run.model_copy(update={"vehicle": None}) for run in study.runs)
+        return _plan(
+            study.model_copy(update={"runs": own, "vehicle": word, "name": name, "note": ""}), default, lenient=True
+        )
+    missions, gains, derivation = scaled_missions(vehicle)
+    law = default_law(vehicle)
+    why = "the missions are scaled to the vehicle, but sonars are not"
+    if "sonar" not in law_source(law).sensing:
+        why = f"law {law} takes obstacle positions: {SONARLESS}"
+    plan = Plan(
+        name,
+        f"The missions are scaled to {vehicle.name}, because it does not fit the built-in scenarios.",
+        vehicle.source or str(default),
+        vehicle,
+        gains,
+        law,
+        "los",
+        0,
+        tuple(_leg(mission, vehicle, lenient=True) for mission in missions),
+        scaled_axes(gains),
+        _SCALED_SEEDS,
+        None,
+        tuple(goal for goal in load_goals() if goal.kind == "hard"),  # the others have lengths and times of the tank
+        (),
+        False,
+        derivation,
+        why,
+    )
+    return _with_mission(plan)
+
+
+def _needs_own(vehicle: Vehicle, legs: Sequence[Leg]) -> bool:
+    # missions scaled to it
+    return vehicle["Fv_max"] == 0 or all(leg.left_out is not None for leg in legs)
+
+
+def _study(table: dict[str, Any], path: Path) -> _StudyFile:
+    return validate(table, _StudyFile, file=path)
+
+
+def _own_goals(study: _StudyFile, path: Path, named: str | None) -> tuple[Goal, ...]:
+    if named is None:
+        return goals_from_tables(study.goals, file=path) if study.goals else load_goals()
+    try:
+        return load_goals(named)
+    except InputError as error:
+        raise (error if error.file else error.inside(path)) from None
+
+
+def _plan(
+    study: _StudyFile, path: Path, *, lenient: bool = False, goals: str | None = None, trust: bool = False
+) -> Plan:
+    def near(name: str) -> str:
+        beside = path.parent / name
+        return str(beside) if beside.suffix == ".toml" and beside.exists() else name
+
+    vehicle = load_vehicle(near(study.vehicle))
+    legs = []
+    for run in study.runs:
+        leg_vehicle = vehicle if run.vehicle is None else load_vehicle(near(run.vehicle))
+        legs.append(_leg(load_scenario(near(run.scenario)), leg_vehicle, lenient=lenient))
+    vehicles = [leg.vehicle for leg in legs] or [vehicle]
+    law = default_law(vehicles[0]) if study.law is None else study.law
+    law = law_ref(law, file=path, folder=path.parent, trust=trust)
+    named = None if study.gains is None else near(study.gains)
+    gains, derivation = shared_gains(named, _about(legs), own=law_source(law).gains)
+    try:
+        for robot in vehicles:
+            check_forces(law, robot)
+        cruise = () if study.cruise_m_per_s is None else cruise_speeds(study.cruise_m_per_s, key=_CRUISE)
+        for leg in legs:
+            if leg.left_out is None:
+                check_held(cruise, leg.vehicle, cap=leg.scenario.cap, key=_CRUISE)
+        axes = () if study.sweep is None else tuple(_gain_axis(axis, gains) for axis in study.sweep.axes)
+        if lenient and derivation is not None:
+            axes = tuple(_scaled(axis, gains) for axis in axes)
+        applicable_claims(gains.values, study.claims, vehicle=vehicle)
+    except InputError as error:
+        raise error.inside(path) from None
+    plan = Plan(
+        study.name,
+        study.note,
+        str(path),
+        vehicle,
+        gains,
+        law,
+        study.guidance,
+        study.seed,
+        tuple(legs),
+        axes,
+        (0,) if study.sweep is None else study.sweep.seeds,
+        study.claims,
+        _own_goals(study, path, None if goals is None else near(goals)),
+        cruise,
+        named is not None,
+        derivation,
+    )
+    return _with_mission(plan)
+
+
+def _with_mission(plan: Plan) -> Plan:
+    """Return the plan; raise InputError if no mission of the plan counts towards the result (`Leg.left_out`)."""
+    if not plan.deciding:
+        reasons = "; ".join(f"{leg.scenario.name}: {leg.left_out}" for leg in plan.legs)
+        raise InputError(
+            f"the vehicle fits no scenario ({reasons})",
+            file=plan.source,
+            key="runs",
+            remedy="add a scenario with a larger site",
+        )
+    return plan
+
+
+def _gain_axis(axis: _Axis, gains: Gains) -> Axis:
+    # InputError if the parameter is not a gain, because a study chooses only gains
+    for value in axis.values:
+        gains.with_values({axis.gain: value})
+    return Axis(axis.gain, axis.values)
+
+
+def _scaled(axis: Axis, gains: Gains) -> Axis:
+    # the built-in values are about the set `default`
+    factor = gains[axis.name] / load_gains("default")[axis.name]
+    return Axis(axis.name, tuple(float(f"{factor * value:.3g}") for value in axis.values))
+
+
+def _about(legs: Sequence[Leg]) -> list[tuple[Vehicle, float]]:
+    # vehicles and cruise speeds; those that count towards the result if there are any
+    chosen = [leg for leg in legs if leg.left_out is None] or list(legs)
+    return [(leg.vehicle, leg.scenario.cruise) for leg in chosen]
+
+
+def _leg(scenario: Scenario, vehicle: Vehicle, *, lenient: bool) -> Leg:
+    try:
+        errors = [f.text for f in findings(scenario, vehicle) if f.level == "error"]
+    except InputError as error:
+        if not lenient:
+            raise
+        return Leg(scenario, vehicle, error.problem, None)
+    return Leg(scenario, vehicle, None, errors[0] if errors else None)

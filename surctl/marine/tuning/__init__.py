@@ -1,0 +1,137 @@
+"""Choice of gains by simulated missions: sweeps, sensitivity, goals, exact gradients, automatic tuning."""
+
+from typing import TYPE_CHECKING
+
+from surctl.lazy import load_at_first_use
+
+if TYPE_CHECKING:
+    from surctl.marine.tuning.assessed import ASSESSED
+    from surctl.marine.tuning.cegis import Tuning, tune
+    from surctl.marine.tuning.derived import (
+        Derivation,
+        default_cruise,
+        derive_gains,
+        derived_gains,
+        gains_for,
+        has_tuned,
+        shared_gains,
+    )
+    from surctl.marine.tuning.evaluation import (
+        Condition,
+        Evaluation,
+        check_goals,
+        conditions,
+        corners,
+        evaluate,
+        figures,
+        judged_goals,
+        scope,
+    )
+    from surctl.marine.tuning.finals import CHECKED, Finals, check_finals
+    from surctl.marine.tuning.goals import Goal, goals_at, goals_from_tables, load_goals, with_floor
+    from surctl.marine.tuning.gradient import SURROGATES, DifferentiableRun, prepare
+    from surctl.marine.tuning.law_goals import case_loop
+    from surctl.marine.tuning.measure import build_cases, check_column
+    from surctl.marine.tuning.misses import Miss, advice, misses, value_text
+    from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
+    from surctl.marine.tuning.pool import Pool, Request
+    from surctl.marine.tuning.provenance import goal_rows, summary, tuned_gains, tuning_dict
+    from surctl.marine.tuning.refine import Refinement, refine
+    from surctl.marine.tuning.rounds import Round
+    from surctl.marine.tuning.search import search
+    from surctl.marine.tuning.sensitivity import Sensitivity, sensitivity
+    from surctl.marine.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
+    from surctl.marine.tuning.start import lqr_start
+    from surctl.marine.tuning.sweep import TABLE, sweep
+    from surctl.marine.tuning.table import SweepTable, SweptAxis, load_sweep
+
+__all__ = [
+    "ASSESSED",
+    "CHECKED",
+    "SURROGATES",
+    "TABLE",
+    "TUNED",
+    "Condition",
+    "Counterexample",
+    "Derivation",
+    "DifferentiableRun",
+    "Evaluation",
+    "Finals",
+    "GainRange",
+    "Goal",
+    "Miss",
+    "MonteCarlo",
+    "Pool",
+    "Refinement",
+    "Request",
+    "Round",
+    "Sensitivity",
+    "SweepTable",
+    "SweptAxis",
+    "Tuning",
+    "advice",
+    "build_cases",
+    "case_loop",
+    "check_column",
+    "check_finals",
+    "check_goals",
+    "conditions",
+    "corners",
+    "default_cruise",
+    "default_tuned",
+    "derive_gains",
+    "derived_gains",
+    "evaluate",
+    "figures",
+    "gain_ranges",
+    "gains_for",
+    "goal_rows",
+    "goals_at",
+    "goals_from_tables",
+    "has_tuned",
+    "judged_goals",
+    "load_goals",
+    "load_sweep",
+    "lqr_start",
+    "misses",
+    "prepare",
+    "refine",
+    "scope",
+    "search",
+    "sensitivity",
+    "shared_gains",
+    "summary",
+    "sweep",
+    "tune",
+    "tuned_gains",
+    "tuning_dict",
+    "value_text",
+    "with_floor",
+]
+
+load_at_first_use(
+    __name__,
+    {
+        "assessed": "ASSESSED",
+        "cegis": "Tuning tune",
+        "derived": "Derivation default_cruise derive_gains derived_gains gains_for has_tuned shared_gains",
+        "evaluation": "Condition Evaluation check_goals conditions corners evaluate figures judged_goals scope",
+        "finals": "CHECKED Finals check_finals",
+        "goals": "Goal goals_at goals_from_tables load_goals with_floor",
+        "gradient": "DifferentiableRun SURROGATES prepare",
+        "law_goals": "case_loop",
+        "measure": "build_cases check_column",
+        "misses": "Miss advice misses value_text",
+        "montecarlo": "Counterexample MonteCarlo",
+        "pool": "Pool Request",
+        "provenance": "goal_rows summary tuned_gains tuning_dict",
+        "refine": "Refinement refine",
+        "rounds": "Round",
+        "search": "search",
+        "sensitivity": "Sensitivity sensitivity",
+        "space": "GainRange TUNED default_tuned gain_ranges",
+        "start": "lqr_start",
+        "sweep": "TABLE sweep",
+        "table": "SweepTable SweptAxis load_sweep",
+    },
+)

@@ -1,0 +1,281 @@
+"""Tuning by counterexamples: tune, search for runs that miss a goal, add these runs to the tuning, and tune again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.marine.control import write_gains
+from surctl.marine.tuning.claim_points import ClaimPoint, refuted_claims
+from surctl.marine.tuning.conflict import conflict
+from surctl.marine.tuning.evaluation import check_goals
+from surctl.marine.tuning.montecarlo import APART, MOST_SEED, fresh, monte_carlo
+from surctl.marine.tuning.pool import Pool, Progress, Request, joined
+from surctl.marine.tuning.rounds import Record, Round
+from surctl.marine.tuning.screening import TRAINING, Screened, harder, reduced_pool, screen
+from surctl.marine.tuning.search import BATCH, search
+from surctl.marine.tuning.start import starting_sets
+from surctl.tuning.journal import Journal
+
+__all__ = ["Tuning", "tune"]
+
+_WORTH = 0.01  # smallest relative improvement of the score for which tuning continues
+_OTHERS = 8  # gain sets that a round passes to the next round besides its best set
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """A finished tuning.
+
+    A run refutes a gain set if the gain set misses a goal in this run. Fresh runs have seeds that no earlier run used.
+
+    Attributes:
+        request: the request of the last search, extended by the training runs that refuted gain sets of that search.
+        requested: number of conditions in the original request; all further conditions are counterexamples.
+        hand: pool that holds one gain set: the start gains, simulated under all conditions.
+        tuned: pool of one gain set, the tuned gains, simulated under all conditions.
+        front: Pareto front of the last round: the gain sets for which no other set has both a better score and less
+            thrust.
+        rounds: the rounds of the tuning, in order.
+        chosen: index of the round that supplies the tuned gains: the best round over all runs known at the end. A round
+            that is refuted or infeasible is chosen only if all rounds are.
+        conflict: minimal set of demands for which no gain set was found that meets all of them; empty if the chosen
+            round is feasible and not refuted.
+    """
+
+    request: Request
+    requested: int
+    hand: Pool
+    tuned: Pool
+    front: Pool
+    rounds: tuple[Round, ...]
+    chosen: int
+    conflict: tuple[str, ...]
+
+    @property
+    def result(self) -> Round:
+        """The round that supplies the tuned gains."""
+        return self.rounds[self.chosen]
+
+    @property
+    def unmet(self) -> tuple[str, ...]:
+        """Names of the hard goals and claims that the tuned gains miss, or that fresh runs refute."""
+        shares = zip(self.request.goals, self.tuned.evaluation.normalised[0], strict=True)
+        points = zip(self.request.claims, self.tuned.claims[0], strict=True)
+        hard = {g.name for g in self.request.goals if g.kind == "hard"} | {p.name for p in self.result.claims}
+        missed = [g.name for g, share in shares if g.name in hard and not share <= 1]
+        missed += [p.name for p, over in points if not over <= 0]
+        return tuple(dict.fromkeys([*missed, *(name for name in self.result.refuted if name in hard)]))
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the tuned gains meet every hard goal and every claim, and no fresh run refutes a hard goal."""
+        return not self.unmet
+
+    @property
+    def better(self) -> tuple[bool, ...]:
+        """One flag per goal: whether its normalised value is lower with the tuned gains than with the start gains."""
+        less = self.tuned.evaluation.normalised[0] < self.hand.evaluation.normalised[0]
+        return tuple(bool(b) for b in less)
+
+
+def tune(
+    request: Request,
+    *,
+    trials: int = 256,
+    rounds: int = 3,
+    runs: int = 2000,
+    descend: bool = False,
+    folder: Path | None = None,
+    progress: Progress = lambda _: None,
+) -> Tuning:
+    """Tune gains; while counterexamples refute the result, add them to the tuning and tune again.
+
+    Counterexamples are training runs, fresh runs and claims that refute the result. The tuning ends at the latest after
+    `rounds` rounds.
+
+    Args:
+        request: goals, runs, start gains and search space.
+        trials: number of trials of each search. If a round misses a hard goal but adds no counterexample, the search of
+            this round continues once, for another `trials` trials.
+        rounds: largest number of rounds, at least 1.
+        runs: number of fresh runs that verify the gains of each round. Before them, ten times as many training runs
+            screen the gain sets of the round. With 0, neither kind of run is simulated.
+        descend: whether the first search also starts from a descent along exact gradients (`starting_sets`).
+        folder: folder that stores trials and rounds; an interrupted tuning with an identical request resumes from this
+            folder.
+        progress: function that receives one line of text at each step of the work.
+
+    Raises:
+        InputError: a number of trials, rounds or runs is too small or too large, two cases have the same name, a gain
+            is out of bounds, the folder cannot be used, or `check_goals` finds an error.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
+        >>> tuning.result.feasible, round(tuning.result.score, 2), tuning.result.gains["k_v"] > 1.5
+        (True, 0.99, True)
+    """
+    _check(request, trials, rounds, runs)
+    request = replace(request, begun="descent" if descend else "")  # a descent changes the trials
+    record = Record(folder, f"{request.digest} {trials} {runs}")
+    journal = Journal(None if folder is None else folder / "trials.journal")
+    if not journal.trials(request.digest):  # a file of best gains from the first moment on
+        journal.note_best(write_gains(request.base, warning="the start gains of a tuning without a finished trial"))
+    done: list[Round] = []
+    current, requested = request, len(request.conditions)
+    try:
+        for k in range(rounds):
+            known = record.round(k)
+            progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
+            pool = None
+            if known is None:
+                pool = _searched(current, done, _longer(trials, done), journal, progress, descend=descend)
+                known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
+                record.add(known)
+                best = request.base.with_values(dict(known.gains), how="so-far")
+                journal.note_best(write_gains(best, warning=f"the gains of round {k + 1} of an unfinished tuning"))
+            done.append(known)
+            if _ended(done) or k + 1 == rounds:
+                break
+            if not _barren(known):
+                current = harder(current, (*known.training, *known.fresh), known.claims)
+        final = harder(current, done[-1].training)
+        if pool is None:  # every round was loaded from the record
+            pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress, descend=descend)
+            pool = reduced_pool(final, pool, done[-1].gains)
+    finally:
+        journal.close()
+    hand, candidates = (
+        final.judge({s.name: np.array([request.base[s.name]]) for s in request.space}),
+        _candidates(final, done),
+    )
+    start = hand.evaluation.normalised[0]
+    chosen = _chosen(done, candidates, start)
+    last, clash = done[chosen], tuple[str, ...]()
+    if last.refuted or not last.feasible:
+        progress("searching for the demands that cannot be met together")
+        clash = conflict(harder(final, last.fresh, last.claims), pool, last.refuted, trials=trials, progress=progress)
+    front = pool.subset(pool.front(pool.evaluation.normalised[0]))
+    return Tuning(final, requested, hand, candidates.subset([chosen]), front, tuple(done), chosen, clash)
+
+
+def _candidates(request: Request, done: Sequence[Round]) -> Pool:
+    return request.judge({s.name: np.array([r.gains[s.name] for r in done]) for s in request.space})
+
+
+def _chosen(done: Sequence[Round], candidates: Pool, start: NDArray[np.float64]) -> int:
+    """Return the index of the best round, see `Tuning.chosen`.
+
+    Every round is judged over all runs, because runs of a later round may refute the gains of an earlier round.
+    """
+    merit = candidates.merit(start)
+    sound = [k for k, one in enumerate(done) if candidates.feasible[k] and not one.refuted]
+    return min(sound or range(len(done)), key=lambda k: float(merit[k]))
+
+
+def _check(request: Request, trials: int, rounds: int, runs: int) -> None:
+    names = [case.name for case in request.cases]
+    for name in names:
+        if names.count(name) > 1:  # a counterexample identifies its case by name
+            raise InputError("occurs twice", key="case", value=name, remedy="give each vehicle its own name")
+    check_goals(request.goals, request.conditions)
+    if request.seed > MOST_SEED:
+        raise InputError(
+            "leaves no seeds for fresh runs", key="--seed", value=request.seed, remedy=f"write at most {MOST_SEED}"
+        )
+    for key, value, least in (("--trials", trials, 1), ("--rounds", rounds, 1), ("--monte-carlo", runs, 0)):
+        if value < least:
+            raise InputError(f"must be at least {least}", key=key, value=value, remedy="correct it")
+    most = APART // 2 // (1 + max(rounds, TRAINING))
+    if runs > most:
+        raise InputError(
+            "needs more seeds than are available", key="--monte-carlo", value=runs, remedy=f"write at most {most}"
+        )
+
+
+def _ended(done: Sequence[Round]) -> bool:
+    # the last round added no counterexample, or it improved the score by less than 1 %
+    last = done[-1]
+    if _barren(last):
+        return last.feasible or (len(done) > 1 and _barren(done[-2]))
+    before = [r.score for r in done[:-1] if r.feasible and not r.refuted]
+    return last.feasible and not last.refuted and last.score > (1 - _WORTH) * min(before, default=np.inf)
+
+
+def _barren(one: Round) -> bool:
+    # the round adds no counterexample to the request of the next round
+    return not (one.training or one.claims or (one.fresh and one.feasible))
+
+
+def _longer(trials: int, done: Sequence[Round]) -> int:
+    # doubled if the last round added no counterexample
+    return 2 * trials if done and _barren(done[-1]) else trials
+
+
+def _searched(
+    request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress, *, descend: bool
+) -> Pool:
+    """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
+
+    The search of the first round starts from `starting_sets`, that of a later round from the best sets of the previous
+    round.
+    """
+    first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
+    if not done and len(journal.trials(request.digest)) < BATCH:
+        first = starting_sets(request, descend=descend, progress=progress)
+    pool = search(request, trials=trials, first=first, journal=journal, progress=progress)
+    hard = tuple(g for g in request.goals if g.kind == "hard")
+    if pool.feasible.any() or len(hard) in (0, len(request.goals)):
+        return pool
+    progress("no gain set meets all hard goals; searching for the hard goals alone")
+    names = {g.name for g in hard}
+    conditions = tuple(c for c in request.conditions if c.goals is None or names & set(c.goals))
+    alone = replace(request, goals=hard, conditions=conditions)
+    leading = _leading(search(alone, trials=trials, first=_leading(pool), journal=journal, progress=progress))
+    return joined(
+        [pool, request.judge({s.name: np.array([gains[s.name] for gains in leading]) for s in request.space})]
+    )
+
+
+def _leading(pool: Pool) -> list[dict[str, float]]:
+    # as many sets as a round passes to the next round
+    return [pool.gains(k) for k in pool.ranked(pool.evaluation.normalised[0])[: 1 + _OTHERS]]
+
+
+def _round(
+    request: Request, pool: Pool, runs: int, number: int, progress: Progress, *, used: int
+) -> tuple[Round, Pool]:
+    """Complete a round after its search; return the round and a pool of its best gain sets, the chosen set last.
+
+    The best gain sets are the best over all known runs.
+    """
+    left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
+    if runs:
+        left = screen(request, pool, runs=TRAINING * runs, progress=progress)
+        conditions = fresh(request.cases, runs=runs, first=used + number * runs, tuning=request.seed)
+        verified = monte_carlo(request.goals, conditions, left.gains, threads=request.threads)
+        word = ", ".join(verified.refuted) or "nothing"
+        progress(f"{runs} fresh runs, seeds {verified.seeds[0]} to {verified.seeds[1]}, refute {word}")
+    failing = refuted_claims({**request.base.values, **left.gains}, request.cases, seed=request.seed)
+    points = tuple(
+        ClaimPoint(v.claim.name, dict(v.counterexample.values), v.threshold) for v in failing if v.counterexample
+    )
+    known = reduced_pool(left.request, pool, left.gains)
+    start, own = known.evaluation.normalised[0], len(known.claims) - 1
+    missed = tuple(g.name for g, n in zip(request.goals, known.evaluation.normalised[own], strict=True) if not n <= 1)
+    others = [k for k in known.ranked(start) if k != own][:_OTHERS]
+    score, feasible = float(known.score(start)[own]), bool(known.feasible[own])
+    progress(f"over {len(left.request.conditions)} runs: {known.subset([own]).standing(start)}")
+    further = tuple(known.gains(k) for k in others)
+    return Round(left.gains, score, feasible, missed, left.counterexamples, verified, points, further), known

@@ -1,0 +1,389 @@
+"""Evaluate goals for many gain sets, cases, seeds and plants in one batch of closed loops."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.marine.simulation import Case, case_parameters, simulate_batch
+from surctl.marine.tuning.assessed import PART_OF
+from surctl.marine.tuning.goals import Goal
+from surctl.marine.tuning.law_goals import judged_loops
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification import check_held, linear_table
+from surctl.marine.verification.cascade import has_cascade
+
+__all__ = [
+    "Condition",
+    "Evaluation",
+    "check_goals",
+    "conditions",
+    "corners",
+    "evaluate",
+    "figures",
+    "merged",
+    "row",
+    "scope",
+    "varied",
+]
+
+Sets = Mapping[str, NDArray[np.float64]]
+Figures = Mapping[str, NDArray[np.float64]]  # metric → (n, conditions)
+
+_DRAG = ("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr")
+_GROUPS = (("m11", "m22", "m33", "m44"), _DRAG, ("Fu_max", "Fv_max", "Fw_max", "Fr_max"))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Condition of one closed-loop run that evaluates a gain set: simulation case, seed and plant.
+
+    Attributes:
+        case: the simulation case: scenario, vehicle, law and gains.
+        seed: seed of the world and of the noise.
+        plant: parameters of the simulated plant (`plant.…`) that differ from the vehicle of the case; the controller's
+            model stays that of the case.
+        goals: names of the goals for which the run counts; None for all goals. A counterexample counts only for the
+            goal that it refutes.
+    """
+
+    case: Case
+    seed: int = 0
+    plant: Mapping[str, float] = field(default_factory=dict)
+    goals: tuple[str, ...] | None = None
+
+    @property
+    def run(self) -> tuple[str, int, tuple[tuple[str, float], ...]]:
+        """Case, seed and plant: the key that identifies a simulated run, independent of its goals."""
+        return self.case.name, self.seed, tuple(sorted(self.plant.items()))
+
+    @property
+    def label(self) -> str:
+        """Case, seed and changed plant parameters as readable text."""
+        off = ", ".join(f"{name.removeprefix('plant.')} = {value:.4g}" for name, value in self.plant.items())
+        return f"{self.case.name}, seed {self.seed}" + (f", {off}" if off else "")
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Evaluation of m goals for n gain sets.
+
+    Attributes:
+        goals: the m goals.
+        normalised: (n, m): normalised value of each goal for each gain set; at most 1 if the goal is met.
+        figure: (n, m): value of the goal's metric, in its unit: the value of the worst run or the mean over the runs;
+            NaN if a run did not arrive. For a goal at several cruise speeds, the value of a run is that at the worst
+            speed.
+        speed: (n, m): cruise speed [m/s] at which the goal is worst in its worst run; NaN for a goal at the scenario's
+            own speed.
+        excess: (n, m): mean over the goal's runs of max(0, normalised value - 1), limited to 1 in each run; 0 if the
+            goal is met.
+        effort: (n,): mean of |horizontal thrust| over all runs [N].
+    """
+
+    goals: tuple[Goal, ...]
+    normalised: NDArray[np.float64]
+    figure: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    excess: NDArray[np.float64]
+    effort: NDArray[np.float64]
+
+    @property
+    def feasible(self) -> NDArray[np.bool_]:
+        """Array (n,): whether the gain set meets every hard goal."""
+        hard = [g.kind == "hard" for g in self.goals]
+        met: NDArray[np.bool_] = np.all(self.normalised[:, hard] <= 1, axis=1)
+        return met
+
+
+def corners(vehicle: Vehicle) -> tuple[dict[str, float], ...]:
+    """Return the plant parameters of the nominal vehicle, and those of the corners of the ranges in its vehicle file.
+
+    In a corner, all masses are at the same end of their ranges. All drag coefficients are at one end of their ranges
+    too, and so are all thrust limits. These three choices give up to eight corners. A parameter without a range keeps
+    its value.
+
+    Example:
+        >>> from surctl.marine.tuning import corners
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> nominal, first, *others = corners(load_vehicle("sur540-flooded"))
+        >>> nominal, len(others) + 1, first["plant.m11"], first["plant.Xuu"], first["plant.Fu_max"]
+        ({}, 8, 50.0, 45.0, 4.25)
+    """
+    ends = []
+    for group in _GROUPS:
+        known = [(f"plant.{name}", vehicle.parameters[name].range) for name in group]
+        low = {name: r[0] for name, r in known if r is not None}
+        high = {name: r[1] for name, r in known if r is not None}
+        ends.append((low, high) if low else ({},))
+    combinations = [{**m, **d, **t} for m, d, t in product(*ends)]
+    return ({}, *combinations) if combinations != [{}] else ({},)
+
+
+def conditions(cases: Sequence[Case], *, seeds: Sequence[int], with_corners: bool = True) -> tuple[Condition, ...]:
+    """Return the conditions of every case: nominal plant with each seed, and each corner plant with the first seed.
+
+    A case that does not depend on the seed is simulated with the first seed only.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import build_cases, conditions
+        >>> cases = build_cases([load_scenario("tank-static")], gains=load_gains("default"))
+        >>> runs = conditions(cases, seeds=[0])
+        >>> len(runs), runs[0].label
+        (9, 'tank-static/sur540-flooded/truth, seed 0')
+    """
+    result = []
+    for case in cases:
+        own = seeds if varied(case) else seeds[:1]
+        result += [Condition(case, seed) for seed in own]
+        if with_corners:
+            result += [Condition(case, seeds[0], plant) for plant in corners(case.vehicle) if plant]
+    return tuple(result)
+
+
+def merged(conditions: Iterable[Condition]) -> tuple[Condition, ...]:
+    """Merge conditions of the same run (case, seed and plant) into one condition that names all their goals."""
+    counted: dict[object, tuple[Condition, dict[str, None]]] = {}
+    for one in conditions:
+        counted.setdefault(one.run, (one, {}))[1].update(dict.fromkeys(one.goals or ()))
+    return tuple(replace(one, goals=tuple(goals)) for one, goals in counted.values())
+
+
+def varied(case: Case) -> bool:
+    """Return whether the runs of a case depend on the seed."""
+    return case.scenario.seeded or case.sensing == "sonar"
+
+
+def scope(goal: Goal, conditions: Sequence[Condition]) -> list[int]:
+    """Return the indices of the conditions that count for a goal.
+
+    Raises:
+        InputError: the goal names a case that is not simulated.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, build_cases, conditions, scope
+        >>> missions = [load_scenario("pool-behind"), load_scenario("pool-static")]
+        >>> cases = build_cases(missions, gains=load_gains("default"))
+        >>> runs = conditions(cases, seeds=[0, 1])
+        >>> len(runs), scope(Goal("soon", "time_s", "s", 20.0, cases=("pool-static",)), runs)
+        (4, [2, 3])
+    """
+    names = {name for c in conditions for name in (c.case.name, c.case.scenario.name)}
+    for name in goal.cases:
+        if name not in names:
+            raise InputError("no such case", key=f"goals.{goal.name}.cases", value=name, remedy=nearest(name, names))
+    return [
+        k
+        for k, c in enumerate(conditions)
+        if (c.goals is None or goal.name in c.goals)
+        and (goal.plants == "all" or not c.plant)
+        and (not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases))
+    ]
+
+
+def check_goals(goals: Sequence[Goal], conditions: Sequence[Condition]) -> None:
+    """Raise InputError if goals do not fit the simulated conditions.
+
+    Raises:
+        InputError: a goal names a case that is not simulated, or its cruise speed exceeds the speed cap of one of its
+            cases or needs more thrust than the vehicle of the case has.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, build_cases, check_goals, conditions
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=load_gains("default")), seeds=[0])
+        >>> check_goals([Goal("low", "disk_margin", "1", 0.6, "at least", cruise=(0.1, 0.4))], runs)
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: goals.low.cruise_m_per_s = 0.4: is above the cap, 0.22 m/s; lower it, or raise the cap
+    """
+    for goal in goals:
+        about = (conditions[k].case for k in scope(goal, conditions))
+        for vehicle, cap in {(c.vehicle.name, c.scenario.cap): (c.vehicle, c.scenario.cap) for c in about}.values():
+            check_held(goal.cruise, vehicle, cap=cap, key=goal.cruise_key)
+
+
+def evaluate(goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1) -> Evaluation:
+    """Evaluate m goals for n gain sets.
+
+    Args:
+        goals: the goals.
+        conditions: the runs; every gain set is simulated in all of them.
+        sets: values (n,) of each gain by name; all other gains have the values of the case.
+        threads: number of threads of the compiled loop; the result does not depend on it.
+
+    Raises:
+        InputError: a value is out of its gain's bounds, or `check_goals` finds an error.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, build_cases, conditions, evaluate
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
+        >>> goals = [Goal("soon", "time_s", "s", 20.3), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard")]
+        >>> evaluation = evaluate(goals, conditions(cases, seeds=[0]), {"k_v": [1.0, 1.5, 2.0]})
+        >>> evaluation.normalised.round(2).tolist(), evaluation.feasible.tolist()
+        ([[1.05, 0.84], [1.01, 0.82], [0.99, 0.81]], [True, True, True])
+    """
+    check_goals(goals, conditions)
+    return judged(goals, conditions, figures(goals, conditions, sets, threads=threads))
+
+
+def judged(goals: Sequence[Goal], conditions: Sequence[Condition], table: Figures) -> Evaluation:
+    """Evaluate the goals from the metrics of the runs."""
+    count = len(table["effort_n"])
+    shape = (count, len(goals))
+    normalised, figure, excess = np.zeros(shape), np.full(shape, np.nan), np.zeros(shape)
+    speed = np.full(shape, np.nan)
+    for j, goal in enumerate(goals):
+        own, speeds = (values[:, scope(goal, conditions)] for values in goal.worst(table))
+        each = goal.normalised(own)
+        worst = each.argmax(axis=1)
+        speed[:, j] = speeds[np.arange(count), worst]
+        if goal.over == "mean":
+            figure[:, j] = own.mean(axis=1)
+            each = goal.normalised(figure[:, [j]])
+            normalised[:, j] = each[:, 0]
+        else:
+            figure[:, j], normalised[:, j] = own[np.arange(count), worst], each.max(axis=1)
+        excess[:, j] = np.clip(each - 1, 0, 1).mean(axis=1)
+    effort = table["effort_n"].mean(axis=1)
+    return Evaluation(tuple(goals), normalised, figure, speed, excess, effort)
+
+
+def figures(
+    goals: Sequence[Goal], conditions: Sequence[Condition], sets: Sets, *, threads: int = 1
+) -> dict[str, NDArray[np.float64]]:
+    """Return an array (n gain sets, conditions) for each metric of the goals and for the effort, by metric name.
+
+    `Goal.columns` gives the names for goals at several cruise speeds.
+
+    A value is NaN if the run did not arrive, or if no goal needs this linear metric under this condition.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, build_cases, conditions, figures
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
+        >>> goals, runs = [Goal("soon", "time_s", "s", 20.5)], conditions(cases, seeds=[0, 1])
+        >>> figures(goals, runs, {"k_v": [1.0, 1.5, 2.0]})["time_s"].round(2).tolist()  # one row for each gain set
+        [[21.4, 21.4], [20.45, 20.35], [20.15, 20.05]]
+    """
+    count = len(next(iter(sets.values())))
+    looped = {"effort_n", *(g.metric for g in goals if not g.linear)}
+    linear = [g for g in goals if g.linear and g.loop is None]
+    loops = [g for g in goals if g.loop is not None]
+    needed: dict[float | None, set[int]] = {}  # compute only these, because a linear metric costs more than a run
+    for goal in linear:
+        for speed in goal.columns.values():
+            needed.setdefault(speed, set()).update(scope(goal, conditions))
+    columns = {(g.metric, speed): name for g in linear for name, speed in g.columns.items()}
+    own_loops = [name for goal in loops for name in goal.columns]
+    table = {name: np.full((count, len(conditions)), np.nan) for name in (*looped, *columns.values(), *own_loops)}
+    for case, own in _by_case(conditions):
+        seeds = np.tile([conditions[k].seed for k in own], count)
+        batch = simulate_batch(case, _spread(case, [conditions[k] for k in own], sets), seeds=seeds, threads=threads)
+        arrived = batch.column("reached").reshape(count, -1) > 0.5
+        for name in looped:
+            table[name][:, own] = np.where(arrived, batch.column(name).reshape(count, -1), np.nan)
+        for speed, those in needed.items():
+            about = [k for k in own if k in those]
+            names = {metric for metric, at in columns if at == speed}
+            if about:
+                for name, values in _linear(case, speed, [conditions[k] for k in about], sets, names, threads).items():
+                    table[columns[name, speed]][:, about] = values
+        for goal in loops:
+            about = sorted(set(own) & set(scope(goal, conditions)))
+            for name, speed in goal.columns.items() if about else ():
+                table[name][:, about] = judged_loops(goal, case, speed, [conditions[k].plant for k in about], sets)
+    return table
+
+
+def judged_goals(
+    goals: Sequence[Goal], cases: Sequence[Case]
+) -> tuple[tuple[Goal, ...], tuple[Goal, ...], tuple[Goal, ...]]:
+    """Return the goals that the search judges, those that are checked at its end, and those that cannot be judged.
+
+    A goal about a metric of the linear loop cannot be judged by the search if the law is not that of the model of these
+    metrics. It is checked at the end if the assessment has the figure at that speed. A goal with `type` is judged on
+    the law that runs.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, build_cases, judged_goals
+        >>> goals = [Goal("soon", "time_s", "s", 20.5), Goal("robust", "disk_margin", "1", 0.6, "at least")]
+        >>> goals.append(Goal("calm", "least_damping", "1", 0.5, "at least"))
+        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="dwa")
+        >>> [[goal.name for goal in part] for part in judged_goals(goals, cases)]
+        [['soon'], ['robust'], ['calm']]
+    """
+    linear = all(has_cascade(case.law, case.guidance) for case in cases)
+    late = [goal for goal in goals if goal.final or (goal.linear and goal.loop is None and not linear)]
+    assessed = {max(case.scenario.cruise for case in cases)}
+    final = tuple(g for g in late if g.metric in PART_OF and not g.cases and set(g.cruise) <= assessed)
+    left = tuple(goal for goal in late if goal not in final)
+    return tuple(goal for goal in goals if goal not in late), final, left
+
+
+def row(sets: Sets, k: int) -> dict[str, float]:
+    """Return the k-th gain set: the value of each gain by name."""
+    return {name: float(values[k]) for name, values in sets.items()}
+
+
+def _by_case(conditions: Sequence[Condition]) -> list[tuple[Case, list[int]]]:
+    # each case is simulated as one batch
+    groups: list[tuple[Case, list[int]]] = []
+    for k, condition in enumerate(conditions):
+        for case, own in groups:
+            if case is condition.case:
+                own.append(k)
+                break
+        else:
+            groups.append((condition.case, [k]))
+    return groups
+
+
+def _spread(case: Case, conditions: Sequence[Condition], sets: Sets) -> dict[str, NDArray[np.float64]]:
+    # the gain set is the outer index
+    count = len(next(iter(sets.values())))
+    spread = {name: np.repeat(np.asarray(values, dtype=float), len(conditions)) for name, values in sets.items()}
+    off = sorted({name for c in conditions for name in c.plant})
+    nominal = case_parameters(case) if off else {}
+    for name in off:
+        spread[name] = np.tile([c.plant.get(name, nominal[name].value) for c in conditions], count)
+    return spread
+
+
+def _linear(
+    case: Case, speed: float | None, conditions: Sequence[Condition], sets: Sets, names: set[str], threads: int
+) -> dict[str, NDArray[np.float64]]:
+    # linear metrics (n, conditions), computed once for each plant: seeds have no effect
+    if not has_cascade(case.law, case.guidance):  # the metrics of another law would mislead
+        return dict.fromkeys(names, np.full((len(next(iter(sets.values()))), len(conditions)), np.nan))
+    keys = [tuple(sorted(c.plant.items())) for c in conditions]
+    plants = dict(zip(keys, conditions, strict=True))
+    place = {key: k for k, key in enumerate(plants)}
+    which = [place[key] for key in keys]
+    count = len(next(iter(sets.values())))
+    table = linear_table(
+        case.vehicle,
+        _spread(case, list(plants.values()), sets),
+        base=case.gains.values,
+        cruise=case.scenario.cruise if speed is None else speed,
+        dt=case.build().dt,
+        model=case.model or case.vehicle,
+        columns=sorted(names),
+        workers=threads,
+    )
+    return {name: table[name].reshape(count, len(plants))[:, which] for name in names}

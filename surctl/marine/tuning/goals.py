@@ -1,0 +1,300 @@
+"""Goals of a tuning: bounds on metrics of the closed loop, with units, as control engineers state them.
+
+The normalised value of a goal is defined as in MATLAB's Control System Tuner (systune, viewGoal): the goal is met if
+the value is at most 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.files import Quantity, load_model, pick
+from surctl.marine.simulation import METRICS, MetricSpec
+from surctl.marine.tuning.assessed import ASSESSED
+from surctl.marine.verification import LINEAR_METRICS, cruise_speeds, worst_place
+from surctl.tuning.goal_file import LIBRARY, GoalsFile, GoalTable, Over, Plants
+from surctl.tuning.loop_goal_file import loop_goal
+from surctl.tuning.loop_goals import LoopGoal
+
+__all__ = [
+    "LOOP_METRIC",
+    "Goal",
+    "Kind",
+    "Sense",
+    "goals_at",
+    "goals_from_tables",
+    "load_goals",
+    "with_floor",
+]
+
+Kind = Literal["hard", "soft"]
+Sense = Literal["at most", "at least"]
+
+LOOP_METRIC = "loop_goal"
+"""Name of the metric of goals about the loop: the normalised value of the `LoopGoal`."""
+
+_LOOP_SPEC = MetricSpec("1", "normalised value of the goal about the loop", "low")
+_FLOOR = ("delay_margin_s", "disk_margin")  # figures of which the assessment requires a least value
+_SIGNED = (
+    "slowest_pole_per_s",
+    "corner_slowest_pole_per_s",
+)  # the bound on the real part of a pole is negative; all other bounds are positive
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A goal: a bound on one metric of the closed loop.
+
+    Attributes:
+        name: name of the goal in tables and plots.
+        metric: name of a metric, either of a run (METRICS of `surctl.marine.simulation`) or of the linear loop
+            (LINEAR_METRICS), or of a figure of the assessment (ASSESSED), which is checked at the end of a tuning.
+        unit: unit of `limit`; it must be the unit of the metric.
+        limit: the bound.
+        sense: "at most" or "at least": on which side of the limit the metric must lie.
+        kind: a hard goal must be met; the normalised value of a soft goal is minimised.
+        over: "worst" if every run must meet the limit, "mean" if the mean of the runs must meet it.
+        cases: names of the scenarios or simulation cases to which the goal applies; if empty, it applies to all.
+        plants: "all", or "nominal" to exclude runs whose plant differs from the vehicle of the case (property Models of
+            systune).
+        cruise: cruise speeds [m/s], slowest first, at each of which the linear loop must meet the goal; empty: the
+            scenario's own speed.
+        loop: a goal about the loop of the law that runs (`LoopGoal`), for the metric `LOOP_METRIC`, which is its
+            normalised value.
+
+    Raises:
+        InputError: the metric is unknown, the unit is wrong, the sense contradicts the metric, the limit has the wrong
+            sign, a speed is not valid, or the goal has speeds but is not about the linear loop.
+    """
+
+    name: str
+    metric: str
+    unit: str
+    limit: float
+    sense: Sense = "at most"
+    kind: Kind = "soft"
+    over: Over = "worst"
+    cases: tuple[str, ...] = ()
+    plants: Plants = "all"
+    cruise: tuple[float, ...] = ()
+    loop: LoopGoal | None = None
+
+    def __post_init__(self) -> None:
+        known = {**METRICS, **LINEAR_METRICS, **ASSESSED, **({} if self.loop is None else {LOOP_METRIC: _LOOP_SPEC})}
+        key = f"goals.{self.name}"
+        if self.metric not in known:
+            raise InputError(
+                "no such metric", key=f"{key}.metric", value=self.metric, remedy=nearest(self.metric, known)
+            )
+        spec = known[self.metric]
+        bound = f"{key}.{self.sense.replace(' ', '_')}"
+        if self.unit != spec.unit:
+            raise InputError("wrong unit", key=f"{bound}.unit", value=self.unit, remedy=f"give it in {spec.unit}")
+        if spec.better is not None and self.sense != ("at most" if spec.better == "low" else "at least"):
+            other = "at_least" if self.sense == "at most" else "at_most"
+            raise InputError(f"bounds {spec.meaning} in the wrong direction", key=bound, remedy=f"write {other}")
+        signed = self.metric in _SIGNED
+        if not np.isfinite(self.limit) or (self.limit >= 0 if signed else self.limit <= 0):
+            side = "less than 0" if signed else "greater than 0"
+            raise InputError(f"must be finite and {side}", key=bound, value=self.limit, remedy="correct the limit")
+        if self.final and (self.cases or self.over == "mean"):
+            remedy = "leave out cases and over: the assessment states the worst of all missions"
+            raise InputError("is a figure of the assessment", key=f"{key}.metric", value=self.metric, remedy=remedy)
+        if self.cruise:
+            object.__setattr__(self, "cruise", cruise_speeds(self.cruise, key=self.cruise_key))
+            if not self.linear:
+                remedy = "leave it out: a simulated run has the speed of its scenario"
+                raise InputError("is for goals about the linear loop", key=self.cruise_key, remedy=remedy)
+
+    @property
+    def linear(self) -> bool:
+        """Whether the metric describes the linear loop; a linear metric does not depend on the seed."""
+        return self.metric in LINEAR_METRICS or self.loop is not None
+
+    @property
+    def final(self) -> bool:
+        """Whether the metric is a figure of the assessment that the search does not compute."""
+        return self.metric in ASSESSED
+
+    @property
+    def cruise_key(self) -> str:
+        """Key of the cruise speeds in a goals file."""
+        return f"goals.{self.name}.cruise_m_per_s"
+
+    @property
+    def columns(self) -> Mapping[str, float | None]:
+        """Cruise speed [m/s] of each metric column that the goal bounds, by column name.
+
+        None means the scenario's own cruise speed.
+        """
+        name = self.metric if self.loop is None else f"{self.metric} {self.name}"
+        return {f"{name} at {u!r} m/s": u for u in self.cruise} or {name: None}
+
+    def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the metric values with the sign for which larger is worse (shape unchanged); NaN becomes inf."""
+        figure = np.asarray(values, dtype=float)
+        return np.where(np.isnan(figure), np.inf, figure if self.sense == "at most" else -figure)
+
+    def worst(self, table: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return two arrays, each shaped like a column: the worst value over the cruise speeds, and its speed.
+
+        The speed is in m/s; it is NaN for a goal at the scenario's own speed.
+        """
+        each = np.stack([table[name] for name in self.columns])
+        ill = self.badness(each)
+        speed = np.array([np.nan if u is None else u for u in self.columns.values()])
+        return np.take_along_axis(each, ill.argmax(axis=0)[None], axis=0)[0], speed[worst_place(ill)]
+
+    def normalised(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the normalised metric values (shape unchanged): at most 1 if the goal is met, larger if worse.
+
+        The normalised value is metric / limit for a goal `at most` with a positive limit. For every other goal, it is
+        limit / metric. The quotient limit / metric is inf for a metric that is 0 or on the wrong side of 0. NaN gives
+        inf.
+        """
+        figure, limit = np.asarray(values, dtype=float), self.limit
+        if self.sense == "at most" and limit > 0:
+            out = figure / limit
+        else:
+            # a metric below a negative limit corresponds to a metric above a positive limit
+            size, bound = (figure, limit) if limit > 0 else (-figure, -limit)
+            out = np.full(figure.shape, np.inf)
+            np.divide(bound, size, out=out, where=size > 0)
+        return np.where(np.isnan(figure), np.inf, out)
+
+    def bad_side(self) -> Literal["above", "below"]:
+        """Return the side of the limit on which the goal is missed; plots shade this side."""
+        return "above" if self.sense == "at most" else "below"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The goal as plain data for JSON."""
+        bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}
+        over = {"over": self.over, "cases": list(self.cases), "plants": self.plants}
+        about = {} if self.loop is None else {"loop": self.loop.to_dict()}
+        return {"name": self.name, **bound, "kind": self.kind, **over, "cruise_m_per_s": list(self.cruise), **about}
+
+
+def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
+    """Load built-in goals by name, or a goals file by path.
+
+    Raises:
+        InputError: the file is unreadable or a goal is wrong; the message names file, key and remedy.
+
+    Example:
+        >>> from surctl.marine.tuning import load_goals
+        >>> [(goal.metric, goal.sense, goal.limit, goal.unit) for goal in load_goals("default") if goal.kind == "soft"]
+        [('deviation_m', 'at most', 0.5, 'm'), ('time_s', 'at most', 53.0, 's'), ('effort_n', 'at most', 4.2, 'N')]
+    """
+    path = pick(str(name_or_path), LIBRARY, what="goals")
+    return _robot_goals(load_model(path, GoalsFile), path)
+
+
+def _robot_goals(content: GoalsFile, path: Path) -> tuple[Goal, ...]:
+    if content.points:
+        remedy = "use cruise_m_per_s and plants of each goal; [[points]] are for a system: surctl tune FILE.py:FUNCTION"
+        raise InputError("apply only to a system of your own, not to the robot", file=path, key="points", remedy=remedy)
+    return goals_from_tables(content.goals, file=path)
+
+
+def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goal, ...]:
+    """Build the goals that the `[[goals]]` tables of a file describe; an InputError names the file.
+
+    Example:
+        >>> from surctl.tuning import GoalTable
+        >>> from surctl.marine.tuning import goals_from_tables
+        >>> table = GoalTable(name="soon", metric="time_s", at_most={"value": 20.0, "unit": "s"}, kind="hard")
+        >>> [goal] = goals_from_tables([table], file="my-study.toml")
+        >>> goal.metric, goal.sense, goal.limit, goal.kind
+        ('time_s', 'at most', 20.0, 'hard')
+    """
+    goals: dict[str, Goal] = {}
+    try:
+        for table in tables:
+            if table.name in goals:
+                raise InputError("is the name of two goals", key="goals.name", value=table.name, remedy="rename one")
+            goals[table.name] = _goal(table)
+    except InputError as error:
+        raise error.inside(file) from None
+    return tuple(goals.values())
+
+
+def _loop_goal(table: GoalTable) -> Goal:
+    if table.points:
+        remedy = "use cruise_m_per_s: operating points of the robot are its cruise speeds"
+        raise InputError(
+            "apply only to a system of your own, not to the robot", key=f"goals.{table.name}.points", remedy=remedy
+        )
+    goal = Goal(table.name, LOOP_METRIC, "1", 1.0, kind=table.kind, plants=table.plants, loop=loop_goal(table.loop()))
+    if table.cruise_m_per_s is None:
+        return goal
+    return replace(goal, cruise=cruise_speeds(table.cruise_m_per_s, key=goal.cruise_key))
+
+
+def _goal(table: GoalTable) -> Goal:
+    if (table.type is None) == (table.metric is None):
+        remedy = "write metric = ... for one number of a run or loop, or type = ... for a goal about the loop"
+        raise InputError("needs either a metric or a type", key=f"goals.{table.name}", remedy=remedy)
+    if table.type is not None or table.metric is None:
+        return _loop_goal(table)
+    _check_keys(table)
+    bounds: Mapping[Sense, Quantity | None] = {"at most": table.at_most, "at least": table.at_least}
+    stated = [(sense, bound) for sense, bound in bounds.items() if bound is not None]
+    if len(stated) != 1:
+        raise InputError(
+            "needs one bound",
+            key=f"goals.{table.name}",
+            remedy='write at_most = { value = ..., unit = "..." }, or at_least',
+        )
+    sense, bound = stated[0]
+    spec = {**METRICS, **LINEAR_METRICS, **ASSESSED}.get(table.metric)
+    if spec is not None:  # if the metric is unknown, Goal raises the error
+        try:
+            bound = bound.within(spec.unit)
+        except InputError as error:
+            raise error.inside(None, f"goals.{table.name}.{sense.replace(' ', '_')}.unit") from None
+    about = (table.kind, table.over, table.cases, table.plants)
+    goal = Goal(table.name, table.metric, bound.unit, bound.value, sense, *about)
+    if table.cruise_m_per_s is None:
+        return goal
+    return replace(goal, cruise=cruise_speeds(table.cruise_m_per_s, key=goal.cruise_key))
+
+
+def _check_keys(table: GoalTable) -> None:
+    own = {"name", "metric", "at_most", "at_least", "kind", "over", "cases", "plants", "cruise_m_per_s"}
+    for name in sorted(table.model_fields_set - own):
+        remedy = "write type instead of metric, or leave the key out"
+        raise InputError("is not a valid key of a goal with a metric", key=f"goals.{table.name}.{name}", remedy=remedy)
+
+
+def goals_at(goals: Sequence[Goal], cruise: Sequence[float]) -> tuple[Goal, ...]:
+    """Return the goals; every goal about the linear loop that names no speed gets the given cruise speeds [m/s].
+
+    Example:
+        >>> from surctl.marine.tuning import Goal, goals_at
+        >>> [goal] = goals_at([Goal("robust", "disk_margin", "1", 0.6, "at least")], (0.05, 0.2))
+        >>> goal.cruise
+        (0.05, 0.2)
+    """
+    return tuple(replace(g, cruise=tuple(cruise)) if g.linear and not g.cruise else g for g in goals)
+
+
+def with_floor(goals: Sequence[Goal]) -> tuple[Goal, ...]:
+    """Return the goals, and the built-in hard goals on disk margin and delay margin where no goal bounds this margin.
+
+    Example:
+        >>> from surctl.marine.tuning import Goal, with_floor
+        >>> [goal.name for goal in with_floor([Goal("soon", "time_s", "s", 20.0)])]
+        ['soon', 'delay margin', 'disk margin']
+        >>> [goal.name for goal in with_floor([Goal("low", "disk_margin", "1", 0.2, "at least")])]
+        ['low', 'delay margin']
+    """
+    known, names = {goal.metric for goal in goals}, {goal.name for goal in goals}
+    floor = [goal for goal in load_goals() if goal.metric in _FLOOR and goal.metric not in known]
+    return (*goals, *(replace(goal, name=f"least {goal.name}") if goal.name in names else goal for goal in floor))

@@ -1,0 +1,369 @@
+"""Metrics that a parameter sweep computes at its points: metrics of closed-loop runs, and of the linear loops."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl import __version__
+from surctl.errors import InputError, nearest
+from surctl.marine.control import Barrier, Gains, Movers, build_law, law_ref
+from surctl.marine.guidance import AvoidanceForm, Guidance, check_guidance
+from surctl.marine.simulation import METRICS, Case, Scenario, Sensing, case_parameters, check_speeds, simulate_batch
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import (
+    LINEAR_METRICS,
+    LINEAR_PARAMETERS,
+    check_held,
+    cruise_speeds,
+    linear_table,
+    worst_place,
+)
+from surctl.marine.verification.cascade import has_cascade
+from surctl.priority import Mode
+from surctl.tuning.axes import SEED
+from surctl.tuning.design import Design
+
+__all__ = [
+    "CASE_COLUMNS",
+    "LINEAR_COLUMNS",
+    "RUN_COLUMNS",
+    "Case",
+    "Evaluation",
+    "Quantity",
+    "build_cases",
+    "case_parameters",
+    "check_column",
+    "check_request",
+    "law_digest",
+    "linear_names",
+    "request_digest",
+]
+
+Floats = NDArray[np.float64]
+
+_WORST = "_worst"
+_CRUISE = "scenario.cruise"
+_OFTEN_ABSENT = ("path_error_m", "crab_angle_deg", "max_crab_angle_deg", "heading_error_deg")
+# NaN here means that the run has no path error or that the law turns the hull to scan, not that the run failed
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Unit and meaning of a column of results."""
+
+    unit: str
+    meaning: str
+
+
+_AVERAGED = {name: spec for name, spec in METRICS.items() if spec.better is not None}  # a status code has no mean
+
+CASE_COLUMNS: Mapping[str, Quantity] = {
+    **{name: Quantity(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
+    **{name + _WORST: Quantity(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
+}
+"""Closed-loop columns, for one case over its seeds and for all runs at a point: mean and worst value of every metric
+for which low or high is better. In a mean all cases have the same weight. Runs without a path error do not count in its
+mean; any other NaN makes the result NaN."""
+
+RUN_COLUMNS: Mapping[str, Quantity] = {
+    **CASE_COLUMNS,
+    "strayed": Quantity("1", "rms horizontal distance to the path in hull radii, mean"),
+    "time_ratio": Quantity("1", "arrival time divided by the ideal time (path length / cruise speed), worst"),
+}
+"""Columns over all runs at a point."""
+
+LINEAR_COLUMNS: Mapping[str, Quantity] = {
+    name: Quantity(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
+}
+"""Columns of the linearised loops at each vehicle's largest cruise speed, or the worst over the sweep's speeds."""
+
+WORST_SPEED = {"disk_margin_at_m_per_s": Quantity("m/s", "cruise speed at which the disk margin of the loops is least")}
+"""Additional column if the sweep names cruise speeds."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Function object that evaluates chunks of points; other processes can run it, because it can be pickled.
+
+    Attributes:
+        cases: cases that are simulated at every point.
+        names: names of the parameters, in the order of the columns of the points.
+        seeds: seeds of every case that depends on the seed; the other cases are simulated once, with the first seed.
+        linear_chunks: number of chunks at the start of the sweep; linear metrics are computed for these chunks instead
+            of runs.
+        cruise: cruise speeds [m/s] at which the linear metrics are computed; the result is the worst value over these
+            speeds. If empty, the speed is the one that `LINEAR_COLUMNS` states.
+    """
+
+    cases: tuple[Case, ...]
+    names: tuple[str, ...]
+    seeds: tuple[int, ...]
+    linear_chunks: int = 0
+    cruise: tuple[float, ...] = ()
+
+    def __call__(self, index: int, points: Floats) -> Floats:
+        """Evaluate points (n, axes); return the columns (n, columns).
+
+        For the first `linear_chunks` chunks, the columns are `linear_columns`. For all other chunks, the columns are
+        `RUN_COLUMNS`, followed by the columns of every case.
+        """
+        values = {name: points[:, k] for k, name in enumerate(self.names)}
+        if index < self.linear_chunks:
+            return self._linear(values, len(points))
+        return self._simulated(index, values, len(points))
+
+    @property
+    def linear_columns(self) -> Mapping[str, Quantity]:
+        """Columns of results that describe the linearised loops."""
+        return {**LINEAR_COLUMNS, **(WORST_SPEED if self.cruise else {})}
+
+    @property
+    def has_margins(self) -> bool:
+        """Whether the loop of every case has a linear model; if not, margins are NaN and are not checked."""
+        return all(has_cascade(case.law, case.guidance) for case in self.cases)
+
+    @property
+    def runs_per_point(self) -> int:
+        """Number of closed-loop runs at each point of the sweep."""
+        return sum(len(self.seeds_of(case)) for case in self.cases)
+
+    def seeds_of(self, case: Case) -> tuple[int, ...]:
+        """Return the seeds with which a case is simulated at each point."""
+        gentle = all(name in case.gains.values or name.startswith(("vehicle.", "plant.")) for name in self.names)
+        depends = case.scenario.seeded or case.sensing != "truth" or not gentle  # other parameters may add waves
+        return self.seeds if depends else self.seeds[:1]
+
+    def _simulated(self, index: int, values: Mapping[str, Floats], count: int) -> Floats:
+        # processes that begin with chunks side by side begin with different cases, so each compiles another loop
+        order = [(index + k) % len(self.cases) for k in range(len(self.cases))]
+        done = {at: self._runs(self.cases[at], values, count) for at in order}
+        by_case = [done[at] for at in range(len(self.cases))]
+        strayed, ratios = [], []
+        for case, one in zip(self.cases, by_case, strict=True):
+            radius = _own(values, ("plant.radius", "vehicle.radius"), case.vehicle["radius"])
+            cruise = _own(values, (_CRUISE,), case.scenario.cruise)
+            strayed.append(one["deviation_m"] / radius)
+            ratios.append(one["time_s"] / (case.scenario.path.length / cruise))
+        together = {name: np.concatenate([one[name] for one in by_case], axis=1) for name in _AVERAGED}
+        of_all = [np.concatenate(strayed, axis=1).mean(axis=1), np.concatenate(ratios, axis=1).max(axis=1)]
+        return np.stack([*_summary(together), *of_all, *(c for one in by_case for c in _summary(one))], axis=1)
+
+    def _runs(self, case: Case, values: Mapping[str, Floats], count: int) -> dict[str, Floats]:
+        # each metric of a case (points, seeds)
+        seeds = self.seeds_of(case)
+        known = case_parameters(case)
+        numbers = np.repeat(values[SEED], len(seeds)) if SEED in values else np.tile(seeds, count)
+        done = simulate_batch(
+            case,
+            {name: np.repeat(v, len(seeds)) for name, v in values.items() if name in known},
+            seeds=numbers.astype(np.int64),
+        )
+        # a run without seeds is repeated, so that every case has the same weight in a mean
+        often = len(self.seeds) // len(seeds)
+        return {name: np.tile(done.column(name).reshape(count, len(seeds)), (1, often)) for name in _AVERAGED}
+
+    def _linear(self, values: Mapping[str, Floats], count: int) -> Floats:
+        if not self.has_margins:  # the linear metrics of another law would mislead
+            return np.full((count, len(self.linear_columns)), np.nan)
+        best = [-np.inf if spec.better == "low" else np.inf for spec in LINEAR_METRICS.values()]
+        table = np.tile(best, (count, 1))
+        margins = []
+        for case, cruise in product(_fastest(self.cases), self.cruise or (None,)):
+            metrics = linear_table(
+                case.vehicle,
+                values,
+                base=case.gains.values,
+                cruise=case.scenario.cruise if cruise is None else cruise,
+                dt=build_law(case.law).dt,
+                model=case.model,
+            )
+            margins.append(metrics["disk_margin"])
+            for k, (name, spec) in enumerate(LINEAR_METRICS.items()):
+                worst = np.maximum if spec.better == "low" else np.minimum  # NaN (no linear model) stays NaN
+                table[:, k] = worst(table[:, k], metrics[name])
+        if not self.cruise:
+            return table
+        place = worst_place(-np.array(margins)) % len(self.cruise)
+        return np.column_stack([table, np.array(self.cruise)[place]])
+
+
+def build_cases(
+    scenarios: Sequence[Scenario],
+    vehicles: Sequence[Vehicle] = (),
+    *,
+    gains: Gains,
+    law: str = "",
+    mode: str = "nsb",
+    sensing: str = "truth",
+    guidance: str = "los",
+) -> tuple[Case, ...]:
+    """Return a case for every scenario and every vehicle; without vehicles, each scenario has its own vehicle.
+
+    Raises:
+        InputError: the law, the mode, the sensing or the guidance is unknown.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import build_cases
+        >>> missions = [load_scenario("pool-behind"), load_scenario("tank-static")]
+        >>> [case.name for case in build_cases(missions, gains=load_gains("default"))]
+        ['pool-behind/sur400/truth', 'tank-static/sur540-flooded/truth']
+    """
+    check_guidance(guidance)
+    for key, value, known in (
+        ("priority-mode", mode, get_args(Mode)),
+        ("sensing", sensing, get_args(Sensing)),
+    ):
+        if value not in known:
+            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+    kind: dict[str, Any] = {"law": law and law_ref(law), "mode": mode, "sensing": sensing, "guidance": guidance}
+    return tuple(
+        Case(scenario, vehicle, gains, **kind)
+        for scenario in scenarios
+        for vehicle in vehicles or (load_vehicle(scenario.vehicle),)
+    )
+
+
+def check_column(name: str) -> None:
+    """Raise InputError, with the nearest known name, if a sweep with linear metrics has no column of this name.
+
+    Example:
+        >>> from surctl.marine.tuning import check_column
+        >>> check_column("min_clearance_m_worst")
+        >>> check_column("min_clearance")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: column = 'min_clearance': no such column; did you mean 'min_clearance_m'?
+    """
+    known = (*RUN_COLUMNS, *LINEAR_COLUMNS, "score", "feasible")
+    if name not in known:
+        raise InputError("no such column", key="column", value=name, remedy=nearest(name, known))
+
+
+def linear_names(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the names of the axes on which the linear metrics depend."""
+    return tuple(name for name in names if name in LINEAR_PARAMETERS)
+
+
+def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], cruise: Sequence[float] = ()) -> None:
+    """Check the request of a sweep before any run.
+
+    Raises:
+        InputError: there is no case, a case occurs twice, or the cases have different gains; seeds are missing,
+            negative or repeated, or several seeds are given although the seed is an axis; no case has the parameter of
+            an axis, or a value is out of its bounds; cruise speeds are given although the cruise speed is an axis,
+            exceed a speed cap, or need too much thrust.
+    """
+    if not cases:
+        raise InputError("has nothing to simulate", key="sweep", remedy="name at least one scenario")
+    names = [case.name for case in cases]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError("occurs twice", key="case", value=name, remedy="name each case once")
+    if any(case.gains.values != cases[0].gains.values for case in cases):
+        raise InputError("cases have different gains", key="gains", remedy="give all cases the same gains")
+    if not seeds or min(seeds) < 0 or len(set(seeds)) < len(seeds):
+        raise InputError(
+            "must be different whole numbers, at least 0", key="seeds", value=tuple(seeds), remedy="write 0,1,2,..."
+        )
+    if SEED in design.names and len(seeds) > 1:
+        raise InputError("is an axis already", key="seeds", value=len(seeds), remedy="omit --seeds or the axis")
+    if cruise and _CRUISE in design.names:
+        raise InputError("is an axis already", key="--cruise", value=list(cruise), remedy="omit --cruise or the axis")
+    for case in cases if cruise else ():
+        check_held(cruise_speeds(cruise, key="--cruise"), case.vehicle, cap=case.scenario.cap, key="--cruise")
+    known = [case_parameters(case) for case in cases]
+    for k, name in enumerate(design.names):
+        if name == SEED:
+            continue
+        of_cases = [table[name] for table in known if name in table]
+        if not of_cases:
+            every = {SEED, *(n for table in known for n in table)}
+            raise InputError("no such parameter", key="axis", value=name, remedy=_nearest_parameter(name, every))
+        for parameter in of_cases:
+            parameter.check(np.array([design.points[:, k].min(), design.points[:, k].max()]))
+    for case in cases:
+        check_speeds(case, {name: design.points[:, k] for k, name in enumerate(design.names)})
+
+
+def request_digest(evaluation: Evaluation, design: Design, *, linear: int, chunk: int) -> str:
+    """Return the SHA-256 of all inputs that determine the results of a sweep and their division into chunks.
+
+    Args:
+        evaluation: what is computed for each point.
+        design: the points.
+        linear: points in a chunk of linear metrics; 0 without them.
+        chunk: points in a chunk of simulated runs.
+    """
+    lines = [f"surctl {__version__}", f"columns {tuple(METRICS)} {tuple(LINEAR_METRICS) if linear else ()}"]
+    lines += [] if evaluation.has_margins or not linear else ["margins are not judged"]
+    lines += [f"cruise {evaluation.cruise}"] if evaluation.cruise and linear else []
+    lines += [f"design {design.description}", f"seeds {evaluation.seeds}", f"chunks {linear} {chunk}"]
+    for case in evaluation.cases:
+        lines.append(f"case {case.scenario!r} {_numbers(case.vehicle)} {_numbers(case.model or case.vehicle)}")
+        lines.append(f"law {law_digest(case)} {case.mode} {case.sensing} {dict(case.gains.values)!r}")
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def law_digest(case: Case) -> str:
+    """Return a digest of the control law's instructions, without those of the solver of the priority mode."""
+    return _law_digest(case.law, case.avoidance, case.guidance, case.barrier, case.movers)
+
+
+@cache
+def _law_digest(law: str, avoidance: AvoidanceForm, guidance: Guidance, barrier: Barrier, movers: Movers) -> str:
+    built = build_law(law, avoidance=avoidance, guidance=guidance, barrier=barrier, movers=movers)
+    return built.stages.closed.digest()
+
+
+def _numbers(vehicle: Vehicle) -> str:
+    thrusters = "" if vehicle.actuators is None else f" {vehicle.actuators.text()}"
+    return f"{vehicle.name} {[(name, p.value) for name, p in vehicle.parameters.items()]!r}{thrusters}"
+
+
+def _nearest_parameter(name: str, known: set[str]) -> str:
+    hint = nearest(name, known)
+    if hint.startswith("did you mean"):
+        return hint
+    groups = sorted({k.partition(".")[0] + ".…" if "." in k else k for k in known})
+    return "known: " + ", ".join(groups)
+
+
+def _own(values: Mapping[str, Floats], names: Sequence[str], nominal: float) -> Floats:
+    # (points, 1), or the nominal value (1, 1) if the sweep varies none of the parameters
+    for name in names:
+        if name in values:
+            return values[name][:, None]
+    return np.full((1, 1), nominal)
+
+
+def _summary(metrics: Mapping[str, Floats]) -> list[Floats]:
+    # metrics (points, runs)
+    means, worst = [], []
+    for name, spec in _AVERAGED.items():
+        runs = metrics[name]
+        there = np.isfinite(runs) if name in _OFTEN_ABSENT else np.full(runs.shape, True)
+        count = there.sum(axis=1)
+        total = np.where(there, runs, 0.0).sum(axis=1)
+        means.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        ill = np.where(there, runs, -np.inf if spec.better == "low" else np.inf)
+        extreme = ill.max(axis=1) if spec.better == "low" else ill.min(axis=1)
+        worst.append(np.where(count > 0, extreme, np.nan))
+    return means + worst
+
+
+def _fastest(cases: Sequence[Case]) -> list[Case]:
+    fastest: list[Case] = []
+    for case in sorted(cases, key=lambda c: -c.scenario.cruise):
+        if not any((case.vehicle, case.model, case.law) == (k.vehicle, k.model, k.law) for k in fastest):
+            fastest.append(case)
+    return fastest

@@ -1,0 +1,168 @@
+"""Verify one gain set by fresh runs, with new seeds and with plants sampled from the vehicle's parameter ranges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.marine.simulation import Case
+from surctl.marine.simulation.campaign import draw_plant
+from surctl.marine.tuning.evaluation import Condition, figures, scope, varied
+from surctl.marine.tuning.goals import Goal
+
+__all__ = ["APART", "MOST_SEED", "Counterexample", "MonteCarlo", "fresh", "monte_carlo"]
+
+APART = 10_000_000  # seeds reserved for each tuning, so that two tunings never share a seed
+
+MOST_SEED = 2**62 // APART
+"""Largest seed of a tuning, because the seeds of its runs are 64-bit numbers."""
+
+
+@dataclass(frozen=True)
+class Counterexample:
+    """A run that misses a goal.
+
+    If the goal bounds a mean, the counterexample is one of several runs whose mean misses the goal.
+
+    Attributes:
+        goal: name of the goal.
+        case: name of the case.
+        seed: seed of the run.
+        plant: changed parameters (`plant.…`) of the simulated vehicle.
+        figure: value of the goal's metric, in its unit; NaN if the run did not arrive.
+        normalised: normalised value of the goal for this run (`Goal.normalised`); above 1, the run
+            misses the goal's limit. It may be at most 1 if the goal limits the mean of all runs.
+    """
+
+    goal: str
+    case: str
+    seed: int
+    plant: Mapping[str, float]
+    figure: float
+    normalised: float
+
+    def condition(self, cases: Sequence[Case]) -> Condition:
+        """Return the run as a condition of a tuning; the condition counts only for the refuted goal."""
+        case = next(c for c in cases if c.name == self.case)
+        return Condition(case, self.seed, dict(self.plant), (self.goal,))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        data = {"goal": self.goal, "case": self.case, "seed": self.seed, "plant": dict(self.plant)}
+        return {**data, "figure": self.figure, "normalised": self.normalised}
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """Result of the fresh runs of one gain set.
+
+    Attributes:
+        runs: number of runs.
+        seeds: first and last seed of the fresh runs; no seed in this range was used before.
+        missed: share of the runs of a goal that miss its limit, by goal name; a goal without a fresh run is omitted.
+        normalised: normalised value of each goal in its worst run, by goal name; for a goal that bounds a mean, the
+            normalised value of the mean.
+        counterexamples: for each refuted goal, a few of the worst runs in every case, the worst first. For a goal that
+            bounds a mean, they are a few runs spread evenly from the worst run to the best.
+    """
+
+    runs: int
+    seeds: tuple[int, int]
+    missed: Mapping[str, float]
+    normalised: Mapping[str, float]
+    counterexamples: tuple[Counterexample, ...]
+
+    @property
+    def refuted(self) -> tuple[str, ...]:
+        """Names of the goals that the fresh runs refute."""
+        return tuple(dict.fromkeys(c.goal for c in self.counterexamples))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        counterexamples = [c.to_dict() for c in self.counterexamples]
+        data = {"runs": self.runs, "seeds": list(self.seeds), "missed": dict(self.missed)}
+        return {**data, "normalised": dict(self.normalised), "counterexamples": counterexamples}
+
+
+def fresh(cases: Sequence[Case], *, runs: int, first: int, tuning: int = 0) -> tuple[Condition, ...]:
+    """Return the conditions of fresh runs; the runs are assigned to the cases in turn.
+
+    Every second run of a case has the nominal plant, because some goals apply to the nominal plant only. A case that
+    does not depend on the seed has no runs with the nominal plant, because all of them would be equal.
+
+    Args:
+        cases: the simulated cases.
+        runs: number of runs over all cases.
+        first: number of seeds that this tuning has used so far.
+        tuning: seed of the tuning; the runs of two tunings share no seed.
+    """
+    conditions = []
+    for k in range(runs):
+        case, seed = cases[k % len(cases)], tuning * APART + first + k
+        nominal = k // len(cases) % 2 == 1 and varied(case)
+        plant = {} if nominal else draw_plant(case.vehicle, seed=seed)
+        conditions.append(Condition(case, seed, {f"plant.{name}": value for name, value in plant.items()}))
+    return tuple(conditions)
+
+
+def monte_carlo(
+    goals: Sequence[Goal],
+    conditions: Sequence[Condition],
+    gains: Mapping[str, float],
+    *,
+    each: int = 3,
+    threads: int = 1,
+) -> MonteCarlo:
+    """Simulate one gain set under every condition and find the goals that it misses.
+
+    Args:
+        goals: the goals.
+        conditions: the runs.
+        gains: the gain set: the value of each gain by name.
+        each: largest number of counterexamples of one goal in one case.
+        threads: number of threads of the compiled loop.
+    """
+    table = figures(goals, conditions, {name: np.array([value]) for name, value in gains.items()}, threads=threads)
+    missed, normalised, counterexamples = {}, {}, []
+    for goal in goals:
+        own = scope(goal, conditions)
+        if not own:  # nominal plant and cases without seeds: the goal has no fresh run
+            continue
+        figure = goal.worst(table)[0][0, own]
+        apiece = goal.normalised(figure)
+        whole = float(goal.normalised(figure.mean()) if goal.over == "mean" else apiece.max())
+        missed[goal.name], normalised[goal.name] = float((apiece > 1).mean()), whole
+        if whole > 1:
+            chosen = _chosen(goal, figure, apiece, [conditions[k].case.name for k in own], each)
+            counterexamples += [_counterexample(goal, conditions[own[k]], figure[k], apiece[k]) for k in chosen]
+    return MonteCarlo(
+        len(conditions), (conditions[0].seed, conditions[-1].seed), missed, normalised, tuple(counterexamples)
+    )
+
+
+def _chosen(
+    goal: Goal, figure: NDArray[np.float64], normalised: NDArray[np.float64], cases: Sequence[str], most: int
+) -> list[int]:
+    """Return the indices of runs that refute a goal: the worst runs of each case.
+
+    For a goal that bounds a mean, the runs are spread evenly from the worst run to the best.
+    """
+    # several normalised values may be inf: the metric then decides which run is worse, NaN first
+    order = [int(k) for k in np.lexsort((-goal.badness(figure), -normalised))]
+    by_case = {case: [k for k in order if cases[k] == case] for case in dict.fromkeys(cases[k] for k in order)}
+    chosen = []
+    for own in by_case.values():
+        if goal.over == "mean":  # spread evenly over the ranks, because the worst runs alone would have another mean
+            count = min(most, len(own))
+            chosen += [own[(2 * j + 1) * len(own) // (2 * count)] for j in range(count)]
+        else:
+            chosen += [k for k in own if normalised[k] > 1][:most]
+    return sorted(chosen, key=order.index)
+
+
+def _counterexample(goal: Goal, run: Condition, figure: float, normalised: float) -> Counterexample:
+    return Counterexample(goal.name, run.case.name, run.seed, run.plant, float(figure), float(normalised))

@@ -1,0 +1,345 @@
+"""A vehicle from a Gazebo model: hydrodynamics and mass in SDF, or in URDF and xacro (uuv_simulator).
+
+The models state derivatives in the SNAME notation: added mass −X_u̇ and drag −X_u. Their axes are those of the heading
+frame, x ahead, y to the left, z up, so surge, sway, heave and yaw are taken over as they are; roll and pitch are
+omitted.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.marine.vehicle.parameters import Parameter, Vehicle
+from surctl.marine.vehicle.specs import PARAMETERS, TERMS, parameter_spec, undamped
+from surctl.recorded import shown, xml_root
+
+__all__ = ["gazebo_vehicle"]
+
+_AXES = (0, 1, 2, 5)  # surge, sway, heave and yaw among the six degrees of freedom
+_FORCES, _RATES = "xyzkmn", "uvwpqr"
+_GRAVITY = 9.81
+_LEAST = 1e-3  # N, a smaller weight in water is rounding
+_ADDED = ("x", "y", "z", "p", "q", "r")  # names of the added mass in an <inertial> of SDF
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class _Body:
+    mass: float | None = None
+    inertia_z: float | None = None
+    added: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    linear: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    quadratic: Array = field(default_factory=lambda: np.zeros((6, 6, 6)))  # force on i by |velocity k| velocity j
+    unused: list[str] = field(default_factory=list)
+    volume: float | None = None
+    density: float = 1000.0
+    neutral: bool = False
+
+
+def gazebo_vehicle(
+    path: Path,
+    name: str,
+    *,
+    radius: float,
+    thrust: float,
+    yaw_thrust: float,
+    sway_thrust: float | None = None,
+    heave_thrust: float | None = None,
+    thrust_lag: float = 0.3,
+    link: str | None = None,
+) -> Vehicle:
+    """Return the vehicle of a Gazebo model.
+
+    The function reads the plugin gz::sim::systems::Hydrodynamics, `fluid_added_mass` of SDF, and the hydrodynamic_model
+    of uuv_simulator with type fossen. Of a xacro file it replaces properties; macros must be expanded before.
+
+    Args:
+        path: an SDF, URDF or xacro file.
+        name: name of the vehicle.
+        radius: radius of the hull [m].
+        thrust: largest force in surge [N].
+        yaw_thrust: largest moment about the vertical [N m].
+        sway_thrust: largest force in sway [N]; default: as in surge.
+        heave_thrust: largest force in heave [N]; default: as in surge.
+        thrust_lag: time constant of the thrust [s].
+        link: name of the link; default: the only one with hydrodynamics.
+
+    Raises:
+        InputError: the file cannot be read or has no hydrodynamics, a number is missing, or a drag would be negative.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.marine.vehicle import gazebo_vehicle
+        >>> text = '<sdf><model name="a"><link name="b"><inertial><mass>10</mass><inertia><izz>0.2</izz></inertia>'
+        >>> text += '</inertial></link><plugin name="gz::sim::systems::Hydrodynamics"><link_name>b</link_name>'
+        >>> text += '<xDotU>-5</xDotU><xUabsU>-20</xUabsU></plugin></model></sdf>'
+        >>> _ = Path("model.sdf").write_text(text)
+        >>> auv = gazebo_vehicle(Path("model.sdf"), "auv", radius=0.2, thrust=40.0, yaw_thrust=5.0)
+        >>> auv["m11"], auv["m22"], auv["Xuu"]
+        (15.0, 10.0, 20.0)
+    """
+    root = _root(path)
+    bodies = _bodies(root, path)
+    chosen = _chosen(bodies, link, path)
+    body = bodies[chosen]
+    values, cross = _numbers(body, chosen, path)
+    said = f"link {chosen} of {path.name}"
+    limits = (thrust, thrust if sway_thrust is None else sway_thrust, thrust if heave_thrust is None else heave_thrust)
+    values |= dict(zip(("Fu_max", "Fv_max", "Fw_max"), limits, strict=True))
+    values |= {"Fr_max": yaw_thrust, "radius": radius, "thrust_lag": thrust_lag}
+    from_user = {"Fu_max", "Fv_max", "Fw_max", "Fr_max", "radius", "thrust_lag"}
+    parameters = {}
+    for key, value in [*((k, values[k]) for k in PARAMETERS), *((k, cross[k]) for k in TERMS if k in cross)]:
+        spec = parameter_spec(key)
+        if spec is None or not np.isfinite(value) or (value <= 0 and not spec.zero_allowed):
+            raise InputError("must be greater than 0", file=shown(path), key=key, value=value, remedy="correct it")
+        parameters[key] = Parameter(float(value), spec.unit, None, "given" if key in from_user else said)
+    free = undamped({key: parameter.value for key, parameter in parameters.items()})
+    note = f"; no drag found in {', '.join(free)}" if free else ""
+    note += f"; not used: {', '.join(body.unused)}" if body.unused else ""
+    return Vehicle(name, f"from {path.name}; roll and pitch are omitted{note}", parameters)
+
+
+def _numbers(body: _Body, link: str, path: Path) -> tuple[dict[str, float], dict[str, float]]:
+    # the parameters of equation (3), and the optional terms
+    for what, value in (("mass", body.mass), ("izz", body.inertia_z)):
+        if value is None:
+            raise InputError("is missing", file=shown(path), key=f"{link}.{what}", remedy="add it to <inertial>")
+    mass, inertia = float(body.mass or 0.0), float(body.inertia_z or 0.0)
+    rigid = np.diag([mass, mass, mass, 0.0, 0.0, inertia])
+    total = (rigid + (body.added + body.added.T) / 2)[np.ix_(_AXES, _AXES)]
+    linear, quadratic = body.linear[np.ix_(_AXES, _AXES)], body.quadratic[np.ix_(_AXES, _AXES, _AXES)]
+    values = {f"m{k + 1}{k + 1}": float(total[k, k]) for k in range(4)}
+    for k, axis in enumerate(_AXES):
+        if total[k, k] < rigid[axis, axis]:
+            remedy = "give the hydrodynamic derivative of the acceleration, which is negative"
+            key, value = f"{link}, axis {_RATES[axis]}", float(total[k, k] - rigid[axis, axis])
+            raise InputError("would be an added mass below 0", file=shown(path), key=key, value=value, remedy=remedy)
+    for k, (one, two) in enumerate((("Xu", "Xuu"), ("Yv", "Yvv"), ("Zw", "Zww"), ("Nr", "Nrr"))):
+        for key, value in ((one, float(linear[k, k])), (two, float(quadratic[k, k, k]))):
+            if value < 0:
+                remedy = "give the hydrodynamic derivative, which is negative for a force against the motion"
+                raise InputError(
+                    "would be a drag below 0", file=shown(path), key=f"{link}.{key}", value=value, remedy=remedy
+                )
+            values[key] = value
+    cross: dict[str, float] = {}
+    for i, j in product(range(4), repeat=2):
+        force, velocity = "XYZN"[i], "uvwr"[j]
+        if i != j:
+            cross[f"{force}{velocity}"] = float(linear[i, j])
+            cross[f"m{min(i, j) + 1}{max(i, j) + 1}"] = float(total[i, j])
+        cross |= {f"{force}{'uvwr'[k]}{velocity}": float(quadratic[i, j, k]) for k in range(4) if not i == j == k}
+    if body.volume is not None and not body.neutral:
+        cross["Z0"] = _GRAVITY * (body.density * body.volume - mass)
+    return values, {k: v for k, v in cross.items() if abs(v) > (_LEAST if k == "Z0" else 0.0)}
+
+
+def _root(path: Path) -> ElementTree.Element:
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError("no such file", file=shown(path), remedy="check the path") from None
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"cannot be read ({error})", file=shown(path), remedy="give an SDF, URDF or xacro file"
+        ) from None
+    root = xml_root(raw, file=path, remedy="correct that line")
+    _replace_properties(root)
+    return root
+
+
+def _bodies(root: ElementTree.Element, path: Path) -> dict[str, _Body]:
+    links = {link.get("name", ""): link for link in root.iter("link") if link.find("inertial") is not None}
+    bodies: dict[str, _Body] = {}
+    for plugin in root.iter("plugin"):
+        said = f"{plugin.get('name', '')} {plugin.get('filename', '')}".lower()
+        if "hydrodynamics" in said:
+            body = bodies.setdefault((plugin.findtext("link_name") or "").strip(), _Body())
+            _gz_hydrodynamics(plugin, body, path)
+        for held in plugin.findall("link"):
+            model = held.find("hydrodynamic_model")
+            if model is not None:
+                body = bodies.setdefault(held.get("name", ""), _Body())
+                _uuv(held, model, body, path)
+                density = plugin.find("fluid_density")
+                body.density = _number(density, path) if density is not None else 1028.0
+    for name, link in links.items():
+        added = link.find("inertial/fluid_added_mass")
+        if added is not None:
+            body = bodies.setdefault(name, _Body())
+            for entry in added:
+                if len(entry.tag) == 2 and set(entry.tag) <= set(_ADDED):
+                    i, j = (_ADDED.index(letter) for letter in entry.tag)
+                    body.added[i, j] = body.added[j, i] = _number(entry, path)
+    for name, body in bodies.items():
+        held_in = links.get(name, links.get(name.rpartition("/")[2]))
+        if held_in is not None:
+            body.mass = _of(held_in, "inertial/mass", "value", path)
+            body.inertia_z = _of(held_in, "inertial/inertia/izz", "", path)
+            if body.inertia_z is None:
+                body.inertia_z = _of(held_in, "inertial/inertia", "izz", path)
+    return bodies
+
+
+def _chosen(bodies: Mapping[str, _Body], link: str | None, path: Path) -> str:
+    if not bodies:
+        raise InputError(
+            "has no hydrodynamics",
+            file=shown(path),
+            remedy="give a model with gz::sim::systems::Hydrodynamics, fluid_added_mass or a hydrodynamic_model; "
+            "expand a xacro file first: xacro FILE > robot.urdf",
+        )
+    if link is None:
+        if len(bodies) > 1:
+            raise InputError(
+                "has several links with hydrodynamics",
+                file=shown(path),
+                remedy=f"choose --link: {', '.join(sorted(bodies))}",
+            )
+        return next(iter(bodies))
+    if link not in bodies:
+        raise InputError(
+            "is not a link with hydrodynamics", file=shown(path), key="--link", value=link, remedy=nearest(link, bodies)
+        )
+    return link
+
+
+def _gz_hydrodynamics(plugin: ElementTree.Element, body: _Body, path: Path) -> None:
+    # xDotU, xU, xUabsV (also xUU), for all axes
+    for entry in plugin:
+        match = re.fullmatch(r"([xyzkmn])(Dot)?([UVWPQR])(abs)?([UVWPQR])?", entry.tag)
+        if match is None:
+            if entry.tag in ("water_density", "fluid_density"):
+                body.density = _number(entry, path)
+            continue
+        i, j = _FORCES.index(match[1]), _RATES.index(match[3].lower())
+        value = -_number(entry, path)
+        if match[2]:
+            body.added[i, j] = value
+        elif match[5] is None:
+            body.linear[i, j] = value
+        elif match[4] or match[3] == match[5]:  # xUabsV: |v| u; before gz-sim 7, xUU is |u| u
+            body.quadratic[i, j, _RATES.index(match[5].lower())] = value
+        elif value:
+            body.unused.append(f"{entry.tag} = {-value:g}")
+
+
+def _uuv(link: ElementTree.Element, model: ElementTree.Element, body: _Body, path: Path) -> None:
+    squares = np.einsum("ijj->ij", body.quadratic)  # a view
+    targets = {
+        "added_mass": (body.added, 1.0),
+        "linear_damping": (body.linear, -1.0),
+        "quadratic_damping": (squares, -1.0),
+    }
+    for other in model:
+        if other.tag not in (*targets, "type") and re.search(r"[1-9]", other.text or ""):
+            body.unused.append(f"{other.tag} = {' '.join((other.text or '').split())[:40]}")
+    for name, (target, sign) in targets.items():
+        entry = model.find(name)
+        if entry is None:
+            continue
+        numbers = _list(entry, path)
+        if len(numbers) not in (6, 36):
+            remedy = "give 6 numbers (the diagonal) or 36"
+            raise InputError(f"has {len(numbers)} numbers", file=shown(path), key=name, remedy=remedy)
+        target += sign * (np.diag(numbers) if len(numbers) == 6 else numbers.reshape(6, 6))
+    volume, neutral = link.find("volume"), link.find("neutrally_buoyant")
+    body.volume = None if volume is None else _number(volume, path)
+    body.neutral = neutral is not None and (neutral.text or "").strip() in ("1", "true", "True")
+
+
+def _of(link: ElementTree.Element, where: str, attribute: str, path: Path) -> float | None:
+    entry = link.find(where)
+    if entry is None:
+        return None
+    text = entry.get(attribute) if attribute and entry.get(attribute) is not None else entry.text
+    return None if text is None or not text.strip() else _parsed(text, entry.tag, path)
+
+
+def _number(entry: ElementTree.Element, path: Path) -> float:
+    return _parsed(entry.text or "", entry.tag, path)
+
+
+def _list(entry: ElementTree.Element, path: Path) -> Array:
+    return np.array([_parsed(word, entry.tag, path) for word in (entry.text or "").split()])
+
+
+def _parsed(text: str, key: str, path: Path) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        remedy = "give a number; expand a xacro file first: xacro FILE > robot.urdf"
+        raise InputError("is not a number", file=shown(path), key=key, value=text.strip(), remedy=remedy) from None
+
+
+def _replace_properties(root: ElementTree.Element) -> None:
+    """Replace ${expression} by numbers, with the properties (xacro:property) and arguments (xacro:arg) of the file."""
+    names = {e.get("name", ""): e.get("value", "") for e in root.iter("property") if e.get("value") is not None}
+    arguments = {e.get("name", ""): e.get("default", "") for e in root.iter("arg") if e.get("default") is not None}
+
+    def replaced(text: str, depth: int = 0) -> str:
+        text = re.sub(r"\$\(arg (\w+)\)", lambda m: arguments.get(m[1], m[0]), text)
+        if depth > 20 or "${" not in text:
+            return text
+
+        def value(match: re.Match[str]) -> str:
+            inner = {name: replaced(held, depth + 1) for name, held in names.items() if name in match[1]}
+            result = _calculated(match[1], inner)
+            return match[0] if result is None else result
+
+        return re.sub(r"\$\{([^{}]*)\}", value, text)
+
+    for element in root.iter():
+        if element.tag in ("property", "arg"):
+            continue
+        if element.text:
+            element.text = replaced(element.text)
+        for key, held in element.attrib.items():
+            element.set(key, replaced(held))
+
+
+_OPERATORS: Mapping[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+}
+
+
+def _calculated(expression: str, names: Mapping[str, str]) -> str | None:
+    """Return the value of an expression of numbers, properties, + - * / **, and pi; None if it has anything else."""
+    if expression.strip() in names:
+        return names[expression.strip()]
+    try:
+        return repr(_value(ast.parse(expression.strip(), mode="eval").body, names))
+    except (SyntaxError, ValueError, ZeroDivisionError, OverflowError, RecursionError):
+        return None
+
+
+def _value(node: ast.expr, names: Mapping[str, str]) -> float:
+    if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+        return float(node.value)
+    if isinstance(node, ast.Name):
+        return float(np.pi) if node.id == "pi" and "pi" not in names else float(names.get(node.id, "no number"))
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
+        return -_value(node.operand, names) if isinstance(node.op, ast.USub) else _value(node.operand, names)
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
+        result = _OPERATORS[type(node.op)](_value(node.left, names), _value(node.right, names))
+        if isinstance(result, complex):
+            raise ValueError
+        return float(result)
+    raise ValueError

@@ -1,0 +1,216 @@
+"""Prediction of the motion in a log over short windows, beside the prediction that holds the last measured velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.marine.vehicle.identification.fitted import names_of, with_all_constants
+from surctl.marine.vehicle.identification.model import Model, Section, sections_of
+from surctl.marine.vehicle.identification.outliers import without_outliers
+from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
+from surctl.marine.vehicle.parameters import Vehicle
+
+__all__ = ["WINDOW", "Prediction", "predict", "predict_with"]
+
+WINDOW = 5.0
+"""Length of a window [s], if none is given."""
+
+_BEFORE, _BEFORE_ROWS = 1.0, 8  # [s] motion before a window for a velocity without measurement, at least these rows
+_LEAST_ROWS = 4  # rows of a window
+_LAGS = 5.0  # thrust lags after which the thrust no longer depends on its start
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The motion in windows of a log, measured and predicted from the first row of each window.
+
+    Attributes:
+        model: root mean square of the error of the vehicle's model, by column of the log.
+        hold: the same for a motion that keeps the velocity of the first row of each window.
+        window: length of the windows [s].
+        windows: number of windows.
+        time: (n,) [s] of the rows of all windows.
+        starts: (windows,) index of the first row of each window in `time`.
+        measured: (n, 8) measured motion; NaN where there is no measurement. If the vehicle rolls and pitches, (n, 12).
+        predicted: motion of the model, like `measured`.
+        held: motion with the velocity held, like `measured`.
+    """
+
+    model: Mapping[str, float]
+    hold: Mapping[str, float]
+    window: float
+    windows: int
+    time: Array
+    starts: NDArray[np.int64]
+    measured: Array
+    predicted: Array
+    held: Array
+
+
+def predict(log: MotionLog, vehicle: Vehicle, *, window: float = WINDOW) -> Prediction:
+    """Predict the motion of a log over successive windows with the model of a vehicle.
+
+    Each window starts with the measured motion of its first row. A velocity that the log does not contain follows from
+    the measured poses of the second before, or of eight rows if they take longer. The thrust has the lag of the
+    vehicle.
+
+    Args:
+        log: the log.
+        vehicle: the vehicle.
+        window: length of the windows [s].
+
+    Raises:
+        InputError: no window of the log begins with a measured state.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.vehicle import MotionLog, load_vehicle, predict
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(200)
+        >>> speed = 0.3 / (1 + 0.3 * 29.5 / 50 * t)  # coasting with quadratic drag
+        >>> motion = np.full((200, 8), np.nan)
+        >>> motion[:, 4] = speed
+        >>> result = predict(MotionLog(t, motion, np.zeros((200, 4))), boat)
+        >>> result.model["u_m_per_s"] < result.hold["u_m_per_s"], result.windows
+        (True, 3)
+    """
+    whole = with_all_constants(vehicle)
+    return predict_with(log, vehicle, {k: whole[k] for k in names_of(whole)}, window=window)
+
+
+def predict_with(log: MotionLog, start: Vehicle, values: Mapping[str, float], *, window: float = WINDOW) -> Prediction:
+    """Predict like `predict`, with parameters by name, which may be negative; `start` supplies all others.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.vehicle import CONSTANT_FORCE, FITTED, MotionLog, load_vehicle, predict_with
+        >>> boat, motion = load_vehicle("sur400"), np.full((200, 8), np.nan)
+        >>> motion[:, 4] = 0.2
+        >>> log = MotionLog(0.1 * np.arange(200), motion, np.zeros((200, 4)))
+        >>> values = {k: boat[k] for k in FITTED} | dict.fromkeys(CONSTANT_FORCE, 0.0) | {"Xu": 0.0, "Xuu": 0.0}
+        >>> predict_with(log, boat, values).model["u_m_per_s"] < 1e-9  # without drag, the speed stays
+        True
+    """
+    lag = values.get("thrust_lag", 0.0)
+    log = without_outliers(_columns(log, 12 if start.form.tilts else 8))
+    after = max(min(_LAGS * lag, window), _before(log))
+    windows = [w for section in sections_of(log) for w in _windows(log, section, window, after=after)]
+    states = [(w, x) for w in windows if (x := _first_state(log, *w, lag=lag)) is not None]
+    if not states:
+        raise InputError(
+            f"has no window of {window:g} s with a measured start", file=log.source, remedy="give a longer log"
+        )
+    sections = tuple(part for (_, part), _ in states)
+    model = Model(log, start, sections)
+    theta = model.begin(sections)
+    theta[: model.size] = (np.array([values[k] for k in model.names]) - model.start) / model.scale
+    theta[model.size :] = np.concatenate([x for _, x in states])
+    with np.errstate(over="ignore", invalid="ignore"):
+        predicted = [x[s.at][:, model.outputs] for s, x in zip(sections, model.states(theta, sections), strict=True)]
+    held = [_held(x, log.time[s.rows]) for s, (_, x) in zip(sections, states, strict=True)]
+    rows = np.concatenate([np.arange(s.rows.start, s.rows.stop) for s in sections])
+    measured, all_predicted, all_held = log.motion[rows], np.vstack(predicted), np.vstack(held)
+    return Prediction(
+        _errors(all_predicted - measured),
+        _errors(all_held - measured),
+        window,
+        len(sections),
+        log.time[rows],
+        np.concatenate([[0], np.cumsum([len(s.at) for s in sections])[:-1]]).astype(np.int64),
+        measured,
+        all_predicted,
+        all_held,
+    )
+
+
+def _before(log: MotionLog) -> float:
+    # [s] motion before a window from which velocities follow that the log does not contain
+    present = np.atleast_1d(np.isfinite(log.motion).any(axis=0))
+    if not (present[:4] & ~present[4:8]).any():
+        return 0.0
+    return max(_BEFORE, _BEFORE_ROWS * float(np.median(np.diff(log.time))))
+
+
+def _columns(log: MotionLog, count: int) -> MotionLog:
+    # with roll and pitch or without, as the vehicle
+    missing = np.full((len(log.time), max(count - log.motion.shape[1], 0)), np.nan)
+    return replace(log, motion=np.hstack([log.motion[:, :count], missing]))
+
+
+def _windows(log: MotionLog, section: Section, window: float, *, after: float) -> list[tuple[Section, Section]]:
+    # each with its section; the thrust at its start follows from the commands of the time `after` before
+    time = log.time[section.rows]
+    count = max(int((time[-1] - time[0] - after) // window), 0)
+    cuts = np.searchsorted(time, time[0] + after + window * np.arange(count + 1) - 1e-9)
+    parts = []
+    for one, other in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        if other - one >= _LEAST_ROWS:
+            parts.append((section, section.part(one, other - one)))
+    return parts
+
+
+def _first_state(log: MotionLog, section: Section, part: Section, *, lag: float) -> Array | None:
+    """Return the state (12,) or (16,) at the first row of a window, or None if a velocity cannot be computed."""
+    row, origin = part.rows.start, section.rows.start
+    motion = log.motion[row].copy()
+    measured = np.atleast_1d(np.isfinite(log.motion).any(axis=0))
+    if not np.isfinite(motion[measured]).all():
+        return None
+    pose, rate = (np.array(p)[: len(motion) // 2] for p in ((0, 1, 2, 3, 8, 9), (4, 5, 6, 7, 10, 11)))
+    first = min(int(np.searchsorted(log.time, log.time[row] - _BEFORE)), row + 1 - _BEFORE_ROWS)
+    before = slice(max(origin, first), row + 1)
+    poses, time = log.motion[before][:, pose], log.time[before]
+    if np.isnan(motion[rate]).any() and len(time) > 1:
+        speed = np.full(len(pose), np.nan)
+        for k in np.flatnonzero(np.isfinite(poses).all(axis=0)):
+            speed[k] = np.polyfit(time - time[-1], poses[:, k], 1)[0]
+        psi = motion[3] if np.isfinite(motion[3]) else 0.0
+        c, s = np.cos(psi), np.sin(psi)
+        speed[:2] = c * speed[0] + s * speed[1], c * speed[1] - s * speed[0]
+        motion[rate] = np.where(np.isnan(motion[rate]), speed, motion[rate])
+    needed = np.isfinite(motion[rate]) | ~(measured[pose] | measured[rate])
+    if not needed.all():
+        return None
+    motion = np.nan_to_num(motion)
+    return np.concatenate([motion[:8], _thrust(log, slice(origin, row + 1), lag), motion[8:]])
+
+
+def _thrust(log: MotionLog, rows: slice, lag: float) -> Array:
+    # thrust (4,) at the last of the rows
+    time, command = log.time[rows], log.thrust[rows]
+    if lag <= 0 or len(time) < 2:
+        return np.asarray(command[0] if len(time) < 2 else command[-2])
+    thrust = command[0]
+    for step, before in zip(np.diff(time), command[:-1], strict=True):
+        thrust = before + (thrust - before) * np.exp(-step / lag)
+    return np.asarray(thrust)
+
+
+def _held(state: Array, time: Array) -> Array:
+    # motion (n, 8) or (n, 12) with constant velocity in the body frame
+    t = (time - time[0])[:, None]
+    u, v, w, r = state[4:8]
+    turn = r * t[:, 0]
+    along = np.sinc(turn / (2 * np.pi)) * t[:, 0]  # chord of the arc
+    direction = state[3] + turn / 2
+    x = state[0] + along * (u * np.cos(direction) - v * np.sin(direction))
+    y = state[1] + along * (u * np.sin(direction) + v * np.cos(direction))
+    pose = np.column_stack([x, y, state[2] + w * t[:, 0], state[3] + turn])
+    rates = np.tile(state[4:8], (len(time), 1))
+    if len(state) == 12:
+        return np.hstack([pose, rates])
+    return np.hstack([pose, rates, state[12:14] + state[14:] * t, np.tile(state[14:], (len(time), 1))])
+
+
+def _errors(difference: Array) -> dict[str, float]:
+    return {
+        column: float(np.sqrt(np.mean(e[np.isfinite(e)] ** 2)))
+        for column, e in zip((*LOG_MOTION, *LOG_TILT), difference.T, strict=False)
+        if np.isfinite(e).any()
+    }

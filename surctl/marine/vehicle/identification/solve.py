@@ -1,0 +1,161 @@
+"""Least squares for the model of a log: the Levenberg-Marquardt method on normal equations, section by section."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.marine.vehicle.identification.model import Model, Section
+
+__all__ = ["beginning", "minimise", "products", "simulable"]
+
+Array = NDArray[np.float64]
+
+_CONVERGED, _NEAR = 1e-6, 1e-3  # relative change of the cost at which a fit and a first fit have converged
+_TRIES = 40
+_BLOCK = 500  # rows that are multiplied at a time
+_FIRST_ROWS, _FIRST_S, _LONGER = 20, 4.0, 3  # first fit: rows and [s] of each piece, growth per fit
+_MOST_STEPS, _LEAST_STEPS = 6000, 5  # integration steps of a first fit, and of a piece of it
+_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-9, 1e8
+
+
+def minimise(
+    model: Model,
+    theta: Array,
+    noise: Array,
+    sections: tuple[Section, ...],
+    *,
+    free: NDArray[np.bool_],
+    tolerance: float = _CONVERGED,
+) -> tuple[Array, bool]:
+    """Return the θ of least cost near `theta`, and whether the iteration has converged.
+
+    A heading that is wrong by whole turns over a section changes no other column, so it is a local minimum, in which
+    the noise of the heading counts as several radians. The headings are therefore turned back at the end, and if that
+    changes one, the iteration goes on from there.
+
+    Args:
+        model: the residuals.
+        theta: initial value, with a finite cost.
+        noise: (c,) standard deviation of the measurements by column.
+        sections: sections of the log.
+        free: (p,) parameters that may change; the initial states always may.
+        tolerance: relative change of the cost at which the iteration ends.
+    """
+    theta, converged = _descent(model, theta, noise, sections, free=free, tolerance=tolerance)
+    turned = model.turned_back(theta, sections)
+    if np.array_equal(turned, theta):
+        return theta, converged
+    return _descent(model, turned, noise, sections, free=free, tolerance=tolerance)
+
+
+def _descent(
+    model: Model,
+    theta: Array,
+    noise: Array,
+    sections: tuple[Section, ...],
+    *,
+    free: NDArray[np.bool_],
+    tolerance: float,
+) -> tuple[Array, bool]:
+    free = np.concatenate([free, np.ones(model.local * len(sections), dtype=bool)])
+    low = np.concatenate([model.low, np.full(model.local * len(sections), -np.inf)])
+    cost, damping = model.cost(theta, noise, sections), _DAMPING
+    for _ in range(_TRIES):
+        information, gradient = _normal(model, theta, noise, sections)
+        movable = free & ~((theta <= low) & (gradient > 0))  # at a bound, and the cost decreases beyond it
+        matrix, slope = information[np.ix_(movable, movable)], gradient[movable]
+        while True:
+            change = np.zeros(len(theta))
+            change[movable] = -np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), slope)
+            expected = -0.5 * float(change[movable] @ slope)  # gain of the cost
+            if expected <= 0.1 * tolerance * max(cost, 1.0):
+                return theta, True
+            candidate = np.maximum(theta + change, low)
+            after = model.cost(candidate, noise, sections)
+            if after <= cost:
+                break
+            damping *= 10.0
+            if damping > _MOST_DAMPING:
+                return theta, True  # no step decreases the cost
+        gained, theta, cost = cost - after, candidate, after
+        damping = max(damping / 10.0, _LEAST_DAMPING)
+        if gained <= tolerance * max(cost, 1.0):
+            return theta, True
+    return theta, False
+
+
+def _normal(model: Model, theta: Array, noise: Array, sections: tuple[Section, ...]) -> tuple[Array, Array]:
+    # the matrix JᵀJ and the gradient Jᵀe of all residuals, with the prior
+    mean, weight = model.prior(sections)
+    information, gradient = np.diag(weight), weight * (theta - mean)
+    size = model.size
+    for k, (left, slope) in enumerate(model.slopes(theta, noise, sections)):
+        flat = slope.reshape(-1, size + model.local)
+        places = np.concatenate([np.arange(size), size + model.local * k + np.arange(model.local)])
+        information[np.ix_(places, places)] += products(flat, flat)
+        gradient[places] += flat.T @ left.reshape(-1)
+    return information, gradient
+
+
+def products(one: Array, other: Array) -> Array:
+    """Return oneᵀ other of (n, p) and (n, q), summed over blocks of rows.
+
+    For a whole section, the linear algebra library starts threads. For so few columns they cost more than they gain, on
+    a machine with other load 40 times as much.
+    """
+    blocks = range(0, len(one), _BLOCK)
+    return np.asarray(np.sum([one[k : k + _BLOCK].T @ other[k : k + _BLOCK] for k in blocks], axis=0))
+
+
+def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
+    """Return a first θ for all sections, fitted to short pieces of them, then to pieces three times as long, and so on.
+
+    Over a whole section, a simulated heading may be wrong by more than half a turn; then the fit would end in a local
+    minimum. Over a short piece, which has an initial state of its own, the error of the simulated heading is smaller. A
+    long log is represented by some of its pieces.
+    """
+    longest = max(len(s.at) for s in model.sections)
+    rows = max(_FIRST_ROWS, int(_FIRST_S / float(np.median(np.diff(model.log.time)))))
+    parameters = np.zeros(model.size)
+    while rows < longest:
+        pieces = _pieces(model, rows)
+        theta = model.begin(pieces)
+        theta[: model.size] = parameters
+        theta = simulable(model, theta, noise, pieces)
+        theta, _ = minimise(model, theta, noise, pieces, free=free, tolerance=_NEAR)
+        parameters = theta[: model.size]
+        rows *= _LONGER
+    theta = model.begin(model.sections)
+    theta[: model.size] = parameters
+    return theta
+
+
+def _pieces(model: Model, rows: int) -> tuple[Section, ...]:
+    # pieces of all sections, spread over the log, with at most `_MOST_STEPS` steps unless one is longer
+    pieces = [s.part(k, rows) for s in model.sections for k in range(0, len(s.at), rows)]
+    pieces = [s for s in pieces if len(s.dt) >= _LEAST_STEPS and model.present[s.rows].any()] or [model.sections[0]]
+    count = int(np.clip(_MOST_STEPS // max(len(s.dt) for s in pieces), 1, len(pieces)))
+    return tuple(pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, count).round().astype(int)))
+
+
+def simulable(model: Model, theta: Array, noise: Array, sections: tuple[Section, ...]) -> Array:
+    """Return θ, if necessary nearer to the start vehicle, so that the simulated motion over the sections is finite.
+
+    A fit to a short part of the log may give a negative drag. With a negative drag, the simulated motion over a whole
+    section can diverge.
+
+    Raises:
+        InputError: no simulated motion is finite, not even for the start vehicle, so motion and thrust do not match.
+    """
+    for share in (1.0, 0.5, 0.25, 0.0):
+        tried = np.concatenate([share * theta[: model.size], theta[model.size :]])
+        for candidate in (tried, model.begin(sections)) if share == 0.0 else (tried,):
+            if np.isfinite(model.cost(candidate, noise, sections)):
+                return candidate
+    raise InputError(
+        "no simulated motion fits the log",
+        file=model.log.source,
+        remedy="check units and signs of thrust and motion (x forward, y left, z up, psi counter-clockwise)",
+    )

@@ -1,0 +1,407 @@
+"""The parameters of a vehicle, read from a TOML file; each parameter has a unit, a range and a provenance."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from surctl.errors import InputError, nearest
+from surctl.files import Quantity, Strict, pick, read_toml, validate
+from surctl.marine.vehicle.specs import (
+    DEFAULTED,
+    NEEDED_TO_TILT,
+    PARAMETERS,
+    TERMS,
+    ParameterSpec,
+    PlantForm,
+    parameter_spec,
+)
+from surctl.marine.vehicle.thruster_file import axis_limits, common_lag, read_actuators
+from surctl.marine.vehicle.thruster_limits import largest_forces
+from surctl.marine.vehicle.thrusters import Actuators
+
+__all__ = ["LIBRARY", "Parameter", "Vehicle", "load_vehicle"]
+
+LIBRARY = Path(__file__).parent / "library"
+
+_YAW = 3
+_SLOWEST = 1e-3  # [m/s] least speed for the limits of fins, which vanish at rest
+_FASTEST = 20.0  # [m/s] no craft of this project is faster
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """The value of a parameter with its unit, its range, and its provenance (where the value comes from)."""
+
+    value: float
+    unit: str
+    range: tuple[float, float] | None
+    provenance: str
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """A vehicle: its name, a note, its parameters by name (in SI units), and the name of its file.
+
+    The parameters are those of equation (3) of the paper, followed by the vehicle's optional terms (see `TERMS`).
+    `actuators` holds the thrusters and the order of their allocation; None: the vehicle file describes no thrusters,
+    and each axis has its own force limit. `speed` is the forward speed [m/s] at which the thrust limits of a vehicle
+    with fins hold: those of its file hold at 1 m/s (see `at_speed`).
+    """
+
+    name: str
+    note: str
+    parameters: Mapping[str, Parameter]
+    source: str = ""
+    actuators: Actuators | None = None
+    speed: float = 1.0
+
+    def __getitem__(self, name: str) -> float:
+        """Return the value of a parameter in its SI unit; for an unknown name, raise InputError with a similar name."""
+        if name not in self.parameters:
+            raise InputError("no such vehicle parameter", key=name, remedy=nearest(name, self.parameters))
+        return self.parameters[name].value
+
+    @property
+    def form(self) -> PlantForm:
+        """The optional terms that this vehicle has."""
+        return PlantForm.of(self.parameters)
+
+    @property
+    def mass(self) -> NDArray[np.float64]:
+        """Diagonal (4,) of the inertia matrix M: m11, m22, m33 [kg], m44 [kg m²]."""
+        return np.array([self[k] for k in ("m11", "m22", "m33", "m44")])
+
+    @property
+    def inertia(self) -> NDArray[np.float64]:
+        """The symmetric inertia matrix M (4, 4), rigid body and added mass, in kg, kg m and kg m².
+
+        The matrix of a vehicle that rolls and pitches is (6, 6), in the order (u, v, w, r, p, q).
+        """
+        inertia = np.diag([*self.mass, *([0.0, 0.0] if self.form.tilts else [])])
+        for i, j, name in self.form.inertia():
+            inertia[i, j] = inertia[j, i] = self[name]
+        return inertia
+
+    @property
+    def linear_drag(self) -> NDArray[np.float64]:
+        """Linear drag coefficients (4,): Xu, Yv, Zw [N s/m], Nr [N m s]."""
+        return np.array([self[k] for k in ("Xu", "Yv", "Zw", "Nr")])
+
+    def drag_at(self, cruise: float) -> NDArray[np.float64]:
+        """Return the linear drag (4,) at a forward speed [m/s], which the drag by |u| on each axis increases.
+
+        A law whose model has no such terms uses this drag at its cruise speed.
+
+        Example:
+            >>> from surctl.marine.vehicle import load_vehicle
+            >>> craft = load_vehicle("eca-a9")
+            >>> craft.linear_drag[3], craft.drag_at(1.0)[3] > 0
+            (0.0, True)
+        """
+        linear = self.linear_drag
+        for axis, name in self.form.ahead():
+            linear[axis] += self[name] * cruise
+        return linear
+
+    @property
+    def quadratic_drag(self) -> NDArray[np.float64]:
+        """Quadratic drag coefficients (4,): Xuu, Yvv, Zww [N s²/m²], Nrr [N m s²]."""
+        return np.array([self[k] for k in ("Xuu", "Yvv", "Zww", "Nrr")])
+
+    @property
+    def thrust_limit(self) -> NDArray[np.float64]:
+        """Thrust limits (4,) that hold in both directions: largest |F_u|, |F_v|, |F_w| [N] and |F_r| [N m].
+
+        Where the vehicle has less thrust astern than ahead, the limit is the thrust astern, because a law brakes by it.
+        """
+        least, most = self.thrust_range
+        return np.asarray(np.minimum(-least, most), dtype=float)
+
+    @property
+    def thrust_range(self) -> NDArray[np.float64]:
+        """Least and largest thrust (2, 4) in surge, sway, heave [N] and yaw [N m]; the least thrust is at most 0."""
+        return self._with_reverse(np.array([self[k] for k in ("Fu_max", "Fv_max", "Fw_max", "Fr_max")]))
+
+    @property
+    def thrust_bound(self) -> NDArray[np.float64]:
+        """Bounds (4,) of the thrust that reaches the plant: the thrust limits, or the most that the thrusters give."""
+        return self.thrust_limit if self.actuators is None else self.actuators.most
+
+    def at_speed(self, speed: float) -> Vehicle:
+        """Return the vehicle with the thrust limits that hold at a forward speed [m/s]; without fins, the vehicle.
+
+        The yaw moment of a rudder or another fin grows with the square of the speed.
+
+        Example:
+            >>> from surctl.marine.vehicle import load_vehicle
+            >>> craft = load_vehicle("remus100")
+            >>> [round(craft.at_speed(u)["Fr_max"], 3) for u in (0.5, 1.0, 2.0)]
+            [0.365, 1.46, 5.839]
+        """
+        if self.actuators is None or not self.actuators.fins or speed == self.speed:
+            return self
+        before, after = (axis_limits(self.actuators, max(u, _SLOWEST))[3] for u in (self.speed, speed))
+        factor, known = float(after / before), self.parameters["Fr_max"]
+        ends = None if known.range is None else (factor * known.range[0], factor * known.range[1])
+        moment = replace(known, value=factor * known.value, range=ends)
+        return replace(self, parameters={**self.parameters, "Fr_max": moment}, speed=max(speed, _SLOWEST))
+
+    def fin_share(self, speed: float) -> float:
+        """Return the share of the largest yaw moment that rudders and other fins give at a forward speed [m/s]."""
+        if self.actuators is None or not self.actuators.fins:
+            return 0.0
+        alone, most = (axis_limits(self.actuators, u)[3] for u in (0.0, max(speed, _SLOWEST)))
+        return float(1 - alone / most)
+
+    def munk(self, cruise: float) -> float:
+        """Return μ = m22 − m11 + Nuv + Nv/U [kg]: at a sway speed v, Munk moment and lift are μ u v; U: speed [m/s]."""
+        return self["m22"] - self["m11"] + self._term("Nuv") + self._term("Nv") / cruise
+
+    def centripetal(self, cruise: float) -> float:
+        """Return m = m11 + Yur + Yr/U [kg]: a turn at the yaw rate r needs the sway force m u r towards its centre.
+
+        It is negative if the fins give more than this force: the craft then drifts inwards.
+        """
+        return self["m11"] + self._term("Yur") + self._term("Yr") / cruise
+
+    def _term(self, name: str) -> float:
+        return self[name] if name in self.parameters else 0.0
+
+    @property
+    def delivered_limit(self) -> NDArray[np.float64]:
+        """Bounds (4,) of the thrust that the plant accepts ahead: the thrust range, or what thrusters with fins reach.
+
+        The allocation limits each fin by the present speed, so the plant must not limit the sum again.
+        """
+        most: NDArray[np.float64] = self.thrust_range[1]
+        if self.actuators is None or not self.actuators.fins:
+            return most
+        finned = np.maximum(most, _FASTEST**2 * self.actuators.most)
+        return np.where(self.actuators.finned, finned, most).astype(float)
+
+    @property
+    def delivered_range(self) -> NDArray[np.float64]:
+        """Least and largest thrust (2, 4) that the plant accepts: `delivered_limit`, and the stated thrust astern."""
+        return self._with_reverse(self.delivered_limit)
+
+    def _with_reverse(self, ahead: NDArray[np.float64]) -> NDArray[np.float64]:
+        astern = ahead.copy()
+        for axis, name in self.form.reverse():
+            astern[axis] = self[name]
+        return np.array([0.0 - astern, ahead])
+
+    def steady_yaw(self, share: float, cruise: float = 0.0) -> float:
+        """Return the yaw rate [rad/s] at which drag balances `share` of the largest yaw moment, in the worst case.
+
+        At a forward speed `cruise` [m/s], the drag in yaw contains the part that grows with this speed.
+        """
+
+        def worst(name: str, which: int) -> float:
+            known = self.parameters[name].range
+            return self[name] if known is None else known[which]
+
+        moment, linear, quadratic = share * worst("Fr_max", 0), worst("Nr", 1), worst("Nrr", 1)
+        linear += sum(worst(name, 1) * cruise for axis, name in self.form.ahead() if axis == _YAW)
+        return float(2 * moment / max(linear + np.sqrt(linear**2 + 4 * quadratic * moment), 1e-6))
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all parameter names and values and the thrusters, without provenance and ranges."""
+        numbers = json.dumps({name: p.value for name, p in self.parameters.items()}, sort_keys=True)
+        numbers += "" if self.actuators is None else self.actuators.text()
+        return hashlib.sha256(numbers.encode()).hexdigest()
+
+    def with_values(self, values: Mapping[str, float]) -> Vehicle:
+        """Return a copy with some values changed; each new value must lie in the range of its parameter."""
+        changed = dict(self.parameters)
+        for name, value in values.items():
+            self[name]
+            changed[name] = _checked(name, replace(changed[name], value=float(value)), file=self.source or self.name)
+        return _possible(replace(self, parameters=changed))
+
+
+class _VehicleFile(Strict):
+    kind: str = Field(pattern="^vehicle$")
+    name: str = Field(min_length=1)
+    note: str = ""
+    hull: dict[str, Quantity | str]
+    inertia: dict[str, Quantity | str]
+    drag: dict[str, Quantity | str]
+    thrust: dict[str, Quantity | str] = Field(default_factory=dict)
+    force: dict[str, Quantity | str] = Field(default_factory=dict)
+    attitude: dict[str, Quantity | str] = Field(default_factory=dict)
+    thruster: list[dict[str, Any]] = Field(default_factory=list)
+    allocation: dict[str, Any] | None = None
+
+
+def load_vehicle(name_or_path: str) -> Vehicle:
+    """Load a built-in vehicle by name, or a vehicle file by path.
+
+    Raises:
+        InputError: the name is unknown, the file is unreadable, a key is missing or unknown, a unit or sign is wrong, a
+            value is outside the range stated for it, or a table has no provenance.
+
+    Example:
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> boat = load_vehicle("sur400")
+        >>> boat["m11"], boat.parameters["m11"].unit, boat["radius"]
+        (50.0, 'kg', 0.2)
+    """
+    path = pick(str(name_or_path), LIBRARY, what="vehicle")
+    return vehicle_from_table(read_toml(path), source=str(path))
+
+
+def vehicle_from_table(table: dict[str, Any], *, source: str) -> Vehicle:
+    """Return a vehicle from the table of its file; `source` is the name of the file in error messages."""
+    if table.get("kind") != "vehicle":
+        raise InputError(
+            "is not a vehicle file", file=source, key="kind", value=table.get("kind"), remedy='write kind = "vehicle"'
+        )
+    model = validate(table, _VehicleFile, file=source)
+    if not model.name.isprintable():
+        remedy = "leave out line breaks and other control characters"
+        raise InputError("is not a name", file=source, key="name", value=model.name, remedy=remedy)
+    parameters: dict[str, Parameter] = {}
+    for section in ("hull", "inertia", "drag", "thrust", "force", "attitude"):
+        parameters |= _read_section(section, getattr(model, section), source)
+    actuators = read_actuators(model.thruster, model.allocation, source=source)
+    parameters |= _of_thrusters(actuators, model.thruster, parameters, source)
+    for name, spec in PARAMETERS.items():
+        if name in parameters:
+            continue
+        if spec.default is None:
+            raise InputError(
+                "is missing",
+                file=source,
+                key=f"{spec.table}.{name}",
+                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
+            )
+        parameters[name] = Parameter(spec.default, spec.unit, None, DEFAULTED)
+    ordered = {name: parameters[name] for name in (*PARAMETERS, *TERMS) if name in parameters}
+    return _possible(Vehicle(model.name, model.note, ordered, source, actuators))
+
+
+def _possible(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle if its terms describe a body; else raise InputError.
+
+    Kinetic energy requires a positive definite inertia matrix, and roll and pitch need inertia, weight and buoyancy.
+    """
+    form, file = vehicle.form, vehicle.source or vehicle.name
+    for name in NEEDED_TO_TILT if form.tilts else ():
+        if name not in form.terms:
+            spec = TERMS[name]
+            raise InputError(
+                "is missing in a vehicle with other terms of roll and pitch",
+                file=file,
+                key=f"{spec.table}.{name}",
+                remedy=f'add {name} = {{ value = ..., unit = "{spec.unit}" }} ({spec.meaning})',
+            )
+    couplings = [entry for entry in form.inertia() if entry[0] != entry[1]]
+    if couplings and np.linalg.eigvalsh(vehicle.inertia)[0] <= 0:
+        own = np.diag(vehicle.inertia)
+        i, j, name = max(couplings, key=lambda entry: vehicle[entry[2]] ** 2 / (own[entry[0]] * own[entry[1]]))
+        most, ends = np.sqrt(own[i] * own[j]), " ".join(("m11", "m22", "m33", "m44", "mpp", "mqq")[k] for k in (i, j))
+        raise InputError(
+            "makes the inertia matrix indefinite",
+            file=file,
+            key=f"inertia.{name}",
+            value=vehicle[name],
+            remedy=f"alone, its size must be below sqrt({ends}) = {most:.4g} {TERMS[name].unit}",
+        )
+    return vehicle
+
+
+def _of_thrusters(
+    actuators: Actuators | None, tables: list[dict[str, Any]], stated: Mapping[str, Parameter], source: str
+) -> dict[str, Parameter]:
+    # the parameters of [thrust] that follow from the thrusters, where the file does not state them
+    if actuators is None:
+        return {}
+    said = "follows from the thrusters: the largest value with 0 on all other axes"
+    limits = largest_forces(actuators, stated=stated, source=source)
+    derived = {name: Parameter(v, _spec(name).unit, None, said) for name, v in limits.items()}
+    known = stated.get("thrust_lag")
+    lag = common_lag(tables, known=None if known is None else known.value, source=source)
+    derived |= {} if lag is None else {"thrust_lag": Parameter(lag, "s", None, "lag of every thruster")}
+    return {name: _checked(name, known, file=source) for name, known in derived.items() if name not in stated}
+
+
+def _read_section(section: str, table: Mapping[str, Quantity | str], source: str) -> dict[str, Parameter]:
+    known = [name for name, spec in (*PARAMETERS.items(), *TERMS.items()) if spec.table == section]
+    shared = table.get("provenance")
+    if shared is not None and (not isinstance(shared, str) or not shared.strip()):
+        raise InputError(
+            "must be a text", file=source, key=f"{section}.provenance", remedy="state where the numbers come from"
+        )
+    parameters = {}
+    for name, entry in table.items():
+        if name == "provenance":
+            continue
+        key = f"{section}.{name}"
+        if name not in known:
+            raise InputError("unknown key", file=source, key=key, remedy=nearest(name, [*known, "provenance"]))
+        entry = _in_own_unit(name, entry, file=source)
+        provenance = entry.provenance or shared
+        if not isinstance(provenance, str):
+            raise InputError(
+                "has no provenance",
+                file=source,
+                key=key,
+                remedy=f'add provenance = "..." to [{section}]: who measured or derived it',
+            )
+        parameters[name] = _checked(name, Parameter(entry.value, entry.unit, entry.range, provenance), file=source)
+    return parameters
+
+
+def _in_own_unit(name: str, entry: Quantity | str, *, file: str) -> Quantity:
+    spec = _spec(name)
+    try:
+        return (Quantity.model_validate(entry) if isinstance(entry, str) else entry).within(spec.unit)
+    except ValidationError:
+        raise InputError(
+            "must be a value with its unit",
+            file=file,
+            key=f"{spec.table}.{name}",
+            value=entry,
+            remedy=f'write {{ value = ..., unit = "{spec.unit}" }}',
+        ) from None
+    except InputError as error:
+        raise error.inside(file, f"{spec.table}.{name}.unit") from None
+
+
+def _checked(name: str, parameter: Parameter, *, file: str) -> Parameter:
+    spec = _spec(name)
+    key, value = f"{spec.table}.{name}", parameter.value
+    if not np.isfinite(value) or (value < 0 and not spec.signed) or (value == 0 and not spec.zero_allowed):
+        bound = "must be at least 0" if spec.zero_allowed else "must be greater than 0"
+        bound = "must be finite" if spec.signed else bound
+        raise InputError(bound, file=file, key=key, value=value, remedy=f"{spec.meaning}, in {spec.unit}")
+    if parameter.range is not None:
+        low, high = parameter.range
+        if not ((spec.signed or low >= 0) and low <= high and np.isfinite([low, high]).all()):
+            raise InputError(
+                "is not a range", file=file, key=f"{key}.range", value=parameter.range, remedy="write [low, high]"
+            )
+        if not low <= value <= high:
+            raise InputError(
+                f"lies outside its own range [{low:g}, {high:g}]",
+                file=file,
+                key=key,
+                value=value,
+                remedy="widen the range or correct the value",
+            )
+    return parameter
+
+
+def _spec(name: str) -> ParameterSpec:
+    spec = parameter_spec(name)
+    assert spec is not None  # the callers have checked the name
+    return spec

@@ -1,0 +1,214 @@
+"""The library of claims about braking: for the braking rule alone, and for both barriers of the guarded law."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from math import ceil, sqrt
+from typing import Literal, NamedTuple
+
+from surctl.errors import InputError, NotApplicable, nearest
+from surctl.marine.control import Barrier, Gains, build_law
+from surctl.marine.guidance.braking import LEAST_THRUST, Brakes, Watch, brakes_of
+from surctl.marine.vehicle import Vehicle, check_equation_3
+from surctl.marine.verification.assumptions import check_sway_force
+from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers, law_numbers
+from surctl.verification.setting import OVERSHOOT
+
+__all__ = ["BRAKING_CLAIMS", "BrakingEntry", "braking_claim_named"]
+
+_SPREAD = 0.2
+_APART = 0.05  # by how much the ratio of unequal masses may be off
+_FASTEST, _CAP = 0.25, 0.22  # [m/s] largest own speed, and the speed cap that it belongs to
+_BEYOND = 1.08  # largest speed in simulated runs, divided by the steady one
+_SPEEDS = (0.10, 0.15, 0.22)  # [m/s] own speeds of the table
+_SENSED = Watch(age=0.2, range_error=0.05, speed_error=0.01)
+_COLUMNS = (0.0, 0.05, 0.10, 0.15)  # [m/s] approach speeds of obstacles in the rule's table
+
+
+class BrakingEntry(NamedTuple):
+    """The statement of a claim in words, and the function that builds the claim."""
+
+    statement: str
+    build: Callable[[str, Vehicle, Gains, float], BrakingClaim]
+
+
+def _true(vehicle: Vehicle, share: float, *, wide: bool) -> Brakes:
+    """Return the braking data of a vehicle whose mass and drag are uncertain by ±20 %; its masses of the lighter axis.
+
+    If `wide`, the ranges of the vehicle file replace ±20 % for all parameters but linear drag.
+    """
+    near = brakes_of(vehicle, share=share, spread=_SPREAD)
+    light = min(vehicle["m11"], vehicle["m22"])
+    if wide:
+        (low, high), (low2, high2) = _masses(vehicle)
+        masses = min(low, low2), max(high, high2) if _equal(vehicle) else min(high, high2)
+        return replace(brakes_of(vehicle, share=share), linear=near.linear, masses=masses)
+    return replace(near, masses=(light * (1 - _SPREAD), light * (1 + _SPREAD)))
+
+
+def _masses(vehicle: Vehicle) -> list[tuple[float, float]]:
+    """Return the ranges of the masses in surge and sway; a mass without a range counts as exact."""
+    return [vehicle.parameters[name].range or (vehicle[name], vehicle[name]) for name in ("m11", "m22")]
+
+
+def _equal(vehicle: Vehicle) -> bool:
+    surge, sway = _masses(vehicle)
+    return vehicle["m11"] == vehicle["m22"] and surge == sway
+
+
+def _ratio(vehicle: Vehicle, *, wide: bool) -> float:
+    """Return the largest ratio of the masses in surge and sway; 1 for equal masses, which are then off in common."""
+    if wide and not _equal(vehicle):
+        (low, high), (low2, high2) = _masses(vehicle)
+        return ceil(max(high / low2, high2 / low) * 1e9) / 1e9
+    light, heavy = sorted((vehicle["m11"], vehicle["m22"]))
+    return 1.0 if light == heavy else round(heavy / light * (1 + _APART), 9)
+
+
+def _drag(vehicle: Vehicle, stated: Literal["along", "axes"], *, wide: bool) -> Literal["along", "axes"]:
+    """Return how drag acts: axis by axis if surge and sway differ, because it is then not along the velocity."""
+    for surge, sway in (("Xu", "Yv"), ("Xuu", "Yvv")):
+        ranges = [vehicle.parameters[name].range for name in (surge, sway)]
+        if vehicle[surge] != vehicle[sway] or (wide and ranges[0] != ranges[1]):
+            return "axes"
+    return stated
+
+
+def _diagonal(brakes: Brakes, drag: Literal["along", "axes"]) -> Brakes:
+    """Return the brakes with the largest thrust on a diagonal, if each axis has its own drag and its own limit."""
+    return replace(brakes, most=brakes.most * sqrt(2)) if drag == "axes" else brakes
+
+
+def _check(vehicle: Vehicle, *, wide: bool) -> None:
+    """Raise NotApplicable if the vehicle violates an assumption of the claims."""
+    check_sway_force(vehicle)
+    check_equation_3(vehicle)
+    if wide and not _equal(vehicle) and None in (vehicle.parameters["m11"].range, vehicle.parameters["m22"].range):
+        values = " and ".join(f"{name} = {vehicle[name]:g} kg" for name in ("m11", "m22"))
+        raise NotApplicable(
+            f"{values} differ and the vehicle file has no ranges for both, over which the claim would hold"
+        )
+
+
+def _rule(*, wide: bool, sideways: float = 0.0) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
+    def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
+        del gains
+        _check(vehicle, wide=wide)
+        acting = _drag(vehicle, "along", wide=wide)
+        brakes = _diagonal(_true(vehicle, LEAST_THRUST, wide=wide), acting)
+        digests = (_digest(vehicle), "0" * 64)  # there is no law
+        return BrakingClaim(
+            name, brakes, _SENSED, acting, _COLUMNS, _fastest(cap), sideways=sideways,
+            side=0.0 if (ratio := _ratio(vehicle, wide=wide)) == 1 else brakes.most, speeds=_rows(cap), digests=digests,
+            ratio=ratio,
+        )  # fmt: skip
+
+    return build
+
+
+def _guarded(
+    barrier: Barrier,
+    *,
+    wide: bool = False,
+    drag: Literal["along", "axes"] = "along",
+    sideways: float = 0.22,
+    spins: bool = False,
+    obstacle: float = 0.0,
+) -> Callable[[str, Vehicle, Gains, float], BrakingClaim]:
+    def build(name: str, vehicle: Vehicle, gains: Gains, cap: float) -> BrakingClaim:
+        _check(vehicle, wide=wide)
+        numbers = law_numbers(barrier, vehicle, gains, cap=cap)
+        # the inertia bound relies on the share `brake` of the thrust; the simple bound needs all guaranteed thrust
+        brakes = _true(vehicle, LEAST_THRUST if barrier == "simple" else gains["brake"], wide=wide)
+        acting = _drag(vehicle, drag, wide=wide)
+        brakes = _diagonal(brakes, acting)
+        law = build_law(barrier=barrier, movers="barrier" if obstacle else "predict")
+        return BrakingClaim(
+            name,
+            brakes,
+            Watch(period=law.dt),
+            acting,
+            (obstacle,),
+            max(_fastest(cap), _attained(numbers, brakes)),
+            sideways=sideways,
+            turn=gains["spin"] if spins else 0.0,
+            side=brakes.most,
+            law=numbers,
+            speeds=_rows(cap),
+            digests=(_digest(vehicle), law.block.digest()),
+            ratio=_ratio(vehicle, wide=wide),
+        ).braking_with(brakes.least)
+
+    return build
+
+
+def _fastest(cap: float) -> float:
+    return _FASTEST if cap <= _CAP else round(OVERSHOOT * cap, 9)
+
+
+def _attained(law: LawNumbers, brakes: Brakes) -> float:
+    """Return the speed [m/s] at which the law ends up with the least drag of the claim, and what it overshoots by.
+
+    The velocity loop pushes with m k_v (cap − v) and the drag of its model at the cap, on each axis with its own model.
+    """
+    steady, (low, low2) = 0.0, (brakes.linear[0], brakes.quadratic[0])
+    for mass, linear, quadratic in zip(law.mass, law.linear, law.quadratic, strict=True):
+        loop = mass * law.k_v
+        thrust, slope = loop * law.cap + linear * law.cap + quadratic * law.cap**2, loop + low
+        steady = max(steady, 2 * thrust / (slope + sqrt(slope**2 + 4 * low2 * thrust)))
+    return ceil(_BEYOND * steady * 1e3) / 1e3
+
+
+def _rows(cap: float) -> tuple[float, ...]:
+    return _SPEEDS if cap <= _CAP else (*_SPEEDS, cap)
+
+
+def _digest(vehicle: Vehicle) -> str:
+    numbers = json.dumps({key: p.value for key, p in vehicle.parameters.items()}, sort_keys=True)
+    return hashlib.sha256(numbers.encode()).hexdigest()
+
+
+BRAKING_CLAIMS: Mapping[str, BrakingEntry] = {
+    "braking-rule-20": BrakingEntry(
+        "rule that brakes unless the range needed is available: table of ranges, parameters ±20 %, sensor errors",
+        _rule(wide=False),
+    ),
+    "braking-rule-ranges": BrakingEntry("as braking-rule-20, over the ranges of the vehicle file", _rule(wide=True)),
+    "braking-rule-20-plane": BrakingEntry(
+        "as braking-rule-20, with a speed of up to 0.1 m/s across the latched direction",
+        _rule(wide=False, sideways=0.1),
+    ),
+    "braking-inertia-20": BrakingEntry(
+        "law guarded, barrier inertia: no contact with obstacles at rest, parameters ±20 %, spin, any sideways speed",
+        _guarded("inertia", spins=True),
+    ),
+    "braking-inertia-ranges": BrakingEntry(
+        "as braking-inertia-20, over the ranges of the vehicle file", _guarded("inertia", wide=True, spins=True)
+    ),
+    "braking-inertia-20-axes": BrakingEntry(
+        "as braking-inertia-20, with drag and thrust limits axis by axis and up to 0.05 m/s sideways",
+        _guarded("inertia", drag="axes", sideways=0.05, spins=True),
+    ),
+    "braking-inertia-20-movers": BrakingEntry(
+        "law guarded, barrier on moving obstacles that approach at 0.05 m/s, parameters ±20 %, up to 0.1 m/s sideways",
+        _guarded("inertia", obstacle=0.05, sideways=0.1),
+    ),
+    "braking-simple-20": BrakingEntry(
+        "as braking-inertia-20, with the barrier simple and without spinning", _guarded("simple")
+    ),
+}
+
+
+def braking_claim_named(name: str, vehicle: Vehicle, gains: Gains, *, cap: float = _CAP) -> BrakingClaim:
+    """Return the claim about braking with a given name, for a vehicle, its gains and its speed cap [m/s].
+
+    Raises:
+        InputError: no claim has this name; the message gives the most similar known name.
+        NotApplicable: the vehicle or the gains violate an assumption of the claim.
+    """
+    if name not in BRAKING_CLAIMS:
+        raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, BRAKING_CLAIMS))
+    return BRAKING_CLAIMS[name].build(name, vehicle, gains, cap)

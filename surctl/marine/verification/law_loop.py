@@ -1,0 +1,311 @@
+"""The sampled loop of any law about a straight cruise, linearised numerically from the law that runs.
+
+The law is differentiated by central differences of its control step, so the linear loop needs no model of the law. All
+quantities are deviations from a cruise along x at the speed U, far from the ends of the path, obstacles and walls (the
+same place as in `cascade`), or from a steady motion of a run. The plant is continuous, with thrust lag; thrust commands
+are held over a control period and computed one period before they act.
+
+A state of the law belongs to the loop if the measurements change it and it changes the thrust. An axis that the law
+leaves alone (heave without heave force), and a coordinate that changes nothing (the position along a wall that is
+followed), do not belong to the loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.marine.allocation import allocate
+from surctl.marine.control import Gains, Law, law_parameters, law_source
+from surctl.marine.guidance import Path
+from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
+from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.marine.verification.operating_point import OperatingPoint
+from surctl.own_code import label
+from surctl.system import LinearLoop, LoopNames
+from surctl.verification.margins import LoopMargins
+from surctl.verification.sampled_loop import SampledLoop
+from surctl.verification.sampled_margins import system_margins
+
+Array = NDArray[np.float64]
+
+__all__ = ["LawLoop", "law_loop"]
+
+_UNITS = {"x": "m", "y": "m", "z": "m", "psi": "rad", "u": "m/s", "v": "m/s", "w": "m/s", "r": "rad/s"}
+_AXES = ("surge", "sway", "heave", "yaw")
+_HEADROOM = 1.5  # speed cap over the cruise speed: the cap must not act in a cruise
+_FAR = 1e6  # [m]
+_STEP = 1e-6  # of the central differences
+_COUPLED = 1e-9  # largest derivative that counts as none
+_NEUTRAL = 1e-4  # the same for x and y, as a share of the larger: the heading of a run is not exact
+_KINK = 0.01  # relative difference of one-sided derivatives that is reported
+
+
+@dataclass(frozen=True, eq=False)
+class LawLoop(SampledLoop):
+    """The linear sampled loop of a law about a cruise.
+
+    Attributes:
+        law: name of the law.
+        cruise: cruise speed U [m/s].
+        linear: the loop, with the thrust commands and the measurements as signals.
+        place: the motion about which the loop is linearised, as text.
+        free: coordinates that change nothing; they are left out.
+        kink: difference of the one-sided derivatives of the law there, relative to their size; 0 if it is smooth.
+    """
+
+    law: str
+    cruise: float
+    linear: LinearLoop
+    place: str = ""
+    free: tuple[str, ...] = ()
+    kink: float = 0.0
+
+    @property
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """The thrust commands, and the measured pose if the law uses it."""
+        names = self.linear.names
+        pose = tuple(name for name in names.outputs if name in STATE_NAMES[:4])
+        return {"thrust": names.commands} | ({"measurement": pose} if pose else {})
+
+    @cached_property
+    def margins(self) -> tuple[LoopMargins, ...]:
+        """Margins of each loop alone, opened at a thrust command or a measurement."""
+        return system_margins(self.linear)
+
+    def lines(self) -> list[str]:
+        """Return lines of text with the margins of each loop."""
+        where = f"about {self.place}" if self.place else f"at {self.cruise:g} m/s"
+        head = f"sampled loop of law {self.law} {where}, linearised numerically: "
+        notes = [f"  left out, because nothing depends on it: {', '.join(self.free)}"] if self.free else []
+        notes = ["  x is the position along the motion, y the position to its left", *notes] if self.place else notes
+        if self.kink > _KINK:
+            slopes = f"the derivatives of the law to both sides differ by {self.kink:.0%}"
+            notes.append(f"  caution: {slopes} there; the margins are those of their mean")
+        if not self.stable:
+            return [f"{head}UNSTABLE, largest pole |z| = {abs(self.poles[0]):.5f}", *notes]
+        disks = ", ".join(f"{each.guaranteed:.2f} ({each.place})" for each in self.disks)
+        lines = [f"{head}stable, disk margin {self.disk:.2f}; all loops at once: {disks}"]
+        for m in self.margins:
+            gain = f"gain {m.least_gain:.2g} to {m.gain_margin:.2g}"
+            phase = "phase never lost" if np.isinf(m.phase_margin_deg) else f"phase {m.phase_margin_deg:.0f} deg"
+            delay = "" if np.isinf(m.delay_margin_s) else f", delay {m.delay_margin_s:.2f} s"
+            lines.append(f"  loop {m.name}: {gain}, {phase}{delay}, disk {m.disk_margin:.2f}")
+        return lines + notes
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the stability of the loop as plain data for JSON."""
+        return {
+            "law": self.law,
+            "cruise_m_per_s": self.cruise,
+            "stable": self.stable,
+            "disk_margin": self.disk,
+            "disk_margins": [each.to_dict() for each in self.disks],
+            "largest_pole": float(np.abs(self.poles[0])),
+            "place": self.place or None,
+            "free": list(self.free),
+            "kink": self.kink,
+        }
+
+
+def law_loop(
+    law: Law,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    cruise: float,
+    model: Vehicle | None = None,
+    at: OperatingPoint | None = None,
+) -> LawLoop:
+    """Return the linear sampled loop of a law about a straight cruise, or about a steady motion.
+
+    Args:
+        law: a law for exact obstacle positions, without sonars.
+        vehicle: the plant.
+        gains: the gains of the law; gains of its own that are missing have their defaults.
+        cruise: cruise speed U [m/s], > 0.
+        model: the controller's model of the vehicle; default: the vehicle itself.
+        at: a steady motion (`steady_motion`), in place of the cruise; it fixes the law's gains and model, and its speed
+            replaces `cruise`.
+
+    Raises:
+        InputError: the law uses sonars, or the vehicle cannot cruise at that speed.
+
+    Example:
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import law_loop
+        >>> loop = law_loop(build_law("vo"), load_vehicle("sur400"), load_gains("default"), cruise=0.15)
+        >>> loop.stable, [m.name for m in loop.margins]
+        (True, ['surge', 'sway', 'heave', 'yaw', 'x', 'y', 'z', 'psi', 'u', 'v', 'w', 'r'])
+    """
+    if "samples" in law.inputs:
+        raise InputError("uses sonars", key="law", value=law.name, remedy="build it with sonar=False")
+    if at is not None:
+        return _loop(law, vehicle, at, place=at.text)
+    check_cruise(vehicle, cruise)
+    p = law_numbers(law, model or vehicle, gains.with_own(law_source(law.ref).gains), cruise=cruise)
+    nu, x = np.array([cruise, 0.0, 0.0, 0.0]), law.initial_state()
+    x[law.state.slice("progress")] = _FAR  # arc length of the path's middle
+    if "surge" in law.state:  # in a cruise, a law that predicts its speed through the water has found it
+        x[law.state.slice("surge")] = cruise
+    return _loop(law, vehicle, OperatingPoint(x, law.inputs.pack({"eta": np.zeros(4), "nu": nu}), p, nu, 0.0, ""))
+
+
+def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
+    """Return the law's parameters for a straight cruise in the middle of a path without end."""
+    path = Path(np.array([[-_FAR, 0.0], [_FAR, 0.0]]))
+    site = (-2 * _FAR, 2 * _FAR, -2 * _FAR, 2 * _FAR)
+    return law_parameters(gains, model, path=path, depth=0.0, cruise=cruise, cap=_HEADROOM * cruise, walls=site)
+
+
+def _loop(law: Law, vehicle: Vehicle, at: OperatingPoint, *, place: str = "") -> LawLoop:
+    (Az, By, C, D), kink, axis = _differentiated(law, at)
+    linear, free = _linear(law, vehicle, at, (Az, By, C, D), axis)
+    return LawLoop(label(law.ref), at.speed, linear, place, free, kink)
+
+
+def _linear(
+    law: Law, vehicle: Vehicle, at: OperatingPoint, slopes: tuple[Array, Array, Array, Array], axis: float
+) -> tuple[LinearLoop, tuple[str, ...]]:
+    # the loop, and the coordinates that are left out
+    form = vehicle.form
+    along, ahead = _turned(axis).T @ at.current, _turned(at.heading).T @ at.current
+    numbers, psi = plant_parameters(vehicle)[None], at.heading - axis
+    (A,), (B,), _ = plant_jacobians(numbers, at.nu[None], psi=psi, form=form, current=along)
+    B = B @ delivered(vehicle, at.nu - np.array([*ahead, 0.0, 0.0]))
+    Az, By, C, D = slopes
+    acting = [bool(np.abs(row).max() > _COUPLED) for row in np.hstack([C, D])]
+    lagged = float(plant_parameters(vehicle)[PLANT_PARAMETERS.slice("thrust_lag")][0]) > 0
+    tilt = range(len(STATE_NAMES), len(A))
+    # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
+    coupled = A[[4, 5, 7, *tilt], 6].any()
+    apart = [] if acting[2] else [2] if coupled else [2, 6]
+    slope = np.abs(np.vstack([By[_in_loop(Az, By, C)], D])).max(axis=0)
+    felt = slope > np.maximum(_COUPLED, np.where(np.arange(8) < 2, _NEUTRAL * slope[:2].max(), 0.0))
+    free = _free(A, felt, [k for k in range(4) if k not in apart])
+    apart += free
+    moving = [k for k in range(8) if k not in apart]
+    thrusts = [8 + k for k in range(4) if lagged and acting[k]]
+    included, driven = [*moving, *thrusts, *tilt], [k for k in range(4) if acting[k]]
+    states = [(*STATE_NAMES, *TILT_NAMES)[k] for k in included]
+    A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
+    own = _in_loop(Az, By[:, moving], C)
+    Az, By, C, D = Az[np.ix_(own, own)], By[np.ix_(own, moving)], C[np.ix_(driven, own)], D[np.ix_(driven, moving)]
+    names, axes = states[: len(moving)], [_AXES[k] for k in driven]
+    # a state of the law may have several entries, so the loop names them by number
+    inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
+    zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
+    measured = np.eye(len(names), len(states))
+    plant = (A, B, np.zeros((len(states), 0)), measured, np.zeros((len(names), 0)))
+    controller = (
+        np.block([[Az, np.zeros((len(own), len(driven)))], [C, zero]]),
+        np.vstack([By, D]),
+        np.zeros((len(inner), 0)),
+        np.hstack([np.zeros((len(driven), len(own))), np.eye(len(driven))]),
+        np.zeros((len(driven), len(names))),
+        none,
+    )
+    force = tuple(axes)
+    units = [(f"command.{axis}", "N m" if axis == "yaw" else "N") for axis in axes]
+    units += [(f"measured.{name}", _UNITS[name]) for name in names]
+    labels = LoopNames("craft", "law", tuple(states), tuple(inner), force, force, tuple(names), units=tuple(units))
+    return LinearLoop(plant, controller, labels, law.dt), tuple(STATE_NAMES[k] for k in free)
+
+
+def _free(A: Array, felt: NDArray[np.bool_], coordinates: Sequence[int]) -> list[int]:
+    # coordinates on which neither the law nor another state depends
+    free: list[int] = []
+    while True:
+        others = [k for k in range(len(A)) if k not in free]
+        more = [
+            k for k in coordinates if k not in free and not felt[k] and not A[[o for o in others if o != k], k].any()
+        ]
+        if not more:
+            return sorted(free)
+        free += more
+
+
+def delivered(vehicle: Vehicle, nu: Array) -> Array:
+    """Return the derivative (4, 4) of the force and yaw moment that the thrusters deliver by the command of the law.
+
+    It is the identity, unless a command moves another axis too: a rudder pushes sideways when it turns the craft. `nu`
+    is the velocity through the water.
+    """
+    if vehicle.actuators is None:
+        return np.eye(4)
+    trim = np.where(vehicle.thrust_limit > 0, trim_thrust(vehicle, nu), 0.0)
+    scale = 1e-4 * vehicle.actuators.largest
+    steps = [
+        allocate(vehicle.actuators, trim + sign * scale * e, speed=float(nu[0])).achieved
+        for e in np.eye(4)
+        for sign in (1.0, -1.0)
+    ]
+    J = np.column_stack([(steps[2 * k] - steps[2 * k + 1]) / (2 * scale) for k in range(4)])
+    return np.eye(4) if np.abs(J - np.eye(4)).max() < _COUPLED**0.5 else J
+
+
+def _turned(angle: float) -> Array:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def _differentiated(law: Law, at: OperatingPoint) -> tuple[tuple[Array, Array, Array, Array], float, float]:
+    """Return A, B, C, D of z⁺ = A z + B y and thrust = C z + D y, the relative difference of one-sided derivatives, and
+    the direction of x [rad].
+
+    y = (x, y, z, ψ, u, v, w, r), with x along the motion over ground and y to its left; where the law depends on one
+    direction alone, such as the distance from a line, that direction is the nearer of both, exactly.
+    """
+    size, eta, nu = law.state.size, law.inputs.slice("eta"), law.inputs.slice("nu")
+    turned = np.eye(4)
+    turned[:2, :2] = _turned(at.course)
+    directions = []
+    for k in range(size):
+        dz = np.zeros(size)
+        dz[k] = 1.0
+        directions.append((dz, np.zeros(law.inputs.size)))
+    for place, basis in ((eta, turned), (nu, np.eye(4))):
+        for k in range(4):
+            du = np.zeros(law.inputs.size)
+            du[place] = basis[:, k]
+            directions.append((np.zeros(size), du))
+
+    def outputs(dz: Array, du: Array, step: float) -> Array:
+        done = law.step(at.x + step * dz, at.u + step * du, at.p)
+        return np.concatenate([done.x_next, done.tau])
+
+    here = outputs(*directions[0], 0.0)
+    ahead = np.array([(outputs(dz, du, _STEP) - here) / _STEP for dz, du in directions]).T
+    behind = np.array([(here - outputs(dz, du, -_STEP)) / _STEP for dz, du in directions]).T
+    J = (ahead + behind) / 2
+    kink = float(np.abs(ahead[size:] - behind[size:]).max() / max(np.abs(J[size:]).max(), _COUPLED))
+    inside = _in_loop(J[:size, :size], J[:size, size:], J[size:, :size])  # the progress along a path may be outside
+    angle = _neutral(J[[*inside, *range(size, len(J))], size : size + 2])
+    J[:, size : size + 2] @= _turned(angle)
+    return (J[:size, :size], J[:size, size:], J[size:, :size], J[size:, size:]), kink, at.course + angle
+
+
+def _neutral(slopes: Array) -> float:
+    # angle [rad], within a right angle, by which x and y are turned so that the law depends on one of them alone
+    _, sizes, directions = np.linalg.svd(slopes, full_matrices=False)
+    if not (sizes[0] > _COUPLED and sizes[1] <= _NEUTRAL * sizes[0]):
+        return 0.0
+    quarter = 0.5 * np.pi
+    return float((np.arctan2(directions[0, 1], directions[0, 0]) + 0.5 * quarter) % quarter - 0.5 * quarter)
+
+
+def _in_loop(A: Array, B: Array, C: Array) -> list[int]:
+    # states that the measurements reach, and that reach the thrust
+    links = np.abs(A) > _COUPLED
+    reached, reaches = (np.abs(B) > _COUPLED).any(axis=1), (np.abs(C) > _COUPLED).any(axis=0)
+    for _ in range(len(A)):
+        reached = reached | (links @ reached)
+        reaches = reaches | (links.T @ reaches)
+    return [int(k) for k in np.flatnonzero(reached & reaches)]

@@ -1,0 +1,109 @@
+"""The library of claims: the paper's claims about V1, V2 and the course, printed and corrected, and braking claims."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+from surctl.errors import InputError, NotApplicable, nearest
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification import avoidance_claims as avoidance
+from surctl.marine.verification import braking_claims as braking
+from surctl.marine.verification import course_claims as course
+from surctl.marine.verification import tracking_claims as tracking
+from surctl.marine.verification.assumptions import check_sway_force
+from surctl.verification.claim import Claim
+from surctl.verification.setting import Setting, setting_from
+
+__all__ = ["applicable_claims", "claims"]
+
+_BUILDERS: Mapping[str, Callable[[Setting], Claim]] = {
+    build.__name__.replace("_", "-"): build
+    for build in (
+        tracking.v1_printed,
+        tracking.v1_corrected,
+        tracking.v1_speed_cap,
+        tracking.v1_speed_cap_region,
+        course.course_printed,
+        course.course_corrected,
+        tracking.m_norm_printed,
+        tracking.m_norm_corrected,
+        avoidance.v2_printed,
+        avoidance.v2_static,
+        avoidance.v2_obstacle,
+        avoidance.v2_clockwise,
+        avoidance.clearance_printed,
+        avoidance.clearance_corrected,
+    )
+}
+
+_BRAKING: Mapping[str, Callable[[Vehicle, float], Claim]] = {
+    "braking-keeps": braking.braking_keeps,
+    "braking-retreat": braking.braking_retreat,
+    "braking-mass": braking.braking_mass,
+}
+VEHICLE = "sur540-flooded"
+
+
+def claims(
+    gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
+) -> tuple[Claim, ...]:
+    """Return the named claims, or all claims, for the given gains.
+
+    Args:
+        gains: gain values by name. Only gains that are fields of `Setting` are used; `speed` is the cruise speed,
+            `speed_max` the speed limit. If `gains` is None, the default setting is used.
+        names: names of the claims, in the desired order; None returns all claims.
+        vehicle: the vehicle to which the braking claims refer; if it is None, the vehicle sur540-flooded is used.
+
+    Raises:
+        InputError: the name of a claim is unknown (the error proposes the nearest known name), or a gain is not
+            positive.
+        NotApplicable: the vehicle violates an assumption of a claim.
+
+    Example:
+        >>> from surctl.marine.verification import claims
+        >>> [claim.name for claim in claims()][:4]
+        ['v1-printed', 'v1-corrected', 'v1-speed-cap', 'v1-speed-cap-region']
+        >>> [claim] = claims({"k1": 0.3, "lookahead": 0.8}, ["m-norm-corrected"])
+        >>> print(claim.statement, claim.equation, claim.errata, claim.expected)
+        V̇1 ≤ −λ_min(M)‖e‖² ≤ 0 where U_h ≥ 0 (12) ('E8', 'E9') proved
+    """
+    applicable, refused = applicable_claims(gains, names, vehicle=vehicle)
+    for reason in refused.values():
+        raise reason
+    return applicable
+
+
+def applicable_claims(
+    gains: Mapping[str, float] | None = None, names: Sequence[str] | None = None, *, vehicle: Vehicle | None = None
+) -> tuple[tuple[Claim, ...], Mapping[str, NotApplicable]]:
+    """Return the claims that apply to the vehicle and, by name, the reason why each of the other claims does not apply.
+
+    A reason is the `NotApplicable` error of the claim. The arguments are those of `claims`.
+
+    Example:
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import applicable_claims
+        >>> found, refused = applicable_claims(names=["course-corrected", "braking-mass"],
+        ...                                    vehicle=load_vehicle("bluerov2-wu"))
+        >>> [claim.name for claim in found], refused["braking-mass"].because[:40]
+        (['course-corrected'], 'm11 = 17 kg and m22 = 24.2 kg differ and')
+    """
+    setting = setting_from(gains)
+    known = [*_BUILDERS, *_BRAKING]
+    applicable: list[Claim] = []
+    refused: dict[str, NotApplicable] = {}
+    for name in known if names is None else names:
+        if name not in known:
+            raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, known))
+        try:
+            if vehicle is not None:
+                check_sway_force(vehicle)
+            applicable.append(
+                _BUILDERS[name](setting)
+                if name in _BUILDERS
+                else _BRAKING[name](vehicle or load_vehicle(VEHICLE), setting.fastest)
+            )
+        except NotApplicable as reason:
+            refused[name] = NotApplicable(reason.because, to=reason.to, key=name)
+    return tuple(applicable), refused

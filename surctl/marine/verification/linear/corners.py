@@ -1,0 +1,154 @@
+"""The corners of a vehicle's parameter ranges, for the parameters that affect the linear loop about cruise."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+
+from surctl.errors import InputError
+from surctl.marine.vehicle import TERMS, Vehicle
+
+__all__ = ["DRAG_SPREAD", "MASS_SPREAD", "Corners", "corners"]
+
+MASS_SPREAD, DRAG_SPREAD = 0.05, 0.2
+"""Relative uncertainty of all masses and of all drag coefficients of a vehicle whose file states no ranges (*chosen*).
+"""
+
+_GROUPS: tuple[tuple[str, ...], ...] = (
+    ("m11",), ("m22",), ("m33",), ("m44",), ("Xu", "Xuu"), ("Yv",), ("Zw",), ("Nr",), ("thrust_lag",),
+)  # fmt: skip
+"""The parameters that affect the linear loop about straight cruise. The parameters of one group affect the loop through
+one drag slope, so they take the same end of their ranges. The quadratic drag of sway, heave and yaw is omitted, because
+its slope is 0 at zero velocity."""
+
+_MASSES = ("m11", "m22")
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """The vehicles of a worst-case analysis; the nominal vehicle is first.
+
+    Attributes:
+        vehicles: the plants.
+        text: description of the vehicles that fits into a sentence, such as "the corners of …".
+        labels: for each vehicle, the parameters in which it differs from the nominal vehicle, as text.
+        assumed: whether neither the vehicle file nor the caller states how far mass and drag may be off.
+    """
+
+    vehicles: tuple[Vehicle, ...]
+    text: str
+    labels: tuple[str, ...] = ()
+    assumed: bool = False
+
+    def label(self, vehicle: Vehicle) -> str:
+        """Return the label of one of the vehicles; its name if the vehicles have no labels."""
+        at = next(k for k, one in enumerate(self.vehicles) if one is vehicle)
+        return self.labels[at] if self.labels else vehicle.name
+
+
+def corners(
+    vehicle: Vehicle,
+    uncertainty: float | None = None,
+    *,
+    alike: bool = True,
+    known: Collection[str] = (),
+    spread: float = 1.0,
+) -> Corners:
+    """Return the nominal vehicle and the corners of its uncertainty.
+
+    If `uncertainty` is given, all masses are multiplied by 1 ± uncertainty, and all drag coefficients likewise.
+    Otherwise the corners are all combinations of the ends of the ranges in the vehicle file; if the file states none,
+    all masses are off by ±5 % and all drag coefficients by ±20 %. A linear loop is usually worst at a corner, but this
+    is no proof for the values between the corners.
+
+    Args:
+        vehicle: the nominal vehicle.
+        uncertainty: relative uncertainty, 0 ≤ uncertainty < 1, or None for the ranges of the vehicle file.
+        known: parameters whose value is exact.
+        alike: whether to vary the masses of surge and sway together if the vehicle file gives them equal values and
+            equal ranges. False varies the two masses independently; a difference matters, because the Munk moment turns
+            a body broadside if its sway mass exceeds its surge mass.
+        spread: factor of ±5 % and ±20 %.
+
+    Raises:
+        InputError: the uncertainty is out of range.
+    """
+    stated = [group for group in _groups(vehicle, alike=alike) if any(_ranged(vehicle, name) for name in group)]
+    if uncertainty is None and stated:
+        named = [[name for name in group if _ranged(vehicle, name) and name not in known] for group in stated]
+        free = [group for group in named if group]
+        if not free:
+            return Corners((vehicle,), "the nominal vehicle alone")
+        vehicles = tuple(_with(vehicle, _ends(vehicle, free, side)) for side in product((0, 1), repeat=len(free)))
+        tied = ", with equal mass in surge and sway" if _MASSES in stated else ""
+        labels = tuple(_label(one, free) for one in vehicles)
+        text = f"the {len(vehicles)} corners of its parameter ranges{tied}"
+        return Corners((vehicle, *vehicles), text, ("nominal", *labels))
+    assumed = uncertainty is None
+    mass, drag = (spread * MASS_SPREAD, spread * DRAG_SPREAD) if uncertainty is None else (uncertainty, uncertainty)
+    if not 0 <= mass < 1:
+        raise InputError(
+            "must be at least 0 and less than 1", key="uncertainty", value=uncertainty, remedy="write 0.2 for ±20 %"
+        )
+    signs = list(product(_factors(mass), _factors(drag)))
+    scaled = [_scaled(vehicle, m, d, known) for m, d in signs]
+    labels = tuple(f"mass {m - 1:+.0%}, drag {d - 1:+.0%}" for m, d in signs)
+    off = f"mass and drag off by ±{mass:.0%}"
+    if drag != mass:
+        off = f"mass off by ±{mass:.0%} and drag by ±{drag:.0%}"
+    return Corners((vehicle, *scaled), f"the corners with {off}", ("nominal", *labels), assumed)
+
+
+def _groups(vehicle: Vehicle, *, alike: bool) -> list[tuple[str, ...]]:
+    # each optional term is a group of its own
+    groups = [*_GROUPS, *((name,) for name in (*_terms(vehicle, "inertia"), *_terms(vehicle, "drag")))]
+    if alike and _alike(vehicle):
+        return [_MASSES, *(group for group in groups if not set(group) & set(_MASSES))]
+    return groups
+
+
+def _ranged(vehicle: Vehicle, name: str) -> bool:
+    return vehicle.parameters[name].range is not None
+
+
+def _factors(share: float) -> tuple[float, ...]:
+    return (1 - share, 1 + share) if share > 0 else ()
+
+
+def _label(vehicle: Vehicle, groups: list[list[str]]) -> str:
+    units = {name: vehicle.parameters[name].unit for group in groups for name in group}
+    return ", ".join(f"{name} = {vehicle[name]:.4g}" + (f" {u}" if u != "1" else "") for name, u in units.items())
+
+
+def _alike(vehicle: Vehicle) -> bool:
+    surge, sway = (vehicle.parameters[name] for name in _MASSES)
+    return surge.value == sway.value and surge.range == sway.range
+
+
+def _ends(vehicle: Vehicle, groups: list[list[str]], side: tuple[int, ...]) -> dict[str, float]:
+    values = {}
+    for group, end in zip(groups, side, strict=True):
+        for name in group:
+            ends = vehicle.parameters[name].range
+            assert ends is not None  # every parameter of the groups has a range
+            values[name] = float(ends[end])
+    return values
+
+
+def _scaled(vehicle: Vehicle, mass: float, drag: float, known: Collection[str]) -> Vehicle:
+    named = dict.fromkeys(("m11", "m22", "m33", "m44", *_terms(vehicle, "inertia")), mass)
+    named |= dict.fromkeys(("Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", *_terms(vehicle, "drag")), drag)
+    return _with(vehicle, {name: vehicle[name] * factor for name, factor in named.items() if name not in known})
+
+
+def _terms(vehicle: Vehicle, table: str) -> list[str]:
+    return [name for name in vehicle.form.terms if TERMS[name].table == table]
+
+
+def _with(vehicle: Vehicle, values: Mapping[str, float]) -> Vehicle:
+    changed = {
+        name: replace(parameter, value=values[name], range=None) if name in values else parameter
+        for name, parameter in vehicle.parameters.items()
+    }
+    return replace(vehicle, parameters=changed)

@@ -1,0 +1,293 @@
+"""Phase portraits of a region certificate: the flow and level sets in a plane of states, and violations of the decay.
+
+V is the Lyapunov function of the certificate, and a is its decay rate. The flow is that of the certified loop (the
+heading-steered loop or a cruise), but without thrust lag and sampling. The states are the position in the path frame
+and the velocity over ground in the path frame; thrust limits and drag act along the body axes. Violations of V̇ ≤ −aV
+are searched at the corners of the vehicle's parameter ranges and over headings. An area without violations is therefore
+no proof; the proof is the certificate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck.steering_claim import read_claim as read_steering
+from surctl.certcheck.steering_law import true_rate as steered_rate
+from surctl.certcheck.turning_claim import factors, read_claim
+from surctl.certcheck.turning_law import true_rate
+from surctl.errors import InputError, nearest
+from surctl.marine.verification.region.heading import HeadingClaim
+from surctl.marine.verification.region.rates import heading_loop
+
+__all__ = ["CRUISE_PLANES", "HEADING_PLANES", "STEERED_PLANES", "Portrait", "planes_of", "portrait"]
+
+Array = NDArray[np.float64]
+Rates = Callable[[Array], Array]
+"""A function that returns the rates ξ̇ (n, k) of the states ξ (n, k)."""
+
+CRUISE_PLANES: Mapping[str, tuple[int, int]] = {"along": (0, 2), "across": (1, 3), "place": (0, 1)}
+"""Planes of two states, with all other deviations 0: x_e and its velocity, y_e and its velocity, x_e and y_e."""
+
+HEADING_PLANES: Mapping[str, tuple[int, int]] = {
+    "along": (0, 3), "across": (1, 4), "turning": (2, 5), "steering": (1, 2),
+}  # fmt: skip
+"""Planes of two states, with all other deviations 0: x_e, y_e or ψ with its own rate, and y_e with ψ."""
+
+STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering": (0, 1)}
+"""Planes of two states of a craft without sway force, with all other states 0: ψ with its rate, and y_e with ψ."""
+
+_SHARE = 0.85  # mean over the heading of the quadratic drag along the path, as a share; it gives the steady cruise
+_HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Portrait:
+    """A phase portrait in a plane of two deviations ξ from the steady cruise.
+
+    Attributes:
+        plane: name of the plane, one of `planes_of`.
+        x, y: grid values of the first deviation (m,) and of the second deviation (k,), in m, m/s, rad or rad/s.
+        flow: (2, k, m) time derivatives of the two deviations for the vehicle `whose`; in the cruise, this vehicle
+            heads along the path.
+        whose: vehicle for which the flow is computed: `nominal` or `mid-range`.
+        level: (k, m) values of V.
+        excess: (k, m) largest V̇/V + a [1/s] found over vehicles and headings; where it is positive, V decays more
+            slowly than the certified rate.
+        levels: values of V to draw: the level of the innermost shell, the levels of the other shells, and 1. The
+            innermost level is 0 if V decays to the equilibrium.
+        lagged: whether the certificate includes thrust lag; the flow of the portrait never includes it.
+    """
+
+    plane: str
+    x: Array
+    y: Array
+    flow: Array
+    whose: str
+    level: Array
+    excess: Array
+    levels: tuple[float, ...]
+    lagged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Loop:
+    """Data of a portrait: P of V = ξᵀPξ, rates ξ̇ of the vehicle shown, and rates ξ̇ of all vehicles tried."""
+
+    P: Array
+    shown: Rates
+    whose: str
+    tried: Iterator[Rates]
+    levels: tuple[float, ...]
+    lagged: bool
+
+
+def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
+    """Return the planes in which a certificate can be drawn, as a mapping from plane name to indices of two states.
+
+    Raises:
+        InputError: the certificate has no level sets.
+    """
+    if document.get("kind") == "heading":
+        return HEADING_PLANES
+    if document.get("kind") == "steering":
+        return STEERED_PLANES
+    if document.get("kind") == "turning" or (
+        document.get("kind") == "region" and document["claim"].get("system") == "cruise"
+    ):
+        return CRUISE_PLANES
+    raise InputError(
+        "has no level sets", key="certificate", value=document.get("kind"), remedy="give a region certificate"
+    )
+
+
+def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, points: int = 61) -> Portrait:
+    """Compute the phase portrait of a region certificate.
+
+    Args:
+        document: a certificate of kind `region`, `turning`, `steering` or `heading`.
+        plane: name of the plane, one of `planes_of`.
+        extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
+        points: number of grid points along each axis.
+
+    Raises:
+        InputError: the certificate is of another kind, or the plane is unknown.
+    """
+    planes = planes_of(document)
+    if plane not in planes:
+        raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
+    loop = {"heading": _heading, "turning": _turning, "steering": _steering}.get(document["kind"], _cruise)(document)
+    first, second = planes[plane]
+    # half-axes of the section of V = 1 through 0, not of its projection
+    section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
+    half = extent * np.sqrt(np.diag(section))
+    x, y = (np.linspace(-h, h, points) for h in half)
+    xi = np.zeros((points * points, len(loop.P)))
+    xi[:, first], xi[:, second] = (grid.ravel() for grid in np.meshgrid(x, y))
+    gradient = 2 * xi @ loop.P
+    value = 0.5 * np.einsum("ni,ni->n", gradient, xi)
+    gradient /= np.maximum(value, 1e-12)[:, None]
+    growth = np.full(len(xi), -np.inf)
+    for rates in loop.tried:
+        growth = np.maximum(growth, np.einsum("ni,ni->n", gradient, rates(xi)))
+    excess = growth + document["claim"]["motion"]["rate_per_s"]
+    flow = loop.shown(xi)[:, [first, second]]
+    shape = (points, points)
+    return Portrait(
+        plane, x, y, flow.T.reshape(2, *shape), loop.whose, value.reshape(shape), excess.reshape(shape), loop.levels,
+        loop.lagged,
+    )  # fmt: skip
+
+
+def _cruise(document: Mapping[str, Any]) -> _Loop:
+    claim, proof = document["claim"], document["proof"]
+    law = claim["law"]
+
+    def rates(boat: Boat, psi: float) -> Rates:
+        return lambda xi: _rate(claim, boat, _state(claim, boat, xi), psi)
+
+    nominal = (law["mass_kg"], (law["linear_drag"],) * 2, (law["quadratic_drag"],) * 2)
+    return _Loop(
+        P=_matrix(proof["P"])[:4, :4],
+        shown=rates(nominal, 0.0),
+        whose="nominal",
+        tried=(rates(boat, psi) for boat in _boats(claim) for psi in _HEADINGS),
+        levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
+        lagged=claim["vehicle"]["lag_s"][1] > 0,
+    )
+
+
+def _turning(document: Mapping[str, Any]) -> _Loop:
+    claim, proof = read_claim(document["claim"]), document["proof"]
+
+    def rates(boat: Sequence[Sequence[float]], psi: float, r: float) -> Rates:
+        linear, quadratic = (float(np.mean(pair)) - 1 for pair in boat[1:])
+        omega = proof["trim"][0] * linear + proof["trim"][1] * quadratic
+
+        def rate(xi: Array) -> Array:
+            state, n = xi.copy(), len(xi)
+            state[:, 0] -= omega / float(claim.k1)
+            state[:, 2] += float(claim.cruise)
+            tiled = {
+                key: np.tile(pair, (n, 1)) for key, pair in zip(("mass", "linear", "quadratic"), boat, strict=True)
+            } | dict.fromkeys(("term_mass", "term"), np.ones(n))
+            return true_rate(claim, tiled, state, np.full(n, psi), np.full(n, r))
+
+        return rate
+
+    masses = [[float(f) for f in one] for one in factors(claim.mass_factor, claim.mass_asymmetry, 2)]
+    drags = [[[float(end)] * 2] * 2 for end in sorted(set(claim.drag_factor))]
+    turns = {float(claim.yaw_rate), -float(claim.yaw_rate)}
+    return _Loop(
+        P=_matrix(proof["P"]),
+        shown=rates([[1.0, 1.0]] * 3, 0.0, 0.0),
+        whose="nominal",
+        tried=(
+            rates([mass, *drag], psi, r) for mass in masses for drag in drags for psi in _HEADINGS[:8] for r in turns
+        ),
+        levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
+        lagged=False,
+    )
+
+
+def _steering(document: Mapping[str, Any]) -> _Loop:
+    claim = read_steering(document["claim"])
+
+    def rates(mass: float, drag: float, u: float) -> Rates:
+        def rate(xi: Array) -> Array:
+            n = len(xi)
+            craft = {"mass": np.full((n, 4), mass), "drag": np.full((n, 8), drag), "u": np.full(n, u)}
+            return steered_rate(claim, craft, xi)
+
+        return rate
+
+    ends = ([float(end) for end in pair] for pair in (claim.mass_factor, claim.drag_factor, claim.speed))
+    return _Loop(
+        P=_matrix(document["proof"]["P"]),
+        shown=rates(1.0, 1.0, float(claim.cruise)),
+        whose="nominal",
+        tried=(rates(*one) for one in product(*ends)),
+        levels=(0.0, 1.0),
+        lagged=False,
+    )
+
+
+def _heading(document: Mapping[str, Any]) -> _Loop:
+    stated = document["claim"]
+    ranges = {key: (pair[0], pair[1]) for key, pair in stated["vehicle"].items() if key != "limits"}
+    claim = HeadingClaim(
+        name="", ranges=ranges, limits=stated["vehicle"]["limits"], law=stated["law"],
+        rate=stated["motion"]["rate_per_s"], digest=stated["sha256_vehicle"],
+    )  # fmt: skip
+    loop = heading_loop(claim)
+
+    def rates(share: Sequence[float]) -> Rates:
+        return lambda xi: loop(xi, np.tile(share, (len(xi), 1)))[0]
+
+    varying = sum(not key.startswith("heave") for key in ranges)
+    corners = product((0.0, 1.0), repeat=varying)
+    return _Loop(
+        P=_matrix(document["proof"]["P"]),
+        shown=rates([0.5] * varying),
+        whose="mid-range",
+        tried=(rates(corner) for corner in corners),
+        levels=(0.0, 1.0),
+        lagged=False,
+    )
+
+
+Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
+"""The mass, the linear drag of surge and sway, and the quadratic drag of surge and sway."""
+
+
+def _boats(claim: Mapping[str, Any]) -> list[Boat]:
+    """Return corner values of mass and drag; the drag of surge and sway is equal or has the largest difference."""
+    vehicle = claim["vehicle"]
+    ratio = (2 + vehicle["asymmetry"]) / (2 - vehicle["asymmetry"]) if vehicle["asymmetry"] < 2 else np.inf
+
+    def pairs(key: str) -> list[tuple[float, ...]]:
+        low, high = vehicle[key]
+        return [(low, low), (high, high), (low, min(low * ratio, high)), (max(high / ratio, low), high)]
+
+    return list(product(vehicle["mass_kg"], pairs("linear_drag"), pairs("quadratic_drag")))
+
+
+def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
+    """Convert deviations from the steady cruise to states (x_e, y_e, U_x, U_y).
+
+    If the true drag differs from the model, the vehicle in steady cruise has an offset from its target.
+    """
+    law, (_, linear, quadratic) = claim["law"], boat
+    v, hat, hat2 = law["cruise"], law["linear_drag"], law["quadratic_drag"]
+    missing = (np.mean(linear) - hat) * v + _SHARE * (np.mean(quadratic) - hat2) * v * v
+    omega = missing / (law["mass_kg"] * law["k_v"] + hat + 2 * _SHARE * hat2 * v)
+    state = xi.copy()
+    state[:, 0] -= omega / law["k1"]
+    state[:, 2] += v
+    return state
+
+
+def _rate(claim: Mapping[str, Any], boat: Boat, state: Array, psi: float) -> Array:
+    # rates (n, 4) of (x_e, y_e, U_x, U_y); ψ is relative to the path
+    law, limit = claim["law"], claim["vehicle"]["thrust_n"]
+    mass, linear, quadratic = boat
+    slant = np.hypot(1.0, state[:, 1] / law["lookahead"])
+    along = np.minimum(np.maximum(law["cruise"] - law["k1"] * state[:, 0], 0.0), law["cap"] / slant)
+    desired = np.stack([along, -along * state[:, 1] / law["lookahead"]])
+    speed = state[:, 2:4].T
+    acceleration = np.zeros_like(speed)
+    for k, axis in enumerate(np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])):
+        w, n = axis @ desired, axis @ speed
+        free = law["linear_drag"] * w + law["quadratic_drag"] * w * np.abs(w) + law["mass_kg"] * law["k_v"] * (w - n)
+        force = np.clip(free, -limit, limit) - linear[k] * n - quadratic[k] * n * np.abs(n)
+        acceleration += axis[:, None] * force / mass
+    return np.stack([state[:, 2] - law["cruise"], state[:, 3], acceleration[0], acceleration[1]], axis=1)
+
+
+def _matrix(lower: list[list[float]]) -> Array:
+    return np.array([[lower[max(i, j)][min(i, j)] for j in range(len(lower))] for i in range(len(lower))])

@@ -1,0 +1,280 @@
+"""The library of region claims: for an ideal loop, and for thrust lag, current, disturbances and measurement errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from surctl.errors import InputError, NotApplicable, nearest
+from surctl.marine.control import Gains
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification.region.claim import RegionClaim
+from surctl.marine.verification.region.heading import HeadingClaim
+from surctl.marine.verification.region.heading_proof import prove_heading
+from surctl.marine.verification.region.next_step import implies, shorter, weaker
+from surctl.marine.verification.region.proof import RegionProof, prove_region
+from surctl.marine.verification.region.statement import RegionStatement
+from surctl.marine.verification.region.steering import SteeringClaim
+from surctl.marine.verification.region.steering_proof import prove_steering
+from surctl.marine.verification.region.turning import TurningClaim
+from surctl.marine.verification.region.turning_proof import prove_turning
+
+__all__ = ["REGION_CLAIMS", "applicable_region", "prove_statement", "refused_regions", "region_statement"]
+
+
+def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionStatement]:
+    return {name: RegionStatement(name=name, statement=statement, **rest) for name, statement, rest in entries}
+
+
+REGION_CLAIMS: Mapping[str, RegionStatement] = _entries(
+    ("region-cruise-20", "mass and drag uncertain by ±20 %, any heading, with thrust limits", {"attempts": 60}),
+    (
+        "region-cruise-20-soft",
+        "as region-cruise-20, with the gains k1 = 0.15/s, look-ahead 1.2 m, k_v = 0.35/s",
+        {"gains": {"k1": 0.15, "lookahead": 1.2, "k_v": 0.35}},
+    ),
+    (
+        "region-cruise-20-sampled",
+        "as region-cruise-20, with commands held for one control period",
+        {"sampled": True, "attempts": 100},
+    ),
+    (
+        "region-cruise-20-lag",
+        "as region-cruise-20-sampled, with thrust lag and a yaw rate of at most 0.1 rad/s",
+        {"sampled": True, "lagged": True, "yaw_rate_rad_per_s": 0.1, "attempts": 60},
+    ),
+    (
+        "region-cruise-20-spin",
+        "as region-cruise-20-lag, but with a yaw rate up to the gain spin, at which the robot turns to look around",
+        {"sampled": True, "lagged": True, "spinning": True, "attempts": 60},
+    ),
+    (
+        "region-cruise-ranges",
+        "as region-cruise-20, over the ranges of the vehicle file, with thrust limits lower by 15 %",
+        {"ranges": True, "thrust_share": 0.15, "rate_per_s": 0.01, "attempts": 240},
+    ),
+    (
+        "region-cruise-current",
+        "as region-cruise-20, with a constant current of up to 0.05 m/s from any direction",
+        {"current_m_per_s": 0.05, "rate_per_s": 0.01},
+    ),
+    (
+        "region-cruise-20-force",
+        "as region-cruise-20, with a disturbance force of up to 0.25 N from waves and thrust errors",
+        {"force_n": 0.25, "attempts": 60},
+    ),
+    (
+        "region-cruise-20-noise",
+        "as region-cruise-20, with a force of up to 0.1 N, a position error of 5 mm and a velocity error of 1 mm/s",
+        {
+            "force_n": 0.1, "place_error_m": 0.005, "velocity_error_m_per_s": 0.001, "rate_per_s": 0.01,
+            "attempts": 60,
+        },
+    ),
+    (
+        "region-turning",
+        "vehicle with its own masses and drag in surge and sway, exactly known, any heading, also from rest",
+        {"loop": "turning", "share": 0.0, "mass_share": 0.0, "rate_per_s": 0.02, "at_rest": True, "attempts": 60},
+    ),
+    (
+        "region-turning-20",
+        "as region-turning, with masses uncertain by ±5 % and drag by ±20 %, not from rest",
+        {"loop": "turning", "rate_per_s": 0.02, "attempts": 100},
+    ),
+    (
+        "region-turning-20-rest",
+        "as region-turning-20, also from rest",
+        {"loop": "turning", "rate_per_s": 0.02, "at_rest": True, "attempts": 60},
+    ),
+    (
+        "region-turning-lag",
+        "as region-turning, with thrust lag and a yaw rate of at most 0.03 rad/s, not from rest",
+        {
+            "loop": "turning", "share": 0.0, "mass_share": 0.0, "lagged": True, "yaw_rate_rad_per_s": 0.03,
+            "rate_per_s": 0.02, "attempts": 20,
+        },
+    ),
+    (
+        "region-turning-20-lag",
+        "as region-turning-20, with thrust lag and a yaw rate of at most 0.1 rad/s",
+        {"loop": "turning", "lagged": True, "yaw_rate_rad_per_s": 0.1, "rate_per_s": 0.02, "attempts": 20},
+    ),
+    (
+        "region-turning-20-sampled",
+        "as region-turning-20, with commands held for one control period and a yaw rate of at most 0.3 rad/s",
+        {"loop": "turning", "sampled": True, "yaw_rate_rad_per_s": 0.3, "rate_per_s": 0.02, "attempts": 16},
+    ),
+    (
+        "region-turning-20-current",
+        "as region-turning-20-scale, with a constant current of up to 0.03 m/s from any direction",
+        {
+            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "current_m_per_s": 0.03, "rate_per_s": 0.02,
+            "attempts": 24,
+        },
+    ),
+    (
+        "region-turning-20-scale",
+        "as region-turning-20, with both masses off by the same factor of up to ±20 %",
+        {"loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "attempts": 40},
+    ),
+    (
+        "region-turning-20-curved",
+        "as region-turning-20-scale, at 0.1 m/s on curved paths with a radius of at least 3 m",
+        {
+            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
+            "cruise_m_per_s": 0.1, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 40,
+        },
+    ),
+    (
+        "region-turning-20-curved-fast",
+        "as region-turning-20-curved, at 0.15 m/s",
+        {
+            "loop": "turning", "mass_share": 0.2, "mass_asymmetry": 0.0, "curvature_per_m": 0.3334,
+            "cruise_m_per_s": 0.15, "cap_m_per_s": 0.22, "rate_per_s": 0.02, "attempts": 24,
+        },
+    ),
+    (
+        "region-steered-20",
+        "heading loop of a craft without sway force: drag off by ±20 %, each mass by ±2.5 %, surge speed by ±10 %",
+        {"loop": "steered", "mass_share": 0.025, "rate_per_s": 0.02},
+    ),
+    (
+        "region-heading-20",
+        "heading-steered loop of 8 states with its own soft gains, all parameters uncertain by ±20 %, thrust limits",
+        {"loop": "heading", "attempts": 3, "cells": 250},
+    ),
+    (
+        "region-heading-20-slow",
+        "as region-heading-20, at the lower rate of 0.01/s, with a region as large as the search finds",
+        {"loop": "heading", "rate_per_s": 0.01, "attempts": 30, "cells": 2500},
+    ),
+    (
+        "region-heading-ranges",
+        "as region-heading-20-slow, over the ranges of the vehicle file, with thrust limits lower by 15 %",
+        {"loop": "heading", "ranges": True, "thrust_share": 0.15, "rate_per_s": 0.01, "attempts": 20},
+    ),
+)  # fmt: skip
+
+
+def region_statement(name: str) -> RegionStatement:
+    """Return the region claim with a given name.
+
+    Raises:
+        InputError: no claim has this name; the message gives the most similar known name.
+    """
+    if name not in REGION_CLAIMS:
+        raise InputError("unknown claim", key="claim", value=name, remedy=nearest(name, REGION_CLAIMS))
+    return REGION_CLAIMS[name]
+
+
+def refused_regions(
+    vehicle: Vehicle, gains: Gains, *, cruise: float, cap: float
+) -> tuple[tuple[NotApplicable, tuple[str, ...]], ...]:
+    """Return each reason why region claims cannot be proved for a vehicle, gains and speeds [m/s], and their names.
+
+    Nothing is searched: a claim that is left out may still have no proof. The claims about craft without sway force are
+    left out for other vehicles.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.region import refused_regions
+        >>> refused = refused_regions(load_vehicle("bluerov2-wu"), load_gains("default"), cruise=0.15, cap=0.22)
+        >>> [(reason.because[:31], names[0], len(names)) for reason, names in refused]
+        [('m11 = 17 kg and m22 = 24.2 kg d', 'region-cruise-20', 12)]
+    """
+    reasons: dict[tuple[str, str], tuple[NotApplicable, list[str]]] = {}
+    for name, statement in REGION_CLAIMS.items():
+        if statement.loop == "steered" and vehicle["Fv_max"] > 0:
+            continue
+        try:
+            statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+        except NotApplicable as reason:
+            reasons.setdefault((reason.because, reason.to), (reason, []))[1].append(name)
+    return tuple((reason, tuple(names)) for reason, names in reasons.values())
+
+
+def applicable_region(
+    names: Sequence[str], vehicle: Vehicle, gains: Gains, *, cruise: float, cap: float
+) -> RegionStatement | NotApplicable:
+    """Return the first of the named claims that applies to a vehicle, gains and speeds [m/s], or the first reason.
+
+    Raises:
+        InputError: `RegionStatement.claim` or `region_statement` raises this error.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.region import applicable_region
+        >>> names, rov = ("region-cruise-20", "region-turning-20"), load_vehicle("bluerov2-wu")
+        >>> applicable_region(names, rov, load_gains("default"), cruise=0.15, cap=0.22).name
+        'region-turning-20'
+    """
+    reasons = []
+    for statement in map(region_statement, names):
+        try:
+            statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+        except NotApplicable as reason:
+            reasons.append(reason)
+        else:
+            return statement
+    return reasons[0]
+
+
+def prove_statement(
+    statement: RegionStatement,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    seed: int = 0,
+    cruise: float | None = None,
+    cap: float | None = None,
+) -> RegionProof:
+    """Prove a region claim for a vehicle and gains, with the search effort that the statement sets.
+
+    If the search finds no proof of a claim about a cruise, a proof of a stronger claim of the library is one too. If
+    there is none, the reason names a weaker claim that is proved, with its number.
+
+    Raises:
+        InputError, NotApplicable: `RegionStatement.claim` raises this error.
+    """
+    claim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+    proof = _prove(statement, claim, seed=seed)
+    if proof.verdict == "proved" or not isinstance(claim, (RegionClaim, TurningClaim)):
+        return proof
+    for other in REGION_CLAIMS.values():
+        strong = _claim_or_none(other, vehicle, gains, cruise, cap) if other.loop == statement.loop else None
+        if strong is not None and strong.name != claim.name and implies(strong, claim):
+            result = _prove(shorter(other), strong, seed=seed)
+            if result.verdict == "proved":
+                return replace(result, claim=claim, by=strong.name, seconds=proof.seconds + result.seconds)
+    tried = []
+    for words, one, slow, most in weaker(statement, cruise=cruise, cap=cap):
+        result = _prove(one, one.claim(vehicle, gains, cruise=slow, cap=most), seed=seed)
+        if result.verdict == "proved":
+            return replace(proof, reason=f"{proof.reason}; proved {words}: from {result.offset:.3g} m beside the path")
+        tried.append(words)
+    return replace(proof, reason=f"{proof.reason}; nor is it proved {', or '.join(tried)}")
+
+
+def _claim_or_none(
+    statement: RegionStatement, vehicle: Vehicle, gains: Gains, cruise: float | None, cap: float | None
+) -> RegionClaim | TurningClaim | None:
+    try:
+        claim = statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+    except (InputError, NotApplicable):
+        return None
+    return claim if isinstance(claim, (RegionClaim, TurningClaim)) else None
+
+
+def _prove(
+    statement: RegionStatement, claim: RegionClaim | HeadingClaim | TurningClaim | SteeringClaim, *, seed: int
+) -> RegionProof:
+    if isinstance(claim, HeadingClaim):
+        return prove_heading(claim, rounds=statement.attempts, cells=statement.cells)
+    if isinstance(claim, SteeringClaim):
+        return prove_steering(claim)
+    if isinstance(claim, TurningClaim):
+        return prove_turning(claim, attempts=statement.attempts, seed=seed)
+    return prove_region(claim, attempts=statement.attempts, seed=seed)

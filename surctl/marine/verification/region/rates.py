@@ -1,0 +1,96 @@
+"""State derivatives of the true loops of region claims in floating point, for the falsifier; no proof uses them.
+
+The function of a loop takes deviations ξ (n, k) from the steady cruise and random numbers (n, DRAWS) in [0, 1], which
+choose the true vehicle, the heading and the other uncertain quantities. The function of a loop returns ξ̇ (n, k) and
+the largest ratio of a commanded thrust to its limit (n,).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.marine.verification.region.claim import RegionClaim
+from surctl.marine.verification.region.heading import HeadingClaim
+
+__all__ = ["DRAWS", "Loop", "cruise_loop", "heading_loop"]
+
+Array = NDArray[np.float64]
+Loop = Callable[[Array, Array], tuple[Array, Array]]
+
+DRAWS = 10
+
+
+def _between(pair: tuple[float, float], share: Array) -> Array:
+    return pair[0] + (pair[1] - pair[0]) * share
+
+
+def heading_loop(claim: HeadingClaim) -> Loop:
+    """Return the function that computes ξ̇ of the heading-steered loop with thrust limits."""
+    law, limits = claim.law, claim.limits
+    v, velocity_gain, ahead = law["cruise"], claim.velocity_gain, law["lookahead"]
+    fed = law["linear_drag"] * v + law["quadratic_drag"] * v * v
+    keys = [key for key in claim.ranges if not key.startswith("heave")]
+
+    def rate(xi: Array, draws: Array) -> tuple[Array, Array]:
+        boat = {key: _between(claim.ranges[key], draws[:, k]) for k, key in enumerate(keys)}
+
+        def drag(axis: str, n: Array) -> Array:
+            return np.asarray(boat[f"{axis}_linear"] * n + boat[f"{axis}_quadratic"] * n * np.abs(n))
+
+        command = v + (drag("surge", np.full(len(xi), v)) - fed) / velocity_gain
+        x_e, y, psi, r = xi[:, 0] + (v - command) / law["k1"], xi[:, 1], xi[:, 2], xi[:, 5]
+        c, s = np.cos(psi), np.sin(psi)
+        u, w = c * (v + xi[:, 3]) + s * xi[:, 4], -s * (v + xi[:, 3]) + c * xi[:, 4]
+        desired = (v - law["k1"] * x_e) * np.hypot(y, ahead) / ahead
+        pull = law["yaw_inertia_kg_m2"] * law["k_r"]
+        forces = (
+            velocity_gain * (desired - u) + fed,
+            -velocity_gain * w,
+            -pull * (r + law["k_psi"] * (psi + np.arctan(y / ahead))),
+        )
+        ends = [limits[k] for k in ("surge_n", "sway_n", "yaw_nm")]
+        f, g, n = (np.clip(t, -end, end) for t, end in zip(forces, ends, strict=True))
+        share = np.max([np.abs(t) / end for t, end in zip(forces, ends, strict=True)], axis=0)
+        a, b = (f - drag("surge", u)) / boat["mass_kg"], (g - drag("sway", w)) / boat["mass_kg"]
+        turn = (n - drag("yaw", r)) / boat["yaw_inertia_kg_m2"]
+        return np.stack([xi[:, 3], xi[:, 4], r, c * a - s * b, s * a + c * b, turn], axis=1), share
+
+    return rate
+
+
+def cruise_loop(claim: RegionClaim) -> Loop:
+    """Return the function that computes ξ̇ of the cruise loop with thrust limits, without thrust lag or sampling."""
+    mass, hat, hat2 = claim.model
+    gains, v = claim.gains, claim.cruise
+    ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)
+    velocity_gain = mass * gains["k_v"]
+
+    def rate(xi: Array, draws: Array) -> tuple[Array, Array]:
+        linear, quadratic = (
+            (first := _between(pair, draws[:, k]),
+             np.clip(_between(pair, draws[:, k + 1]), first / ratio, first * ratio))
+            for k, pair in ((1, claim.linear), (3, claim.quadratic))
+        )  # fmt: skip
+        missing = (np.mean(linear, axis=0) - hat) * v + 0.85 * (np.mean(quadratic, axis=0) - hat2) * v * v
+        omega = missing / (velocity_gain + hat + 1.7 * hat2 * v)
+        psi = 2 * np.pi * draws[:, 5]
+        c, s = np.cos(psi), np.sin(psi)
+        x_e, y = xi[:, 0] - omega / gains["k1"], xi[:, 1]
+        slant = np.hypot(1, y / gains["lookahead"])
+        along = np.minimum(np.maximum(v - gains["k1"] * x_e, 0), claim.cap / slant)
+        desired = along, -along * y / gains["lookahead"]
+        speed = v + xi[:, 2], xi[:, 3]
+        accelerations, share, true_mass = [], np.zeros(len(xi)), _between(claim.mass, draws[:, 0])
+        for k, (a, b) in enumerate(((c, s), (-s, c))):
+            w, n = a * desired[0] + b * desired[1], a * speed[0] + b * speed[1]
+            free = hat * w + hat2 * w * np.abs(w) + velocity_gain * (w - n)
+            share = np.maximum(share, np.abs(free) / claim.thrust)
+            lost = linear[k] * n + quadratic[k] * n * np.abs(n)
+            accelerations.append((np.clip(free, -claim.thrust, claim.thrust) - lost) / true_mass)
+        a, b = accelerations
+        return np.stack([xi[:, 2], xi[:, 3], c * a - s * b, s * a + c * b], axis=1), share
+
+    return rate

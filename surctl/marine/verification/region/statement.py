@@ -1,0 +1,212 @@
+"""Region claims as TOML files: loop, uncertainty and decay rate; the proof adds the vehicle and the gains."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, StrictBool, StrictFloat, StrictInt, StrictStr
+
+from surctl.errors import InputError
+from surctl.files import Strict, load_model, quoted, require_doubles
+from surctl.marine.control import Gains, law_source
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification.region.claim import RegionClaim, region_claim
+from surctl.marine.verification.region.heading import HEADING_GAINS, HeadingClaim, heading_claim
+from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
+from surctl.marine.verification.region.turning import TurningClaim, turning_claim
+
+__all__ = ["RegionStatement", "load_region", "write_region"]
+
+_HEADING_KNOWS = frozenset(
+    {"kind", "name", "statement", "loop", "share", "ranges", "thrust_share", "rate_per_s", "gains", "attempts", "cells"}
+)
+_TURNING_KNOWS = frozenset(
+    {
+        "kind", "name", "statement", "loop", "share", "mass_share", "asymmetry", "mass_asymmetry", "thrust_share",
+        "yaw_rate_rad_per_s", "spinning", "cruise_m_per_s", "cap_m_per_s", "rate_per_s", "at_rest", "curvature_per_m",
+        "gains", "attempts", "current_m_per_s", "lagged", "sampled",
+    }
+)  # fmt: skip
+_STEERED_KNOWS = frozenset(
+    {
+        "kind", "name", "statement", "loop", "share", "mass_share", "speed_share", "cruise_m_per_s", "cap_m_per_s",
+        "rate_per_s", "gains",
+    }
+)  # fmt: skip
+_TURNING_ALONE = frozenset({"mass_share", "mass_asymmetry", "at_rest", "curvature_per_m", "speed_share"})
+
+
+class RegionStatement(Strict):
+    """A region claim without its vehicle and gains; SI units.
+
+    Attributes:
+        kind: kind of the TOML file.
+        name: name of the claim.
+        statement: the claim in words.
+        loop: `cruise` for the exported law and equal masses in surge and sway, `turning` for the exported law and any
+            masses, `heading` for the heading-steered loop of 8 states with its own gains, `steered` for the heading
+            loop of craft without sway force under the law `steered`.
+        share: relative error of mass and drag (`heading`: of every parameter; `turning`: of drag only).
+        mass_share: relative error of the masses (`turning` and `steered`).
+        speed_share: largest relative deviation of the surge speed from the cruise speed (`steered` only).
+        ranges: whether the ranges of the vehicle file replace `share`.
+        thrust_share: largest relative reduction of the thrust limits.
+        asymmetry: largest difference of a true drag coefficient between surge and sway, divided by their mean. For
+            `turning`, the difference is that of the ratios of true to stated coefficient (of the two linear, and of
+            the two quadratic ones).
+        mass_asymmetry: largest difference of the ratios of true to stated mass in surge and in sway, divided by their
+            mean (`turning` only).
+        sampled, lagged: whether the control period and the vehicle's thrust lag are part of the claim.
+        yaw_rate_rad_per_s: largest yaw rate.
+        spinning: whether the value of the gain `spin` replaces `yaw_rate_rad_per_s`.
+        cruise_m_per_s, cap_m_per_s: speed of the target point on the path, and largest commanded speed.
+        rate_per_s: decay rate a of the Lyapunov function V: V̇ ≤ −a V.
+        current_m_per_s: largest constant current.
+        force_n: largest force of waves and thrust errors, varying arbitrarily.
+        place_error_m, velocity_error_m_per_s: largest errors of measured position and velocity, varying arbitrarily.
+        at_rest: whether the region must contain a vehicle at rest (`turning` only).
+        curvature_per_m: largest curvature of the path (`turning` only).
+        gains: gains that replace those of the gain file.
+        attempts: number of start values of the search (`turning`: of convex programs); for `heading`, number of
+            enlargements of the region.
+        cells: largest number of cells of (ψ, y) in a proof (`heading` only).
+    """
+
+    kind: Literal["region"] = "region"
+    name: StrictStr = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,59}$")
+    statement: StrictStr = ""
+    loop: Literal["cruise", "turning", "heading", "steered"] = "cruise"
+    share: StrictFloat = Field(default=0.2, ge=0, lt=1)
+    mass_share: StrictFloat = Field(default=0.05, ge=0, lt=1)
+    speed_share: StrictFloat = Field(default=0.1, ge=0, lt=1)
+    ranges: StrictBool = False
+    thrust_share: StrictFloat = Field(default=0.0, ge=0, lt=1)
+    asymmetry: StrictFloat = Field(default=0.05, ge=0, le=2)
+    mass_asymmetry: StrictFloat = Field(default=0.05, ge=0, lt=2)
+    sampled: StrictBool = False
+    lagged: StrictBool = False
+    yaw_rate_rad_per_s: StrictFloat = Field(default=0.5, ge=0)
+    spinning: StrictBool = False
+    cruise_m_per_s: StrictFloat = Field(default=0.15, gt=0)
+    cap_m_per_s: StrictFloat = Field(default=0.22, gt=0)
+    rate_per_s: StrictFloat = Field(default=0.05, gt=0)
+    current_m_per_s: StrictFloat = Field(default=0.0, ge=0)
+    force_n: StrictFloat = Field(default=0.0, ge=0)
+    place_error_m: StrictFloat = Field(default=0.0, ge=0)
+    velocity_error_m_per_s: StrictFloat = Field(default=0.0, ge=0)
+    at_rest: StrictBool = False
+    curvature_per_m: StrictFloat = Field(default=0.0, ge=0)
+    gains: dict[str, StrictFloat] = Field(default_factory=dict)
+    attempts: StrictInt = Field(default=80, ge=1)
+    cells: StrictInt = Field(default=1500, ge=1)
+
+    def claim(
+        self, vehicle: Vehicle, gains: Gains, *, cruise: float | None = None, cap: float | None = None
+    ) -> RegionClaim | HeadingClaim | TurningClaim | SteeringClaim:
+        """Return the claim for a vehicle and its gains; `cruise` and `cap` [m/s] replace the default speeds.
+
+        If the claim file sets one of the two speeds, both remain as the file states them.
+
+        Raises:
+            InputError: a gain is unknown, the cruise speed is not below the cap, or the file sets a key that its loop
+                does not use.
+            NotApplicable: the vehicle or the gains violate an assumption of the claim.
+        """
+        share = None if self.ranges else self.share
+        own = {key for key in ("cruise_m_per_s", "cap_m_per_s") if key in self.model_fields_set}
+        if self.loop == "heading":
+            return self._heading(vehicle, share, cruise)
+        cruise = self.cruise_m_per_s if cruise is None or own else cruise
+        cap = self.cap_m_per_s if cap is None or own else cap
+        if own and cruise >= cap:  # a mistake in the claim file, not in the caller's speeds
+            raise InputError(
+                "must be below the cap on commanded speed", key="cruise", value=cruise, remedy="raise the cap"
+            )
+        if self.loop == "steered":
+            self._used(_STEERED_KNOWS, "the heading loop of craft without sway force")
+            own_gains = {**gains.own, **law_source("steered").gains}
+            return steering_claim(
+                self.name, vehicle, replace(gains, source="").with_own(own_gains).with_values(self.gains),
+                share=self.share, mass_share=self.mass_share, speed_share=self.speed_share, cruise=cruise, cap=cap,
+                rate=self.rate_per_s,
+            )  # fmt: skip
+        law_gains = replace(gains, source="").with_values(self.gains)  # a message must not name the gain file
+        turn = law_gains["spin"] if self.spinning else self.yaw_rate_rad_per_s
+        if self.loop == "turning":
+            self._used(_TURNING_KNOWS, "the turning loop")
+            return turning_claim(
+                self.name, vehicle, law_gains, share=self.share, mass_share=self.mass_share, asymmetry=self.asymmetry,
+                mass_asymmetry=self.mass_asymmetry, thrust_share=self.thrust_share, yaw_rate=turn, cruise=cruise,
+                cap=cap, rate=self.rate_per_s, rest=self.at_rest, curvature=self.curvature_per_m,
+                current=self.current_m_per_s, lagged=self.lagged, sampled=self.sampled,
+            )  # fmt: skip
+        self._used(type(self).model_fields.keys() - _TURNING_ALONE, "the cruise with equal masses")
+        return region_claim(
+            self.name, vehicle, law_gains, share=share, thrust_share=self.thrust_share, asymmetry=self.asymmetry,
+            sampled=self.sampled, lagged=self.lagged, yaw_rate=turn, cruise=cruise, cap=cap,
+            rate=self.rate_per_s, current=self.current_m_per_s, force=self.force_n, place_error=self.place_error_m,
+            velocity_error=self.velocity_error_m_per_s,
+        )  # fmt: skip
+
+    def _used(self, known: Collection[str], loop: str) -> None:
+        """Raise InputError for a key with another value than its default that this loop does not use."""
+        for key in sorted(self.model_fields_set - set(known)):
+            if getattr(self, key) != type(self).model_fields[key].default:
+                raise InputError(f"has no effect on {loop}", key=key, value=getattr(self, key), remedy="leave it out")
+
+    def _heading(self, vehicle: Vehicle, share: float | None, cruise: float | None) -> HeadingClaim:
+        self._used(_HEADING_KNOWS, "the heading-steered loop")
+        for key in sorted(set(self.gains) - set(HEADING_GAINS)):
+            remedy = f"known: {', '.join(HEADING_GAINS)}"
+            raise InputError("is not a gain of the heading-steered loop", key=f"gains.{key}", remedy=remedy)
+        for key, value in self.gains.items():
+            if not value > 0:
+                raise InputError("must be greater than 0", key=f"gains.{key}", value=value, remedy="correct it")
+        own = {**HEADING_GAINS, **({} if cruise is None else {"cruise": cruise}), **self.gains}
+        return heading_claim(
+            self.name, vehicle, share=share, thrust_share=self.thrust_share, rate=self.rate_per_s, gains=own
+        )
+
+
+def load_region(path: Path) -> RegionStatement:
+    """Read a region claim from a TOML file.
+
+    ::
+
+        kind = "region"
+        name = "my-region"
+        share = 0.3                # mass and drag uncertain by ±30 %; `ranges = true` takes those of the vehicle file
+        force_n = 0.2              # largest force of waves and thrust errors
+        rate_per_s = 0.01
+        [gains]                    # gains that replace those of the gain file
+        k_v = 0.5
+
+    Every key is an attribute of `RegionStatement`; a key that is left out has its default value.
+
+    Raises:
+        InputError: the file is not a region claim; the message names file, key, value and remedy.
+    """
+    statement = load_model(path, RegionStatement)
+    require_doubles(path)
+    return statement
+
+
+def write_region(statement: RegionStatement) -> str:
+    """Return the statement as TOML text with every key; `load_region` reads this text back without change."""
+
+    def literal(value: object) -> str:
+        if isinstance(value, bool):
+            return str(value).lower()
+        return quoted(value) if isinstance(value, str) else repr(value)
+
+    plain = {key: value for key, value in statement.model_dump().items() if key != "gains"}
+    own = {"heading": _HEADING_KNOWS, "turning": _TURNING_KNOWS, "steered": _STEERED_KNOWS}
+    known = own.get(statement.loop, plain.keys() - _TURNING_ALONE)
+    plain = {key: value for key, value in plain.items() if key in known}
+    lines = [f"{key} = {literal(value)}" for key, value in plain.items()]
+    if statement.gains:
+        lines += ["", "[gains]", *(f"{key} = {value!r}" for key, value in statement.gains.items())]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,248 @@
+"""Claim about the cruise of a vehicle with its own masses in surge and sway, which turns meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.certcheck.turning_claim import EXCLUDES, read_claim
+from surctl.certcheck.turning_claim import TurningClaim as Stated
+from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
+from surctl.errors import InputError, NotApplicable
+from surctl.marine.control import Gains, build_law
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification.assumptions import check_no_integral, check_sway_force
+
+__all__ = ["TurningClaim", "turning_claim"]
+
+Pair = tuple[float, float]
+
+HEAVE: Pair = (0.1, 0.1)
+"""Largest heave velocity [m/s] (the law commands no more) and heave acceleration [m/s²] that the claims assume."""
+
+TURN_RATE = 1.0
+"""Largest yaw acceleration [rad/s²] that the claims assume."""
+
+
+@dataclass(frozen=True)
+class TurningClaim:
+    """Claim about the cruise of a vehicle under the exported law, for all parameters in given ranges.
+
+    A true parameter is its value in the law's model times a constant factor; SI units.
+
+    Attributes:
+        name: name of the claim.
+        mass_factor, drag_factor: (least, largest) factor of the masses and of the drag coefficients.
+        mass_asymmetry, drag_asymmetry: largest difference of the factors of the two masses, and of the two linear or
+            the two quadratic drag coefficients, divided by their mean.
+        thrust: least thrust limits (surge, sway) of the plant and of the law [N].
+        yaw_limit: largest yaw moment of the thrusters [N m].
+        yaw_rate: largest yaw rate |r| [rad/s]; within this limit the heading may change arbitrarily.
+        mass, linear, quadratic: (surge, sway) values in the law's model.
+        gains: the gains k1, lookahead, k_v, k_i and wait.
+        cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
+        rate: decay rate a [1/s] of the Lyapunov function V: V̇ ≤ −a V.
+        rest: whether the region must also contain a vehicle at rest.
+        digests: SHA-256 of the vehicle's parameters, and SHA-256 of the law's instruction list.
+        terms: the vehicle's terms beside equation (3), by name; inertia is off by `mass_factor`, the others by
+            `drag_factor`.
+        heave, turn_rate: largest heave velocity and acceleration [m/s, m/s²], and largest yaw acceleration [rad/s²].
+        curvature: largest curvature of the path [1/m].
+        current: largest speed of a constant current [m/s].
+        lag: time constant of the thrust lag [s]; 0 for thrust without lag.
+        period: control period [s], during which the command is constant; 0 for a loop in continuous time.
+    """
+
+    name: str
+    mass_factor: Pair
+    drag_factor: Pair
+    mass_asymmetry: float
+    drag_asymmetry: float
+    thrust: Pair
+    yaw_limit: float
+    yaw_rate: float
+    mass: Pair
+    linear: Pair
+    quadratic: Pair
+    gains: Mapping[str, float]
+    cruise: float
+    cap: float
+    rate: float
+    rest: bool = False
+    digests: tuple[str, str] = ("0" * 64, "0" * 64)
+    terms: Mapping[str, float] = field(default_factory=dict)
+    heave: Pair = HEAVE
+    turn_rate: float = TURN_RATE
+    curvature: float = 0.0
+    current: float = 0.0
+    lag: float = 0.0
+    period: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a number out of bounds, NotApplicable for integral action or a cruise speed ≥ cap."""
+        for key in ("cruise", "cap", "rate"):
+            if not getattr(self, key) > 0:
+                raise InputError("must be greater than 0", key=key, value=getattr(self, key), remedy="correct it")
+        if self.gains["k_i"]:
+            raise NotApplicable("the claim is about a loop without integral action and k_i is not 0", to="these gains")
+        if self.cruise >= self.cap:
+            why = f"the cruise speed of {self.cruise:g} m/s is not below the cap of {self.cap:g} m/s"
+            raise NotApplicable(why, to="these speeds")
+        if self.behind and (self.curvature or self.terms.get("m12")):
+            raise NotApplicable("thrust lag and held commands are not covered together with m12 or a curved path")
+
+    def document(
+        self, *, offset: float, rest_offset: float | None, ultimate_bound: Pair, munk_moment: float
+    ) -> dict[str, Any]:
+        """Return the claim as data of a certificate, with the offsets [m], bound [m] and moment [N m] to be stated."""
+        return {
+            "system": "turning-cruise",
+            "excludes": list(EXCLUDES),
+            "vehicle": {
+                "mass_factor": list(self.mass_factor),
+                "drag_factor": list(self.drag_factor),
+                "mass_asymmetry": self.mass_asymmetry,
+                "drag_asymmetry": self.drag_asymmetry,
+                "thrust_n": list(self.thrust),
+                "yaw_rate_rad_per_s": self.yaw_rate,
+                "munk_moment_nm": munk_moment,
+                "terms": dict(self.terms),
+                "heave_m_per_s": self.heave[0],
+                "heave_m_per_s2": self.heave[1],
+                "yaw_rad_per_s2": self.turn_rate,
+                "current_m_per_s": self.current,
+                "lag_s": [self.lag, self.lag],
+            },
+            "law": {
+                "mass_kg": list(self.mass),
+                "linear_drag": list(self.linear),
+                "quadratic_drag": list(self.quadratic),
+                **{key: self.gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
+                "cruise": self.cruise,
+                "cap": self.cap,
+                "period_s": self.period,
+            },
+            "motion": {
+                "rate_per_s": self.rate,
+                "offset_m": offset,
+                "rest_offset_m": rest_offset,
+                "ultimate_bound_m": list(ultimate_bound),
+                "curvature_per_m": self.curvature,
+            },
+            "sha256_vehicle": self.digests[0],
+            "sha256_law": self.digests[1],
+        }
+
+    @property
+    def behind(self) -> bool:
+        """Whether the thrust may differ from the present command: by a lag, or because a command is held."""
+        return bool(self.lag or self.period)
+
+    @cached_property
+    def stated(self) -> Stated:
+        """Return the claim as the checker reads it, with a region that is not yet known."""
+        return read_claim(self.document(offset=1.0, rest_offset=None, ultimate_bound=(1.0, 1.0), munk_moment=0.0))
+
+    @cached_property
+    def vertex_numbers(self) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+        """Return the norm of the terms that m12 adds [1/s], the inverse masses [1/kg], and the Coriolis terms [1/s].
+
+        The search needs them in each of hundreds of shells, and they are computed in exact numbers.
+        """
+        coupling = coupling_of(self.stated)
+        masses, turns = inverse_masses(self.stated, coupling), turn_points(self.stated)
+        return float(coupling.loose), np.array(masses), np.array(turns)
+
+
+def turning_claim(
+    name: str,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    share: float = 0.2,
+    mass_share: float = 0.05,
+    asymmetry: float = 0.05,
+    mass_asymmetry: float | None = None,
+    thrust_share: float = 0.0,
+    yaw_rate: float = 0.5,
+    cruise: float = 0.15,
+    cap: float = 0.22,
+    rate: float = 0.05,
+    rest: bool = False,
+    curvature: float = 0.0,
+    current: float = 0.0,
+    lagged: bool = False,
+    sampled: bool = False,
+) -> TurningClaim:
+    """Return the claim about the cruise of a vehicle under the exported law; surge and sway may differ.
+
+    Args:
+        name: name of the claim.
+        vehicle: the vehicle that the law's model describes.
+        gains: gains of the law.
+        share: relative error of the drag coefficients.
+        mass_share: relative error of the masses m11 and m22.
+        asymmetry: largest difference of the factors of the two linear or the two quadratic drag coefficients, divided
+            by their mean.
+        mass_asymmetry: the same for the factors of the two masses; None for the value of `asymmetry`.
+        thrust_share: largest relative reduction of the thrust limits.
+        yaw_rate: largest yaw rate |r| [rad/s].
+        cruise, cap: speed of the target point on the path, and largest commanded speed [m/s].
+        rate: decay rate of the Lyapunov function V [1/s].
+        rest: whether the region must also contain a vehicle at rest.
+        curvature: largest curvature of the path [1/m].
+        current: largest speed of a constant current [m/s].
+        lagged, sampled: whether the vehicle's thrust lag and the control period are part of the claim.
+
+    Raises:
+        NotApplicable: the vehicle has no sway force, or rolls and pitches, or has sway drag that grows with the surge
+            speed; or integral action is on, or the cruise speed is not below the cap.
+        InputError: a number is out of bounds.
+    """
+    _check_form(vehicle)
+    check_no_integral(gains)
+    limits, law = vehicle.thrust_limit * (1 - thrust_share), build_law()
+
+    def factors(error: float) -> Pair:
+        return round(1 - error, 9), round(1 + error, 9)
+
+    return TurningClaim(
+        name=name,
+        mass_factor=factors(mass_share),
+        drag_factor=factors(share),
+        mass_asymmetry=(asymmetry if mass_asymmetry is None else mass_asymmetry) if mass_share else 0.0,
+        drag_asymmetry=asymmetry if share else 0.0,
+        thrust=(round(float(limits[0]), 9), round(float(limits[1]), 9)),
+        yaw_limit=float(limits[3]),
+        yaw_rate=yaw_rate,
+        mass=(vehicle["m11"], vehicle["m22"]),
+        linear=(vehicle["Xu"], vehicle["Yv"]),
+        quadratic=(vehicle["Xuu"], vehicle["Yvv"]),
+        gains={key: gains[key] for key in ("k1", "lookahead", "k_v", "k_i", "wait")},
+        cruise=cruise,
+        cap=cap,
+        rate=rate,
+        rest=rest,
+        digests=(vehicle.digest(), law.block.digest()),
+        terms={name: vehicle[name] for name in vehicle.form.terms},
+        curvature=curvature,
+        current=current,
+        lag=vehicle["thrust_lag"] if lagged else 0.0,
+        period=law.dt if sampled else 0.0,
+    )
+
+
+def _check_form(vehicle: Vehicle) -> None:
+    """Raise NotApplicable for a vehicle whose motion the claim does not describe."""
+    form = vehicle.form
+    check_sway_force(vehicle)
+    if form.tilts:
+        raise NotApplicable("it rolls and pitches, and the claim is about motion in the horizontal plane")
+    by_surge = [name for axis, name in form.ahead() if axis == 1]
+    if by_surge:
+        raise NotApplicable(f"it has {by_surge[0]}, and the law's model of the sway drag depends on the cruise speed")

@@ -1,0 +1,166 @@
+"""Shells of V of a turning cruise: the decay rate in a shell, its best growth η, and the shells of a given P.
+
+All of it is in floating point; a candidate is only a proposal to the checker.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.marine.verification.region.turning import TurningClaim
+from surctl.marine.verification.region.turning_loop import Cruise, Vertices, vertices
+
+__all__ = ["TurningCandidate", "fitted", "transformed", "violated", "worst_rate"]
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+_RATIO = 0.82  # of the two levels of the outermost shell
+_THICKEST, _THINNEST = 0.4, 0.96  # ratios of the two levels of a shell
+_MOST = 20  # largest number of shells
+_MARGIN = 0.005  # [1/s] reserve of the decay rate, for points between the headings of the grid
+_LEVELS = (1.0, 0.7, 0.5)  # levels of V that the search tries first
+_WIDEST, _STEPS = 1.5, 6  # a region is enlarged up to this multiple of its level, which is bisected
+_SOME = 150  # number of matrices whose eigenvalues are compared at a time
+_LEAST_GROWTH, _LARGEST_GROWTH = 3e-3, 4.0  # [1/s]
+
+
+@dataclass(frozen=True)
+class TurningCandidate:
+    """A candidate of a proof, which is not yet checked.
+
+    Attributes:
+        P: matrix (n, n) of the Lyapunov function V = zᵀ P z; n is 6 with thrust lag or held commands, and 4 without.
+        levels: levels of V that divide the region into k shells, in ascending order; the last is 1.
+        growths: for each of the k shells, the coefficient η [1/s] in the condition on the decay rate.
+        cruise: the steady motion on the path.
+    """
+
+    P: Array
+    levels: tuple[float, ...]
+    growths: tuple[float, ...]
+    cruise: Cruise
+
+    def start(self, claim: TurningClaim, speed: float) -> float:
+        """Return the largest |y_e| [m] in the region at x_e = 0 with the speed U_x − v = `speed` [m/s]; 0 if none."""
+        left = 1.0
+        for omega in self.cruise.moved:
+            z = np.array([omega / claim.gains["k1"], speed])
+            left = min(left, 1 - float(z @ self.P[np.ix_((0, 2), (0, 2))] @ z))
+        return max(float(np.sqrt(max(left, 0.0) / self.P[1, 1])) - self.cruise.beside, 0.0)
+
+
+def violated(matrices: Array, bound: float) -> Numbers:
+    """Return the numbers of the matrices (n, n, k) with an eigenvalue ≥ `bound`, by the pivots of bound I − M."""
+    size = len(matrices)
+    a = {(i, j): -matrices[i, j] for i in range(size) for j in range(i + 1)}
+    good = np.ones(matrices.shape[-1], dtype=bool)
+    for k in range(size):
+        pivot = a[k, k] + bound if k == 0 else a[k, k]
+        good &= pivot > 0
+        share = 1 / np.where(good, pivot, 1.0)
+        for i in range(k + 1, size):
+            if k == 0:
+                a[i, i] = a[i, i] + bound
+            factor = a[i, k] * share
+            for j in range(k + 1, i + 1):
+                a[i, j] = a[i, j] - factor * a[j, k]
+    return np.flatnonzero(~good)
+
+
+def _eigenvalues(matrices: Array, chosen: Numbers) -> Array:
+    return np.asarray(np.linalg.eigvalsh(np.moveaxis(matrices[..., chosen], -1, 0))[:, -1])
+
+
+def worst_rate(matrices: Array, first: Numbers) -> tuple[float, Numbers]:
+    """Return the largest eigenvalue of all matrices (n, n, k), and numbers of large ones; `first` is where to look."""
+    rng = np.random.default_rng(0)
+    known: Numbers = first if len(first) else rng.integers(matrices.shape[-1], size=_SOME)
+    values = _eigenvalues(matrices, known)
+    while True:
+        best = float(values.max())
+        more = violated(matrices, best + 1e-9)
+        if not len(more):
+            order = np.argsort(-values)[:_SOME]
+            return best, known[order]
+        if len(more) > _SOME:
+            more = rng.choice(more, size=_SOME, replace=False)
+        known, values = np.concatenate([known, more]), np.concatenate([values, _eigenvalues(matrices, more)])
+
+
+def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Array, Array]:
+    """Return T (Aᵀ P + P A) Tᵀ and T P W P Tᵀ (k, n, n) of the vertices with the numbers (k,), where T P Tᵀ = I."""
+    A, factor, weights = at.select(chosen)
+    change = np.linalg.inv(np.linalg.cholesky(P))
+    half, side = (change @ P) @ A @ change.T, (change @ P) @ factor
+    half = half + half.swapaxes(-1, -2)
+    if len(P) > 4:
+        half = half + P[4, 4] * (change[:, :4] * weights[:, None]) @ change[:, :4].T
+    return half, side @ side.swapaxes(-1, -2)
+
+
+def best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess: float) -> tuple[float, float]:
+    """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
+
+    `phases` are the vertices of each form that decides. The matrices that matter at one η are those that matter close
+    to it, so few of them are searched.
+    """
+    growth, known = guess, [np.zeros(0, dtype=np.intp) for _ in phases]
+    best = (growth, np.inf)
+    for _ in range(4):
+        worst = [worst_rate(at.matrices(P, rate, growth, low), few) for at, few in zip(phases, known, strict=True)]
+        value, known = max(one[0] for one in worst), [one[1] for one in worst]
+        if value < best[1] - 1e-6:
+            best = (growth, value)
+        elif np.isfinite(best[1]):
+            break
+        pairs = [transformed(P, at, few[:60]) for at, few in zip(phases, known, strict=True)]
+        half, effect = (np.concatenate(part) for part in zip(*pairs, strict=True))
+        effect = effect / low
+        grid = np.unique(np.clip(growth * np.geomspace(0.4, 2.5, 25), _LEAST_GROWTH, _LARGEST_GROWTH))
+        rates = np.linalg.eigvalsh(half + effect / grid[:, None, None, None])[..., -1].max(axis=1) + grid
+        growth = float(grid[int(np.argmin(rates))])
+    return float(f"{best[0]:.4g}"), best[1]
+
+
+def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> TurningCandidate | None:
+    """Return the candidate with the shape P, the largest region and the lowest floor; None if V does not decay.
+
+    Args:
+        claim: the claim.
+        cruise: its steady cruise.
+        P: shape of V; its region may be enlarged or reduced.
+        guess: growth of the outermost shell to start from [1/s].
+    """
+    covariance = np.asarray(np.linalg.inv(P), dtype=np.float64)
+
+    def shell(low: float, high: float, growth: float) -> tuple[float, float]:
+        at = vertices(claim, cruise, covariance, high)
+        return (growth, np.inf) if at is None else best_growth(P, at.phases(), claim.rate, low, growth)
+
+    def holds(high: float) -> bool:
+        return shell(high * _RATIO, high, guess)[1] <= -_MARGIN
+
+    low = next((level for level in _LEVELS if holds(level)), None)
+    if low is None:
+        return None
+    high = low * _WIDEST
+    for _ in range(_STEPS):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    top, ratio, growth = low, _RATIO, guess
+    levels: list[float] = [1.0]
+    growths: list[float] = []
+    while len(growths) < _MOST and ratio < _THINNEST:
+        below = levels[-1] * ratio
+        growth, value = shell(below * top, levels[-1] * top, growth)
+        if value > -_MARGIN:
+            ratio = np.sqrt(ratio)
+            continue
+        levels.append(float(f"{below:.6g}"))
+        growths.append(growth)
+        ratio = max(0.85 * ratio, _THICKEST)
+    return TurningCandidate(P / top, tuple(levels[::-1]), tuple(growths[::-1]), cruise) if growths else None

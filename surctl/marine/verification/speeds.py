@@ -1,0 +1,167 @@
+"""Cruise speeds at which linear loops are evaluated: checks of the speeds, and metrics of the loop at every speed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.linearise import WITHIN_LAW, check_cruise
+from surctl.marine.verification.linear_table import LINEAR_METRICS, linear_table
+
+__all__ = ["OverSpeeds", "check_held", "cruise_speeds", "over_speeds", "speeds_text", "worst_place", "worst_text"]
+
+_SAME = 1e-6  # relative difference up to which two metric values count as equal
+
+
+def cruise_speeds(speeds: Sequence[float], *, key: str) -> tuple[float, ...]:
+    """Check cruise speeds [m/s]; return them, slowest first.
+
+    Raises:
+        InputError: there is no speed, or a speed is not finite, not greater than 0, or repeated; the error names the
+            key.
+
+    Example:
+        >>> from surctl.marine.verification import cruise_speeds
+        >>> cruise_speeds([0.2, 0.05], key="cruise_m_per_s")
+        (0.05, 0.2)
+    """
+    if not speeds:
+        raise InputError("names no speed", key=key, value=list(speeds), remedy="write at least one, or omit the key")
+    for speed in speeds:
+        if not (np.isfinite(speed) and speed > 0):
+            raise InputError("must be finite and greater than 0", key=key, value=speed, remedy="give it in m/s")
+    for speed in speeds:
+        if list(speeds).count(speed) > 1:
+            raise InputError("has a speed twice", key=key, value=speed, remedy="name each speed once")
+    return tuple(sorted(float(speed) for speed in speeds))
+
+
+def check_held(speeds: Sequence[float], vehicle: Vehicle, *, cap: float, key: str) -> None:
+    """Raise InputError if a speed [m/s] exceeds the speed cap [m/s] or needs more thrust than the vehicle has.
+
+    Example:
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import check_held
+        >>> check_held((0.1, 0.3), load_vehicle("sur400"), cap=0.22, key="--cruise")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: --cruise = 0.3: is above the cap, 0.22 m/s; lower it, or raise the cap
+    """
+    for speed in speeds:
+        if speed > cap:
+            remedy = "lower it, or raise the cap"
+            raise InputError(f"is above the cap, {cap:g} m/s", key=key, value=speed, remedy=remedy)
+        try:
+            check_cruise(vehicle, speed)
+        except InputError as error:
+            remedy = "lower it or raise Fu_reverse" if error.remedy == WITHIN_LAW else "lower it"
+            problem = f"{error.problem}, by {vehicle.name}"
+            raise InputError(problem, key=key, value=speed, remedy=remedy) from None
+
+
+def worst_place(ill: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return the indices of the worst entries along the first axis (the speeds), in the shape of the other axes.
+
+    The largest entry is the worst; NaN counts as larger than all numbers. Entries that differ only by rounding count as
+    equal; the index is then that of the slowest speed.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.verification import worst_place
+        >>> worst_place(np.array([[0.81, 2.0], [0.81 + 1e-15, 3.0]])).tolist()
+        [0, 1]
+    """
+    size = np.where(np.isnan(ill), np.inf, ill)
+    return np.asarray(np.isclose(size, size.max(axis=0), rtol=_SAME, atol=0.0).argmax(axis=0))
+
+
+def worst_text(ill: NDArray[np.float64], speeds: Sequence[float]) -> str:
+    """Return the speed [m/s] with the largest entry as text, or "every speed" if all entries count as equal.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.verification import worst_text
+        >>> worst_text(np.array([1.6, 1.7]), (0.05, 0.2)), worst_text(np.array([1.7, 1.7]), (0.05, 0.2))
+        ('0.2 m/s', 'every speed')
+    """
+    place = int(worst_place(ill))
+    return "every speed" if place == worst_place(-ill) else f"{speeds[place]:g} m/s"
+
+
+def speeds_text(speeds: Sequence[float]) -> str:
+    """Return the speeds with their unit as text for a sentence: "0.05, 0.15 and 0.2 m/s".
+
+    Example:
+        >>> from surctl.marine.verification import speeds_text
+        >>> speeds_text((0.05, 0.15, 0.2)), speeds_text((0.15,))
+        ('0.05, 0.15 and 0.2 m/s', '0.15 m/s')
+    """
+    words = [f"{speed:g}" for speed in speeds]
+    return " and ".join([*([", ".join(words[:-1])] if len(words) > 1 else []), words[-1]]) + " m/s"
+
+
+@dataclass(frozen=True, eq=False)
+class OverSpeeds:
+    """Linear metrics of one gain set at several cruise speeds.
+
+    Attributes:
+        cruise: (k,) cruise speeds [m/s].
+        figures: mapping from the name of a metric of `LINEAR_METRICS` to the metric's values (k,) at the k speeds.
+    """
+
+    cruise: tuple[float, ...]
+    figures: Mapping[str, NDArray[np.float64]]
+
+    def worst(self, name: str) -> tuple[float, float]:
+        """Return the worst value of a metric and its speed [m/s].
+
+        The worst value is the largest value if low values of the metric are better, otherwise the least value.
+        """
+        place = int(worst_place(self._ill(name)))
+        return float(self.figures[name][place]), self.cruise[place]
+
+    def _ill(self, name: str) -> NDArray[np.float64]:
+        values = self.figures[name]
+        return values if LINEAR_METRICS[name].better == "low" else -values
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data for JSON: the metrics at each speed, and the worst value of each metric with its speed."""
+        worst = {name: dict(zip(("value", "cruise_m_per_s"), self.worst(name), strict=True)) for name in self.figures}
+        at = [
+            {"cruise_m_per_s": speed} | {name: float(values[k]) for name, values in self.figures.items()}
+            for k, speed in enumerate(self.cruise)
+        ]
+        return {"at": at, "worst": worst}
+
+
+def over_speeds(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: Sequence[float],
+    dt: float,
+    columns: Collection[str] = ("delay_margin_s", "disk_margin", "sensitivity_peak", "slowest_pole_per_s"),
+) -> OverSpeeds:
+    """Return the columns of `linear_table` at each cruise speed [m/s]; `dt` is the control period [s].
+
+    Raises:
+        InputError: `linear_table` rejects its arguments.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import over_speeds
+        >>> gains = load_gains("default").values
+        >>> over = over_speeds(load_vehicle("sur400"), gains, cruise=(0.05, 0.15, 0.22), dt=0.05)
+        >>> pole, speed = over.worst("slowest_pole_per_s")
+        >>> round(pole, 3), speed
+        (-0.065, 0.05)
+    """
+    table = linear_table(vehicle, {}, base=gains, cruise=list(cruise), dt=dt, columns=columns)
+    return OverSpeeds(tuple(cruise), {name: table[name] for name in columns})
