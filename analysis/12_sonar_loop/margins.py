@@ -2,8 +2,8 @@
 
     python analysis/12_sonar_loop/margins.py [--quick]
 
-The loop is that of `surctl.marine.verification.sonar_margins`. A row "full" is the law for large signals (`still` = 0), a row
-"lag" for small ones.
+The loop is that of `surctl.marine.verification.sonar_margins`. A row "full" is the law for large signals
+(`still` = 0), a row "lag" for small ones.
 """
 
 from __future__ import annotations

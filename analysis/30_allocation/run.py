@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from surctl.export import Records, as_records, build_controller
+from surctl.export import Records, as_records, build_controller  # noqa: E402
 from surctl.ir import runnable  # noqa: E402
 from surctl.marine.allocation import allocation_block  # noqa: E402
 from surctl.marine.control import Law, build_law, load_gains  # noqa: E402
-from surctl.marine.export import build_bundle, closed_form, operating_envelope
+from surctl.marine.export import build_bundle, closed_form, operating_envelope  # noqa: E402
 from surctl.marine.simulation import Case, ThrusterFault, law_numbers, load_scenario, simulate, simulate_batch  # noqa: E402
 from surctl.marine.vehicle import Actuators, Thruster, Vehicle, attainable, load_vehicle  # noqa: E402
 from surctl.priority import Level, Row, build_problem, solve  # noqa: E402

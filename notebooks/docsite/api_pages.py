@@ -13,17 +13,9 @@ __all__ = ["PACKAGES", "pages"]
 FOLDER = "reference/python"
 ROOT = Path(__file__).parents[2]
 PACKAGES = {
-    "vehicle": "Describe a vehicle",
-    "world": "Describe a vehicle",
-    "sensing": "Sense",
-    "guidance": "Command",
     "tasks": "Command",
     "priority": "Command",
-    "allocation": "Command",
-    "control": "Command",
-    "simulation": "Simulate",
     "system": "Simulate",
-    "engine": "Simulate",
     "tuning": "Tune",
     "verification": "Prove",
     "assessment": "Prove",
@@ -31,18 +23,33 @@ PACKAGES = {
     "sos": "Prove",
     "certcheck": "Prove",
     "export": "Export",
-    "bridge": "Export",
     "ir": "Export",
     "report": "Report",
-    "study": "Report",
-    "reproduction": "Report",
     "testing": "Check your own code",
+    "marine.vehicle": "Describe a vehicle",
+    "marine.world": "Describe a vehicle",
+    "marine.sensing": "Sense",
+    "marine.guidance": "Command a vehicle",
+    "marine.allocation": "Command a vehicle",
+    "marine.control": "Command a vehicle",
+    "marine.simulation": "Simulate a mission",
+    "marine.engine": "Simulate a mission",
+    "marine.tuning": "Tune a mission",
+    "marine.verification": "Prove a mission",
+    "marine.assessment": "Prove a mission",
+    "marine.export": "Export a law",
+    "marine.bridge": "Export a law",
+    "marine.report": "Report a mission",
+    "marine.study": "Report a mission",
+    "marine.reproduction": "Report a mission",
+    "marine.testing": "Check your own law",
 }
+"""Packages with a page each, first the core and then the application, and what they are for."""
 
 
 def exported(package: str) -> tuple[str, list[str]]:
     """Return the first line of a package's docstring and the names that it exports, without importing it."""
-    tree = ast.parse((ROOT / "surctl" / package / "__init__.py").read_text(encoding="utf-8"))
+    tree = ast.parse(ROOT.joinpath("surctl", *package.split("."), "__init__.py").read_text(encoding="utf-8"))
     names: list[str] = []
     for node in tree.body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":

@@ -3,8 +3,8 @@
 The claim states that, under its assumptions, the inequality clearance ≥ m G(z) ≥ 0 holds at all later instants if it
 holds at one instant. Here m is the vehicle's mass, m G(z) is its braking distance, z = s + q/m, s is the closing speed,
 and q is the impulse that the thrust lag still delivers. The vehicle can start to brake only at sampled instants.
-`surctl.marine.guidance.braking` explains the proof. This module checks each inequality of the proof for the numbers of the
-certificate, in exact rational arithmetic, with every number rounded to the safe side:
+`surctl.marine.guidance.braking` explains the proof. This module checks each inequality of the proof for the numbers of
+the certificate, in exact rational arithmetic, with every number rounded to the safe side:
 
 - for every obstacle of the claim, the table of G is convex and satisfies the differential inequality of the braking
   distance, also while the vehicle moves backward;

@@ -48,7 +48,7 @@ LEMMAS = (
     "plane: the distance to a convex body is convex in the position, so that it is enough to consider the latched "
     "direction",
 )
-"""Lemmas from which the claim follows (proofs: `surctl.marine.guidance.braking`); a certificate repeats them word for word."""
+"""Lemmas from which the claim follows; a certificate repeats them. Proofs: `surctl.marine.guidance.braking`."""
 
 DRAGS = ("along", "axes")
 _BARRIERS = ("inertia", "simple")

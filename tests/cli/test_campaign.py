@@ -19,7 +19,7 @@ MANY = [*SOON, "--out", "mc"]
 @pytest.fixture
 def short(tmp_path):
     """The folder, with the first seconds of a built-in scenario in it."""
-    text = (LIBRARY / "simulation" / "library" / "pool-speed-010.toml").read_text()
+    text = (LIBRARY / "marine" / "simulation" / "library" / "pool-speed-010.toml").read_text()
     (tmp_path / "short.toml").write_text(re.sub(r"(?m)^time_limit_s = .*", "time_limit_s = 10.0", text))
     return tmp_path
 

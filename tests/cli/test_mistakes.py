@@ -6,10 +6,10 @@ import pytest
 
 from tests.cli.process import LIBRARY, surctl_here
 
-VEHICLE = (LIBRARY / "vehicle" / "library" / "sur400.toml").read_text()
+VEHICLE = (LIBRARY / "marine" / "vehicle" / "library" / "sur400.toml").read_text()
 GAINS = (LIBRARY / "control" / "library" / "default.toml").read_text()
-SCENARIO = (LIBRARY / "simulation" / "library" / "pool-static.toml").read_text()
-STUDY = (LIBRARY / "study" / "library" / "default.toml").read_text()
+SCENARIO = (LIBRARY / "marine" / "simulation" / "library" / "pool-static.toml").read_text()
+STUDY = (LIBRARY / "marine" / "study" / "library" / "default.toml").read_text()
 
 FILES = {
     "missing key": (VEHICLE.replace("m33 =", "# m33 ="), ["m.toml", "inertia.m33", "is missing", "kg"]),

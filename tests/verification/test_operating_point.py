@@ -126,7 +126,8 @@ def test_a_mistake_in_a_law_is_an_error_and_no_missing_margin(tmp_path: Path) ->
 
 def test_a_law_whose_run_ends_with_a_fault_fails(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
-        "import casadi as ca\nfrom surctl.marine.control import Decision, LawSource\nfrom surctl.tasks import velocity_task\n"
+        "import casadi as ca\nfrom surctl.marine.control import Decision, LawSource\n"
+        "from surctl.tasks import velocity_task\n"
         "def decide(s):\n    return Decision([velocity_task(s.eta, ca.vertcat(0.1 * ca.sqrt(0.6 - s.eta[0]), 0))])\n"
         "def made():\n    return LawSource('mine', decide)\n"
     )

@@ -1,4 +1,4 @@
-"""Export of a marine law with its vehicle, its evidence and its closed form; the law on a link in the mission's loop."""
+"""Export of a marine law with its vehicle, its evidence and its closed form."""
 
 from surctl.marine.export.closed import ClosedForm, closed_form
 from surctl.marine.export.compiled_law import CompiledLaw

@@ -61,8 +61,8 @@ The thrust limit acts on each axis separately, so the largest thrust on a diagon
 one axis.
 
 `surctl verify` proves steps 1 and 2 as the claims `braking-keeps`, `braking-retreat` and `braking-mass`. For step 3, a
-table of the distance B is checked cell by cell. Certificates (`surctl.marine.verification.braking`) prove steps 4 to 6 for one
-vehicle, one law, and one `Watch` (delay and accuracy of the measurements).
+table of the distance B is checked cell by cell. Certificates (`surctl.marine.verification.braking`) prove steps 4 to 6
+for one vehicle, one law, and one `Watch` (delay and accuracy of the measurements).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Braking of a vehicle that also moves sideways, as `surctl.marine.guidance.braking` counts it: as an additional force."""
+"""Braking of a vehicle that also moves sideways, which `surctl.marine.guidance.braking` counts as a force."""
 
 from __future__ import annotations
 

@@ -211,7 +211,8 @@ def build_plant(form: PlantForm = PAPER) -> Plant:
         form: the optional terms, `Vehicle.form`.
 
     Example:
-        >>> from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
+        >>> from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE
+        >>> from surctl.marine.vehicle import build_plant, load_vehicle, plant_parameters
         >>> craft = load_vehicle("otter")
         >>> x, still = PLANT_STATE.pack({"nu": [0.7, 0.1, 0.0, 0.2]}), PLANT_DISTURBANCE.pack()
         >>> rate = build_plant(craft.form).ode(x, [0, 0, 0, 0], still, plant_parameters(craft))

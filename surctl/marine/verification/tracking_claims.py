@@ -1,7 +1,7 @@
 """Claims about the tracking law: V1 of the paper's equations (11) and (12), the speed limit, and the norms in (12).
 
-The claims use the expressions for the rates that `surctl.marine.guidance.tracking` implements. V1 is a Lyapunov function of
-the tracking error e = (x_e, y_e, z_e).
+The claims use the expressions for the rates that `surctl.marine.guidance.tracking` implements. V1 is a Lyapunov
+function of the tracking error e = (x_e, y_e, z_e).
 """
 
 from __future__ import annotations

@@ -40,7 +40,8 @@ def certain_range_symbols(
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.sensing import REFLECTORS, SolidWalls, SonarArray, Surfaces, beam_of, certain_range_symbols
+        >>> from surctl.marine.sensing import REFLECTORS, SolidWalls, SonarArray, Surfaces
+        >>> from surctl.marine.sensing import beam_of, certain_range_symbols
         >>> array, rough, z = SonarArray(), REFLECTORS["diffuse"], ca.SX.sym("z")
         >>> beam = beam_of(array, [0], 0, position=ca.SX([1.0, 1.0]), heading=ca.SX(0.0))
         >>> around = Surfaces((), (rough,) * 4, surface=rough, floor=rough, depth=5.0)
