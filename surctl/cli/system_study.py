@@ -43,7 +43,7 @@ def study_system(
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
     from surctl.lyapunov import solve
-    from surctl.marine.report.system_page import SystemStudy, export_line, render_system_page
+    from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system, simulate_system
 
     own = load_system(words)

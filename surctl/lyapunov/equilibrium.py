@@ -153,7 +153,7 @@ def _decreases(p: Array, a: Array, weight: Array, discrete: bool) -> bool:
 
 
 def _by_inequalities(matrices: Array, scales: Array, *, discrete: bool) -> Array | None:
-    from surctl.verification.region.conic import minimise, symmetric_basis
+    from surctl.verification.conic import minimise, symmetric_basis
 
     n = len(scales)
     size = np.diag(scales)

@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
     from surctl.report.loop_views import plot_loop, plot_loop_goals, plot_loops
     from surctl.report.motion_plots import plot_motion
+    from surctl.report.page import render_sections
     from surctl.report.system_plot import plot_record, save_record_plot
     from surctl.report.system_plots import plot_attainable_rates, plot_dependence, plot_fan, plot_phase_plane, plot_runs
     from surctl.report.theme import darkened
@@ -33,6 +34,7 @@ __all__ = [
     "plot_replay",
     "plot_runs",
     "plot_slice",
+    "render_sections",
     "save_record_plot",
 ]
 
@@ -44,6 +46,7 @@ load_at_first_use(
         "evidence": "MarginSlice margin_slice plot_counterexample plot_replay plot_slice",
         "loop_views": "plot_loop plot_loop_goals plot_loops",
         "motion_plots": "plot_motion",
+        "page": "render_sections",
         "system_plot": "plot_record save_record_plot",
         "system_plots": "plot_attainable_rates plot_dependence plot_fan plot_phase_plane plot_runs",
         "theme": "darkened",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
-from surctl.marine.report import render_page, render_sections
+from surctl.marine.report import render_page
 from surctl.marine.report.findings import findings_section
 from surctl.marine.verification import claims
-from surctl.report import Check
+from surctl.report import Check, render_sections
 from surctl.report.claim_words import claim_words
 from surctl.report.document import Section, Table
 from surctl.verification import Inapplicable

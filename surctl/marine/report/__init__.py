@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from surctl.marine.report.locus import plot_locus
     from surctl.marine.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
     from surctl.marine.report.map_view import MapView, map_view, plot_map, plot_maps
-    from surctl.marine.report.page import render_page, render_sections, write_page
+    from surctl.marine.report.page import render_page, write_page
     from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
     from surctl.marine.report.plan_view import plot_run
     from surctl.marine.report.prediction_plots import plot_prediction, save_prediction
@@ -87,7 +87,6 @@ __all__ = [
     "plot_series",
     "plot_sonar_replay",
     "render_page",
-    "render_sections",
     "runs_section",
     "save_animation",
     "save_attainable",
@@ -123,7 +122,7 @@ load_at_first_use(
         "locus": "plot_locus",
         "loops": "LoopResponse loop_responses plot_bode plot_nyquist plot_poles",
         "map_view": "MapView map_view plot_map plot_maps",
-        "page": "render_page render_sections write_page",
+        "page": "render_page write_page",
         "paper_plots": "plot_coordinates plot_position_errors plot_series",
         "plan_view": "plot_run",
         "prediction_plots": "plot_prediction save_prediction",

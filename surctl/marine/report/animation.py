@@ -22,9 +22,9 @@ from surctl.errors import InputError
 from surctl.files import write_file
 from surctl.marine.report.beams import INSTANT, beam_patch, beams_at
 from surctl.marine.report.plan_view import body_outline, describe, draw_ends, draw_site
-from surctl.marine.report.words import number
 from surctl.marine.simulation import Run
 from surctl.report.mp4 import check_mp4, mp4
+from surctl.report.numbers import number
 from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure
 
 __all__ = ["RATE", "check_animation", "frame_steps", "frames", "save_animation"]

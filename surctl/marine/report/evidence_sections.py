@@ -8,7 +8,7 @@ from surctl.marine.report.plan_view import describe, plot_run
 from surctl.marine.report.player import player
 from surctl.marine.report.priority_plot import plot_priority, relaxation_text
 from surctl.marine.report.signals import plot_run_signals
-from surctl.marine.report.words import gains_argument, number, simulate_command, verify_command
+from surctl.marine.report.words import gains_argument, simulate_command, verify_command
 from surctl.marine.simulation import Run, priority_timeline
 from surctl.own_code import label
 from surctl.report.document import (
@@ -24,6 +24,7 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
+from surctl.report.numbers import number
 from surctl.verification import Counterexample, Verdict
 
 __all__ = ["claims_section", "decisive_section", "runs_section"]

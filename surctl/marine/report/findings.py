@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from math import pi
 
 from surctl.marine.report.data import ReportData
-from surctl.marine.report.words import interval, number
 from surctl.marine.verification.linear import LinearSide
 from surctl.report.claim_words import claim_words
 from surctl.report.document import Cell, Paragraph, Section, Table, outcome_cell
+from surctl.report.numbers import interval, number
 from surctl.verification import Claim, Inapplicable, LoopMargins, Verdict
 
 __all__ = ["findings_section"]

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from surctl.marine.report.words import number
 from surctl.marine.verification.linear import LinearSide
 from surctl.report.document import Block, Cell, Paragraph, Table, outcome_cell
+from surctl.report.numbers import number
 
 __all__ = ["linear_blocks"]
 

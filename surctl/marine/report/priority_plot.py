@@ -10,9 +10,9 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from surctl.marine.report.signals import spans
-from surctl.marine.report.words import number
 from surctl.priority import PriorityTimeline
 from surctl.priority.timeline import NOTICEABLE
+from surctl.report.numbers import number
 from surctl.report.theme import AVOIDING, BAD, INK, MUTED, ROBOT, dress, head, new_figure, printable
 
 __all__ = ["plot_priority", "relaxation_text"]

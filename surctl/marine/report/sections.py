@@ -15,7 +15,6 @@ from surctl.marine.report.heat_map import COLUMN_TITLES, axis_title, plot_heat_m
 from surctl.marine.report.linear_section import linear_blocks
 from surctl.marine.report.loops import LoopResponse, plot_bode, plot_nyquist, plot_poles
 from surctl.marine.report.sweep_plots import plot_parallel
-from surctl.marine.report.words import file_size, number
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.report.document import (
@@ -30,6 +29,7 @@ from surctl.report.document import (
     outcome_cell,
     picture,
 )
+from surctl.report.numbers import file_size, number
 
 __all__ = ["export_section", "gains_section", "loops_section", "sweep_section", "time_section", "vehicle_section"]
 

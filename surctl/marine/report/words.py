@@ -1,8 +1,7 @@
-"""Format of numbers, sizes and commands in the HTML report."""
+"""The commands that repeat what the HTML report shows."""
 
 from __future__ import annotations
 
-import math
 import shlex
 from pathlib import Path
 
@@ -15,29 +14,7 @@ from surctl.marine.vehicle import LIBRARY as VEHICLE_LIBRARY
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.own_code import own_file
 
-__all__ = ["file_size", "gains_argument", "interval", "number", "simulate_command", "verify_command"]
-
-
-def number(value: float | None, *, digits: int = 4) -> str:
-    """Format a value with at most `digits` significant digits; None and NaN give "–", infinities "∞" or "-∞"."""
-    if value is None or math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "-∞"
-    return f"{value:.{digits}g}"
-
-
-def interval(lower: float, upper: float) -> str:
-    """Format an interval as "a to b", or as a single number if both ends are equal."""
-    return number(lower) if lower == upper else f"{number(lower)} to {number(upper)}"
-
-
-def file_size(path: Path) -> str:
-    """Format the size of a file on disk [byte]; "–" if the file does not exist."""
-    try:
-        return f"{path.stat().st_size:,}".replace(",", "\u202f")
-    except OSError:
-        return "–"
+__all__ = ["gains_argument", "simulate_command", "verify_command"]
 
 
 def gains_argument(gains: Gains, gains_file: str) -> str | None:

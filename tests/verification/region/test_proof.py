@@ -33,7 +33,7 @@ from surctl.marine.verification.region.loop import force_gain, steady_cruise
 from surctl.marine.verification.region.ratio import level_ratios
 from surctl.marine.verification.region.turning_loop import steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import violated, worst_rate
-from surctl.verification.region.conic import minimise, symmetric_basis
+from surctl.verification.conic import minimise, symmetric_basis
 from tests.certcheck.cruise import boats, matrix, rate, rest, thrust
 
 KEPT = Path(__file__).parents[2] / "certcheck"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.verification.region.heading import HeadingClaim, Limits, loops_at, rows_at
-from surctl.verification.region.conic import minimise, symmetric_basis
+from surctl.verification.conic import minimise, symmetric_basis
 
 __all__ = ["heave_shape", "shapes"]
 

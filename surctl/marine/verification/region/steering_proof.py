@@ -29,7 +29,7 @@ from surctl.certcheck.steering_loop import (
 )
 from surctl.marine.verification.region.proof import RegionProof
 from surctl.marine.verification.region.steering import SteeringClaim
-from surctl.verification.region.conic import Inequality, minimise, symmetric_basis
+from surctl.verification.conic import Inequality, minimise, symmetric_basis
 
 __all__ = ["prove_steering"]
 

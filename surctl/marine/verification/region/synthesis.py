@@ -24,7 +24,7 @@ from surctl.marine.verification.region.loop import (
     gains_of,
     loops,
 )
-from surctl.verification.region.conic import Inequality, minimise, symmetric_basis
+from surctl.verification.conic import Inequality, minimise, symmetric_basis
 
 __all__ = [
     "Candidate",

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_loop import Cruise, Vertices, steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import TurningCandidate, fitted, transformed, violated
-from surctl.verification.region.conic import Inequality, minimise
+from surctl.verification.conic import Inequality, minimise
 
 __all__ = ["turning_search"]
 

@@ -12,8 +12,6 @@ from surctl.assessment.assessment import Assessment, Line
 from surctl.errors import InputError
 from surctl.export import SilReport
 from surctl.ir import Layout
-from surctl.marine.report.page import render_sections
-from surctl.marine.report.words import number
 from surctl.report.document import (
     Block,
     Cell,
@@ -27,6 +25,8 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.motion_plots import plot_motion
+from surctl.report.numbers import number
+from surctl.report.page import render_sections
 from surctl.report.system_plot import plot_record
 from surctl.report.system_plots import plot_dependence
 from surctl.system import Record, Runs, entry_labels, entry_units

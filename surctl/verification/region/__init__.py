@@ -1,3 +1,0 @@
-"""Search of quadratic Lyapunov functions by conic programs."""
-
-__all__ = []
