@@ -18,7 +18,6 @@ from typing import IO, TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origi
 from pydantic import BaseModel, StrictFloat, ValidationError, model_validator
 
 from surctl.errors import InputError, nearest
-from surctl.renamed import current_table
 from surctl.strict import Strict
 from surctl.units import converted_by_suffix, in_unit, number_and_unit
 
@@ -192,7 +191,7 @@ def validate(table: dict[str, Any], model: type[M], *, file: object) -> M:
         surctl.errors.InputError: tank.toml: length_m = 'long': input should be a valid number, ...; correct the value
     """
     try:
-        return model.model_validate(current_table(table, file=file))
+        return model.model_validate(table)
     except ValidationError as error:
         problems = error.errors(include_url=False)
         texts = {p["loc"][:-1] for p in problems if p["loc"][-1:] == ("str",)}

@@ -33,7 +33,6 @@ from surctl.cli.tune import tune
 from surctl.cli.vehicle import vehicle
 from surctl.cli.verify import verify
 from surctl.errors import SurctlError
-from surctl.renamed import OldName, current_arguments
 
 __all__ = ["app", "main"]
 
@@ -80,7 +79,6 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(50_000, 20, 20)  # the search for cycles takes a tenth of the time of a short command
     warnings.showwarning = lambda message, *_: print_message(str(message))
-    warnings.filterwarnings("always", category=OldName)  # one line for each warning, whatever the warning filters are
     os.environ["MPLBACKEND"] = "agg"  # an inherited one (of Jupyter, say) may not be installed; no window is opened
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it reports a folder for its own cache in several lines
     open_closed_streams()
@@ -91,7 +89,7 @@ def main() -> None:
 
 def _status() -> int:
     try:
-        status = app(current_arguments(sys.argv[1:]), prog_name="surctl", standalone_mode=False)
+        status = app(prog_name="surctl", standalone_mode=False)
         sys.stdout.flush()
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())
