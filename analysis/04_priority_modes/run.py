@@ -11,16 +11,19 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from continuity import LOOPS, MAY_JUMP, SETTINGS, chatter, lipschitz
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+
 from surctl.priority import Level, Mode, PriorityProblem, Row, build_problem, solve
 from surctl.priority.diagnosis import equals_strict_priority
 from surctl.priority.draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
-from surctl.priority.references import daqp_hierarchy, printed_law, svd_cascade
+from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
 
 Array = NDArray[np.float64]
 

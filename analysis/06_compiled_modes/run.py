@@ -14,10 +14,13 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import get_args
 
 import casadi as ca
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import ToolMissing
 from surctl.ir import compiler_version
@@ -26,7 +29,6 @@ from surctl.priority import Mode, Settings, build_problem, solve
 from surctl.priority.compiled.assemble import assemble
 from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.runner import PriorityStep
-from surctl.priority.compiled.shape_draws import draw_of_shape
 from surctl.priority.optimality import is_optimal
 from surctl.priority.problem import Level, PriorityProblem, Row
 from surctl.tasks import (
@@ -38,6 +40,7 @@ from surctl.tasks import (
     line_of_sight_task,
     position_task,
 )
+from tests.oracles.shape_draws import draw_of_shape
 
 N, PLACES = 4, 24
 SHAPES = (

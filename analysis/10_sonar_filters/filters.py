@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -11,8 +13,11 @@ from echoes import ARRAY, DT, EVERY
 from numpy.typing import NDArray
 from streams import Stream, joined
 
-from surctl.marine.sensing import RangeTracker, SensorFilter, plain_average, plain_filter, plain_gate
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+
+from surctl.marine.sensing import RangeTracker, SensorFilter
 from surctl.marine.sensing.ranging.filters import StepRule
+from tests.oracles.range_filters import plain_average, plain_filter, plain_gate
 
 Array = NDArray[np.float64]
 TOGETHER = 1000  # runs

@@ -18,6 +18,8 @@ from filters import FILTERS, Tracked, each, robust
 from numpy.typing import NDArray
 from streams import FAULTS, FIRST, Stream, faulty, honest, shows
 
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
 from surctl.marine.report.sonar_plots import (
@@ -28,8 +30,9 @@ from surctl.marine.report.sonar_plots import (
     plot_lms_trace,
     plot_range_trace,
 )
-from surctl.marine.sensing import plain_lms_step, table_ii
+from surctl.marine.sensing import table_ii
 from surctl.marine.sensing.ranging.filters import StepRule
+from tests.oracles.range_filters import plain_lms_step
 
 Array = NDArray[np.float64]
 CONFIG = Path(__file__).with_name("config.toml")

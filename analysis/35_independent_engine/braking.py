@@ -8,18 +8,21 @@ measurements are from the claim's ranges; half of the runs are at the worst ends
 from __future__ import annotations
 
 import csv
+import sys
 from dataclasses import replace
 from pathlib import Path as FilePath
 
 import numpy as np
 from certified import with_parameters
 
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+
 from surctl.marine.control import Gains
 from surctl.marine.engine import EngineOptions, MujocoPhysics
 from surctl.marine.simulation import build_world, load_scenario
 from surctl.marine.vehicle import load_vehicle, plant_state
 from surctl.marine.verification.braking import BrakingClaim, braking_claim_named, prove_braking
-from surctl.marine.verification.braking.episodes import Rule, rule_of
+from tests.oracles.braking_episodes import Rule, rule_of
 
 CLAIMS = ("braking-rule-20", "braking-rule-ranges", "braking-inertia-20", "braking-inertia-20-movers")
 SECONDS, HALF = 14.0, 0.025

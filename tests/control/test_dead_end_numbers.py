@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from surctl.ir import Layout, Port
 from surctl.marine.control import PARAMETERS, law_parameters, load_gains
 from surctl.marine.control.dead_end import DEAD_END_PORTS, SEARCH_PORT, dead_end_next, standing
-from surctl.marine.control.dead_end_numbers import DeadEnd, Mission, Mover, Place, aim, dead_end_step
 from surctl.marine.control.layers import LAYER_PORTS, aimed_depth
 from surctl.marine.control.reference import path_following
 from surctl.marine.guidance import Path, disc_contact
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.dead_end_numbers import DeadEnd, Mission, Mover, Place, aim, dead_end_step
 
 DT, PATIENCE, DEPTH, END, LIMIT = 0.5, 4.0, -2.0, (9.0, 0.0), 8.0
 PROGRESS = Port("progress", (1,), "m", "arc length of the target point on the path")

@@ -11,13 +11,13 @@ import pytest
 
 from surctl.errors import InputError, ToolMissing
 from surctl.export import ProofReport, gain_box, prove_bundle, with_proof
-from surctl.export.mutants import caught_by, mutants
 from surctl.export.prove import _program
 from surctl.ir import Program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import law_numbers, load_scenario
 from tests.export.altered import altered
 from tests.export.closed_form import exported, searching, vehicle
+from tests.oracles.proof_mutants import caught_by, mutants
 from tests.tools import need, need_compiler
 
 

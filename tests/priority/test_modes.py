@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.priority import Level, PriorityProblem, Row, build_problem, nsb, nsb_sweep, solve
 from surctl.priority.draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
-from surctl.priority.references import daqp_hierarchy, svd_cascade
+from tests.oracles.priority_references import daqp_hierarchy, svd_cascade
 
 N = 4
 E = np.eye(N)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.priority import Level, build_problem, nsb, nsb_sweep, nsb_symbolic
 from surctl.priority.draws import draw_levels
-from surctl.priority.references import printed_law, svd_cascade
 from surctl.tasks import (
     Stack,
     depth_task,
@@ -19,6 +18,7 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
+from tests.oracles.priority_references import printed_law, svd_cascade
 
 N = 4
 seeds = st.integers(0, 2**32 - 1)

@@ -12,8 +12,9 @@ from scipy.stats import chi2
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, lower, on_vectors
-from surctl.marine.sensing import OwnState, OwnStateFilter, own_state_step
+from surctl.marine.sensing import OwnState, OwnStateFilter
 from surctl.marine.sensing.localisation.own_state import LONGEST_AGE, UNKNOWN_SD, OwnEstimate
+from tests.oracles.own_state import own_state_step
 
 DT = 0.05
 MODEL = Layout(tuple(Port(name, (4,), "SI", "") for name in ("mass", "linear_drag", "quadratic_drag", "thrust_limit")))

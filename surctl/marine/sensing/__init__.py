@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from surctl.marine.sensing.localisation.base_station import BaseStation, OwnState
     from surctl.marine.sensing.localisation.delivery import Delivery, delayed, delayed_symbols
     from surctl.marine.sensing.localisation.movers import Movers, MoverTracker, mover_step
-    from surctl.marine.sensing.localisation.numbers import own_state_step
     from surctl.marine.sensing.localisation.own_state import OwnEstimate, OwnStateFilter
     from surctl.marine.sensing.mapping.contacts import ContactMemory, Contacts, expected_range, sonar_contacts
     from surctl.marine.sensing.mapping.local_map import LocalMap
@@ -33,14 +32,6 @@ if TYPE_CHECKING:
         gate,
         lms_step,
         weighted_average,
-    )
-    from surctl.marine.sensing.ranging.plain import (
-        PlainLmsStep,
-        PlainUpdate,
-        plain_average,
-        plain_filter,
-        plain_gate,
-        plain_lms_step,
     )
     from surctl.marine.sensing.ranging.tracker import RangeTracker, Ranging
     from surctl.marine.sensing.replay.file import Recording, filtered_rows, read_readings, sonar_array
@@ -115,8 +106,6 @@ __all__ = [
     "OwnEstimate",
     "OwnState",
     "OwnStateFilter",
-    "PlainLmsStep",
-    "PlainUpdate",
     "RangeTest",
     "RangeTracker",
     "Ranging",
@@ -173,12 +162,7 @@ __all__ = [
     "map_view",
     "mover_step",
     "noise_states",
-    "own_state_step",
     "pick_calibration",
-    "plain_average",
-    "plain_filter",
-    "plain_gate",
-    "plain_lms_step",
     "read_readings",
     "replay_readings",
     "rim",
@@ -206,14 +190,12 @@ load_at_first_use(
         "localisation.base_station": "BaseStation OwnState",
         "localisation.delivery": "Delivery delayed delayed_symbols",
         "localisation.movers": "Movers MoverTracker mover_step",
-        "localisation.numbers": "own_state_step",
         "localisation.own_state": "OwnEstimate OwnStateFilter",
         "mapping.contacts": "ContactMemory Contacts expected_range sonar_contacts",
         "mapping.local_map": "LocalMap",
         "mapping.numbers": "map_step map_view",
         "noise": "NOISE_STATE NoiseStream draw_normals draw_uniforms noise_states",
         "ranging.filters": "FilterUpdate LmsStep SensorFilter gate lms_step weighted_average",
-        "ranging.plain": "PlainLmsStep PlainUpdate plain_average plain_filter plain_gate plain_lms_step",
         "ranging.tracker": "RangeTracker Ranging",
         "replay.file": "Recording filtered_rows read_readings sonar_array",
         "replay.tracked": "Readings Replay SensorSummary Tracked replay_readings track",

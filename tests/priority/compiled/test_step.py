@@ -14,11 +14,11 @@ from surctl.ir import SlowerEngine, compile_block, replay, to_casadi
 from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
 from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.runner import PriorityStep
-from surctl.priority.compiled.shape_draws import draw_of_shape
 from surctl.priority.compiled.step import OUTPUTS, priority_step
 from surctl.priority.optimality import is_optimal
 from surctl.priority.polyhedron import polyhedron_of
-from surctl.priority.references import daqp_hierarchy, printed_law, svd_cascade
+from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
+from tests.oracles.shape_draws import draw_of_shape
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]

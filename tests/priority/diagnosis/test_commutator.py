@@ -9,7 +9,7 @@ from surctl.errors import InputError
 from surctl.priority.diagnosis.commutator import commutator_norms, equals_strict_priority
 from surctl.priority.diagnosis.outcomes import nsb_velocities, residual_norms, strict_velocities
 from surctl.priority.draws import draw_levels
-from surctl.priority.references import printed_law
+from tests.oracles.priority_references import printed_law
 
 N = 4
 seeds = st.integers(0, 2**32 - 1)

@@ -6,7 +6,7 @@ from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.braking import BrakingClaim, braking_claim_named
 from surctl.marine.verification.braking.distance import distance_table
-from surctl.marine.verification.braking.episodes import rule_of, run_episodes
+from tests.oracles.braking_episodes import rule_of, run_episodes
 
 
 def claimed(name: str, vehicle: str = "sur540-flooded") -> BrakingClaim:

@@ -22,7 +22,7 @@ from surctl.marine.verification.braking import (
     prove_braking,
 )
 from surctl.marine.verification.braking.distance import distance_table, encounter, figures, largest_obstacle
-from surctl.marine.verification.braking.episodes import run_episodes
+from tests.oracles.braking_episodes import run_episodes
 
 KEPT = Path(__file__).parents[2] / "certcheck"
 GAINS = load_gains("default")

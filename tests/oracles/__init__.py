@@ -1,0 +1,1 @@
+"""Independent implementations that the tests and studies compare the product with."""
