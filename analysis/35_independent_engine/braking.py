@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import sys
 from dataclasses import replace
+from pathlib import Path
 from pathlib import Path as FilePath
 
 import numpy as np
