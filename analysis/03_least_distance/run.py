@@ -21,7 +21,7 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import ToolMissing
 from surctl.ir import compile_block, compiler_version, emit_block

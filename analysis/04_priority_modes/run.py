@@ -18,7 +18,7 @@ import numpy as np
 from continuity import LOOPS, MAY_JUMP, SETTINGS, chatter, lipschitz
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.priority import Level, Mode, PriorityProblem, Row, build_problem, solve
 from surctl.priority.diagnosis import equals_strict_priority

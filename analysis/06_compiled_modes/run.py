@@ -20,7 +20,7 @@ from typing import get_args
 import casadi as ca
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import ToolMissing
 from surctl.ir import compiler_version

@@ -13,7 +13,7 @@ from echoes import ARRAY, DT, EVERY
 from numpy.typing import NDArray
 from streams import Stream, joined
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.marine.sensing import RangeTracker, SensorFilter
 from surctl.marine.sensing.ranging.filters import StepRule

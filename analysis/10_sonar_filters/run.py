@@ -18,7 +18,7 @@ from filters import FILTERS, Tracked, each, robust
 from numpy.typing import NDArray
 from streams import FAULTS, FIRST, Stream, faulty, honest, shows
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder

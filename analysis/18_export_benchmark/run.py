@@ -23,7 +23,7 @@ from peers import PROBLEM, race
 from proofs import whole_laws
 from whole import whole
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import SurctlError
 from surctl.export import TARGETS, Controller, Records, prove_bundle

@@ -16,7 +16,7 @@ from pathlib import Path as FilePath
 import numpy as np
 from certified import with_parameters
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.marine.control import Gains
 from surctl.marine.engine import EngineOptions, MujocoPhysics

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import linprog
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the oracles are beside the tests
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import SolverError
 from surctl.priority import PriorityProblem, Row, build_problem

@@ -14,16 +14,8 @@ from matplotlib.figure import Figure
 from surctl.errors import InputError
 from surctl.export import Difference, ExportedFile, SilReport
 from surctl.marine.control import write_gains
-from surctl.marine.report import (
-    ExportSummary,
-    ReportData,
-    plot_run,
-    render_page,
-    render_sections,
-    runs_section,
-    write_page,
-)
-from surctl.report import Check
+from surctl.marine.report import ExportSummary, ReportData, plot_run, render_page, runs_section, write_page
+from surctl.report import Check, render_sections
 from surctl.report.document import Heading, Section, picture
 from surctl.report.theme import png
 from tests.pictures import blank_pictures
