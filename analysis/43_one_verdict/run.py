@@ -35,7 +35,6 @@ from surctl.ir.compiler import find_compiler
 from surctl.marine.assessment import Mission
 from surctl.marine.control import Gains, write_gains
 from surctl.marine.report.bench import Bench
-from surctl.marine.report.words import number
 from surctl.marine.simulation import load_scenario
 from surctl.marine.study import load_plan
 from surctl.marine.study.conduct import assessed
@@ -43,6 +42,7 @@ from surctl.marine.tuning import derive_gains
 from surctl.marine.vehicle import Vehicle, write_vehicle
 from surctl.marine.verification import linear_table
 from surctl.report.design_bench import SystemBench
+from surctl.report.numbers import number
 from surctl.system import run_system
 
 CAP, DT = 0.3, 0.05  # [m/s], [s]
