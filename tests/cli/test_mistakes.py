@@ -7,7 +7,7 @@ import pytest
 from tests.cli.process import LIBRARY, surctl_here
 
 VEHICLE = (LIBRARY / "marine" / "vehicle" / "library" / "sur400.toml").read_text()
-GAINS = (LIBRARY / "control" / "library" / "default.toml").read_text()
+GAINS = (LIBRARY / "marine" / "control" / "library" / "default.toml").read_text()
 SCENARIO = (LIBRARY / "marine" / "simulation" / "library" / "pool-static.toml").read_text()
 STUDY = (LIBRARY / "marine" / "study" / "library" / "default.toml").read_text()
 

@@ -45,7 +45,7 @@ def test_a_vehicle_from_its_geometry(tmp_path: Path) -> None:
 
 def test_a_run_as_a_log_gives_the_vehicle_back(tmp_path: Path) -> None:
     """`tests/simulation` reads the other formats."""
-    text = (LIBRARY / "simulation" / "library" / "tank-speed-025.toml").read_text()
+    text = (LIBRARY / "marine" / "simulation" / "library" / "tank-speed-025.toml").read_text()
     (tmp_path / "short.toml").write_text(text.replace("time_limit_s = 120.0", "time_limit_s = 10.0"))
     saved = surctl("simulate", "short.toml", "--law", "closed_form", "--save", "csv", "--out", "log", cwd=tmp_path)
     assert saved.status == 1 and "time limit" in saved.out, saved.err

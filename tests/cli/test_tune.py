@@ -83,7 +83,7 @@ def test_a_hard_goal_that_cannot_be_met_ends_with_1_and_is_named(tmp_path):
 
 
 def test_scenarios_that_the_hull_does_not_fit_are_left_out_by_either_way(tmp_path):
-    text = (LIBRARY / "vehicle" / "library" / "sur540-flooded.toml").read_text()
+    text = (LIBRARY / "marine" / "vehicle" / "library" / "sur540-flooded.toml").read_text()
     (tmp_path / "own.toml").write_text(text.replace("sur540-flooded", "own"))
     goals = (
         'kind = "goals"\nname = "g"\n[[goals]]\nname = "soon"\nmetric = "time_s"\nat_most = "50 s"\ncases = ["%s"]\n'
