@@ -56,7 +56,7 @@ def load_at_first_use(package: str, modules: Mapping[str, str]) -> None:
 
     Example:
         >>> import surctl.tuning
-        >>> type(surctl.tuning).__name__, "tune" in dir(surctl.tuning)
+        >>> type(surctl.tuning).__name__, "tune_system" in dir(surctl.tuning)
         ('LazyPackage', True)
     """
     module = sys.modules[package]

@@ -59,7 +59,9 @@ def main(arguments: list[str]) -> int:
     for size in sizes:
         for mode in modes:
             count = 75 if options.quick else options.count * (4 if mode == "lexicographic" else 1) // 5
-            silent += _campaign(size, mode, count, options.seed, 3 if options.quick else SHARE[size.n])
+            silent += _campaign(
+                size, mode, count, options.seed, *((3, 1) if options.quick else (SHARE[size.n], COMPARED))
+            )
     print(
         f"\nWithout the status `unconfirmed`, worse than a reference or neither proved nor compared: {silent}", end=""
     )
@@ -67,7 +69,7 @@ def main(arguments: list[str]) -> int:
     return 0 if silent == 0 else 1
 
 
-def _campaign(size: Size, mode: Mode, count: int, seed: int, share: int) -> int:
+def _campaign(size: Size, mode: Mode, count: int, seed: int, share: int, compare: int) -> int:
     """Print one row per class; return the number of solutions that are worse, or unproved, without a word."""
     step, silent = PriorityStep(mode, n=size.n, levels=size.shapes, rows=size.rows), 0
     for place, kind in enumerate(CLASSES):
@@ -77,7 +79,7 @@ def _campaign(size: Size, mode: Mode, count: int, seed: int, share: int) -> int:
             step.load(problem)
             step.solve()
             where = f"n={size.n} {mode} {kind} {k}"
-            compared = k % COMPARED == 0
+            compared = k % compare == 0
             opening = float(step.opening[0])
             seen["step"] += _judged(problem, mode, step.v, step.target, step.stage, opening, where, compared)
             if k % share == 0:
@@ -98,7 +100,7 @@ def _judged(
     status: str,
     opening: float,
     where: str,
-    compared: bool,
+    compared: bool = True,
 ) -> Counter[str]:
     silent = status != "unconfirmed"
     proved = silent and is_least(v, problem, settings=Settings(mode), target=target, tol=TOLERANCE)

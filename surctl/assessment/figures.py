@@ -70,7 +70,7 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
     short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
     value = "not determined" if np.isnan(disk.value) else f"{disk.value:.2f}"
     text = f"margins {place}: disk margin {value} at the worst corner, {nominal.value:.2f} nominal; least delay "
-    text += f"margin {delay.value:.2g} s ({delay.where})"
+    text += f"margin {delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where})"
     if short:
         text += f"; required: {', '.join(short)} (worst corner: {disk.where})"
     return Line(not short, text, "margins")

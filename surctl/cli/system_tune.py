@@ -53,7 +53,6 @@ def tune_own_system(
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
     file = out / _SO_FAR
-    write_csv(file, {name: [value] for name, value in _nominal(own).items() if name in space})
 
     def note(tried: int, best: Mapping[str, float]) -> None:
         doing(f"{tried} of {trials} gain sets")
@@ -61,6 +60,7 @@ def tune_own_system(
 
     try:
         with stoppable(f"the best gains so far are in {file}, without a check of their disk margin"):
+            note(0, {name: value for name, value in _nominal(own).items() if name in space})
             result = tune_system(
                 own.system, duration, space,
                 cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,

@@ -348,7 +348,10 @@ def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -
         (("--gain", "q=1..2", "--seconds", "3"), "is no gain of the system; did you mean 'k'|known: k"),
         (("--gain", "k=2..1", "--seconds", "3"), "is not a range"),
         ((), "--seconds: is missing"),
-        (("--goals", "default", "--seconds", "3"), "goals.arrive.metric = 'reached': is a metric of the robot"),
+        (
+            ("--goals", "default", "--seconds", "3"),
+            "goals.arrive.metric = 'reached': is not a cost of the system; known: final, work",
+        ),
         (("start.x=a", "--seconds", "3"), "start.x = 'a': is not a number"),
     ],
 )

@@ -117,7 +117,8 @@ def default_tuned(base: Gains) -> tuple[str, ...]:
         >>> default_tuned(load_gains("default"))[:3]
         ('k1', 'lookahead', 'k_psi')
     """
-    own = [name for name in base.own if name in base.specs]  # not what follows from the vehicle
+    # not what follows from the vehicle, nor a gain that may be 0, which is a choice; it is tuned if it is named
+    own = [name for name in base.own if name in base.specs and base.ranges.get(name, (1.0, 1.0))[0] > 0]
     return (*own, "k_v", "k_r") if base.own else TUNED
 
 

@@ -144,7 +144,7 @@ def _stored(claim: RegionClaim, attempts: int, seed: int) -> tuple[dict[str, Any
         return result
 
     result = stored_numbers(
-        ("surctl.verification.region", "surctl.certcheck"),
+        ("surctl.marine.verification.region", "surctl.verification.conic", "surctl.certcheck"),
         (version("clarabel"), replace(claim, name="", digests=("", "")), attempts, seed),
         build,
         suffix=".region",
