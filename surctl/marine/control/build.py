@@ -69,7 +69,11 @@ DEFAULT_EQUIPMENT = Equipment()
 MODES: tuple[Mode, ...] = get_args(Mode)
 
 _SOURCES = tuple(
-    f"surctl.{name}" for name in ("control", "errors", "guidance", "ir", "priority", "sensing", "tasks", "vehicle")
+    f"surctl.{name}"
+    for name in (
+        *("errors", "ir", "priority", "tasks"),
+        *("marine.control", "marine.guidance", "marine.sensing", "marine.vehicle"),
+    )
 )
 """Packages whose source code determines the instruction list of a law."""
 

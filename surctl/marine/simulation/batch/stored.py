@@ -16,8 +16,9 @@ __all__ = ["StoredLoop", "stored_loop"]
 _SOURCES = tuple(
     f"surctl.{name}"
     for name in (
-        *("allocation", "control", "errors", "files", "guidance", "ir", "priority", "sensing", "simulation", "tasks"),
-        *("own_code", "units", "vehicle", "world"),
+        *("errors", "files", "ir", "own_code", "priority", "tasks", "units"),
+        *("marine.allocation", "marine.control", "marine.guidance", "marine.sensing", "marine.simulation"),
+        *("marine.vehicle", "marine.world"),
     )
 )
 """Packages whose source code determines the instruction list of a closed loop."""
