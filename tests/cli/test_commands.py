@@ -164,7 +164,7 @@ def test_verify_shows_claims_as_files(tmp_path):
 def test_verify_tells_what_it_cannot_settle(tmp_path):
     text = CLAIM.replace('left = "', 'left = "0*select(0, 1, 0, 1/y_e^2) + ')
     (tmp_path / "open.toml").write_text(text, encoding="utf-8")
-    done = surctl("verify", "open.toml", "--time-limit", 2, cwd=tmp_path)
+    done = surctl("verify", "open.toml", "--time-limit", 1, cwd=tmp_path)
     assert done.status == 1
     assert "FAIL sway" in done.out and "unknown" in done.out and "division by an interval that contains 0" in done.out
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -376,14 +376,19 @@ def _left_open(statement: Statement, written: Tape, case: Case, shown: _Shown, b
     result = shown.result
     some = corners(result.remaining, statement.names, most=_MOST_SHOWN)
     count = result.remaining[0].shape[1]
-    where = ", ".join(f"{k} in [{low:.4g}, {high:.4g}]" for k, (low, high) in some[0].items()) if some else ""
     text = f"{result.reason} after {result.boxes} boxes: {count} open"
     if case.choice:
         text += f" in case {case.choice}"
     if some:
-        box = np.array([[low, high] for low, high in some[0].values()])
-        trouble = written.trouble((box[:, :1], box[:, 1:]))
+        box, trouble = next(((b, t) for b in some if (t := _trouble(written, b))), (some[0], ""))
+        where = ", ".join(f"{name} in [{low:.4g}, {high:.4g}]" for name, (low, high) in box.items())
         text += f", one at {where}" + (f"; {trouble}" if trouble else "")
     if shown.tried:
         text += f"; {shown.tried}"
     return Cases((), 0.0, text, tuple(some), boxes)
+
+
+def _trouble(written: Tape, box: Mapping[str, Sequence[float]]) -> str:
+    """Return the first operation of a statement that is undefined somewhere on a box; empty if all are defined."""
+    ends = np.array(list(box.values()))
+    return written.trouble((ends[:, :1], ends[:, 1:]))
