@@ -39,10 +39,9 @@ def loop_figures(
     """
     delay = min(margins, key=lambda m: m.delay_margin_s)
     single = min(margins, key=lambda m: m.disk_margin)
-    nominal = "nominal"
     figures = (
         Figure("disk_margin", disks[1], "1", _DISK, "high", LEAST_DISK_MARGIN, corner),
-        Figure("nominal_disk_margin", disks[0], "1", f"disk margin, {nominal}", "high"),
+        Figure("nominal_disk_margin", disks[0], "1", "disk margin, nominal", "high"),
         Figure(
             "single_loop_disk_margin", single.disk_margin, "1", f"least disk margin of one loop alone, {which}",
             "high", where=single.name,
@@ -51,7 +50,7 @@ def loop_figures(
             "delay_margin_s", delay.delay_margin_s, "s", f"least delay margin of one loop alone, {which}",
             "high", least_delay, delay.name,
         ),
-        Figure("slowest_pole_per_s", slowest[0], "1/s", f"largest real part of a pole, {nominal}", "low"),
+        Figure("slowest_pole_per_s", slowest[0], "1/s", "largest real part of a pole, nominal", "low"),
         Figure("corner_slowest_pole_per_s", slowest[1], "1/s", "largest real part of a pole, corners", "low"),
     )  # fmt: skip
     return {figure.name: figure for figure in figures}

@@ -39,8 +39,7 @@ def render_sections(
         sections: the sections in reading order.
 
     Example:
-        >>> from surctl.report import Check
-        >>> from surctl.report import render_sections
+        >>> from surctl.report import Check, render_sections
         >>> page = render_sections(
         ...     title="Pool",
         ...     subject="One hull, one pool.",

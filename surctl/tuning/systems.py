@@ -271,7 +271,7 @@ class _Search:
         figures = self.costs(sets)
         scores = np.zeros((len(sets), 2)) if self.goals is None else self.goals.scores(self.names, sets)
         for goal in self.run_goals:
-            share = goal.normalised(figures[:, list(self.system.costs).index(goal.cost)])
+            share = self.share(goal, figures)
             if goal.kind == "soft":
                 scores[:, 0] = np.maximum(scores[:, 0], share)
             else:
@@ -317,8 +317,8 @@ class _Search:
         if after is not None:
             broken += [s.goal.name for s in after.worst() if s.goal.kind == "hard" and not s.judgement.met]
         for goal in self.run_goals:
-            share = goal.normalised(figures[best][[list(self.system.costs).index(goal.cost)]])
-            broken += [goal.name] if goal.kind == "hard" and not share[0] <= 1 else []
+            met = self.share(goal, figures[best : best + 1])[0] <= 1
+            broken += [goal.name] if goal.kind == "hard" and not met else []
         return SystemTuning(
             self.objective,
             dict(zip(self.names, sets[best].tolist(), strict=True)),
@@ -336,6 +336,10 @@ class _Search:
     def value(self, figures: Array, scores: Array) -> Array:
         """Return what is minimised, (sets,)."""
         return scores[:, 0] if self.objective == GOALS else figures[:, list(self.system.costs).index(self.objective)]
+
+    def share(self, goal: RunGoal, figures: Array) -> Array:
+        """Return the normalised value (sets,) of a goal about runs from costs (sets, costs)."""
+        return goal.normalised(figures[:, list(self.system.costs).index(goal.cost)])
 
     def margin(self, gains: Array) -> float | None:
         """Return the disk margin at the first case, at the worst corner of the ranges; None without an equilibrium."""

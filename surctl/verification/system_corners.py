@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surctl.errors import InputError
 from surctl.system import Operating, System, find_equilibrium, linearise
 from surctl.system.linear import Linearisation
 from surctl.system.values import checked_ranges
-from surctl.verification.sampled_loop import SampledLoop
+from surctl.verification.sampled_loop import SampledLoop, worst_loop
 
 __all__ = ["SystemCorners", "SystemLoop", "system_corners"]
 
@@ -106,17 +105,12 @@ def system_corners(
     bounds = checked_ranges(system, system.ranges if ranges is None else ranges)
     numbers = dict(values or {})
     nominal = SystemLoop(linearise(system, numbers, at=find_equilibrium(system, numbers)))
-    worst, corner, lost = nominal, "the nominal system", list[str]()
-    corners = list(product(*bounds.values())) if bounds else []
-    slowest = nominal.slowest_per_s
-    for ends in corners:
-        label = ", ".join(f"{name} = {end:g}" for name, end in zip(bounds, ends, strict=True))
-        try:
-            loop = SystemLoop(linearise(system, {**numbers, **dict(zip(bounds, ends, strict=True))}))
-        except InputError:
-            lost.append(label)
-            continue
-        slowest = max(slowest, loop.slowest_per_s)
-        if loop.severity > worst.severity:
-            worst, corner = loop, label
-    return SystemCorners(nominal, worst, lost[0] if lost else corner, slowest, tuple(lost), len(corners))
+    corners = [dict(zip(bounds, ends, strict=True)) for ends in product(*bounds.values())] if bounds else []
+
+    def at(corner: Mapping[str, float]) -> SystemLoop:
+        return SystemLoop(linearise(system, {**numbers, **corner}))
+
+    labels = (", ".join(f"{name} = {end:g}" for name, end in corner.items()) for corner in corners)
+    worst = worst_loop(nominal, "the nominal system", zip(labels, (partial(at, c) for c in corners), strict=True))
+    corner = worst.lost[0] if worst.lost else worst.corner
+    return SystemCorners(nominal, worst.loop, corner, worst.slowest_per_s, worst.lost, len(corners))

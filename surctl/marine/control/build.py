@@ -63,12 +63,12 @@ from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, Mode, check_fallback, nsb_symbolic
 
-__all__ = ["MODES", "build_law", "build_law_of"]
+__all__ = ["LAW_SOURCES", "MODES", "build_law", "build_law_of"]
 
 DEFAULT_EQUIPMENT = Equipment()
 MODES: tuple[Mode, ...] = get_args(Mode)
 
-_SOURCES = tuple(
+LAW_SOURCES = tuple(
     f"surctl.{name}"
     for name in (
         *("errors", "ir", "priority", "tasks"),
@@ -215,7 +215,7 @@ def _cached_law(chosen: _Configuration) -> Law:
         except InputError as error:
             raise (error if error.file else error.inside(own_file(chosen.law))) from None
     try:
-        sources = source_digest(*_SOURCES)
+        sources = source_digest(*LAW_SOURCES)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached law
         return _built(chosen)
     built: list[Law] = []

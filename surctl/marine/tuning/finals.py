@@ -53,10 +53,9 @@ class Finals:
         sets = f"the {self.checked} best gain sets" if self.checked > 1 else "the best gain set"
         lines = [f"checked at the end, on {sets} of the search:"]
         for goal in self.goals:
-            sign = "≤" if goal.sense == "at most" else "≥"
             unit = "" if goal.unit == "1" else f" {goal.unit}"
             before, after = (_text(_value(goal, a)) for a in (self.comparison.before, self.comparison.after))
-            text = f"  {goal.name} ({goal.kind}): {goal.metric} {sign} {goal.limit:g}{unit}: {before} → {after}"
+            text = f"  {goal.name} ({goal.kind}): {goal.metric} {goal.sign} {goal.limit:g}{unit}: {before} → {after}"
             if not _met(goal, self.comparison.after):
                 text += f"  MISSED; best of the checked sets: {_text(self.best[goal.name])}"
             lines.append(text)

@@ -119,6 +119,11 @@ class Goal:
         return self.metric in LINEAR_METRICS or self.loop is not None
 
     @property
+    def sign(self) -> str:
+        """The sense as a sign."""
+        return "≤" if self.sense == "at most" else "≥"
+
+    @property
     def final(self) -> bool:
         """Whether the metric is a figure of the assessment that the search does not compute."""
         return self.metric in ASSESSED

@@ -121,12 +121,11 @@ def summary(tuning: Tuning) -> list[str]:
     """
     lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'start gains':>12}{'tuned':>12}{'normalised':>18}"]
     for goal, one in zip(tuning.request.goals, goal_rows(tuning), strict=True):
-        sign = "≤" if one["sense"] == "at most" else "≥"
         change = " → ".join(_normalised(one[f"normalised_{which}"]) for which in ("hand", "tuned"))
         mark = "" if one["met"] else "  MISSED"
         mark += f"  worst at {one['worst_cruise_m_per_s']:g} m/s" if one["cruise_m_per_s"] else ""
         lines.append(
-            f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{sign + ' ' + format(one['limit'], 'g'):>12}"
+            f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{goal.sign + ' ' + format(one['limit'], 'g'):>12}"
             f"{value_text(goal, one['hand']):>12}{value_text(goal, one['tuned']):>12}{change:>18}{mark}"
         )
     if any(goal.kind == "soft" for goal in tuning.request.goals):

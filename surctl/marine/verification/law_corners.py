@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from surctl.errors import InputError
 from surctl.marine.control import Gains, Law
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.law_loop import LawLoop, law_loop
 from surctl.marine.verification.linear.corners import corners
 from surctl.marine.verification.operating_point import OperatingPoint
+from surctl.verification.sampled_loop import worst_loop
 
 __all__ = ["LawCorners", "law_corners"]
 
@@ -92,14 +93,8 @@ def law_corners(
     """
     nominal = law_loop(law, vehicle, gains, cruise=cruise, at=at)
     tried = corners(vehicle, uncertainty)
-    worst, label, unable, slowest = nominal, "the nominal vehicle", 0, nominal.slowest_per_s
-    for plant in tried.vehicles[1:]:
-        try:
-            loop = law_loop(law, plant, gains, cruise=cruise, model=vehicle, at=at)
-        except InputError:  # the thrust cannot hold the speed
-            unable += 1
-            continue
-        slowest = max(slowest, loop.slowest_per_s)
-        if loop.severity > worst.severity:
-            worst, label = loop, tried.label(plant)
-    return LawCorners(nominal, worst, label, tried.text, slowest, unable)
+    loop_of = partial(law_loop, law, gains=gains, cruise=cruise, model=vehicle, at=at)
+    plants = ((tried.label(plant), partial(loop_of, plant)) for plant in tried.vehicles[1:])
+    worst = worst_loop(nominal, "the nominal vehicle", plants)
+    # a corner without a loop is one at which the thrust cannot hold the speed
+    return LawCorners(nominal, worst.loop, worst.corner, tried.text, worst.slowest_per_s, len(worst.lost))

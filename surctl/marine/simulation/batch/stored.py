@@ -8,18 +8,16 @@ from typing import NamedTuple
 
 from surctl.errors import SurctlError
 from surctl.ir import batch_source, cached_bytes, fused, source_digest, without_libm
+from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.simulation.batch.loop import Structure, build_loop
 from surctl.own_code import is_own
 
 __all__ = ["StoredLoop", "stored_loop"]
 
-_SOURCES = tuple(
-    f"surctl.{name}"
-    for name in (
-        *("errors", "files", "ir", "own_code", "priority", "tasks", "units"),
-        *("marine.allocation", "marine.control", "marine.guidance", "marine.sensing", "marine.simulation"),
-        *("marine.vehicle", "marine.world"),
-    )
+_SOURCES = (
+    *LAW_SOURCES,
+    *(f"surctl.{name}" for name in ("files", "own_code", "units")),
+    *(f"surctl.marine.{name}" for name in ("allocation", "simulation", "world")),
 )
 """Packages whose source code determines the instruction list of a closed loop."""
 
