@@ -143,7 +143,7 @@ def test_numbers_are_decimals_of_a_limited_size() -> None:
             number(value, "it")
     for value, more in ((-0.1, {}), (0.0, {"above": True}), (0.9, {"least": 1}), (1, {"least": 1, "above": True})):
         with pytest.raises(Rejected, match=r"it must be (above|at least) [01], not"):
-            number(value, "it", **more)  # type: ignore[arg-type]
+            number(value, "it", **more)
     for value in (1e30, 9e-19):
         with pytest.raises(Rejected, match="it is too large or too close to 0"):
             number(value, "it")

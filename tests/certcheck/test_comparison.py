@@ -56,7 +56,7 @@ def test_an_entry_of_a_vector_is_a_number_or_lies_in_the_range_of_a_parameter() 
     differs(lambda c: c.entry("k", "w", (1.0, 2.0), 1, ranges))
     for name, at in (("w", 0), ("w", 2), ("v", 1)):
         text = f"k[{at}]: the range of {name} does not contain the exported number"
-        differs(lambda c, name=name, at=at: c.entry("k", name, (1.0, 2.0), at, ranges), text)  # type: ignore[misc]
+        differs(lambda c, name=name, at=at: c.entry("k", name, (1.0, 2.0), at, ranges), text)
     differs(lambda c: c.entry("k", "w", (3.0,), 0, ranges), "k[0]: the range of w does not contain the exported number")
 
 
@@ -74,7 +74,7 @@ def test_a_vehicle_lies_in_the_certified_ranges() -> None:
     excludes(lambda c: c.within("mass", (40.0, 70.0), both))
     for low, high in ((41.0, 70.0), (40.0, 69.0)):  # one of the vehicle file's ranges is wider at one end
         text = f"mass: 40.0 to 70.0 in the vehicle file, {low} to {high} certified"
-        excludes(lambda c, ends=(low, high): c.within("mass", ends, both), text)  # type: ignore[misc]
+        excludes(lambda c, ends=(low, high): c.within("mass", ends, both), text)
     differs(lambda c: c.within("mass", (51.0, 70.0), both), "mass: 51.0 to 70.0 certified, the vehicle's m11 is 50.0",
             ranges=None)  # fmt: skip
     differs(lambda c: c.within("mass", (50.0, 59.0), both), "mass: 50.0 to 59.0 certified, the vehicle's m22 is 60.0",
@@ -150,7 +150,7 @@ def test_lag_and_period() -> None:
 def test_the_slack_is_a_share_of_the_largest_side() -> None:
     claim = {"variables": [{"name": "x", "lower": -3.0, "upper": 2.0}], "left": "x", "right": "0", "unit": "m"}
     for slack, text in ((0.0, ""), (2.9e-9, ""), (3.1e-9, "slack: 3.1e-09 m is more than rounding")):
-        assert found(lambda c, slack=slack: c.slack(slack), claim)[0] == ([text] if text else [])  # type: ignore[misc]
+        assert found(lambda c, slack=slack: c.slack(slack), claim)[0] == ([text] if text else [])
     undefined = claim | {"right": "log(x)"}
     assert found(lambda c: c.slack(1e-300), undefined)[0] == ["slack: 1e-300 m is more than rounding"]
 
