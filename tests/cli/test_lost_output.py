@@ -128,4 +128,5 @@ def test_a_reader_that_ends_first_is_no_finding(tmp_path: Path) -> None:
 @pytest.mark.parametrize("backend", ["nonsense", "module://no_such.backend"])
 def test_the_backend_of_the_environment_has_no_influence(backend: str, tmp_path: Path) -> None:
     done = process("calibrate table-ii --out out", tmp_path, MPLBACKEND=backend)
-    assert done.status == 0 and done.err == "" and list(tmp_path.glob("out/*.png")), done
+    assert done.status == 0 and list(tmp_path.glob("out/*.png")), done
+    assert all(line.endswith("s so far)") for line in done.err.splitlines()), done  # signs of life of a slow machine

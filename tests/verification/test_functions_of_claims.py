@@ -68,7 +68,7 @@ def test_an_exponent_may_be_a_constant_of_the_file(tmp_path) -> None:
 )  # fmt: skip
 def test_where_a_function_is_not_defined_is_told_in_one_line(left, box, told) -> None:
     tape = build_tape(("x",), [parse(left, {"x": variable("x")})])
-    trouble = tape.trouble((np.array([[box[0]]]), np.array([[box[1]]])))
+    _, trouble = tape.trouble((np.array([[box[0]]]), np.array([[box[1]]])))
     assert told in trouble and "\n" not in trouble
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -380,15 +380,11 @@ def _left_open(statement: Statement, written: Tape, case: Case, shown: _Shown, b
     if case.choice:
         text += f" in case {case.choice}"
     if some:
-        box, trouble = next(((b, t) for b in some if (t := _trouble(written, b))), (some[0], ""))
-        where = ", ".join(f"{name} in [{low:.4g}, {high:.4g}]" for name, (low, high) in box.items())
+        low, high = result.remaining
+        at, trouble = written.trouble((low, high))
+        box = corners((low[:, [at]], high[:, [at]]), statement.names)[0] if trouble else some[0]
+        where = ", ".join(f"{name} in [{ends[0]:.4g}, {ends[1]:.4g}]" for name, ends in box.items())
         text += f", one at {where}" + (f"; {trouble}" if trouble else "")
     if shown.tried:
         text += f"; {shown.tried}"
     return Cases((), 0.0, text, tuple(some), boxes)
-
-
-def _trouble(written: Tape, box: Mapping[str, Sequence[float]]) -> str:
-    """Return the first operation of a statement that is undefined somewhere on a box; empty if all are defined."""
-    ends = np.array(list(box.values()))
-    return written.trouble((ends[:, :1], ends[:, 1:]))

@@ -110,17 +110,22 @@ class Tape:
             values[node] = ends
         return values[self.expressions[0]][1]
 
-    def trouble(self, box: Ends) -> str:
-        """Describe the first operation that is undefined somewhere on a box (n, 1); empty if all are defined."""
+    def trouble(self, boxes: Ends) -> tuple[int, str]:
+        """Return the index of one of the boxes (n, count) on which an operation is undefined, and a description of it.
+
+        The text is empty if all operations are defined on all boxes.
+        """
         jets: list[Jet] = []
         with np.errstate(all="ignore"):
             for node, args in self.steps:
                 operands = [jets[a] for a in args]
-                jets.append(self._step(node, operands, box, 0))
-                if _undefined(node, operands, 1)[0]:
-                    low, high = (float(end[0]) for end in operands[-1].value)
-                    return f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
-        return ""
+                jets.append(self._step(node, operands, boxes, 0))
+                undefined = _undefined(node, operands, boxes[0].shape[1])
+                if undefined.any():
+                    at = int(np.argmax(undefined))
+                    low, high = (float(end[at]) for end in operands[-1].value)
+                    return at, f"{_TROUBLES[node.op]} [{low:.3g}, {high:.3g}] in {_short(text_of(node))}"
+        return 0, ""
 
     def _step(self, node: Node, args: list[Jet], box: Ends, order: int) -> Jet:
         n, count = box[0].shape
