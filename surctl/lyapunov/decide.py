@@ -256,11 +256,21 @@ def _attempts(claim: DynamicClaim) -> Any:
             if inward is None:
                 return  # on some face, a state moves outwards
             extra = {"inward": inward or None}
-        for margin in (1e-3, 1e-6, 1e-9):
+        size = _largest(claim)
+        for margin in (short(share * size) for share in (1e-3, 1e-6, 1e-9)):
             stated = partial(claim.inequalities, margin, inward)
             yield _Attempt(stated, change | extra | {"margin": margin}, margin, (1,))
     else:
         yield from _stability_attempts(claim, change)
+
+
+def _largest(claim: Safety) -> float:
+    """Return the largest |B| of samples of the box: a margin is a share of it, so that B may have any unit."""
+    d = claim.dynamics
+    low, high = d.box[:, :, None]
+    x = low + (high - low) * sobol(len(d.states), _FEW, 0)
+    [values] = values_of([claim.function], dict(zip((s.name for s in d.states), x, strict=True)))
+    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
 
 
 def _stability_attempts(claim: Stability, change: dict[str, Any]) -> Any:
@@ -389,7 +399,7 @@ def _require_sound(claim: DynamicClaim) -> None:
         return
     if isinstance(claim, Stability):
         d.require_rest()
-        if not abs(value) <= _ZERO * max(abs(claim.level), 1e-12):
+        if not abs(value) <= _ZERO * abs(claim.level):
             raise InputError(
                 "is not 0 at the equilibrium", key=f"{d.name}.function", value=value,
                 remedy="subtract its value there",

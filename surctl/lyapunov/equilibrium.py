@@ -55,10 +55,10 @@ def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
             continue
         if all(np.abs(z - other).max() > 1e-6 for other in outcome):
             outcome.append(z)
-    return [_short(d, low + (high - low) * z) for z in sorted(outcome, key=lambda z: [round(float(v), 6) for v in z])]
+    return [_short(d, low + (high - low) * z, size) for z in sorted(outcome, key=lambda z: [round(float(v), 6) for v in z])]
 
 
-def _short(d: Dynamics, x: Array) -> Array:
+def _short(d: Dynamics, x: Array, size: float) -> Array:
     """Return the equilibrium with the fewest decimals that is as exact, if there is one."""
 
     def rest(at: Array) -> float:
@@ -66,7 +66,7 @@ def _short(d: Dynamics, x: Array) -> Array:
 
     for decimals in range(10):
         rounded = np.round(x, decimals) + 0.0
-        if rest(rounded) <= max(rest(x), 1e-13):
+        if rest(rounded) <= max(rest(x), 1e-13 * size):
             return rounded
     return x
 
@@ -124,7 +124,7 @@ def linearisation(dynamics: Dynamics) -> Linear:
         reason += " (a centre: solutions may circle for ever, and a conserved quantity may exist)"
     # roots of multiplicity k move by the k-th root of the rounding error
     fragile = np.abs(value) < 1e-3 * size or abs(grown[i, j]) < 1e-5 * size
-    return Linear(matrices, "marginal" if worst <= _MARGIN * size or (fragile and worst < 1e-6) else "unstable", reason)
+    return Linear(matrices, "marginal" if worst <= _MARGIN * size or (fragile and worst < 1e-6 * size) else "unstable", reason)
 
 
 def common_quadratic(matrices: Array, scales: Sequence[float], *, discrete: bool) -> Array | None:
@@ -158,6 +158,8 @@ def _by_inequalities(matrices: Array, scales: Array, *, discrete: bool) -> Array
     n = len(scales)
     size = np.diag(scales)
     scaled = np.linalg.inv(size) @ matrices @ size
+    if not discrete:
+        scaled = scaled / np.abs(np.linalg.eigvals(matrices)).max()  # P is the same up to a factor in any unit of time
     basis = symmetric_basis(n)
     zero = np.zeros((1, n, n))
     if discrete:

@@ -197,6 +197,7 @@ def _on_faces(search: _Search, v: Array, z: Array, edge: Array) -> Falsified:
     best = np.inf, z[:, 0]
     p = np.full(len(search.dynamics.parameters), 0.5)
     n = len(z)
+    size = float(v.min())  # the search's tolerances are absolute
     for side in (0, 1):
         for k in range(n):
             on = np.flatnonzero(np.abs(z[k] - edge[side, k]) < 1e-9)
@@ -205,11 +206,11 @@ def _on_faces(search: _Search, v: Array, z: Array, edge: Array) -> Falsified:
 
             def value(at: Array) -> tuple[float, Array]:
                 read = search.slopes(np.concatenate([at, p]))
-                return float(read[0]), np.asarray(read[1]).reshape(-1)[:n]
+                return float(read[0]) / size, np.asarray(read[1]).reshape(-1)[:n] / size
 
             run = minimize(value, start, jac=True, bounds=bounds, method="L-BFGS-B", options={"maxiter": 60})
-            if float(run.fun) < best[0]:
-                best = float(run.fun), np.asarray(run.x)
+            if float(run.fun) * size < best[0]:
+                best = float(run.fun) * size, np.asarray(run.x)
     return _at(search, best[1], p, best[0], "face", confirmed=True)
 
 

@@ -55,8 +55,8 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
     points = np.where(inside, along, 0.0).reshape(n, -1)
     inner = {
         "type": "ineq",
-        "fun": lambda at: level - float(read(at)),
-        "jac": lambda at: -np.asarray(slope(at)).reshape(-1),
+        "fun": lambda at: 1 - float(read(at)) / level,  # V in any unit: tolerances of the search are absolute
+        "jac": lambda at: -np.asarray(slope(at)).reshape(-1) / level,
     }
     bounds = {}
     for k, state in enumerate(d.states):

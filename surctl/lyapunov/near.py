@@ -91,12 +91,14 @@ def fails_nearby(
     nothing = Power(0.0, 1)
     claim = Stability(d, function, level, rate or None)
     inequalities = claim.inequalities([1.0] * n, nothing, None if rate else nothing)
-    size = None
+    # per unit of time, V changes by about this share: rounding is relative to it, in any unit of time
+    fast = 1.0 if d.discrete else max(float(np.abs(np.linalg.eigvals(linear.matrices)).max()), rate or 0.0)
     for corner in d.corners().T:
+        size = 0.0
         for k, matrix in enumerate(np.asarray(part) for part in bend(np.zeros(n), corner)):
             if not np.all(np.isfinite(matrix)):
                 continue
-            size = np.abs(matrix).max() if k == 0 else max(size or 0.0, np.abs(matrix).max())
+            size = max(size * fast, float(np.abs(matrix).max()))
             eigenvalues, vectors = np.linalg.eigh(matrix)
             if not eigenvalues[-1] > _SMALL * size:
                 continue

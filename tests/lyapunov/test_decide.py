@@ -74,8 +74,13 @@ def test_a_claim_is_not_refuted_where_only_a_bound_of_its_proof_fails(tmp_path: 
 
 
 def test_a_barrier_that_is_barely_positive_in_the_unsafe_set_is_not_refuted(tmp_path: Path) -> None:
-    small = ("x - 1.5", "1e-10*(x - 1.5)")
+    small = ("x >= 2", "x >= 1.5")  # B = 0 at its edge
     assert solve(load_problem(written(tmp_path, DECAY, small)), time_limit=2.0).verdict == "unknown"
+
+
+@pytest.mark.parametrize("scale", ["1e-10", "1e9"])
+def test_a_barrier_may_have_any_unit(tmp_path: Path, scale: str) -> None:
+    assert solve(load_problem(written(tmp_path, DECAY, ("x - 1.5", f"{scale}*(x - 1.5)")))).verdict == "proved"
 
 
 def test_the_statement_of_a_barrier_contains_what_may_be_refuted(tmp_path: Path) -> None:

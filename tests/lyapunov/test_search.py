@@ -89,6 +89,31 @@ def test_the_region_of_van_der_pol_is_nearly_the_true_one() -> None:
     assert leavers(d, d.compiled(outcome[2].function), 0.97 * bound.level, count=60, seconds=10.0) == 0
 
 
+@pytest.mark.parametrize(
+    ("function", "length", "time"), [(1e8, 1.0, 1.0), (1e-8, 1.0, 1.0), (1.0, 1e-4, 1.0), (1.0, 1.0, 1e7)]
+)
+def test_no_unit_changes_what_is_proved(function: float, length: float, time: float) -> None:
+    # the least level with a counterexample is 2.304477565, as in test_decide
+    x, y = f"(x/{length!r})", f"(y/{length!r})"
+    slower = repr(length / time)
+    rates = [f"-{slower}*{y}", f"{slower}*({x} - (1 - {x}^2)*{y})"]
+    d = dynamics({name: (-3.0 * length, 3.0 * length) for name in "xy"}, rates)
+    value = parse(f"{function!r}*(1.5*{x}^2 - {x}*{y} + {y}^2)", {name: variable(name) for name in "xy"})
+    outcome = find_stability(d, function=value, time_limit=20.0)
+    assert outcome.verdict == "proved"
+    assert outcome.claim is not None
+    assert outcome.claim.level / function == pytest.approx(0.99 * 2.304477565, rel=1e-3)
+
+
+@pytest.mark.parametrize("time", [1.0, 1e9])
+def test_a_failure_close_to_the_equilibrium_is_found_in_any_unit_of_time(time: float) -> None:
+    d = dynamics({"x": (-1.0, 1.0), "y": (-1.0, 1.0)}, [f"{1 / time!r}*y", f"{1 / time!r}*(-x - 0.2*y)"])
+    value = parse("x^2 + 0.1*x*y + 2*y^2", {name: variable(name) for name in "xy"})
+    outcome = find_stability(d, function=value, time_limit=1.0)
+    assert outcome.verdict == "refuted"
+    assert "close to the equilibrium" in outcome.reason
+
+
 def test_unstable_and_marginal_equilibria_are_told_apart() -> None:
     unstable = find_stability(dynamics({"x": (-1.0, 1.0)}, ["k*x - x^3"], {"k": (-1.0, 0.2)}))
     assert unstable.verdict == "refuted"

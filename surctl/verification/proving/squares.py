@@ -200,7 +200,7 @@ class _Problem:
                 middle, half = (low + high) / 2, (high - low) / 2
                 grid = 2.0 ** (ceil(log2(half)) - 4) if half > 0 else 1.0
                 origin = Fraction(0) if abs(middle) < half / 4 else Fraction(round(middle / grid) * grid)
-            size = max(abs(low - float(origin)), abs(high - float(origin)), 1e-9)
+            size = max(abs(low - float(origin)), abs(high - float(origin))) or 1.0
             self._origins.append(origin)
             self._scales.append(Fraction(2) ** ceil(log2(size)))
         place = {at: k for k, at in enumerate(self._atoms)}
