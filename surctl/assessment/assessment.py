@@ -130,7 +130,7 @@ class Assessment:
         subject: its name.
         figures: figures by name.
         lines: verdicts, worst first.
-        sources: objects behind each part, by name of the part.
+        parts: the parts that were computed, by name.
         omitted: parts that were not assessed.
         assumptions: defaults on which the figures depend; each is also a remark among the lines.
     """
@@ -138,9 +138,14 @@ class Assessment:
     subject: str
     figures: Mapping[str, Figure]
     lines: tuple[Line, ...]
-    sources: Mapping[str, Any]
+    parts: Mapping[str, Part]
     omitted: tuple[str, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
+
+    @property
+    def sources(self) -> Mapping[str, Any]:
+        """The objects behind each part, by name of the part."""
+        return {name: part.source for name, part in self.parts.items()}
 
     def with_lines(self, lines: Collection[Line]) -> Assessment:
         """Return the assessment with further lines, of a page that knows more about the subject."""
@@ -186,12 +191,15 @@ class Assessment:
         }
 
 
-def assess(subject: Subject, *, parts: Collection[str] | None = None) -> Assessment:
+def assess(
+    subject: Subject, *, parts: Collection[str] | None = None, computed: Mapping[str, Part] | None = None
+) -> Assessment:
     """Assess a subject.
 
     Args:
         subject: what is assessed, such as a `Mission`.
         parts: names of the parts to compute; None: all. The assessment says which parts of the subject are omitted.
+        computed: parts of an earlier assessment of the same subject (`Assessment.parts`), which are not computed again.
 
     Example:
         >>> from surctl.marine.assessment import Mission
@@ -203,17 +211,20 @@ def assess(subject: Subject, *, parts: Collection[str] | None = None) -> Assessm
         >>> result.passed, result.figures["disk_margin"].where, result.omitted
         (True, 'mass -5%, drag -20%', ('region',))
     """
-    known = subject.parts()
-    done = {name: compute() for name, compute in known.items() if parts is None or name in parts}
+    known, ready = subject.parts(), computed or {}
+    done = {
+        name: ready[name] if name in ready else compute()
+        for name, compute in known.items()
+        if parts is None or name in parts
+    }
     figures = {figure.name: figure for part in done.values() for figure in part.figures}
     lines = [line for part in done.values() for line in part.lines]
     omitted = tuple(name for name in known if name not in done)
     lines += [Line(None, f"{name}: not assessed", counts=False) for name in omitted]
     assumed = tuple(one for part in done.values() for one in part.assumptions)
     lines += [Line(None, one.text, "margins", counts=False) for one in assumed]
-    sources = {name: part.source for name, part in done.items()}
     return Assessment(
-        subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(sources), omitted, assumed
+        subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(done), omitted, assumed
     )
 
 

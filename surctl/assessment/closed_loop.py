@@ -110,7 +110,7 @@ class ClosedLoop:
         if shares:
             worst = max(shares, key=lambda name: shares[name])
             meaning = "share of the run in which a command does not respond: at a limit, or in a dead zone"
-            figures.append(Figure("saturated_share", shares[worst], "1", meaning, "low", where=worst))
+            figures.append(Figure("limited_share", shares[worst], "1", meaning, "low", where=worst))
             if shares[worst] > SATURATED:
                 text = f"command {worst} does not respond {shares[worst]:.0%} of the run"
                 lines.append(Line(None, f"{text}, so the linear margins do not describe this run", "run"))

@@ -44,7 +44,7 @@ __all__ = ["export"]
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", default="sonar", metavar="NAME", help="Obstacles: sonar (default), or truth (as inputs).")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law uses it), or truth (inputs).")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
@@ -94,7 +94,7 @@ def export(
     guidance: str,
     priority_mode: str,
     fallback: str,
-    sensing: str,
+    sensing: str | None,
     faults: tuple[str, ...],
     chances: tuple[str, ...],
     beam: float | None,
@@ -168,7 +168,7 @@ def export(
     checked = (
         ("--target", target, ("c99", "fmu", "fmu3", "mjcf")),
         ("--real", real, REALS),
-        ("--sensing", sensing, SENSING),
+        ("--sensing", sensing or SENSING[0], SENSING),
     )
     for key, value, known in checked:
         if value not in known:
@@ -186,6 +186,8 @@ def export(
     choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
     robot = load_vehicle(choice.word)
     law, why = choose_law(law, [robot])
+    sensing = sensing or ("sonar" if "sonar" in law_source(law).sensing else "truth")
+    click.get_current_context().params["sensing"] = sensing
     sensors.check(law=law, sensing=sensing)
     mission = sensors.over(mission)
     equipment = mission.sensors.on(robot["radius"])

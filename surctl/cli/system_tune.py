@@ -75,7 +75,7 @@ def tune_own_system(
     comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
     headline, *figures = comparison.lines()
     doubtful = []
-    limited = comparison.after.figures.get("saturated_share")
+    limited = comparison.after.figures.get("limited_share")
     if limited is not None:
         linear, costs = [goal.name for goal in step_goals(about_loop)], own.system.costs
         late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))

@@ -66,7 +66,7 @@ def test_a_run_states_costs_and_how_long_commands_do_not_respond(limit: float, s
     assert unresponsive(record) == {"force": exact}  # the lamp never responds, and is no limit
     assert share is None or exact == share
     result = assess(ClosedLoop(system, record=record), parts=["run"])
-    assert result.figures["saturated_share"].value == exact
+    assert result.figures["limited_share"].value == exact
     assert any("do not describe this run" in line.text for line in result.lines) is (exact > 0.5)
     assert result.figures["cost.end"].value == record.figures["end"]
     assert (result.passed is False) is (record.figures["end"] > 0.5)

@@ -198,7 +198,7 @@ def test_sweep_tells_what_a_column_depends_on(tmp_path):
 
 def test_export_in_float_is_checked_on_other_builds(tmp_path):
     need("gcc")
-    words = ("export", "--sensing", "truth", "--law", "closed_form", "--scenario", "pool-behind", "--real", "float32")
+    words = ("export", "--law", "closed_form", "--scenario", "pool-behind", "--real", "float32")
     check = ("--check", "--targets", "gcc-O0", "--steps", "50")
     done = surctl(*words, *check, "--out", "c", "--json", cwd=tmp_path)
     assert done.status == 0, done.err

@@ -77,6 +77,21 @@ def test_the_tuned_gains_stay_if_they_meet_the_goal(tuning: Tuning) -> None:
     assert any("region (hard): region_m ≥ 0.2 m: 0.25 → 0.25" in line for line in found.lines())
 
 
+def test_no_part_of_the_tuned_gains_is_computed_twice(tuning: Tuning) -> None:
+    computed = list[Gains]()
+
+    class Counted(Claimed):
+        def parts(self) -> Mapping[str, Callable[[], Part]]:
+            known = super().parts()
+            return {**known, "region": lambda: computed.append(self.gains) or known["region"]()}
+
+    _, found = check_finals(tuning, [WIDE], lambda gains: Counted(gains, lambda g: 0.25))
+    assert [gains.values for gains in computed] == [
+        tuning.request.base.with_values(tuning.result.gains).values, tuning.request.base.values
+    ]  # fmt: skip
+    assert found.comparison.after.omitted == ()
+
+
 def test_the_next_best_set_that_meets_the_goal_is_taken(tuning: Tuning) -> None:
     best = tuning.result.gains["k_v"]
     other, found = check_finals(tuning, [WIDE], lambda gains: Claimed(gains, lambda g: 0.1 + 0.2 * (g["k_v"] != best)))

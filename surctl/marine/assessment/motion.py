@@ -116,7 +116,7 @@ def runs_part(runs: Sequence[Run], *, extra: Sequence[bool] = ()) -> Part:
         ("time_ratio", "1", "arrival time over the ideal time (path length / cruise speed)", "low"),
         ("path_error_m", "m", "rms distance to the path", "low"),
         ("min_clearance_m", "m", "least distance to an obstacle or wall", "high"),
-        ("saturated_share", "1", "share of time with a thrust at its limit", "low"),
+        ("limited_share", "1", "share of time at its limit of the thrust that is there most", "low"),
     )
     figures = []
     for name, unit, meaning, better in rows:
@@ -133,4 +133,4 @@ def _of(run: Run, name: str) -> float:
     if name == "time_ratio":
         ideal = run.scenario.path.length / run.scenario.cruise
         return m.time_s / ideal if m.reached else float("inf")
-    return m.axis_saturated_share if name == "saturated_share" else float(getattr(m, name))
+    return m.axis_saturated_share if name == "limited_share" else float(getattr(m, name))

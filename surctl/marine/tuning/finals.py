@@ -132,13 +132,15 @@ def check_finals(
         if all(_met(goal, tables[-1]) for goal in goals):
             break
     order = sorted(range(len(tables)), key=lambda k: _missed(goals, tables[k]))
+    checked = tables[0].parts if tables else None
     for k in order:
         other = tuning if k == 0 else _adopted(tuning, sets[k])
         if k == 0 or other.accepted:
-            tuning = other
+            tuning, checked = other, tables[k].parts
             break
     progress("assessment of start and tuned gains ...")
-    comparison = Comparison(*(assess(subject(base.with_values(gains))) for gains in ({}, tuning.result.gains)))
+    after = assess(subject(base.with_values(tuning.result.gains)), computed=checked)
+    comparison = Comparison(assess(subject(base)), after)
     best = {goal.name: _best(goal, tables) for goal in goals}
     return tuning, Finals(tuple(goals), comparison, len(tables), best, undetermined)
 
