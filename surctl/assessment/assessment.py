@@ -223,9 +223,7 @@ def assess(
     lines += [Line(None, f"{name}: not assessed", counts=False) for name in omitted]
     assumed = tuple(one for part in done.values() for one in part.assumptions)
     lines += [Line(None, one.text, "margins", counts=False) for one in assumed]
-    return Assessment(
-        subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(done), omitted, assumed
-    )
+    return Assessment(subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(done), omitted, assumed)
 
 
 def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:

@@ -48,6 +48,9 @@ def linear_part(assessment: Assessment, mission: Mission) -> LinearPart:
         unjudged: dict[str, Any] = {"margins": [], "linear": {key: why}}
         return LinearPart([f"margins: {word}"], unjudged, None, mission.cruise, assessment)
     lines, linear, peak = _law_lines(loop, mission) if loop.law is not None else _cascade_lines(loop, mission)
+    if loop.motion:
+        lines.append(f"  {loop.motion}")
+        linear["motion"] = loop.motion
     data: dict[str, Any] = {"margins": [m.to_dict() for m in loop.margins], "linear": linear}
     source = law_source(mission.law_ref)
     if loop.law is not None and source.scans and "sonar" in source.sensing:
@@ -143,8 +146,11 @@ def speed_lines(
         (stable, "up to which every corner is stable and has enough thrust"),
         (robust, "up to which every corner has that disk margin"),
     )
-    over = next((f"exceeds {limit:.3g} m/s, {what}" for limit, what in limits if cap > limit > 0), None)
-    lines += [] if over is None else [f"  warning: the cap, {cap:g} m/s, {over}; lower it"]
+    for limit, what in limits:
+        if cap > limit > 0:
+            lower = "lower it" if limit >= cruise else "lower it and the cruise speed"
+            lines.append(f"  warning: the cap, {cap:g} m/s, exceeds {limit:.3g} m/s, {what}; {lower}")
+            break
     if robust < cruise:
         lines.append(_change(vehicle, cruise=cruise, dt=dt, robust=robust))
     return lines, numbers

@@ -55,7 +55,8 @@ def equilibria(dynamics: Dynamics, *, seed: int = 0) -> list[Array]:
             continue
         if all(np.abs(z - other).max() > 1e-6 for other in outcome):
             outcome.append(z)
-    return [_short(d, low + (high - low) * z, size) for z in sorted(outcome, key=lambda z: [round(float(v), 6) for v in z])]
+    ordered = sorted(outcome, key=lambda z: [round(float(v), 6) for v in z])
+    return [_short(d, low + (high - low) * z, size) for z in ordered]
 
 
 def _short(d: Dynamics, x: Array, size: float) -> Array:
@@ -124,7 +125,8 @@ def linearisation(dynamics: Dynamics) -> Linear:
         reason += " (a centre: solutions may circle for ever, and a conserved quantity may exist)"
     # roots of multiplicity k move by the k-th root of the rounding error
     fragile = np.abs(value) < 1e-3 * size or abs(grown[i, j]) < 1e-5 * size
-    return Linear(matrices, "marginal" if worst <= _MARGIN * size or (fragile and worst < 1e-6 * size) else "unstable", reason)
+    marginal = worst <= _MARGIN * size or (fragile and worst < 1e-6 * size)
+    return Linear(matrices, "marginal" if marginal else "unstable", reason)
 
 
 def common_quadratic(matrices: Array, scales: Sequence[float], *, discrete: bool) -> Array | None:

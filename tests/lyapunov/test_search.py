@@ -97,7 +97,7 @@ def test_no_unit_changes_what_is_proved(function: float, length: float, time: fl
     x, y = f"(x/{length!r})", f"(y/{length!r})"
     slower = repr(length / time)
     rates = [f"-{slower}*{y}", f"{slower}*({x} - (1 - {x}^2)*{y})"]
-    d = dynamics({name: (-3.0 * length, 3.0 * length) for name in "xy"}, rates)
+    d = dynamics(dict.fromkeys("xy", (-3.0 * length, 3.0 * length)), rates)
     value = parse(f"{function!r}*(1.5*{x}^2 - {x}*{y} + {y}^2)", {name: variable(name) for name in "xy"})
     outcome = find_stability(d, function=value, time_limit=20.0)
     assert outcome.verdict == "proved"

@@ -13,7 +13,7 @@ from surctl.errors import InputError
 from surctl.marine.control import GAINS, Gains, load_gains, write_gains
 from surctl.marine.simulation import findings
 from surctl.marine.tuning import default_cruise, derive_gains, derived_gains, gains_for, shared_gains
-from surctl.marine.tuning.vehicle_rule import inner_start, munk_rate, rule
+from surctl.marine.tuning.vehicle_rule import held_speed, inner_start, munk_rate, rule
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import check_held
 from surctl.marine.verification.linear import corner_margin, corners, worst_linear_side
@@ -125,6 +125,11 @@ def test_built_in_vehicles_keep_the_set_chosen_for_them(tmp_path: Path) -> None:
     # a vehicle too weak for the mission's speed gets gains for a speed that it holds
     slower = gains_for(None, VON_BENZON, cruise=2.0)[1]
     assert slower is not None and slower.cruise < 0.5
+    assert slower.gains.provenance.endswith("; the thrust cannot hold 2 m/s")
+    # a speed that it just holds is not lowered
+    held = 0.98 * held_speed(VON_BENZON)
+    exact = gains_for(None, VON_BENZON, cruise=held)[1]
+    assert exact is not None and exact.cruise == held
     mixed, none = shared_gains(None, [(VON_BENZON, 0.2), (load_vehicle("sur400"), 0.2)])
     assert none is None and mixed == load_gains("default")
 

@@ -89,6 +89,18 @@ def test_the_truth_lies_in_the_intervals_as_often_as_they_say() -> None:
     assert sum(inside) >= len(inside) - 4
 
 
+def test_an_interval_of_a_log_that_the_model_does_not_explain_says_so() -> None:
+    log = made_log(TRUE, seed=0)
+    late = replace(log, thrust=np.vstack([log.thrust[3:], np.repeat(log.thrust[-1:], 3, axis=0)]))  # acts 0.3 s later
+    found = identify(late, START, name="fitted")
+    outside = [k for k in found.identified if abs(found.estimates[k][0] - TRUE[k]) > found.estimates[k][1]]
+    assert {"m11", "m22"} <= set(outside), "the motion does not follow the thrust at once"
+    assert all("may lie outside" in found.vehicle.parameters[k].provenance for k in outside)
+    assert any("not for what the model misses" in note for note in found.notes)
+    exact = identify(log, START, name="fitted").vehicle.parameters["m11"].provenance
+    assert exact.endswith("95 % interval")
+
+
 @pytest.mark.parametrize("seed", [7])  # with it the interval of m22 is narrow: noise explained by it
 def test_what_was_not_moved_is_not_told(seed: int) -> None:
     found = identify(made_log(TRUE, seed=seed, axes=(0,)), START, name="fitted")

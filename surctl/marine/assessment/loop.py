@@ -10,6 +10,7 @@ from surctl.assessment.assessment import Assumption, Figure, Line, Part
 from surctl.assessment.figures import loop_figures, loop_line
 from surctl.errors import InputError
 from surctl.marine.assessment.assumptions import assumptions
+from surctl.marine.assessment.unstable import motion_text
 from surctl.marine.control import Gains, Law, build_law, law_source
 from surctl.marine.guidance import Guidance
 from surctl.marine.simulation import Disturbance, Run, Scenario, mission_size, simulate, stop_reason, straight_mission
@@ -45,6 +46,7 @@ class LoopAnalysis:
         unjudged: the reason why there is no analysis; else empty.
         failed: whether that reason is a failure of the law.
         assumptions: defaults on which the analysis depends.
+        motion: for an unstable loop about a straight cruise, how a run of the worst corner goes on, in words.
     """
 
     cruise: float
@@ -57,6 +59,7 @@ class LoopAnalysis:
     failed: bool = False
     uncertainty: float | None = None
     assumptions: tuple[Assumption, ...] = ()
+    motion: str = ""
 
     @property
     def stable(self) -> bool | None:
@@ -77,6 +80,8 @@ class LoopAnalysis:
         mode = self.mode
         why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
         line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
+        if self.motion:
+            line = replace(line, text=f"{line.text}; {self.motion}")
         return Part(tuple(figures.values()), (line,), self, self.assumptions)
 
     def _figures(self) -> dict[str, Figure]:
@@ -141,7 +146,7 @@ def analyse_loop(
             return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
         speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt}
         values = gains.values
-        return LoopAnalysis(
+        analysis = LoopAnalysis(
             cruise,
             worst_margins(vehicle, values, uncertainty=uncertainty or 0.0, **speeds),
             (
@@ -153,6 +158,7 @@ def analyse_loop(
             uncertainty=uncertainty,
             assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
         )
+        return _with_motion(analysis, analysis.sides[-1].at, vehicle, gains, built)
     own = gains.with_own(source.gains)
     if source.steering is not None:
         try:
@@ -160,8 +166,17 @@ def analyse_loop(
         except InputError as error:
             return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
         assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, uncertainty=uncertainty)
-        return LoopAnalysis(cruise, loops.nominal.margins, law=loops, assumptions=assumed)
+        analysis = LoopAnalysis(cruise, loops.nominal.margins, law=loops, assumptions=assumed)
+        return _with_motion(analysis, loops.at, vehicle, own, built)
     return _about_runs(built, vehicle, own, cruise=cruise, uncertainty=uncertainty, missions=missions)
+
+
+def _with_motion(analysis: LoopAnalysis, worst: Vehicle | None, model: Vehicle, gains: Gains, law: Law) -> LoopAnalysis:
+    if analysis.stable is not False:
+        return analysis
+    nominal = analysis.sides[0].stable if analysis.law is None else analysis.law.nominal.stable
+    plant = worst if nominal and worst is not None else model
+    return replace(analysis, motion=motion_text(plant, model, gains, law=law, cruise=analysis.cruise))
 
 
 def _about_runs(

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol
 
 import casadi as ca
 
@@ -19,9 +19,23 @@ from surctl.priority.solver.fallback import RELAXED
 
 __all__ = ["CLIMB", "Closing", "Memory", "Thrust", "thrust_bounds", "yaw_limit"]
 
-Thrust: TypeAlias = Callable[[ca.SX, ca.SX, ca.SX, Mapping[str, ca.SX], float], tuple[ca.SX, ca.SX]]
-"""Velocity controller of a law. It maps (velocity reference (4, 1), measured velocity (4, 1), controller state (4, 1),
-parameters by name, control period [s]) to (thrust before limits (4, 1) [N, N m], next controller state (4, 1))."""
+
+class Thrust(Protocol):
+    """Velocity controller of a law."""
+
+    def __call__(
+        self, reference: ca.SX, nu: ca.SX, state: ca.SX, p: Mapping[str, ca.SX], dt: float, /
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return the thrust before limits (4, 1) [N, N m], and the next state (4, 1) of the controller.
+
+        Args:
+            reference: velocity reference u, v, w [m/s], r [rad/s] (4, 1).
+            nu: measured velocity (4, 1), in the same order.
+            state: state of the controller (4, 1), zero at the start.
+            p: gains, vehicle and mission by name.
+            dt: control period [s].
+        """
+
 
 _CLIPPED = 1e-9  # [N, N m] smallest difference that counts as a reached thrust limit
 

@@ -7,7 +7,7 @@ hull; surctl's own plant is integrated by RK4 with steps of 10 ms.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +43,13 @@ from surctl.marine.world import Disc
 __all__ = ["Loop", "Stepper", "simulate"]
 
 Vector: TypeAlias = NDArray[np.float64]
-Stepper: TypeAlias = Callable[[Vector, Vector, Vector], LawStep]
+
+
+class Stepper(Protocol):
+    """What takes the place of a law in a run, for instance its C in another process."""
+
+    def __call__(self, x: Vector, u: Vector, p: Vector, /) -> LawStep:
+        """Return the control step from the law's state x, inputs u and parameters p."""
 
 
 def simulate(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -72,8 +72,11 @@ class Physics(Protocol):
         """
 
 
-PhysicsMaker: TypeAlias = Callable[[World, Vehicle, SonarArray], Physics]
-"""Makes the physics of a run from its world, its vehicle and its sonars."""
+class PhysicsMaker(Protocol):
+    """What makes the physics of a run."""
+
+    def __call__(self, world: World, vehicle: Vehicle, array: SonarArray, /) -> Physics:
+        """Return the physics of a world with a vehicle and its sonars."""
 
 
 class OwnPhysics:

@@ -9,7 +9,7 @@ margin at the worst corner of the vehicle's ranges is at least `LEAST_DISK_MARGI
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -196,7 +196,7 @@ def gains_for(
 ) -> tuple[Gains, Derivation | None]:
     """Return the gains of a command: the named set, else `default` for the vehicles it was chosen for, else derived.
 
-    A vehicle that cannot hold the cruise speed gets the gains of the largest speed that it can hold.
+    A vehicle that cannot hold the cruise speed gets the gains of 90 % of the largest speed that it holds.
 
     Args:
         word: name or file of the gain set, or None if none is named.
@@ -215,7 +215,14 @@ def gains_for(
     """
     if word is not None or has_tuned(vehicle):
         return load_gains(word or "default", own=own), None
-    derivation = derive_gains(vehicle, cruise=min(cruise, _HELD * held_speed(vehicle)), dt=dt)
+    try:
+        derivation = derive_gains(vehicle, cruise=cruise, dt=dt)
+    except InputError as error:
+        if error.key != "cruise" or not cruise > 0:
+            raise
+        slower = derive_gains(vehicle, cruise=min(cruise, _HELD * held_speed(vehicle)), dt=dt)
+        provenance = f"{slower.gains.provenance}; the thrust cannot hold {cruise:g} m/s"
+        derivation = replace(slower, gains=replace(slower.gains, provenance=provenance))
     return (derivation.gains.with_own(own) if own else derivation.gains), derivation
 
 

@@ -15,6 +15,8 @@ from surctl.marine.tuning.goals import Goal
 
 __all__ = ["Miss", "advice", "misses", "value_text"]
 
+_ZERO_IF_UNSTABLE = ("disk_margin", "single_loop_disk_margin", "delay_margin_s", "phase_margin_deg")
+
 
 @dataclass(frozen=True)
 class Miss:
@@ -46,7 +48,8 @@ class Miss:
         goal = self.goal
         unit = "" if goal.unit == "1" else f" {goal.unit}"
         bound = f"{'≤' if goal.sense == 'at most' else '≥'} {goal.limit:g}{unit}"
-        value = value_text(goal, self.figure) + (unit if np.isfinite(self.figure) else "")
+        value = value_text(goal, self.figure)
+        value += unit if value[-1].isdigit() else ""
         ended = "" if self.ending is None else f" ({self.ending})"
         return f"{self.name} in {self.run.label}: {goal.metric} {value}{ended}, bound {bound}; {self.extent}"
 
@@ -60,16 +63,20 @@ class Miss:
 
 
 def value_text(goal: Goal, figure: float) -> str:
-    """Return the value of a goal's metric as text, or a word if the run did not arrive or the value is not finite.
+    """Return the value of a goal's metric as text, or a word: no arrival, a value that is not finite, an unstable loop.
 
     Examples:
         >>> from surctl.marine.tuning import Goal, value_text
         >>> soon = Goal("soon", "time_s", "s", 20.0)
         >>> value_text(soon, 19.93), value_text(soon, float("nan"))
         ('19.93', 'no arrival')
+        >>> value_text(Goal("late", "delay_margin_s", "s", 0.2, "at least"), 0.0)
+        'unstable'
     """
     if np.isnan(figure):
         return "undefined" if goal.linear else "no arrival"
+    if goal.metric in _ZERO_IF_UNSTABLE and figure == 0:
+        return "unstable"
     return f"{figure:.4g}" if np.isfinite(figure) else "unbounded"
 
 

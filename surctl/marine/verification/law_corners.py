@@ -24,6 +24,7 @@ class LawCorners:
         nominal: the loop with the nominal plant.
         worst: the loop with the least disk margin, or an unstable one.
         corner: the parameters of the worst corner, as text.
+        at: the vehicle of that corner.
         text: description of all corners.
         slowest_per_s: largest real part [1/s] of a pole over all corners.
         unable: number of corners at which the thrust cannot hold the cruise speed; they are left out.
@@ -32,6 +33,7 @@ class LawCorners:
     nominal: LawLoop
     worst: LawLoop
     corner: str
+    at: Vehicle
     text: str
     slowest_per_s: float
     unable: int = 0
@@ -97,4 +99,5 @@ def law_corners(
     plants = ((tried.label(plant), partial(loop_of, plant)) for plant in tried.vehicles[1:])
     worst = worst_loop(nominal, "the nominal vehicle", plants)
     # a corner without a loop is one at which the thrust cannot hold the speed
-    return LawCorners(nominal, worst.loop, worst.corner, tried.text, worst.slowest_per_s, len(worst.lost))
+    plant = next((p for p in tried.vehicles[1:] if tried.label(p) == worst.corner), vehicle)
+    return LawCorners(nominal, worst.loop, worst.corner, plant, tried.text, worst.slowest_per_s, len(worst.lost))

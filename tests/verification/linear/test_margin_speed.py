@@ -9,6 +9,7 @@ from surctl.cli.linear_part import linear_part, speed_lines
 from surctl.marine.assessment import Mission
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.verification.linear import cap_above
 
 GAINS = load_gains("default").values
 WU = load_vehicle("bluerov2-wu")
@@ -33,4 +34,19 @@ def test_an_unstable_corner_is_named_with_loop_and_remedy_and_a_cap_above_the_sp
     lines, numbers = speed_lines(ranged(), GAINS, cruise=0.1, cap=0.22, dt=0.05, uncertainty=0.0)
     assert numbers["with_margin"] < numbers["stable"] < numbers["nominal_stable"] == pytest.approx(0.202, abs=1e-3)
     assert lines[1] == "  warning: the cap, 0.22 m/s, exceeds 0.202 m/s, the bearable speed; lower it"
+    fast = speed_lines(ranged(), GAINS, cruise=0.21, cap=0.22, dt=0.05, uncertainty=0.0)[0]
+    assert fast[1].endswith("lower it and the cruise speed")
+    # the run of the vehicle, as surctl simulate shows it
+    assert "stays bounded: it arrives, crabs by 15 deg" in assessment.banner and "stays bounded" in text
+
+
+def test_a_run_of_an_unstable_loop_that_does_not_arrive_is_not_called_bounded() -> None:
+    hull = load_vehicle("sur400")
+    gains = load_gains("default").with_values({"k_v": 0.02, "k1": 1.0, "lookahead": 0.02})
+    line = assess(Mission(hull, gains, cruise=0.2, cap=0.22), parts=["loop"]).failures[0]
+    assert "UNSTABLE" in line and "does not arrive" in line and "bounded" not in line
+
+
+def test_a_loop_that_no_speed_makes_stable_is_not_blamed_on_the_cap() -> None:
+    assert "so no cap helps" in (cap_above(WU, 0.0, cap=0.2) or "")
     assert len(speed_lines(ranged(), GAINS, cruise=0.1, cap=0.1, dt=0.05, uncertainty=0.0)[0]) == 1

@@ -139,7 +139,8 @@ def notes_of(model: Model, left: list[Array]) -> tuple[str, ...]:
         return ()
     return (
         f"residuals are not white noise: {', '.join(coloured)} (correlation from row to row); the intervals allow for "
-        "it; possible causes: a current, filtered measurements, another drag law",
+        "slow noise, but not for what the model misses: a delay or another curve of the thrust, a current, filtered "
+        "measurements, another drag law",
     )
 
 

@@ -142,7 +142,9 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
     identified = tuple(k for k in identified if k not in held)
     notes += _negative_notes(zeroed, estimates)
     values = model.values(theta)
-    vehicle = _vehicle(start, values, estimates, _Kinds(identified, held, zeroed, drifting), log, name)
+    coloured = notes_of(model, full.left)
+    kinds = _Kinds(identified, held, zeroed, drifting, bool(coloured))
+    vehicle = _vehicle(start, values, estimates, kinds, log, name)
     present = model.present
     return Identified(
         vehicle,
@@ -154,7 +156,7 @@ def identify(log: MotionLog, start: Vehicle, *, name: str) -> Identified:
         zeroed,
         ill_excited(model, full.spread, estimates, full.rest),
         {c: float(full.noise[k]) for k, c in enumerate(model.columns) if present[:, k].any()},
-        (*log.notes, *velocity_notes(log), *notes, *notes_of(model, full.left)),
+        (*log.notes, *velocity_notes(log), *notes, *coloured),
         len(model.sections),
     )
 
@@ -327,6 +329,7 @@ class _Kinds:
     held: tuple[str, ...]
     zeroed: tuple[str, ...]
     drifting: frozenset[str]
+    coloured: bool  # whether the residuals show that the model misses something
 
 
 def _vehicle(
@@ -356,6 +359,7 @@ def _vehicle(
             known[key] = Parameter(0.0, spec.unit, None if wrong else bounds, said + "; the model is wrong" * wrong)
         elif key in kinds.identified:
             said = f"identified from {log.source}, {span}; range: 95 % interval"
+            said += " of a model that misses something, so the true value may lie outside" * kinds.coloured
             known[key] = Parameter(value, spec.unit, bounds, said)
         elif key in kinds.drifting:
             said = f"mean of a force that drifts, fitted to {log.source}, {span}"

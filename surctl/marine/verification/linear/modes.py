@@ -224,6 +224,8 @@ def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:
     """Return the line of `cap_above_bearable` for a bearable speed [m/s] that is known."""
     if bearable >= min(cap, _fastest(vehicle), _HIGHEST):
         return None
+    if bearable == 0:
+        return f"the linear loop of {vehicle.name} is unstable at every speed with these gains, so no cap helps"
     stable = f"up to which the linear loop of {vehicle.name} is stable"
     return f"the cap of {cap:g} m/s is above the bearable speed of {bearable:.3g} m/s, {stable}"
 
