@@ -708,3 +708,12 @@ def test_factors_that_differ_more_than_certified_are_named() -> None:
     assert not any(text.startswith("drag: factors") for text in own)
     found = compare(turning(), own_manifest(m11=0.96 * 19.8567, m22=1.04 * 20.6206))
     assert any(text.startswith("mass: factors that differ by a share of 0.05 certified") for text in found.differs)
+
+
+def test_a_folder_that_cannot_be_listed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def denied(folder: Path) -> None:
+        raise PermissionError(13, "Permission denied", folder)
+
+    monkeypatch.setattr(os, "scandir", denied)
+    with pytest.raises(InputError, match=r"cannot be read \(Permission denied\)"):
+        read_bundle(tmp_path)

@@ -237,3 +237,8 @@ def test_tiny_and_long_numbers_are_rounded_outward() -> None:
         for x in (size, libmp.mpf_neg(size)):
             assert holds(hyperbolic_sine((x, x)), sinh(x))
             assert holds(hyperbolic_tangent((x, x)), libmp.mpf_tanh(x, 400))
+
+
+def test_a_logarithm_needs_positive_numbers() -> None:
+    with pytest.raises(Undefined, match="numbers of at most 0"):
+        elementary("log", (raw(-2.0), raw(-1.0)), Fraction(1))

@@ -17,7 +17,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.enclosure import enclose, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact, Sum, _product
-from surctl.certcheck.patience import MEMORY, Account, afford, patient
+from surctl.certcheck.patience import MEMORY, Account, afford, go_on, patient
 from surctl.certcheck.series import same_sign
 from surctl.certcheck.squares import _Block, _whole
 from surctl.certcheck.squares import _product as packed_product
@@ -181,3 +181,11 @@ def test_a_block_is_integers_over_the_least_denominator(gram, over, added) -> No
     numbers, whole = block._integers()
     assert [Fraction(x, whole) for x in numbers] == wanted
     assert whole == lcm(*(x.denominator for x in wanted))
+
+
+def test_the_time_limit_holds_inside_its_block() -> None:
+    with patient(60.0):
+        go_on()
+    with patient(-1.0), pytest.raises(Rejected, match="more than -1 s of processor time"):
+        go_on()
+    go_on()
