@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["distinct", "eigenvalues", "independent"]
+__all__ = ["blockwise", "distinct", "eigenvalues", "independent"]
 
 
 def independent(coupled: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
@@ -18,9 +20,10 @@ def independent(coupled: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 def distinct(*matrices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return where each distinct one of k tuples of matrices (k, …) occurs first, and which of these each equals."""
-    rows = np.concatenate([m.reshape(len(m), -1) for m in matrices], axis=1)
-    _, first, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    return first, which.reshape(-1)
+    rows = np.concatenate([m.reshape(len(m), -1) for m in matrices], axis=1) + 0.0  # no negative zeros
+    seen: dict[bytes, int] = {}
+    first, which = np.unique([seen.setdefault(row.tobytes(), k) for k, row in enumerate(rows)], return_inverse=True)
+    return first, which
 
 
 def eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -30,4 +33,16 @@ def eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.complex128]:
         block = matrices[:, group[:, None], group]
         first, which = distinct(block)
         found[:, group] = np.linalg.eigvals(block[first])[which]
+    return found
+
+
+def blockwise(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], matrices: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return a matrix function, such as the exponential, of k matrices (k, n, n) from those of their blocks."""
+    found = np.zeros_like(matrices)
+    for group in independent((matrices != 0).any(axis=0)):
+        block = matrices[:, group[:, None], group]
+        first, which = distinct(block)
+        found[:, group[:, None], group] = function(block[first])[which]
     return found

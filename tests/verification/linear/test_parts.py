@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from surctl.system.exponential import expm
 from surctl.verification.linear import OpenLoop, disk_profile, screened_peaks
 from surctl.verification.linear.disk import _SCREEN_POINTS, _SCREENED
-from surctl.verification.linear.parts import distinct, eigenvalues, independent
+from surctl.verification.linear.parts import blockwise, distinct, eigenvalues, independent
 
 
 def test_what_is_coupled_by_any_path_is_one_group() -> None:
@@ -48,6 +49,7 @@ def test_independent_parts_have_the_eigenvalues_and_the_peak_of_the_whole() -> N
     loops = shuffled(rng, [drawn(rng, 4, 2), drawn(rng, 3, 1), drawn(rng, 2, 0)])
     for found, matrix in zip(eigenvalues(loops.A), loops.A, strict=True):
         assert np.sort_complex(found) == pytest.approx(np.sort_complex(np.linalg.eigvals(matrix)), abs=1e-9)
+    assert blockwise(expm, loops.A) == pytest.approx(expm(loops.A), abs=1e-12)
     grid = np.geomspace(*_SCREENED, _SCREEN_POINTS)
     one_by_one = [1 / disk_profile(loops[np.array(k)], grid).min() for k in range(3)]
     assert screened_peaks(loops) == pytest.approx(np.array(one_by_one), rel=1e-9)

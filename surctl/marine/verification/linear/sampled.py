@@ -19,7 +19,7 @@ from surctl.ir.stored_numbers import stored_numbers
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.cascade import Cascade, build_cascade
 from surctl.system.exponential import expm
-from surctl.verification.linear.parts import eigenvalues
+from surctl.verification.linear.parts import blockwise, eigenvalues
 
 __all__ = [
     "SampledLimits",
@@ -195,7 +195,8 @@ def _held(cascade: Cascade, period: float | Array) -> _Held:
     n, m = cascade.B.shape[-2:]
     both = np.zeros((*cascade.B.shape[:-2], n + m, n + m))
     both[..., :n, :n], both[..., :n, n:] = cascade.A, cascade.B
-    grown = expm(both * np.asarray(period)[..., None, None])
+    scaled = both * np.asarray(period)[..., None, None]
+    grown = expm(scaled) if scaled.ndim == 2 else blockwise(expm, scaled)
     return grown[..., :n, :n], grown[..., :n, n:]
 
 
