@@ -181,7 +181,7 @@ def _disk_margin(tried: Sequence[Points], k: int) -> float:
     # of point k, over the corners that can hold the speed
     groups = [[one for one in tried if one.holds(k) and one.lagged(k) is lagged] for lagged in (True, False)]
     delayed, plain = ([_together(group, k, delay) for group in groups if group] for delay in (None, 0.0))
-    cascades = (np.ascontiguousarray(m) for c in (*delayed, *plain) for m in (c.A, c.B, c.C, c.K))
+    cascades = (m.tobytes() for c in (*delayed, *plain) for m in (c.A, c.B, c.C, c.K))
     key = hashlib.sha256(b"".join((np.float64(tried[0].dt).tobytes(), *cascades))).digest()
     if key not in _margins:
         if len(_margins) >= _MOST_MARGINS:
