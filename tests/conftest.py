@@ -98,8 +98,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for reports in terminalreporter.stats.values():
         for report in reports:
             if isinstance(report, pytest.TestReport):
-                # a phase's report has the properties of those before it
-                spent[report.location[0]] += [s for name, s in report.user_properties if name == SPENT][-1]
+                # a phase's report has the properties of those before it; that of a process that died has none
+                spent[report.location[0]] += sum([s for name, s in report.user_properties if name == SPENT][-1:])
     if len(spent) > 1:
         terminalreporter.section("processor time")
         for file, seconds in spent.most_common(10):

@@ -15,7 +15,7 @@ import surctl
 from tests.browser import Opened, open_page
 from tests.pictures import blank_pictures
 from tests.processes import run_python
-from tests.tools import need_compiler, need_module
+from tests.tools import PATIENCE, need_compiler, need_module
 
 ROOT = Path(__file__).parents[1]
 GUIDES = ROOT / "notebooks" / "guides"
@@ -199,7 +199,7 @@ def search(opened: Opened, word: str) -> None:
     page.set_viewport_size({"width": 1280, "height": 900})
     page.keyboard.press("/")
     page.keyboard.type(word)
-    page.wait_for_selector(".md-search-result__item", timeout=20_000)
+    page.wait_for_selector(".md-search-result__item", timeout=1000 * PATIENCE)
     assert page.locator(".md-search-result__item").count() >= 2
 
 

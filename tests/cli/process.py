@@ -25,6 +25,11 @@ class Outcome:
         return json.loads(self.out, parse_constant=lambda name: (_ for _ in ()).throw(ValueError(name)))
 
     @property
+    def said(self):
+        """What is on the stream of errors, without the signs of life of a slow machine."""
+        return "".join(f"{line}\n" for line in self.err.splitlines() if not line.endswith("s so far)"))
+
+    @property
     def complaint(self):
         """The one line that a user's mistake is told in."""
         lines = [line for line in self.err.splitlines() if not line.startswith("  ")]

@@ -17,7 +17,7 @@ GOOD = "true_m,measured_m\n" + ROWS
 
 def test_table_ii(tmp_path):
     done = surctl("calibrate", "table-ii", "--json", cwd=tmp_path)
-    assert done.status == 0 and done.err == ""
+    assert done.status == 0 and done.said == ""
     air, water = done.json["results"]
     assert (air["medium"], water["medium"]) == ("air", "water")
     assert water["mean_error_m"][0] == pytest.approx(0.0011, abs=5e-5)
@@ -38,7 +38,7 @@ def test_table_ii(tmp_path):
 def test_a_file_gives_fragment_rows_and_plot(tmp_path):
     (tmp_path / "c.csv").write_text(GOOD + "0.2,NaN\n0.25,0.9\n")
     done = surctl("calibrate", "c.csv", "--out", "out", cwd=tmp_path)
-    assert done.status == 0 and done.err == ""
+    assert done.status == 0 and done.said == ""
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"sonar.toml", "calibration.csv", "calibration.png"}
     for words in (
         "NaN or infinite: 1",

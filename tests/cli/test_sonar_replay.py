@@ -11,7 +11,7 @@ ROWS = recorded(6.0)
 def test_a_recording_gives_rows_and_a_plot(tmp_path):
     write(tmp_path, [*ROWS[:100], "102.6,0,nan,2,2,2,2,0,0", *ROWS[100:]])
     done = surctl("sonar-replay", "log.csv", "--bias", "0.0011", "--out", "out", "--json", cwd=tmp_path)
-    assert done.status == 0 and done.err == ""
+    assert done.status == 0 and done.said == ""
     found = done.json
     assert found["rows"] == 241 and found["skipped_incomplete"] == 1 and found["skipped_back_in_time"] == 0
     assert found["cycle_s"] == pytest.approx(0.1, rel=1e-2) and found["restarts"] == 0

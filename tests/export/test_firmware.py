@@ -26,7 +26,7 @@ from surctl.marine.vehicle import load_vehicle
 from tests.export.closed_form import SCENARIO, exported
 from tests.export.standin import StandIn
 from tests.export.test_gains_in_c import guarded
-from tests.tools import need, need_compiler, need_make
+from tests.tools import PATIENCE, need, need_compiler, need_make
 
 
 def test_the_wiring_states_the_pitch_of_the_sonars() -> None:
@@ -81,7 +81,7 @@ def code(bundle: Bundle) -> list[str]:
 def test_the_example_compiles_strictly_and_its_loop_runs(folder: Path) -> None:
     """By gcc: the test below and the smallest bundle's."""
     program = build(need("clang"), folder, [*C_FILES, *code(guarded()[1])], "example-clang")
-    done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run([program], capture_output=True, text=True, timeout=PATIENCE, check=False)
     assert done.returncode == 0 and done.stdout.startswith("sample 1: status ")
 
 
@@ -111,7 +111,7 @@ void board_gains(int result) { (void)fprintf(stderr, "gains %d", result); }
 def test_the_example_reacts_to_each_status(folder: Path) -> None:
     (folder / "board_test.c").write_text(BOARD)
     program = build("gcc", folder, ["main_example.c", "loop.c", "board_test.c", *code(guarded()[1])], "scripted", "-O0")
-    done = subprocess.run([program], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([program], capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert done.stderr == "gains -11"  # stored bytes of another length are reported, not ignored
     first, *rest = done.stdout.split(" ", 1)
     assert first == "0"  # before anything, the actuators are off

@@ -33,7 +33,7 @@ from tests.export import test_check
 from tests.export.altered import altered
 from tests.export.standin import StandIn
 from tests.export.test_check import Exact
-from tests.tools import need, need_compiler
+from tests.tools import PATIENCE, need, need_compiler
 
 Vector = NDArray[np.float64]
 REALS: tuple[Real, ...] = ("float64", "float32")
@@ -259,7 +259,7 @@ def test_it_listens_on_the_loopback_alone(small: dict[Real, Path]) -> None:
             (("70000",), "not a numeric address"),
             ((), "usage"),
         ):
-            done = subprocess.run([str(path), *words], capture_output=True, text=True, check=False, timeout=30)
+            done = subprocess.run([str(path), *words], capture_output=True, text=True, check=False, timeout=PATIENCE)
             assert done.returncode == 2 and told in done.stderr and done.stderr.count("\n") == 1
     if socket.has_ipv6:
         try:

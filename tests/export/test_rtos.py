@@ -19,7 +19,7 @@ from surctl.marine.simulation import load_scenario, simulate
 from tests.export.closed_form import vehicle
 from tests.export.standin import Vector
 from tests.export.test_gains_in_c import guarded
-from tests.tools import need, need_compiler
+from tests.tools import PATIENCE, need, need_compiler
 
 STUBS = Path(__file__).parent / "stubs"
 COLUMNS = 8  # status, sample, commanded, tau, feeds of the watchdog
@@ -73,7 +73,7 @@ class Running:
 def running(program: Path, *, status: int = 0) -> Iterator[Running]:
     with subprocess.Popen([program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         yield Running(process)
-        _, said = process.communicate(timeout=60)
+        _, said = process.communicate(timeout=PATIENCE)
         assert process.returncode == status and said.startswith(b"gains -11")  # stored gains of another length
 
 

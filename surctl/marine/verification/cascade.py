@@ -24,6 +24,7 @@ from surctl.marine.control import CASCADE, law_source
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.marine.vehicle.dynamics import PAPER
 from surctl.marine.vehicle.linearise import check_cruise, dynamic_states
+from surctl.verification.linear.parts import eigenvalues
 from surctl.verification.loops import Loop, state_blocks
 
 __all__ = [
@@ -81,8 +82,9 @@ class Cascade:
     @property
     def poles(self) -> NDArray[np.complex128]:
         """The closed-loop poles (…, n) [rad/s], the slowest first."""
-        eigenvalues = np.linalg.eigvals(self.closed).astype(complex)
-        return np.take_along_axis(eigenvalues, np.argsort(-eigenvalues.real, axis=-1, kind="stable"), axis=-1)
+        closed = self.closed
+        poles = np.linalg.eigvals(closed).astype(complex) if closed.ndim == 2 else eigenvalues(closed)
+        return np.take_along_axis(poles, np.argsort(-poles.real, axis=-1, kind="stable"), axis=-1)
 
     @property
     def stable(self) -> bool:

@@ -7,6 +7,7 @@ The computation for all points together is about a hundred times faster than pyt
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -36,6 +37,9 @@ from surctl.verification.loops import crossings_of, shape_of
 __all__ = ["LINEAR_METRICS", "LINEAR_PARAMETERS", "Points", "cascades_by_order", "linear_table", "read_points"]
 
 _CHUNK = 64  # points computed together, so that their frequency responses fit in the cache
+
+_MOST_MARGINS = 10_000
+_margins: dict[bytes, float] = {}  # disk margins by digest: each round of a tuning judges gain sets again
 
 _PLACES = {  # vehicle parameter → its index in the plant's flat vector
     name: PLANT_PARAMETERS.slice(group).start + k
@@ -177,7 +181,13 @@ def _disk_margin(tried: Sequence[Points], k: int) -> float:
     # of point k, over the corners that can hold the speed
     groups = [[one for one in tried if one.holds(k) and one.lagged(k) is lagged] for lagged in (True, False)]
     delayed, plain = ([_together(group, k, delay) for group in groups if group] for delay in (None, 0.0))
-    return least_disk(delayed, plain, dt=tried[0].dt)[0]
+    cascades = (m.tobytes() for c in (*delayed, *plain) for m in (c.A, c.B, c.C, c.K))
+    key = hashlib.sha256(b"".join((np.float64(tried[0].dt).tobytes(), *cascades))).digest()
+    if key not in _margins:
+        if len(_margins) >= _MOST_MARGINS:
+            _margins.clear()
+        _margins[key] = least_disk(delayed, plain, dt=tried[0].dt)[0]
+    return _margins[key]
 
 
 def _together(group: Sequence[Points], k: int, delay: float | None) -> Cascade:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from surctl.ir.stored_numbers import stored_numbers
 from surctl.verification.linear.open_loop import OpenLoop
+from surctl.verification.linear.parts import distinct, independent
 
 __all__ = [
     "LEAST_DISK_MARGIN", "DiskMargin", "disk_margin", "disk_profile", "quick_disk_margin", "screened_peaks",
@@ -175,14 +176,33 @@ def disk_profile(loop: OpenLoop, omega: Array) -> Array:
 
 
 def screened_peaks(loops: OpenLoop) -> Array:
-    """Return estimates (k,) of the peak of μ over frequency for k loops, on a coarse grid; inf for an unstable loop."""
+    """Return estimates (k,) of the peak of μ over frequency for k loops, on a coarse grid; inf for an unstable loop.
+
+    μ is the largest of the independent parts of a loop.
+    """
     closed = loops.complementary()
+    n = closed.A.shape[-1]
+    entries = np.block([[closed.A, closed.B], [closed.C, closed.D]])
+    peaks = np.zeros(len(entries))
+    for group in independent((entries != 0).any(axis=0)):
+        x, c = group[group < n], group[group >= n] - n
+        part = OpenLoop(
+            closed.A[:, x[:, None], x],
+            closed.B[:, x[:, None], c],
+            closed.C[:, c[:, None], x],
+            closed.D[:, c[:, None], c],
+        )
+        first, which = distinct(part.A, part.B, part.C, part.D)
+        peaks = np.maximum(peaks, _screened(part[first])[which])
+    return peaks
+
+
+def _screened(closed: OpenLoop) -> Array:
     stable = np.all(np.linalg.eigvals(closed.A).real < -1e-9, axis=-1)
     grid = np.geomspace(_SCREENED[0], _SCREENED[1], _SCREEN_POINTS)
-    peaks = np.full(len(stable), np.inf)
-    index = np.flatnonzero(stable)
-    for at in (index[k : k + _SCREENED_TOGETHER] for k in range(0, len(index), _SCREENED_TOGETHER)):
-        q = closed.D.shape[-1]
+    peaks = np.where(stable, 0.0, np.inf)
+    index, q = np.flatnonzero(stable), closed.D.shape[-1]
+    for at in (index[k : k + _SCREENED_TOGETHER] for k in range(0, len(index) if q else 0, _SCREENED_TOGETHER)):
         M = _sensitivity(closed[at], grid).reshape(-1, q, q)
         peaks[at] = _balanced(M)[1].reshape(len(at), -1).max(axis=1)
     return peaks

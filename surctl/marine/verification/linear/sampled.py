@@ -19,6 +19,7 @@ from surctl.ir.stored_numbers import stored_numbers
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.cascade import Cascade, build_cascade
 from surctl.system.exponential import expm
+from surctl.verification.linear.parts import blockwise, eigenvalues
 
 __all__ = [
     "SampledLimits",
@@ -127,7 +128,7 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         return _sampled_limits(undelayed, period)
     matrices = [np.asarray(getattr(undelayed, name), dtype=float) for name in ("A", "B", "C", "K")]
     values = stored_numbers(
-        ("surctl.marine.verification.linear.sampled", "surctl.system.exponential"),
+        ("surctl.marine.verification.linear.sampled", "surctl.system.exponential", "surctl.verification.linear.parts"),
         (period, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
         lambda: asdict(_sampled_limits(undelayed, period)),
         suffix=".sampled",
@@ -152,7 +153,9 @@ def radii_of(undelayed: Cascade, period: float, delay: int) -> Array:
 
 
 def _radius(undelayed: Cascade, delay: int, held: _Held) -> Array:
-    radius: Array = np.max(np.abs(np.linalg.eigvals(_transition(undelayed, delay, held))), axis=-1)
+    transition = _transition(undelayed, delay, held)
+    poles = np.linalg.eigvals(transition) if transition.ndim == 2 else eigenvalues(transition)
+    radius: Array = np.max(np.abs(poles), axis=-1)
     return radius
 
 
@@ -192,7 +195,8 @@ def _held(cascade: Cascade, period: float | Array) -> _Held:
     n, m = cascade.B.shape[-2:]
     both = np.zeros((*cascade.B.shape[:-2], n + m, n + m))
     both[..., :n, :n], both[..., :n, n:] = cascade.A, cascade.B
-    grown = expm(both * np.asarray(period)[..., None, None])
+    scaled = both * np.asarray(period)[..., None, None]
+    grown = expm(scaled) if scaled.ndim == 2 else blockwise(expm, scaled)
     return grown[..., :n, :n], grown[..., :n, n:]
 
 
