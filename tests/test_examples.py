@@ -14,11 +14,16 @@ from typing import Any
 
 import pytest
 
-import surctl
+import surctl.marine
 from tests.pictures import blank_pictures
 from tests.tools import need, need_compiler, need_module
 
-PACKAGES = sorted(module.name for module in pkgutil.iter_modules(surctl.__path__) if module.name != "__main__")
+PACKAGES = sorted(
+    module.name.removeprefix("surctl.")
+    for package in (surctl, surctl.marine)
+    for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
+    if module.name not in ("surctl.__main__", "surctl.marine")
+)
 
 
 def _exported() -> Iterator[tuple[str, FunctionType | type]]:
@@ -42,8 +47,8 @@ TOOLS = {  # beside a C compiler
 }
 
 
-MCAP = ("simulation.SceneFile", "simulation.save_scene")
-MUJOCO = ("report.film_frames", "report.film_pictures", "report.moment_of", "report.save_film")
+MCAP = ("marine.simulation.SceneFile", "marine.simulation.save_scene")
+MUJOCO = tuple(f"marine.report.{name}" for name in ("film_frames", "film_pictures", "moment_of", "save_film"))
 
 LONG = {"falsify", "prove_bundle", "prove_statement", "sensitivity", "simulate", "sweep", "tune"}
 _KNOWN: dict[tuple[str, ...], Any] = {}
@@ -75,9 +80,9 @@ def once(key: tuple[str, ...], compute: Callable[[], Any]) -> Any:
 @pytest.mark.parametrize("name", EXPORTED)
 def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
-    if name.startswith("engine.") or name in MUJOCO:
+    if name.startswith("marine.engine.") or name in MUJOCO:
         need_module("mujoco")
-    if name.startswith(("bridge.", "recorded_mcap.")) or name in MCAP:
+    if name.startswith(("marine.bridge.", "recorded_mcap.")) or name in MCAP:
         need_module("pymavlink")
         need_module("mcap")
     for tool in TOOLS.get(name, ()):
