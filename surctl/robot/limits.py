@@ -25,16 +25,9 @@ __all__ = ["JointLimits", "SelfCollision", "joint_limits", "read_srdf", "self_co
 def stopping_speed(distance: ca.SX, acceleration: float, dt: ca.SX) -> ca.SX:
     """Return the largest speed towards a limit that keeps it, if the speed falls by at most acceleration · dt a step.
 
-           The speed is held for each control period dt. For a distance d ≥ 0 [rad or m] it is d/dt up to d = a dt²/2, and
-    then the position after the period is inside the limit, and the speed of the next period,
-           lower by a dt, is allowed again. For d < 0 it is minus the speed for −d, so the joint returns.
-
-           Example:
-               >>> import casadi as ca
-       import numpy as np
-               >>> from surctl.robot.limits import stopping_speed
-               >>> float(stopping_speed(ca.SX(0.5), 4.0, ca.SX(0.1)))
-               1.8
+    The speed is held for each control period dt. For a distance d ≥ 0 [rad or m] it is d/dt up to d = a dt²/2, and
+    √(2 a d) − a dt/2 above. Then the position after the period is inside the limit, and a speed that is lower by a dt
+    is allowed in the next period. For d < 0 it is minus the speed for −d, so the joint returns.
     """
     # Let D(v) be the distance for which v is returned. For v ≥ 1.5 a dt, D(v − a dt) = D(v) − v dt. For smaller v, put
     # s = v/(a dt): the next speed is allowed because (s − 1.5)² ≥ 0, and the limit is kept because (s − 0.5)² ≥ 0.

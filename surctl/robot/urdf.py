@@ -281,8 +281,8 @@ def _joint(element: Element) -> Joint:
         raise InputError("is negative", key=f"{key}: limit velocity", value=velocity, remedy=remedy)
     follows = element.find("mimic")
     mimic = None
-    if follows is not None:
-        if kind not in ("revolute", "continuous", "prismatic"):
+    if follows is not None and kind != "fixed":
+        if kind in ("planar", "floating"):
             raise InputError(f"is {kind}, so it cannot mimic a joint", key=key, remedy="remove <mimic>")
         multiplier, offset = (
             float(_numbers(follows, attribute, default, 1, f"{key}: mimic")[0])
