@@ -98,9 +98,12 @@ def joint_limits(
         name, joint = place.joint.name, place.joint
         if not place.single:
             continue
-        if robot.speed_of(place, velocities) is None:
-            remedy = f'give velocity={{"{name}": …}}, or lock the joint'
+        speed, remedy = robot.speed_of(place, velocities), f'give velocity={{"{name}": …}}, or lock the joint'
+        if speed is None:
             raise InputError("has no velocity limit", file=robot.urdf.path, key=f"joint {name}", remedy=remedy)
+        if speed == 0.0:
+            key = f"joint {name}: velocity"
+            raise InputError("never lets the joint move", file=robot.urdf.path, key=key, value=speed, remedy=remedy)
         lacks = [word for word, value in (("lower", joint.lower), ("upper", joint.upper)) if value is None]
         if joint.type in ("revolute", "prismatic") and lacks:
             remedy = "write it into <limit>" + (", or make the joint continuous" * (joint.type == "revolute"))

@@ -227,7 +227,7 @@ class StackController:
         for name in self._targets:
             port = self.controller.inputs.port(name)
             nominal = np.broadcast_to(np.asarray(port.default, dtype=float), (port.size,))
-            values[name] = nominal + 0.3 * draws.standard_normal(port.size)
+            values[f"reference.{name}"] = nominal[None] + 0.3 * draws.standard_normal((1, port.size))
         return values
 
     def _arguments(self, q: ArrayLike, values: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
@@ -314,6 +314,6 @@ def _inputs_of(robot: Kinematics, stack: Stack) -> tuple[list[Port], list[Port],
             if name not in symbols:
                 symbols[name] = source.symbol
                 ports[source.tunable].append(source.port)
-            elif not ca.is_equal(symbols[name], source.symbol):
+            elif symbols[name] is not source.symbol:
                 raise InputError("is the name of two inputs", key=f"task {task.name}", value=name, remedy="rename one")
     return *ports, symbols

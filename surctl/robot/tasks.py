@@ -23,6 +23,8 @@ __all__ = ["FrameTask", "Input", "RobotTask", "com_task", "frame_task", "look_at
 
 Array: TypeAlias = NDArray[np.float64]
 
+_MATRIX = ca.SX.sym("R", 3, 3)
+_QUATERNION = ca.Function("quaternion", [_MATRIX], [quaternion_of(_MATRIX)])
 _NAME = re.compile(r"[a-z_][a-z0-9_]*", re.ASCII)
 
 
@@ -183,7 +185,7 @@ def flat_pose(pose: ArrayLike) -> Array:
     R = matrix[:3, :3]
     if not np.isfinite(matrix).all() or abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
         raise InputError("is not a pose", key="target", value=matrix.tolist(), remedy="give a homogeneous matrix")
-    return np.concatenate([matrix[:3, 3], np.array(ca.DM(quaternion_of(ca.SX(R)))).reshape(-1)])
+    return np.concatenate([matrix[:3, 3], np.array(_QUATERNION(R)).reshape(-1)])
 
 
 def _task(
