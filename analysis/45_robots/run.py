@@ -108,7 +108,8 @@ def reach(joints: tuple[tuple[str, float, float, float, float], ...], targets: i
         limits.append(barriers)
     home = robot.posture_task("home", robot.neutral() + 0.5 * np.array([row[2] + row[3] for row in joints]) * 0.4)
     tasks = [tool.position, tool.orientation, home] if len(joints) > 2 else [tool.position, home]
-    control = StackController(tasks, limits=limits, dt=DT)
+    mode = "lexicographic" if len(joints) > 2 else "projected"
+    control = StackController(tasks, limits=limits, dt=DT, mode=mode)
     draws = np.random.default_rng(45)
     ends = np.array([robot.range_of(place) for place in robot.coordinates])
     speeds = np.array([row[4] for row in joints])
@@ -131,12 +132,10 @@ def reach(joints: tuple[tuple[str, float, float, float, float], ...], targets: i
             stages[control.stage] = stages.get(control.stage, 0) + 1
         errors.append(1e3 * float(np.linalg.norm(robot.pose(robot.links[-1], q)[:3, 3] - target[:3, 3])))
     reached = sum(error < 1.0 for error in errors)
-    print(
-        f"targets at drawn configurations: {targets}, within 1 mm after 4 s: {reached}, median {np.median(errors):.2g} mm"
-    )
-    print(
-        f"beyond the limits at most: position {over[0]:.1e} rad, speed {over[1]:.1e} rad/s, acceleration {over[2]:.1e} rad/s²"
-    )
+    median = float(np.median(errors))
+    print(f"targets at drawn configurations: {targets}, within 1 mm after 4 s: {reached}, median {median:.2g} mm")
+    numbers = ", ".join(f"{name} {by:.1e}" for name, by in zip(("position", "speed", "acceleration"), over, strict=True))
+    print(f"beyond the limits at most (rad, s): {numbers}")
     if len(joints) > 2:
         print(f"least gap minus margin: {1e3 * least:.3f} mm")
     print("stages of the steps: " + ", ".join(f"{name} {count}" for name, count in sorted(stages.items())))

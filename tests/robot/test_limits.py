@@ -122,4 +122,4 @@ def test_a_start_beyond_the_limits_brakes_with_the_acceleration(tmp_path: Path) 
     assert [float(b) for b in bounds(2.4, 2.0, 0.1)] == pytest.approx([1.6, 1.6])  # too fast: it brakes
     lower, upper = (float(b) for b in bounds(2.7, 0.0, 0.1))  # beyond the limit: it returns
     assert lower == pytest.approx(-0.4) and upper == pytest.approx(-0.4)
-    assert StackController([robot.posture_task("home")], limits=[limits], dt=0.1).controller.state.size == 1
+    assert StackController([robot.posture_task("home")], limits=[limits], dt=0.1, mode="nsb").controller.state.size == 1

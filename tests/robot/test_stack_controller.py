@@ -26,7 +26,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 @pytest.fixture(scope="module")
 def control(arm: Robot) -> StackController:
     need_compiler()
-    tool = arm.frame_task("link3", target="tool", gain=5.0, max_speed=1.5)
+    tool = arm.frame_task("link3", target="tool", gain=8.0, max_speed=1.5)
     reach = SetTask(
         name="height", eta=arm.q, sigma=arm.frame("link3").position[1], lower=-0.6, upper=np.inf,
         kinematics=arm.rate_map,
@@ -35,6 +35,7 @@ def control(arm: Robot) -> StackController:
         [tool.position, reach, arm.posture_task("home", {"elbow": 1.0})],
         limits=[arm.joint_limits(acceleration=ACCELERATION), arm.self_collision(margin=0.05)],
         dt=DT,
+        mode="projected",
     )
 
 
@@ -86,12 +87,12 @@ def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
         (lambda: control.step([0, 0], tool=np.ones((4, 4))), "is not a pose"),
         (lambda: StackController([posture, other.posture_task("two")], dt=0.1), "are of different robots"),
         (lambda: StackController([posture, arm.com_task("home")], dt=0.1), "is the name of two inputs"),
-        (lambda: StackController([posture], dt=0.0), "is not a control period"),
+        (lambda: StackController([posture], dt=0.0, mode="nsb"), "is not a control period"),
         (lambda: arm.frame_task("link9", target="tool"), "is not the name of a link"),
         (lambda: arm.frame_task("link3", target="my tool"), "is not a name for a target"),
         (lambda: arm.frame_task("link3", target="tool", gain=-1.0), "tool_gain = -1.0"),
         (lambda: arm.look_at_task("link3", target="point", axis=(0, 0, 0)), "is not a direction"),
-        (lambda: StackController([posture], dt=0.1).explain(), "has made no step"),
+        (lambda: StackController([posture], dt=0.1, mode="nsb").explain(), "has made no step"),
     ):
         with pytest.raises(InputError) as caught:
             call()
