@@ -134,7 +134,9 @@ def reach(joints: tuple[tuple[str, float, float, float, float], ...], targets: i
     reached = sum(error < 1.0 for error in errors)
     median = float(np.median(errors))
     print(f"targets at drawn configurations: {targets}, within 1 mm after 4 s: {reached}, median {median:.2g} mm")
-    numbers = ", ".join(f"{name} {by:.1e}" for name, by in zip(("position", "speed", "acceleration"), over, strict=True))
+    numbers = ", ".join(
+        f"{name} {by:.1e}" for name, by in zip(("position", "speed", "acceleration"), over, strict=True)
+    )
     print(f"beyond the limits at most (rad, s): {numbers}")
     if len(joints) > 2:
         print(f"least gap minus margin: {1e3 * least:.3f} mm")
