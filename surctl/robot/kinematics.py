@@ -253,13 +253,13 @@ class Kinematics:
             )
         return lower, upper
 
-    def speed_of(self, place: Coordinate, given: Mapping[str, float]) -> float | None:
+    def speed_of(self, place: Coordinate, own: Mapping[str, float]) -> float | None:
         """Return the largest speed of a joint, with that of the joints that mimic it; None if no file states it.
 
-        given: largest speeds by joint, which take the place of those in the file.
+        own: largest speeds by joint, which take the place of those in the file.
         """
         speeds = [
-            None if (speed := given.get(joint.name, joint.velocity)) is None else speed / abs(factor)
+            None if (speed := own.get(joint.name, joint.velocity)) is None else speed / abs(factor)
             for joint, factor, _ in self._followers(place)
         ]
         return None if speeds[0] is None else min(speed for speed in speeds if speed is not None)

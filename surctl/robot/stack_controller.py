@@ -212,7 +212,7 @@ class StackController:
         bundle = build_bundle(controller, controller.gains.unpack(controller.gains.pack()), name=name)
         draws = np.random.default_rng(0)
         seconds = min(_CHECKED_SECONDS, 100 * self.dt)
-        runs = [run_system(system, seconds, self._drawn(draws)) for _ in range(_CHECKED_RUNS)]
+        runs = [run_system(system, seconds, self._sample(draws)) for _ in range(_CHECKED_RUNS)]
         with tempfile.TemporaryDirectory(prefix="surctl-robot-") as scratch:
             compiled = build_controller(controller, bundle, Path(scratch))
             report = check_builds(compiled, [as_records(controller, run) for run in runs], tried, steps=_CHECKED_STEPS)
@@ -221,7 +221,7 @@ class StackController:
         write_bundle(bundle, folder)
         return report
 
-    def _drawn(self, draws: np.random.Generator) -> dict[str, ArrayLike]:
+    def _sample(self, draws: np.random.Generator) -> dict[str, ArrayLike]:
         """Return targets of a run near those of a drawn configuration."""
         values: dict[str, ArrayLike] = {}
         for name in self._targets:
@@ -271,13 +271,13 @@ class _Law(Controller):
         before = lower(ca.Function("tasks", flat, list(map(ca.densify, problem)), list(layouts), list(names)))
         step = priority_step(self.mode, n=n, levels=assembly.shapes, rows=max(1, len(assembly.limits)))
         solution = tuple(f"step_{name}" for name, _ in step.outputs)
-        v, found, active = ca.SX.sym("v", n), ca.SX.sym("found"), ca.SX.sym("active", n)
+        v, solved, active = ca.SX.sym("v", n), ca.SX.sym("found"), ca.SX.sym("active", n)
         moved = ca.SX.sym("moved", dict(before.outputs)["moved"])
-        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, found < RELAXED), RELAXED, found)
+        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, solved < RELAXED), RELAXED, solved)
         bits = sum((bit * (stage == code) for code, bit in _BITS.items()), ca.SX(0))
         after = lower_named(
             "result",
-            {"v": v, "found": found, "active": active, "moved": moved},
+            {"v": v, "found": solved, "active": active, "moved": moved},
             {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, active)},
         )
         results = ("tau", "x_next", "status", "telemetry")

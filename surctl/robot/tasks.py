@@ -167,10 +167,10 @@ def look_at_task(
     ahead = start[:3, 3] + start[:3, :3] @ direction / length
     goal = _vector(name, 3, "m", "point in the world to look at", ahead)
     rate = _number(f"{name}_gain", gain, "1/s", "convergence gain")
-    seen = moving.rotation.T @ (goal.symbol - moving.position)
-    across, along = ca.DM(basis[1:]) @ seen, ca.dot(ca.DM(direction / length), seen)
+    local = moving.rotation.T @ (goal.symbol - moving.position)
+    across, along = ca.DM(basis[1:]) @ local, ca.dot(ca.DM(direction / length), local)
     # the angle to the point, in the direction across the axis; the square root is never differentiated at 0
-    size = ca.sqrt(ca.sumsqr(across) + 1e-24 * ca.sumsqr(seen))
+    size = ca.sqrt(ca.sumsqr(across) + 1e-24 * ca.sumsqr(local))
     return RobotTask(
         robot=robot, name=f"{name}_direction", eta=robot.q, sigma=across * ca.atan2(size, along) / size,
         gain=rate.symbol, unit="rad",        kinematics=robot.rate_map, inputs=(goal, rate),
