@@ -895,3 +895,12 @@ def test_a_robot_that_goes_back_along_a_box_keeps_its_side(monkeypatch: pytest.M
     )
     run = simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=153)
     assert run.metrics.reached and run.metrics.time_s < 70.0
+
+
+def test_the_study_of_robots() -> None:
+    need_compiler()
+    done = run(ANALYSIS / "45_robots" / "run.py", "--quick")
+    assert done.returncode == 0, done.stderr
+    [line] = [line for line in done.stdout.splitlines() if line.startswith("beyond the limits")]
+    assert max(float(word) for word in re.findall(r"-?\d\.\de[+-]\d+", line)) < 1e-9
+    assert "clamped" not in done.stdout

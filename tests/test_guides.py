@@ -54,6 +54,7 @@ NAMES = {
     "reference/equations",
     "reference/index",
     "region",
+    "robot",
     "tune",
     "tutorials/first-controller",
     "tutorials/firmware",

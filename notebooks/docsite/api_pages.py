@@ -15,6 +15,7 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = {
     "tasks": "Command",
     "priority": "Command",
+    "robot": "Command",
     "system": "Simulate",
     "tuning": "Tune",
     "verification": "Prove",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.export.contract import Exportable, commands, is_robot_law
 from surctl.export.envelope import Envelope
-from surctl.export.fields import transfers
+from surctl.export.fields import entries, transfers
 from surctl.export.guard_text import ANY_NUMBER, range_text
 from surctl.ir import Layout, Port
 
@@ -75,8 +75,15 @@ def example_values(law: Exportable, within: Envelope, *, name: str, arrays: int)
 
 def _starts(inputs: Layout) -> list[tuple[str, str, str]]:
     # (loop header, C member access, value) of the inputs whose default is not zero
-    ports = [port for port in inputs if port.size and np.any(port.default)]
-    return [(each, member, repr(float(port.default))) for port in ports for each, member, _ in transfers([port])]
+    starts = []
+    for port in inputs:
+        if port.size and np.any(port.default):
+            if np.ndim(port.default) == 0:
+                starts += [(each, member, repr(float(port.default))) for each, member, _ in transfers([port])]
+            else:
+                numbers = np.asarray(port.default).tolist()
+                starts += [("", member, repr(numbers[at])) for member, at in entries([port]) if numbers[at]]
+    return starts
 
 
 def _package(name: str) -> str:

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from surctl.export.contract import Exportable, is_robot_law
 from surctl.export.elapsed import RESTART, longest_gap
 
@@ -77,5 +79,5 @@ def wiring_values(law: Exportable) -> dict[str, Any]:
         "fed": False,
         "rows": [],
         "safe_periods": max(1, round(1.0 / law.dt)),
-        "input_defaults": [port.name for port in law.inputs if port.default != 0.0],
+        "input_defaults": {port.name: np.asarray(port.default).tolist() for port in law.inputs if np.any(port.default)},
     }

@@ -1,0 +1,243 @@
+"""Limits of a robot: joint positions, speeds and accelerations by braking distance, and distances between links."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from surctl.errors import InputError, nearest
+from surctl.robot.kinematics import Coordinate, Kinematics
+from surctl.robot.shapes import Capsule, closest_points
+from surctl.robot.urdf import read_xml
+from surctl.tasks import LimitRow
+from surctl.units import is_number
+
+__all__ = ["JointLimits", "SelfCollision", "joint_limits", "read_srdf", "self_collision", "stopping_speed"]
+
+
+def stopping_speed(distance: ca.SX, acceleration: float, dt: ca.SX) -> ca.SX:
+    """Return the largest speed towards a limit that keeps it, if the speed falls by at most acceleration · dt a step.
+
+    The speed is held for each control period dt. For a distance d ≥ 0 [rad or m] it is d/dt up to d = a dt²/2, and
+    √(2 a d) − a dt/2 above. Then the position after the period is inside the limit, and a speed that is lower by a dt
+    is allowed in the next period. For d < 0 it is minus the speed for −d, so the joint returns.
+    """
+    # Let D(v) be the distance for which v is returned. For v ≥ 1.5 a dt, D(v − a dt) = D(v) − v dt. For smaller v, put
+    # s = v/(a dt): the next speed is allowed because (s − 1.5)² ≥ 0, and the limit is kept because (s − 0.5)² ≥ 0.
+    d = ca.fabs(distance)
+    braking = ca.sqrt(2.0 * acceleration * d) - 0.5 * acceleration * dt
+    speed = ca.if_else(d <= 0.5 * acceleration * dt * dt, d / dt, braking)
+    return ca.if_else(distance < 0.0, -speed, speed)
+
+
+@dataclass(frozen=True, eq=False)
+class JointLimits:
+    """Limits of position, speed and acceleration of the joints as one box of velocities, which is never empty.
+
+    The velocity of each joint lets it stop before its position limits with its acceleration, and is at most its largest
+    speed. If the acceleration limit of a period excludes these (as after a start that is too fast), the acceleration
+    limit is kept and the joint brakes.
+
+    Attributes:
+        robot: the robot. accelerations: largest acceleration [rad/s² or m/s²] by joint; absent: no such limit.
+        velocities: largest speeds [rad/s or m/s] by joint, in place of those of the file.
+    """
+
+    robot: Kinematics
+    accelerations: Mapping[str, float]
+    velocities: Mapping[str, float]
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return one limit row for each entry of v that is limited, named joint.NAME."""
+        rows = []
+        for place in self.robot.coordinates:
+            speed = (
+                self.robot.speed_of(place, self.velocities) if place.single else self.velocities.get(place.joint.name)
+            )
+            if place.single:
+                rows.append(self._row(place, place.v, f"joint.{_identifier(place.joint.name)}", speed))
+            elif speed is not None:
+                names = "xyr" if place.joint.type == "planar" else ("x", "y", "z", "wx", "wy", "wz")
+                for k, name in enumerate(names):
+                    rows.append(self._row(place, place.v + k, f"joint.{_identifier(place.joint.name)}.{name}", speed))
+        return tuple(rows)
+
+    def _row(self, place: Coordinate, v: int, name: str, speed: float | None) -> LimitRow:
+        robot, acceleration = self.robot, self.accelerations.get(place.joint.name)
+        assert speed is not None
+        lower, upper = ca.SX(-speed), ca.SX(speed)
+        if place.single:
+            ends, q = robot.range_of(place), robot.q[place.q]
+            speeds = [_allowed(distance, acceleration, robot.dt) for distance in (q - ends[0], ends[1] - q)]
+            lower, upper = ca.fmax(lower, -speeds[0]), ca.fmin(upper, speeds[1])
+        if acceleration is not None:
+            change = acceleration * robot.dt
+            lower, upper = (ca.fmin(ca.fmax(end, robot.v[v] - change), robot.v[v] + change) for end in (lower, upper))
+        a = ca.SX.zeros(1, robot.nv)
+        a[v] = 1.0
+        return LimitRow(name, "actuator", a, lower, upper)
+
+
+def joint_limits(
+    robot: Kinematics,
+    *,
+    acceleration: float | Mapping[str, float] | None = None,
+    velocity: float | Mapping[str, float] | None = None,
+) -> JointLimits:
+    """Return the limits of all joints; see `Robot.joint_limits`."""
+    accelerations = _by_joint(robot, acceleration, "acceleration")
+    velocities = _by_joint(robot, velocity, "velocity")
+    for place in robot.coordinates:
+        name, joint = place.joint.name, place.joint
+        if not place.single:
+            continue
+        speed, remedy = robot.speed_of(place, velocities), f'give velocity={{"{name}": …}}, or lock the joint'
+        if speed is None:
+            raise InputError("has no velocity limit", file=robot.urdf.path, key=f"joint {name}", remedy=remedy)
+        if speed == 0.0:
+            key = f"joint {name}: velocity"
+            raise InputError("never lets the joint move", file=robot.urdf.path, key=key, value=speed, remedy=remedy)
+        lacks = [word for word, value in (("lower", joint.lower), ("upper", joint.upper)) if value is None]
+        if joint.type in ("revolute", "prismatic") and lacks:
+            remedy = "write it into <limit>" + (", or make the joint continuous" * (joint.type == "revolute"))
+            raise InputError(f"has no {lacks[0]} limit", file=robot.urdf.path, key=f"joint {name}", remedy=remedy)
+        robot.range_of(place)
+    return JointLimits(robot, accelerations, velocities)
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCollision:
+    """Barriers that keep pairs of links apart: the distance d of two capsules obeys ḋ ≥ −gain · (d − margin).
+
+    Attributes:
+        robot: the robot. pairs: names of two links and a capsule of each.
+        margin: least distance of the surfaces [m]. gain: γ of the barrier [1/s].
+    """
+
+    robot: Kinematics
+    pairs: tuple[tuple[str, Capsule, str, Capsule], ...]
+    margin: float
+    gain: float
+
+    def distance(self, pair: tuple[str, Capsule, str, Capsule]) -> tuple[ca.SX, ca.SX]:
+        """Return the distance of the surfaces of a pair [m], negative if they overlap, and its Jacobian (1, nv)."""
+        link, capsule, other, beside = pair
+        ends = []
+        for name, shape in ((link, capsule), (other, beside)):
+            frame = self.robot.frame(name)
+            ends += [
+                frame.position + frame.rotation @ ca.DM(np.asarray(shape.start)),
+                frame.rotation @ ca.DM(shape.axis),
+            ]
+        lengths = (capsule.length, beside.length)
+        first, second = closest_points(ends[0], ends[1], ends[2], ends[3], lengths)
+        apart = first - second
+        length = ca.sqrt(ca.sumsqr(apart) + 1e-24)
+        # joints that move both links change neither; where the points are closest, their motion along the axes does not
+        # change the distance, so its derivative is that for points fixed to the links
+        J = self.robot.jacobian_at(link, first, besides=other) - self.robot.jacobian_at(other, second, besides=link)
+        return length - capsule.radius - beside.radius, ca.densify((apart / length).T @ J[:3, :])
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return one limit row −ḋ ≤ gain · (d − margin) for each pair, named self.LINK.LINK."""
+        rows, names = [], set[str]()
+        for pair in self.pairs:
+            name = base = f"self.{_identifier(pair[0])}.{_identifier(pair[2])}"
+            while name in names:
+                name = f"{base}.{len(names)}"
+            names.add(name)
+            distance, J = self.distance(pair)
+            rows.append(LimitRow(name, "barrier", -J, ca.SX(-math.inf), self.gain * (distance - self.margin)))
+        return tuple(rows)
+
+
+def self_collision(
+    robot: Kinematics,
+    srdf: str | Path | None = None,
+    *,
+    margin: float = 0.0,
+    gain: float = 5.0,
+    shapes: Mapping[str, Sequence[Capsule]] | None = None,
+) -> SelfCollision:
+    """Return barriers between the links of a robot; see `Robot.self_collision`."""
+    for key, value in (("margin", margin), ("gain", gain)):
+        if not is_number(value) or value < 0.0 or (key == "gain" and value == 0.0):
+            raise InputError("is out of range", key=key, value=value, remedy="give a positive number")
+    own = dict(shapes or {})
+    for link in own:
+        robot.frame(link)
+    disabled = frozenset() if srdf is None else read_srdf(robot, srdf)
+    capsules = {name: tuple(own.get(name, link.shapes)) for name, link in robot.urdf.links.items()}
+    meshes = {name: link.meshes and name not in own for name, link in robot.urdf.links.items()}
+    bodies = {name: robot.body(name) for name in robot.urdf.links}
+    pairs = []
+    for one, other in combinations(robot.urdf.links, 2):
+        if frozenset((one, other)) in disabled or _adjacent(robot, bodies[one], bodies[other]):
+            continue
+        for name, across in ((one, other), (other, one)):
+            if meshes[name] and (capsules[across] or meshes[across]):
+                remedy = (
+                    f'give shapes={{"{name}": [Capsule(…)]}}, [] to ignore the link, or disable its pairs in an SRDF'
+                )
+                raise InputError("has a collision mesh", file=robot.urdf.path, key=f"link {name}", remedy=remedy)
+        pairs += [(one, first, other, second) for first in capsules[one] for second in capsules[other]]
+    if not pairs:
+        remedy = "add collision geometry, or leave out self_collision"
+        raise InputError("has no pair of links to keep apart", file=robot.urdf.path, key="robot", remedy=remedy)
+    return SelfCollision(robot, tuple(pairs), float(margin), float(gain))
+
+
+def read_srdf(robot: Kinematics, path: str | Path) -> frozenset[frozenset[str]]:
+    """Return the pairs of links whose collision an SRDF file disables.
+
+    Raises:
+        InputError: the file cannot be read, or names a link that the robot does not have.
+    """
+    path, disabled = Path(path), set[frozenset[str]]()
+    for element in read_xml(path, "robot").iter("disable_collisions"):
+        pair = [element.get("link1", ""), element.get("link2", "")]
+        for name in pair:
+            if name not in robot.urdf.links:
+                remedy = nearest(name, robot.urdf.links)
+                key = "disable_collisions"
+                raise InputError("is not the name of a link", file=path, key=key, value=name, remedy=remedy)
+        disabled.add(frozenset(pair))
+    return frozenset(disabled)
+
+
+def _adjacent(robot: Kinematics, body: str, other: str) -> bool:
+    """Return whether two links are one rigid body, or are joined by a joint."""
+    parents = [None if (up := robot.parent(name)) is None else robot.body(up) for name in (body, other)]
+    return body == other or parents[0] == other or parents[1] == body
+
+
+def _allowed(distance: ca.SX, acceleration: float | None, dt: ca.SX) -> ca.SX:
+    if distance.is_constant():  # no limit
+        return ca.SX(math.inf)
+    return distance / dt if acceleration is None else stopping_speed(distance, acceleration, dt)
+
+
+def _by_joint(robot: Kinematics, value: float | Mapping[str, float] | None, key: str) -> dict[str, float]:
+    """Return a positive number for each joint named, or one number for all joints with one position."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        value = {place.joint.name: value for place in robot.coordinates if place.single}
+    for joint, number in value.items():
+        if joint not in robot.joints:
+            raise InputError("no such joint", key=key, value=joint, remedy=nearest(str(joint), robot.joints))
+        if not is_number(number) or number <= 0.0:
+            raise InputError("is not a positive number", key=f"{key}: {joint}", value=number, remedy="give SI units")
+    return {joint: float(number) for joint, number in value.items()}
+
+
+def _identifier(name: str) -> str:
+    text = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return text if text[:1].isalpha() or text[:1] == "_" else f"_{text}"

@@ -1,0 +1,319 @@
+"""A stack of tasks and limits of a robot as a controller: steps in Python, closed loops, and C."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NoReturn, TypeAlias, get_args
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surctl.errors import InputError, SurctlError, nearest
+from surctl.export import (
+    CheckReport,
+    as_records,
+    build_controller,
+    check_builds,
+    check_folder,
+    chosen_targets,
+    write_bundle,
+)
+from surctl.export.bundle import build_bundle
+from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
+from surctl.priority import Assembly, Mode, PrioritySolution, assemble, priority_step, solve
+from surctl.priority.compiled.confirmation import UNCONFIRMED
+from surctl.priority.solver.fallback import CLAMPED
+from surctl.priority.solver.safe_point import Stage
+from surctl.priority.solver.stages import RELAXED
+from surctl.robot.kinematics import Kinematics
+from surctl.robot.limits import JointLimits, SelfCollision
+from surctl.robot.tasks import RobotTask, flat_pose
+from surctl.system import NONFINITE, Controller, Cost, Plant, System, run_system
+from surctl.tasks import Limit, SetTask, Stack, Task
+
+__all__ = ["StackController"]
+
+Array: TypeAlias = NDArray[np.float64]
+
+_BITS = {RELAXED: 1, UNCONFIRMED: 2, CLAMPED: 4}
+_STAGES = get_args(Stage)
+_CHECKED_SECONDS, _CHECKED_RUNS, _CHECKED_STEPS = 2.0, 3, 300
+
+
+class StackController:
+    """Joint velocities from tasks in strict order of priority, within limits.
+
+    A step solves one priority problem with `surctl.priority`. The velocities of the last step are the state of the
+    controller, which the acceleration limits need.
+
+    Attributes:
+        robot: the robot. dt: control period [s]. stack: the tasks. limits: the limits.
+        controller: the same law as `surctl.system.Controller`, for any closed loop. Inputs: the configuration q and the
+            targets of the tasks. Command: the velocity v. Gains: gains, largest speeds and postures of the tasks.
+            Telemetry: `stage` of the solution (1 met, 2 limited, 3 relaxed, 4 clamped, 6 unconfirmed; see
+            `surctl.priority`), and `active`, the numbers of the limits that bind. Status: 0 for stages 1 and 2, else
+            1 (relaxed), 2 (unconfirmed) or 4 (clamped).
+
+    Args:
+        tasks: tasks of one robot, highest priority first; also any `Task` or `SetTask` of `robot.q` with
+            `kinematics=robot.rate_map`.
+        limits: limits of the same robot; the earlier of two actuator limits that exclude each other is harder.
+        dt: control period [s].
+        name: name of the controller, a C identifier.
+        mode: priority mode of `surctl.priority`.
+
+    Raises:
+        InputError: tasks or limits are of different robots, two inputs have the same name but differ, or the period is
+            not positive.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.robot import StackController, load_urdf
+        >>> links = '<link name="base"/><link name="cart"/>'
+        >>> ends = '<parent link="base"/><child link="cart"/><limit lower="-1" upper="1" velocity="0.5"/>'
+        >>> joint = f'<joint name="rail" type="prismatic">{ends}</joint>'
+        >>> _ = Path("cart.urdf").write_text(f"<robot>{links}{joint}</robot>")
+        >>> cart = load_urdf("cart.urdf")
+        >>> place = cart.frame_task("cart", target="place", gain=2.0).position
+        >>> control = StackController([place], limits=[cart.joint_limits(acceleration=1.0)], dt=0.1)
+        >>> control.step([0.0], place=[0.9, 0, 0, 0, 0, 0, 1]).round(3).tolist(), control.explain()
+        ([0.1], 'Task `place_position` gave up 1.7 m/s because `joint.rail` binds.')
+    """
+
+    def __init__(
+        self,
+        tasks: Sequence[Task | SetTask],
+        *,
+        limits: Sequence[Limit] = (),
+        dt: float,
+        name: str = "stack",
+        mode: Mode = "lexicographic",
+    ) -> None:
+        self.robot = _robot_of(tasks, limits)
+        split = (part for task in tasks for part in (task.split() if isinstance(task, SetTask) else (task,)))
+        self.stack, self.limits, self.dt = Stack(tuple(split)), tuple(limits), dt
+        targets, gains, symbols = _inputs_of(self.robot, self.stack)
+        self._assembly = assemble(self.stack, self.limits, inputs=symbols)
+        self._targets = tuple(port.name for port in targets)
+        q, v = self.robot.layout()
+        remembers = any(ca.depends_on(row.upper - row.lower, self.robot.v) for row in self._assembly.limits)
+        state = (Port("previous", v.shape, v.unit, "velocity of the last period", 0.0, "anew"),) if remembers else ()
+        outcome = (Port("stage", (1,), "1", "stage of the solution"), Port("active", (self.robot.nv,), "1", "limits"))
+        self.controller: Controller = _Law(
+            name, dt, Layout((q, *targets)), Layout((v,)), _no_expressions, Layout(state), Layout(gains),
+            Layout(outcome), assembly=self._assembly, mode=mode,
+        )  # fmt: skip
+        self._mode: Mode = mode
+        self._state = self.controller.initial_state()
+        self._last: tuple[Array, Array] | None = None
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Return the names of the targets that `step` needs."""
+        return self._targets
+
+    def step(self, q: ArrayLike, **values: ArrayLike) -> Array:
+        """Return the velocities v (nv,) at configuration q (nq,), and store them for the next step.
+
+        If a number is not finite, v is 0 and the stored velocity stays.
+
+        Args:
+            q: configuration; see `Kinematics`.
+            values: every target by name, as the numbers of its port or, for a pose, a homogeneous matrix (4, 4); and
+                gains that differ from their nominal values.
+
+        Raises:
+            InputError: a target is missing, a name is unknown, or a size is wrong.
+        """
+        u, p = self._arguments(q, values)
+        step = self.controller.step(self._state, u, p)
+        if step.status != NONFINITE:
+            self._last = (np.concatenate([self._state, u, p]), step.telemetry)
+        self._state = step.x_next
+        return step.tau
+
+    def reset(self, v: ArrayLike | None = None) -> None:
+        """Forget the velocities of the last step, or replace them by v (nv,)."""
+        self._state = self.controller.initial_state()
+        if v is not None and self._state.size:
+            self._state = self.robot.checked(v, self.robot.nv, "v")
+
+    @property
+    def stage(self) -> Stage:
+        """Return how the last step was solved, such as "met" or "limited"; see `surctl.priority`."""
+        stage: Stage = _STAGES[int(self._before()[1][0]) - 1]
+        return stage
+
+    def binding(self) -> tuple[str, ...]:
+        """Return the names of the limits that bound the velocities of the last step."""
+        rows = self._assembly.limits
+        numbers = [int(abs(number)) for number in self._before()[1][1:] if number != 0.0]
+        sets = [task.name for task in self.stack.tasks if isinstance(task, SetTask)]
+        names = [row.name for row in rows] or [""]
+        return tuple([*names, *sets][number - 1] for number in numbers)
+
+    def explain(self) -> str:
+        """Return one or two sentences about the last step: what each task gave up, by how much, and for which limit."""
+        return self.solution().explain()
+
+    def solution(self) -> PrioritySolution:
+        """Return the solution for the last step by the solver in Python, with all residuals."""
+        x, u, p = np.split(self._before()[0], np.cumsum([self.controller.state.size, self.controller.inputs.size]))
+        values: dict[str, Any] = {**self.controller.inputs.unpack(u), **self.controller.gains.unpack(p)}
+        values |= {"v": x if x.size else np.zeros(self.robot.nv), "dt": self.dt}
+        return solve(self._assembly.problem(values), mode=self._mode)
+
+    def system(
+        self,
+        reference: Callable[[ca.SX, Mapping[str, ca.SX]], Mapping[str, ca.SX]] | None = None,
+        *,
+        costs: Mapping[str, Cost] | None = None,
+        stops: Mapping[str, Callable[..., Any]] | None = None,
+    ) -> System:
+        """Return the closed loop with a robot whose joints follow the commanded velocities: q̇ = S(q) v.
+
+        The system can be simulated, swept, tuned and analysed like any other (`surctl.system`, `surctl.tuning`).
+
+        Args:
+            reference, costs, stops: as in `System`; without a reference, a run sets the targets by name.
+        """
+        q, v = self.robot.layout()
+        rate = ca.Function("rate", [self.robot.q, self.robot.v], [self.robot.rate_map @ self.robot.v])
+        plant = Plant(
+            f"{self.controller.name}_robot", Layout((q,)), Layout((v,)),
+            lambda x, f, d, p: {"q": rate(x["q"], f["v"])},
+        )  # fmt: skip
+        return System(plant, self.controller, substeps=1, reference=reference, costs=costs or {}, stops=stops or {})
+
+    def export(self, folder: str | Path, *, target: str | None = None, name: str | None = None) -> CheckReport:
+        """Write the controller as C99, after a check that C and Python compute the same bytes.
+
+        The check replays runs to targets at drawn configurations, and single steps around them.
+
+        Args:
+            folder: folder of the C files.
+            target: compiler or emulated processor of the check, such as "cortex-m7" (`surctl.export.TARGETS`); None for
+                the C compiler of this machine.
+            name: prefix of files and C symbols, by default the name of the controller.
+
+        Raises:
+            InputError: the target or the name is not usable. ToolMissing: a tool of the target is not installed.
+            SurctlError: C and Python differ.
+        """
+        folder = Path(folder)
+        check_folder(folder)
+        tried, _ = chosen_targets([target or "gcc-O2"])
+        controller, system = self.controller, self.system()
+        bundle = build_bundle(controller, controller.gains.unpack(controller.gains.pack()), name=name)
+        draws = np.random.default_rng(0)
+        seconds = min(_CHECKED_SECONDS, 100 * self.dt)
+        runs = [run_system(system, seconds, self._sample(draws)) for _ in range(_CHECKED_RUNS)]
+        with tempfile.TemporaryDirectory(prefix="surctl-robot-") as scratch:
+            compiled = build_controller(controller, bundle, Path(scratch))
+            report = check_builds(compiled, [as_records(controller, run) for run in runs], tried, steps=_CHECKED_STEPS)
+        if not report.passed:
+            raise SurctlError(report.summary())
+        write_bundle(bundle, folder)
+        return report
+
+    def _sample(self, draws: np.random.Generator) -> dict[str, ArrayLike]:
+        """Return targets of a run near those of a drawn configuration."""
+        values: dict[str, ArrayLike] = {}
+        for name in self._targets:
+            port = self.controller.inputs.port(name)
+            nominal = np.broadcast_to(np.asarray(port.default, dtype=float), (port.size,))
+            values[f"reference.{name}"] = nominal[None] + 0.3 * draws.standard_normal((1, port.size))
+        return values
+
+    def _arguments(self, q: ArrayLike, values: Mapping[str, ArrayLike]) -> tuple[Array, Array]:
+        inputs, gains = self.controller.inputs, self.controller.gains
+        missing = [name for name in self._targets if name not in values]
+        if missing:
+            raise InputError("is missing", key=missing[0], remedy=f"write step(q, {missing[0]}=…)")
+        parts: tuple[dict[str, object], dict[str, object]] = ({"q": q}, {})
+        for name, value in values.items():
+            if name not in self._targets and name not in gains:
+                raise InputError(
+                    "no such target or gain", key=name, remedy=nearest(name, [*self._targets, *(p.name for p in gains)])
+                )
+            pose = name in self._targets and inputs.port(name).size == 7
+            parts[name in gains][name] = flat_pose(value) if pose else value
+        return inputs.pack(parts[0]), gains.pack(parts[1])
+
+    def _before(self) -> tuple[Array, Array]:
+        if self._last is None:
+            raise InputError("has made no step", key="controller", remedy="call step first")
+        return self._last
+
+
+@dataclass(frozen=True, eq=False)
+class _Law(Controller):
+    """A controller whose step evaluates tasks and limits, and then solves the priority problem."""
+
+    assembly: Assembly = field(kw_only=True)
+    mode: Mode = field(kw_only=True)
+
+    @cached_property
+    def block(self) -> Block:
+        """Return the step as a routine; see `Controller.block`."""
+        assembly, n = self.assembly, self.assembly.stack.velocities
+        layouts = {"x": self.state, "u": self.inputs, "p": self.gains}
+        flat = [ca.SX.sym(name, layout.size) for name, layout in layouts.items()]
+        values = {**self.inputs.split(flat[1]), **self.gains.split(flat[2])}
+        values |= {"v": flat[0] if self.state.size else ca.SX.zeros(n), "dt": ca.SX(self.dt)}
+        problem = assembly.function.call([values[name] for name in assembly.sizes])
+        names = ("J", "lower", "upper", "rows", "box", "moved")
+        before = lower(ca.Function("tasks", flat, list(map(ca.densify, problem)), list(layouts), list(names)))
+        step = priority_step(self.mode, n=n, levels=assembly.shapes, rows=max(1, len(assembly.limits)))
+        solution = tuple(f"step_{name}" for name, _ in step.outputs)
+        v, solved, active = ca.SX.sym("v", n), ca.SX.sym("found"), ca.SX.sym("active", n)
+        moved = ca.SX.sym("moved", dict(before.outputs)["moved"])
+        stage = ca.if_else(ca.logic_and(ca.mmax(moved) > 0, solved < RELAXED), RELAXED, solved)
+        bits = sum((bit * (stage == code) for code, bit in _BITS.items()), ca.SX(0))
+        after = lower_named(
+            "result",
+            {"v": v, "found": solved, "active": active, "moved": moved},
+            {"tau": v, "x_next": v[: self.state.size], "status": bits, "telemetry": ca.vertcat(stage, active)},
+        )
+        results = ("tau", "x_next", "status", "telemetry")
+        steps = (
+            Call(before, tuple(layouts), names),
+            Call(step, names[:-1], solution),
+            Call(after, ("step_v", "step_status", "step_active", "moved"), results),
+        )
+        sizes = tuple((name, layout.size) for name, layout in layouts.items())
+        return without_libm(Routine(self.name, sizes, steps, results))
+
+
+def _no_expressions(*_: object) -> NoReturn:
+    raise InputError("is computed by loops", key="law", remedy="use the block of the controller")
+
+
+def _robot_of(tasks: Sequence[Task | SetTask], limits: Sequence[Limit]) -> Kinematics:
+    robots = [task.robot for task in tasks if isinstance(task, RobotTask)]
+    robots += [limit.robot for limit in limits if isinstance(limit, JointLimits | SelfCollision)]
+    if not robots:
+        raise InputError("has no task of a robot", key="tasks", remedy="take tasks from a robot, as robot.posture_task")
+    if any(robot is not robots[0] for robot in robots):
+        raise InputError("are of different robots", key="tasks and limits", remedy="load the robot once")
+    return robots[0]
+
+
+def _inputs_of(robot: Kinematics, stack: Stack) -> tuple[list[Port], list[Port], dict[str, ca.SX]]:
+    """Return the ports of targets and of gains, and the symbol of each input of the priority problem by name."""
+    ports: tuple[list[Port], list[Port]] = ([], [])
+    symbols = {"q": robot.q, "v": robot.v, "dt": robot.dt}
+    for task in stack.tasks:
+        for source in task.inputs if isinstance(task, RobotTask) else ():
+            name = source.port.name
+            if name not in symbols:
+                symbols[name] = source.symbol
+                ports[source.tunable].append(source.port)
+            elif symbols[name] is not source.symbol:
+                raise InputError("is the name of two inputs", key=f"task {task.name}", value=name, remedy="rename one")
+    return *ports, symbols

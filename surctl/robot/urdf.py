@@ -1,0 +1,365 @@
+"""URDF files: links, joints, masses and collision geometry of a robot, checked while they are read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeAlias, cast, get_args
+from xml.etree.ElementTree import Element, TreeBuilder
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, nearest
+from surctl.robot.shapes import Capsule, capsule_around
+
+__all__ = ["Joint", "JointType", "Link", "Mimic", "Urdf", "read_urdf", "read_xml"]
+
+Array: TypeAlias = NDArray[np.float64]
+JointType: TypeAlias = Literal["fixed", "revolute", "continuous", "prismatic", "planar", "floating"]
+
+_LARGEST = 20_000_000  # bytes; the largest public URDF files have some megabytes
+_SNAP = 1e-12  # sines and cosines this near to 0 or ±1 come from rounding of a right angle
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint whose position follows another joint: multiplier · position of `joint` + offset."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint between a parent and a child link.
+
+    Attributes:
+        rotation, position: rotation matrix (3, 3) and position (3,) [m] of the joint frame in the frame of the parent.
+        axis: unit vector (3,) in the joint frame.
+        lower, upper: position limits [rad or m]; None if the file has none.
+        velocity: largest speed [rad/s or m/s]; None if the file has none.
+        mimic: the joint that this joint follows, or None.
+    """
+
+    name: str
+    type: JointType
+    parent: str
+    child: str
+    rotation: Array
+    position: Array
+    axis: Array
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+    mimic: Mimic | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A rigid body.
+
+    Attributes:
+        mass: mass [kg]; 0 without inertial data.
+        centre: centre of mass (3,) in the frame of the link [m].
+        shapes: collision geometry as capsules that contain it.
+        meshes: whether the link has collision meshes, which are not read.
+    """
+
+    name: str
+    mass: float
+    centre: Array
+    shapes: tuple[Capsule, ...]
+    meshes: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """A checked URDF file: a tree of links with one root.
+
+    Attributes:
+        path: the file. name: name of the robot. root: name of the root link.
+        links: the links by name. joints: the joints, each after the joint that moves its parent.
+    """
+
+    path: Path
+    name: str
+    root: str
+    links: dict[str, Link]
+    joints: tuple[Joint, ...]
+
+
+def read_urdf(path: str | Path) -> Urdf:
+    """Read and check a URDF file.
+
+    Raises:
+        InputError: the file is not readable XML, has a document type or entities, is larger than 20 MB, or does not
+            describe a tree of links with finite numbers. The message names the file and the link or joint.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.robot import read_urdf
+        >>> links = '<link name="base"/><link name="arm"/>'
+        >>> joint = '<joint name="hinge" type="continuous"><parent link="base"/><child link="arm"/></joint>'
+        >>> _ = Path("hinge.urdf").write_text(f'<robot name="door">{links}{joint}</robot>')
+        >>> urdf = read_urdf("hinge.urdf")
+        >>> urdf.root, [joint.name for joint in urdf.joints]
+        ('base', ['hinge'])
+    """
+    path = Path(path)
+    root = read_xml(path, "robot")
+    try:
+        links: dict[str, Link] = {}
+        for element in root.findall("link"):
+            link = _link(element)
+            if link.name in links:
+                raise InputError("is the name of two links", key="link", value=link.name, remedy="rename one of them")
+            links[link.name] = link
+        joints: dict[str, Joint] = {}
+        for element in root.findall("joint"):
+            joint = _joint(element)
+            if joint.name in joints:
+                raise InputError("is the name of two joints", key="joint", value=joint.name, remedy="rename one")
+            joints[joint.name] = joint
+        base = _check_tree(links, joints)
+        _check_mimics(joints)
+        return Urdf(path, root.get("name", ""), base, links, tuple(_ordered(base, joints)))
+    except InputError as error:
+        raise error.inside(path) from None
+
+
+def read_xml(path: Path, tag: str) -> Element:
+    """Return the root element of an XML file, whose tag must be `tag`.
+
+    Raises:
+        InputError: the file cannot be read or parsed, is too large, or declares a document type, which could expand
+            entities without end.
+    """
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise InputError(f"is larger than {_LARGEST // 1_000_000} MB", file=path, remedy="give a URDF or SRDF file")
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=path, remedy="check the path") from None
+    builder = TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.StartDoctypeDeclHandler = _refuse
+    try:
+        parser.Parse(data, True)
+        root = builder.close()
+    except expat.ExpatError as error:
+        problem = f"line {error.lineno}: is not well-formed XML ({expat.ErrorString(error.code)})"
+        raise InputError(problem, file=path, remedy="correct the file") from None
+    except (LookupError, ValueError) as error:  # an encoding that Python does not know, or not byte by byte
+        raise InputError(f"has an unusable encoding ({error})", file=path, remedy="save it as UTF-8") from None
+    except InputError as error:
+        raise error.inside(path) from None
+    if any(element.tag.startswith("xacro:") for element in root.iter()):
+        raise InputError("contains xacro macros", file=path, remedy=f"expand them: xacro {path.name} > robot.{tag}")
+    if root.tag != tag:
+        raise InputError(f"begins with <{root.tag}>", file=path, remedy=f"give a file that begins with <{tag}>")
+    return root
+
+
+def _refuse(*_: object) -> None:
+    raise InputError("declares a document type (DOCTYPE)", remedy="remove the declaration and its entities")
+
+
+def _name(element: Element) -> str:
+    name = element.get("name")
+    if not name or not name.strip():
+        raise InputError("has no name", key=element.tag, remedy=f'write <{element.tag} name="…">')
+    return name
+
+
+def _numbers(element: Element | None, attribute: str, default: str, count: int, key: str) -> Array:
+    text = default if element is None else element.get(attribute, default)
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        what = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"is not {what}", key=f"{key}: {attribute}", value=text, remedy="correct it")
+    return np.array(numbers)
+
+
+def _bound(element: Element | None, attribute: str, key: str) -> float | None:
+    """Return a limit; None if it is absent or infinite."""
+    text = None if element is None else element.get(attribute)
+    if text is None:
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if math.isnan(number):
+        raise InputError("is not a number", key=f"{key}: limit {attribute}", value=text, remedy="give a number")
+    return number if math.isfinite(number) else None
+
+
+def _origin(element: Element, key: str) -> tuple[Array, Array]:
+    origin = element.find("origin")
+    roll, pitch, yaw = _numbers(origin, "rpy", "0 0 0", 3, f"{key}: origin")
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a), math.sin(a)) for a in (roll, pitch, yaw))
+    rotation = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+    whole = np.round(rotation)
+    return np.where(abs(rotation - whole) < _SNAP, whole, rotation), _numbers(
+        origin, "xyz", "0 0 0", 3, f"{key}: origin"
+    )
+
+
+def _link(element: Element) -> Link:
+    name = _name(element)
+    key = f"link {name}"
+    mass, centre = 0.0, np.zeros(3)
+    inertial = element.find("inertial")
+    if inertial is not None:
+        mass = float(_numbers(inertial.find("mass"), "value", "0", 1, f"{key}: mass")[0])
+        if mass < 0.0:
+            raise InputError("is negative", key=f"{key}: mass", value=mass, remedy="give kilograms")
+        centre = _origin(inertial, key)[1]
+    shapes, meshes = [], False
+    for collision in element.findall("collision"):
+        geometry = collision.find("geometry")
+        shape = geometry[0] if geometry is not None and len(geometry) else None
+        if shape is None:
+            raise InputError("has no geometry", key=f"{key}: collision", remedy="give a sphere, cylinder, box or mesh")
+        if shape.tag == "mesh":
+            meshes = True
+            continue
+        at = f"{key}: {shape.tag}"
+        if shape.tag == "box":
+            size = _numbers(shape, "size", "", 3, at)
+        elif shape.tag in ("sphere", "cylinder", "capsule"):
+            attributes = ("radius",) if shape.tag == "sphere" else ("radius", "length")
+            size = np.concatenate([_numbers(shape, attribute, "", 1, at) for attribute in attributes])
+        else:
+            known = ("box", "capsule", "cylinder", "mesh", "sphere")
+            raise InputError("is not known", key=f"{key}: geometry", value=shape.tag, remedy=nearest(shape.tag, known))
+        if (size <= 0.0).any():
+            raise InputError("has a size that is not positive", key=at, value=size.tolist(), remedy="give metres")
+        shapes.append(capsule_around(shape.tag, size, *_origin(collision, at)))
+    return Link(name, mass, centre, tuple(shapes), meshes)
+
+
+def _joint(element: Element) -> Joint:
+    name = _name(element)
+    key = f"joint {name}"
+    kind = element.get("type", "")
+    if kind not in get_args(JointType):
+        raise InputError(
+            "is not a joint type", key=f"{key}: type", value=kind, remedy=nearest(kind, get_args(JointType))
+        )
+    ends = []
+    for tag in ("parent", "child"):
+        end = element.find(tag)
+        link = None if end is None else end.get("link")
+        if not link:
+            raise InputError(f"has no {tag} link", key=key, remedy=f'write <{tag} link="…"/>')
+        ends.append(link)
+    axis = np.array([0.0, 0.0, 1.0]) if kind in ("fixed", "floating") else _axis(element, kind, key)
+    limit = element.find("limit")
+    lower, upper, velocity = (_bound(limit, attribute, key) for attribute in ("lower", "upper", "velocity"))
+    if lower is not None and upper is not None and lower > upper:
+        remedy = "give lower <= upper"
+        raise InputError("allow no position", key=f"{key}: limits", value=[lower, upper], remedy=remedy)
+    if velocity is not None and velocity < 0.0:
+        remedy = "give a largest speed"
+        raise InputError("is negative", key=f"{key}: limit velocity", value=velocity, remedy=remedy)
+    follows = element.find("mimic")
+    mimic = None
+    if follows is not None and kind != "fixed":
+        if kind in ("planar", "floating"):
+            raise InputError(f"is {kind}, so it cannot mimic a joint", key=key, remedy="remove <mimic>")
+        multiplier, offset = (
+            float(_numbers(follows, attribute, default, 1, f"{key}: mimic")[0])
+            for attribute, default in (("multiplier", "1"), ("offset", "0"))
+        )
+        mimic = Mimic(follows.get("joint", ""), multiplier, offset)
+    rotation, position = _origin(element, key)
+    bounded = kind != "continuous"
+    return Joint(
+        name, cast(JointType, kind), ends[0], ends[1], rotation, position, axis,
+        lower if bounded else None, upper if bounded else None, velocity, mimic,
+    )  # fmt: skip
+
+
+def _axis(element: Element, kind: str, key: str) -> Array:
+    axis = _numbers(element.find("axis"), "xyz", "1 0 0", 3, f"{key}: axis")
+    length = float(np.sqrt(axis @ axis))
+    if length < 1e-9:
+        raise InputError("has length 0", key=f"{key}: axis", value=axis.tolist(), remedy="give a direction")
+    if kind == "planar" and abs(axis / length - [0.0, 0.0, 1.0]).max() > _SNAP:
+        remedy = "turn the origin instead, and write 0 0 1"
+        raise InputError("of a planar joint is not z", key=f"{key}: axis", value=axis.tolist(), remedy=remedy)
+    return axis / length
+
+
+def _check_tree(links: dict[str, Link], joints: dict[str, Joint]) -> str:
+    """Return the root link; raise InputError if links and joints do not form one tree."""
+    if not links:
+        raise InputError("has no link", key="robot", remedy='write <link name="…"/>')
+    parents: dict[str, Joint] = {}
+    for joint in joints.values():
+        for tag, link in (("parent", joint.parent), ("child", joint.child)):
+            if link not in links:
+                key = f"joint {joint.name}: {tag}"
+                raise InputError("is not the name of a link", key=key, value=link, remedy=nearest(link, links))
+        if joint.child in parents:
+            problem = f"is the child of joints {parents[joint.child].name} and {joint.name}"
+            raise InputError(problem, key=f"link {joint.child}", remedy="a robot is a tree: remove one of the joints")
+        parents[joint.child] = joint
+    roots = [name for name in links if name not in parents]
+    if len(roots) > 1:
+        shown = ", ".join(roots[:4]) + (", …" if len(roots) > 4 else "")
+        raise InputError(f"has {len(roots)} root links: {shown}", key="robot", remedy="connect them by fixed joints")
+    reached = {joint.child for joint in _ordered(roots[0], joints)} | set(roots) if roots else set()
+    for name in links:
+        if name not in reached:
+            cycle, at = [], name
+            while at not in cycle:
+                cycle.append(at)
+                at = parents[at].parent
+            shown = " → ".join([*cycle[cycle.index(at) :][:4], "…"])
+            raise InputError(f"has a cycle of links: {shown}", key="robot", remedy="a robot is a tree: remove a joint")
+    return roots[0]
+
+
+def _ordered(root: str, joints: dict[str, Joint]) -> Iterator[Joint]:
+    """Yield the joints from the root outwards, depth first, in the order of the file."""
+    below: dict[str, list[Joint]] = {}
+    for joint in joints.values():
+        below.setdefault(joint.parent, []).append(joint)
+    waiting = below.get(root, [])[::-1]
+    while waiting:
+        joint = waiting.pop()
+        yield joint
+        waiting += below.get(joint.child, [])[::-1]
+
+
+def _check_mimics(joints: dict[str, Joint]) -> None:
+    for joint in joints.values():
+        passed, at = [joint.name], joint
+        while at.mimic is not None:
+            key = f"joint {at.name}: mimic"
+            if at.mimic.joint not in joints:
+                raise InputError("no such joint", key=key, value=at.mimic.joint, remedy=nearest(at.mimic.joint, joints))
+            at = joints[at.mimic.joint]
+            if at.type in ("planar", "floating"):
+                raise InputError(f"is {at.type}", key=key, value=at.name, remedy="mimic a joint with one position")
+            if at.name in passed:
+                raise InputError("leads back to the joint itself", key=key, value=at.name, remedy="remove one mimic")
+            passed.append(at.name)

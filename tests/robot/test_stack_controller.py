@@ -1,0 +1,147 @@
+"""A stack as a controller: steps, closed loops, margins and C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from surctl.errors import InputError
+from surctl.robot import Robot, StackController, load_urdf
+from surctl.system import NONFINITE, run_system
+from surctl.tasks import SetTask
+from tests.robot.robots import ARM, joint, link, written
+from tests.tools import need_compiler
+
+ACCELERATION, DT = 8.0, 0.02
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    return load_urdf(written(tmp_path_factory.mktemp("arm"), *ARM), lock=["wrist"])
+
+
+@pytest.fixture(scope="module")
+def control(arm: Robot) -> StackController:
+    need_compiler()
+    tool = arm.frame_task("link3", target="tool", gain=8.0, max_speed=1.5)
+    reach = SetTask(
+        name="height", eta=arm.q, sigma=arm.frame("link3").position[1], lower=-0.6, upper=np.inf,
+        kinematics=arm.rate_map,
+    )  # fmt: skip
+    return StackController(
+        [tool.position, reach, arm.posture_task("home", {"elbow": 1.0})],
+        limits=[arm.joint_limits(acceleration=ACCELERATION), arm.self_collision(margin=0.05)],
+        dt=DT,
+        mode="projected",
+    )
+
+
+def test_limits_hold_on_the_way_to_drawn_targets(arm: Robot, control: StackController) -> None:
+    draws, q, before = np.random.default_rng(5), np.array([0.2, 1.0]), np.zeros(2)
+    gap = ca.Function("gap", [arm.q], [arm.self_collision().distance(pair)[0] for pair in arm.self_collision().pairs])
+    control.reset()
+    reached = 0
+    for _ in range(8):
+        goal = draws.uniform([-1.0, 0.4], [1.0, 1.8])
+        target = arm.pose("link3", goal) if draws.random() < 0.7 else np.array([*draws.normal(size=2), 0, 0, 0, 0, 1])
+        for _ in range(100):
+            v = control.step(q, tool=target)
+            assert abs(v - before).max() <= ACCELERATION * DT + 1e-12 and abs(v).max() <= 2.0
+            q, before = arm.integrate(q, v, DT), v
+            assert abs(q).max() <= 2.5 + 1e-12
+            assert min(float(value) for value in gap(q)) > 0.05 - 1e-4
+        reached += np.size(target) == 16 and abs(arm.pose("link3", q)[:3, 3] - target[:3, 3]).max() < 1e-4
+    assert reached >= 3
+
+
+def test_a_step_says_what_binds_and_what_it_costs(arm: Robot, control: StackController) -> None:
+    control.reset()
+    v = control.step([0.2, 1.0], tool=[9, 0, 0, 0, 0, 0, 1])
+    assert control.stage == "limited" and set(control.binding()) == {"joint.shoulder", "joint.elbow"}
+    assert "tool_position" in control.explain()
+    assert control.solution().v == pytest.approx(v)
+    free = control.step([0.2, 1.0], tool=arm.pose("link3", [0.2, 1.0]), home=[0.2, 1.0])
+    assert abs(free).max() <= 2 * ACCELERATION * DT
+
+
+def test_nan_never_becomes_a_command(arm: Robot, control: StackController) -> None:
+    control.reset([0.1, 0.0])
+    for q, target in (([np.nan, 0], [0] * 6 + [1]), ([0, 1.0], [np.inf] + [0] * 5 + [1])):
+        assert control.step(q, tool=target).tolist() == [0.0, 0.0]
+    assert (
+        control.controller.step([np.nan, 0.0], [0, 1.0] + [0] * 6 + [1], control.controller.gains.pack()).status
+        == NONFINITE
+    )
+
+
+def test_a_mistake_gives_one_line(arm: Robot, control: StackController) -> None:
+    other = load_urdf(arm.urdf.path)
+    posture = arm.posture_task("home")
+    for call, problem in (
+        (lambda: control.step([0, 0]), "tool: is missing"),
+        (lambda: control.step([0, 0], tool=[0] * 7, hom=[0, 0]), "did you mean 'home'"),
+        (lambda: control.step([0, 0], tool=[0] * 6), "tool: has 6 numbers"),
+        (lambda: control.step([0, 0], tool=np.ones((4, 4))), "is not a pose"),
+        (lambda: StackController([posture, other.posture_task("two")], dt=0.1), "are of different robots"),
+        (lambda: StackController([posture, arm.com_task("home")], dt=0.1), "is the name of two inputs"),
+        (lambda: StackController([posture], dt=0.0, mode="nsb"), "is not a control period"),
+        (lambda: arm.frame_task("link9", target="tool"), "is not the name of a link"),
+        (lambda: arm.frame_task("link3", target="my tool"), "is not a name for a target"),
+        (lambda: arm.frame_task("link3", target="tool", gain=-1.0), "tool_gain = -1.0"),
+        (lambda: arm.look_at_task("link3", target="point", axis=(0, 0, 0)), "is not a direction"),
+        (lambda: StackController([posture], dt=0.1, mode="nsb").explain(), "has made no step"),
+    ):
+        with pytest.raises(InputError) as caught:
+            call()
+        assert problem in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_it_is_the_controller_of_a_system(arm: Robot, control: StackController) -> None:
+    system = control.system()
+    goal = [0.4, 1.3]
+    pose = np.append(arm.pose("link3", goal)[:3, 3], [0, 0, 0, 1])
+    run = run_system(system, 2.0, {"start.q": [[0.2, 1.0]], "reference.tool": pose[None]})
+    assert run["q"][-1] == pytest.approx(goal, abs=1e-4) and (run.status == 0).all()
+
+
+def test_its_c_code_computes_the_same_bytes(arm: Robot, tmp_path: Path) -> None:
+    need_compiler()
+    control = StackController([arm.frame_task("link3", target="tool").position], dt=DT, mode="nsb")
+    report = control.export(tmp_path / "firmware", target="gcc-O0", name="arm_law")
+    assert report.passed and report.builds[0].differing == 0
+    readme = (tmp_path / "firmware" / "README.md").read_text(encoding="utf-8")
+    assert "input.tool[0] = 1.0;" in readme and "input.tool[6] = 1.0;" in readme
+
+
+def test_each_task_converges(tmp_path: Path) -> None:
+    """Orientation, centre of mass, a frame relative to another, and the direction to a point."""
+    need_compiler()
+    turned = (
+        *ARM,
+        link("camera"),
+        joint("pan", "link3", "camera", axis=(0, 1, 0), limit='lower="-3" upper="3" velocity="2"'),
+    )
+    robot = load_urdf(written(tmp_path, *turned))
+    start = np.array([0.1, 0.8, -0.5, 0.2])
+    look = robot.look_at_task("camera", target="point", gain=4.0)
+    relative = robot.frame_task("camera", target="pose", relative_to="link1", gain=4.0)
+    turn = robot.frame_task("camera", target="turn", gain=4.0, max_rate=1.0)
+    goal = np.array([0.5, 0.4, 0.9, -0.6])
+    pose, base = robot.pose("camera", goal), robot.pose("link1", goal)
+    centre = ca.Function("centre", [robot.q], [robot.centre_of_mass[0]])
+    for task, values in (
+        (look, {"point": (pose @ [2.0, 0, 0, 1])[:3]}),
+        (relative.position, {"pose": np.linalg.inv(base) @ pose}),
+        (relative.orientation, {"pose": np.linalg.inv(base) @ pose}),
+        (turn.orientation, {"turn": pose}),
+        (robot.com_task("com", gain=4.0), {"com": np.array(centre(goal))[:, 0]}),
+    ):
+        control, q = StackController([task], dt=0.05, mode="nsb"), start
+        errors = []
+        for _ in range(90):
+            q = robot.integrate(q, control.step(q, **values), 0.05)
+            errors.append(control.solution().residuals[task.name])
+        assert errors[-1] < 1e-5 * max(errors[0], 1.0)
