@@ -29,6 +29,7 @@ EXAMPLES = {
     "state_feedback": "ship, python-control",
     "quadrotor_altitude": "quadrotor, tuning",
     "pendulum_lqr": "pendulum on a cart, LQR and margins",
+    "camera_cart": "cart, sampled sensors, noise and dropouts",
     "barrier_double_integrator": "cart, safety filter",
     "van_der_pol": "textbook dynamics, certificate",
     "own_goals": "underwater robot, goals",

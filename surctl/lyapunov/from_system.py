@@ -77,6 +77,9 @@ def continuous_dynamics(
         (('position', 'speed'), ['plant_mass'])
     """
     plant, controller = system.plant, system.controller
+    if blocks := system.blocks.all:
+        remedy = "prove the loop without it, or write the sampled loop as one map x+ = f(x) in discrete time"
+        raise InputError("is a sampled block, which regions do not cover", key=blocks[0].name, remedy=remedy)
     action = getattr(controller, "action", None)
     if action is None:
         remedy = "write plant and controller as one map x+ = f(x) in discrete time"
@@ -113,7 +116,9 @@ def continuous_dynamics(
     disturbance = system.disturbance_at(t, flat["disturbance"])
     y = plant.measurement(x, disturbance, flat["plant"])
     command, after, *_ = action(z, system.inputs_of(y, reference), flat["gains"])
-    flow = plant.derivative(x, system.applied(command), disturbance, flat["plant"])
+    empty = ca.SX(0, 1)
+    f, _, _ = system.driven(command, x, empty, empty, d=disturbance, p=flat["plant"], q=empty)
+    flow = plant.derivative(x, f, disturbance, flat["plant"])
     rates = ca.densify(ca.vertcat(flow, (after - z) / system.dt))
     if ca.depends_on(rates, t):
         remedy = "use a constant reference and disturbance"

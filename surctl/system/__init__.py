@@ -24,6 +24,7 @@ from surctl.system.plant_linear import linearise_plant
 from surctl.system.record import Record, run_system
 from surctl.system.record_file import save_record
 from surctl.system.runs import Runs, periods, simulate_system
+from surctl.system.sampled import Sampled, message
 from surctl.system.saturation import unresponsive
 from surctl.system.to_control import to_control
 from surctl.system.values import every_combination
@@ -44,6 +45,7 @@ __all__ = [
     "Plant",
     "Record",
     "Runs",
+    "Sampled",
     "SampledController",
     "Signals",
     "Step",
@@ -57,6 +59,7 @@ __all__ = [
     "from_control",
     "linearise",
     "linearise_plant",
+    "message",
     "periods",
     "plant_from_control",
     "run_system",

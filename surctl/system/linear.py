@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.ir import to_casadi
 from surctl.system.controller import Controller, SampledController
-from surctl.system.linear_loop import LinearLoop, LoopNames
+from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant_linear import plant_slopes
@@ -33,12 +34,19 @@ _SHOWN = 6  # largest number of states in a message
 
 @dataclass(frozen=True)
 class Operating:
-    """An equilibrium of the loop: flat plant state x, controller state z and command f, and the numbers of its run."""
+    """An equilibrium of the loop, at which random numbers of sampled blocks have their means.
+
+    Attributes:
+        x, z, f: plant state, controller state and command, flat.
+        numbers: the numbers of its run.
+        memory: memory of all sampled blocks, flat.
+    """
 
     x: Array
     z: Array
     f: Array
     numbers: RunNumbers
+    memory: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +93,11 @@ def find_equilibrium(system: System, values: Mapping[str, ArrayLike] | None = No
 def _equilibrium(functions: _Rest, values: Mapping[str, ArrayLike] | None) -> Operating:
     system, numbers = functions.system, functions.numbers
     started = any(name.startswith("start.") for name in values or {})
-    ends = []
+    ends, memory = [], system.blocks.memory.pack()
     starts = [numbers.start[0]] if started else [np.zeros(system.plant.state.size), numbers.start[0]]
     for search in (_newton, _transient):
         for x in starts:
-            point, rests = search(functions, np.concatenate([x, system.controller.initial_state()]))
+            point, rests = search(functions, np.concatenate([x, system.controller.initial_state(), memory]))
             if rests:
                 return functions.operating(point)
             ends.append(point)
@@ -131,7 +139,7 @@ def _transient(functions: _Rest, point: Array) -> tuple[Array, bool]:
     """
     system = functions.system
     rates = np.ones(point.size)
-    rates[system.plant.state.size :] = 1 / system.dt
+    rates[system.plant.state.size :] = 1 / system.dt  # of controller and blocks
     length, size = system.dt, np.inf
     for _ in range(_EULER):
         error, slope = functions.error(point)
@@ -157,7 +165,8 @@ def linearise(
         at: the operating point; by default the result of `find_equilibrium(system, values)`.
 
     Raises:
-        InputError: as in `find_equilibrium`.
+        InputError: as in `find_equilibrium`, or a sampled block has a longer period than the controller, so that the
+            loop changes from one period to the next.
 
     Example:
         >>> import casadi as ca
@@ -178,22 +187,23 @@ def linearise(
     """
     functions = _Rest.of(system, values) if at is None else _Rest(system, at.numbers)
     point = _equilibrium(functions, values) if at is None else at
-    numbers = point.numbers
-    commands = dict(zip(entry_labels(system.commands), point.f, strict=True))
-    applied = np.array([commands[label] for label in entry_labels(system.plant.inputs)])
-    slopes = functions.functions["plant"].call([point.x, applied, functions.disturbance, numbers.plant[0]])
-    matrices = tuple(np.array(matrix) for matrix in slopes)
-    return Linearisation(matrices, functions.law(point), loop_names(system), system.dt, system, point)
+    f = functions.inputs(point)
+    slopes = functions.functions["plant"].call([point.x, f, functions.disturbance, point.numbers.plant[0]])
+    matrices, names = tuple(np.array(matrix) for matrix in slopes), loop_names(system)
+    if sampled := bool(system.blocks.all):
+        matrices = functions.sampled_plant(point, matrices)
+        names = replace(names, states=(*names.states, *entry_labels(system.blocks.memory)), inputs=names.commands)
+    return Linearisation(matrices, functions.law(point), names, system.dt, system, point, sampled=sampled)
 
 
 class _Rest:
-    # x' = 0 and z⁺ = z
+    # x' = 0, z⁺ = z, and memory of the sampled blocks b⁺ = b
     def __init__(self, system: System, numbers: RunNumbers) -> None:
         self.system, self.numbers = system, numbers
         self.functions = _functions(system)
         self.reference = np.array(self.functions["reference"](numbers.reference[0])).reshape(-1)
         self.disturbance = np.array(self.functions["disturbance"](numbers.disturbance[0])).reshape(-1)
-        self.arguments = [numbers.gains[0], numbers.plant[0], self.reference, self.disturbance]
+        self.arguments = [numbers.gains[0], numbers.plant[0], self.reference, self.disturbance, numbers.blocks[0]]
 
     @classmethod
     def of(cls, system: System, values: Mapping[str, ArrayLike] | None) -> _Rest:
@@ -218,16 +228,17 @@ class _Rest:
         rows = ~(np.isfinite(error) & np.isfinite(slope).all(axis=1))
         if not rows.any():
             return
-        labels, (x, z) = _state_labels(self.system), self._split(point)
+        labels, (x, z, b) = _state_labels(self.system), self._split(point)
         row = int(np.argmax(rows))
         what = f"the rate of `{labels[row]}`"
         if np.isfinite(error[row]):
             column = int(np.argmax(~np.isfinite(slope[row])))
             what = f"the derivative of {what} by `{labels[column]}`"
-        measured, law = self.functions["measure"](x, self.disturbance, self.numbers.plant[0]), self.functions["control"]
+        law, numbers = self.functions["control"], [self.disturbance, self.numbers.plant[0]]
+        measured, _ = self.functions["measure"](x, *numbers, b, self.numbers.blocks[0])
         u = self.functions["inputs"](measured, self.reference)
         f = law.call([z, u, self.numbers.gains[0]])[0]
-        plant = undefined_operation(self.functions["rate"], [x, f, self.disturbance, self.numbers.plant[0]])
+        plant = undefined_operation(self.functions["rate"], [x, f, *numbers, b, self.numbers.blocks[0]])
         cause = plant or undefined_operation(law, [z, u, self.numbers.gains[0]])
         where = f" of the {'plant' if plant else 'law'}" if cause else ""
         raise InputError(
@@ -238,19 +249,86 @@ class _Rest:
         )
 
     def operating(self, point: Array) -> Operating:
-        x, z = self._split(point)
-        f = np.array(self.functions["rest"].call([x, z, *self.arguments])[2]).reshape(-1)
-        return Operating(x, z, f, self.numbers)
+        x, z, b = self._split(point)
+        f = np.array(self.functions["rest"].call([x, z, b, *self.arguments])[2]).reshape(-1)
+        return Operating(x, z, f, self.numbers, b)
+
+    def inputs(self, point: Operating) -> Array:
+        # of the plant
+        numbers = [self.disturbance, self.numbers.plant[0], point.memory, self.numbers.blocks[0]]
+        return np.array(self.functions["drive"](point.f, point.x, *numbers)[0]).reshape(-1)
 
     def law(self, point: Operating) -> tuple[Array, ...]:
         # derivatives of next controller state, then command, by controller state, measurements, references
-        measured = self.functions["measure"](point.x, self.disturbance, self.numbers.plant[0])
+        numbers = [self.disturbance, self.numbers.plant[0], point.memory, self.numbers.blocks[0]]
+        measured, _ = self.functions["measure"](point.x, *numbers)
         results = self.functions["law"].call([point.z, measured, self.reference, self.numbers.gains[0]])
         return tuple(np.array(result) for result in results)
 
+    def sampled_plant(self, point: Operating, plant: tuple[Array, ...]) -> tuple[Array, ...]:
+        """Return (A, B, E, C, D) of plant and sampled blocks from one control instant to the next, by commands.
+
+        Args:
+            point: the operating point.
+            plant: the matrices of the plant alone, in continuous time.
+
+        Raises:
+            InputError: a block is sampled less often than the controller.
+        """
+        system = self.system
+        for name, periods in system.blocks.slow().items():
+            problem = f"is sampled once in {periods} control periods, so the loop changes from one period to the next"
+            raise InputError(problem, key=f"{name}.period", remedy="give it the control period, or simulate the loop")
+        numbers = [self.disturbance, self.numbers.plant[0], point.memory, self.numbers.blocks[0]]
+        sizes = system.plant.state.size, len(point.memory), len(point.f), len(self.disturbance)
+        at = [slice(a, b) for a, b in pairwise(np.cumsum([0, *sizes]))]
+        now = np.eye(sum(sizes))  # rows: state, memory, command, disturbance now; columns: those at the control instant
+        instants = system.blocks.instants
+        A, B, E = plant[:3]
+        held = held_plant(A, B, E, system.dt / instants)
+        for k in range(instants):
+            sense, drive = _block_slopes(system, k)
+            y, memory = (np.array(slope) for slope in sense(point.x, *numbers))
+            if k == 0:
+                measured = y @ now[_rows(at, 0, 1, 3)]
+            now[at[1]] = memory @ now[_rows(at, 0, 1, 3)]
+            f, memory = (np.array(slope) for slope in drive(point.f, point.x, *numbers))
+            inputs, after = f @ now[_rows(at, 2, 0, 1, 3)], memory @ now[_rows(at, 2, 0, 1, 3)]
+            now[at[1]] = after
+            now[at[0]] = held[0] @ now[at[0]] + held[1] @ inputs + held[2] @ now[at[3]]
+        both = slice(0, at[1].stop)
+        return now[both, both], now[both, at[2]], now[both, at[3]], measured[:, both], measured[:, at[3]]
+
     def _split(self, point: Array) -> list[Array]:
-        size = self.system.plant.state.size
-        return [point[:size], point[size:]]
+        size, last = self.system.plant.state.size, self.system.blocks.memory.size
+        return [point[:size], point[size : point.size - last], point[point.size - last :]]
+
+
+def _rows(at: Sequence[slice], *parts: int) -> list[int]:
+    return [k for part in parts for k in range(at[part].start, at[part].stop)]
+
+
+def _block_slopes(system: System, instant: int) -> tuple[ca.Function, ca.Function]:
+    """Return the derivatives of measured outputs and memory, and of plant inputs and memory, at an instant.
+
+    Those behind the sensors are by plant state, memory and disturbance; those behind the actuators by command first.
+    """
+    x, b, d, p, q, c = _block_symbols(system)
+    by, mean = ca.vertcat(x, b, d), ca.SX(0, 1)
+    memory, _ = system.sensed(x, b, mean, d=d, p=p, q=q, instant=instant)
+    y = system.held(system.plant.measurement(x, d, p), memory)
+    sense = ca.Function("sense", [x, d, p, b, q], [ca.jacobian(y, by), ca.jacobian(memory, by)])
+    f, memory, _ = system.driven(c, x, b, mean, d=d, p=p, q=q, instant=instant)
+    by = ca.vertcat(c, by)
+    return sense, ca.Function("drive", [c, x, d, p, b, q], [ca.jacobian(f, by), ca.jacobian(memory, by)])
+
+
+def _block_symbols(system: System) -> list[ca.SX]:
+    sizes = {
+        "x": system.plant.state.size, "b": system.blocks.memory.size, "d": system.plant.disturbances.size,
+        "p": system.plant.parameters.size, "q": system.blocks.parameters.size, "c": system.commands.size,
+    }  # fmt: skip
+    return [ca.SX.sym(name, size) for name, size in sizes.items()]
 
 
 @once_per_system
@@ -258,27 +336,34 @@ def _functions(system: System) -> dict[str, ca.Function]:
     """Return the functions of a system that `_Rest` evaluates; gains and parameters are arguments of them."""
     plant, controller = system.plant, system.controller
     law = law_function(controller)
-    x, f = ca.SX.sym("x", plant.state.size), ca.SX.sym("f", system.commands.size)
-    y, r = ca.SX.sym("y", plant.measurements.size), ca.SX.sym("r", system.references.size)
-    d, p = ca.SX.sym("d", plant.disturbances.size), ca.SX.sym("p", plant.parameters.size)
-    measure = ca.Function("measure", [x, d, p], [plant.measurement(x, d, p)])
+    x, b, d, p, q, c = _block_symbols(system)
+    y, r = ca.SX.sym("y", system.measurements.size), ca.SX.sym("r", system.references.size)
+    mean = ca.SX(0, 1)
+    seen, _ = system.sensed(x, b, mean, d=d, p=p, q=q)
+    measure = ca.Function("measure", [x, d, p, b, q], [system.held(plant.measurement(x, d, p), seen), seen])
     inputs = ca.Function("inputs", [y, r], [system.inputs_of(y, r)])
-    rate = ca.Function("rate", [x, f, d, p], [plant.derivative(x, system.applied(f), d, p)])
-    X, Z = ca.MX.sym("x", plant.state.size), ca.MX.sym("z", controller.state.size)
-    G, P = ca.MX.sym("g", controller.gains.size), ca.MX.sym("p", plant.parameters.size)
+    f, driven, _ = system.driven(c, x, b, mean, d=d, p=p, q=q)
+    drive = ca.Function("drive", [c, x, d, p, b, q], [f, driven])
+    rate = ca.Function("rate", [x, c, d, p, b, q], [plant.derivative(x, f, d, p)])
+    X, Z, B = ca.MX.sym("x", plant.state.size), ca.MX.sym("z", controller.state.size), ca.MX.sym("b", b.numel())
+    G, P, Q = ca.MX.sym("g", controller.gains.size), ca.MX.sym("p", plant.parameters.size), ca.MX.sym("q", q.numel())
     R, D = ca.MX.sym("r", system.references.size), ca.MX.sym("d", plant.disturbances.size)
-    command, after = law(Z, inputs(measure(X, D, P), R), G)[:2]
-    error, point = ca.vertcat(rate(X, command, D, P), after - Z), ca.vertcat(X, Z)
+    sensed, memory = measure(X, D, P, B, Q)
+    command, after = law(Z, inputs(sensed, R), G)[:2]
+    _, kept = drive(command, X, D, P, memory, Q)
+    error = ca.vertcat(rate(X, command, D, P, memory, Q), after - Z, kept - B)
+    point = ca.vertcat(X, Z, B)
     results = [error, ca.jacobian(error, point), command, ca.jacobian(command, point)]
-    Y = ca.MX.sym("y", plant.measurements.size)
+    Y = ca.MX.sym("y", system.measurements.size)
     command, after = law(Z, inputs(Y, R), G)[:2]
     slopes = [ca.jacobian(out, by) for out in (after, command) for by in (Z, Y, R)]
     return {
         "measure": measure,
         "inputs": inputs,
+        "drive": drive,
         "rate": rate,
         "control": law,
-        "rest": ca.Function("rest", [X, Z, G, P, R, D], results),
+        "rest": ca.Function("rest", [X, Z, B, G, P, R, D, Q], results),
         "law": ca.Function("slopes", [Z, Y, R, G], slopes),
         "plant": plant_slopes(plant),
         "reference": ca.Function("reference", [r], [system.reference_at(ca.SX(0), r)]),
@@ -300,10 +385,10 @@ def law_function(controller: SampledController) -> ca.Function:
 def loop_names(system: System) -> LoopNames:
     """Return the labels of all signals of a system."""
     plant, controller = system.plant, system.controller
-    layouts = (plant.state, controller.state, plant.inputs, system.commands, plant.measurements, system.references)
+    layouts = (plant.state, controller.state, plant.inputs, system.commands, system.measurements, system.references)
     labels: list[Any] = [tuple(entry_labels(layout)) for layout in (*layouts, plant.disturbances)]
     kinds = {
-        "command": system.commands, "measured": plant.measurements, "reference": system.references,
+        "command": system.commands, "measured": system.measurements, "reference": system.references,
         "disturbance": plant.disturbances,
     }  # fmt: skip
     units = [
@@ -320,4 +405,5 @@ def _place(labels: list[str], point: Array) -> str:
 
 
 def _state_labels(system: System) -> list[str]:
-    return [*entry_labels(system.plant.state), *entry_labels(system.controller.state, "controller ")]
+    memory = entry_labels(system.blocks.memory)
+    return [*entry_labels(system.plant.state), *entry_labels(system.controller.state, "controller "), *memory]

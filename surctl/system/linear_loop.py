@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,7 @@ from surctl.errors import InputError, nearest
 from surctl.plotted import Plotted
 from surctl.system.exponential import expm
 
-__all__ = ["LinearLoop", "LoopNames"]
+__all__ = ["LinearLoop", "LoopNames", "held_plant"]
 
 Array = NDArray[np.float64]
 Matrices = tuple[Array, Array, Array, Array]
@@ -51,17 +51,18 @@ class LoopNames:
 
 @dataclass(frozen=True, eq=False)
 class LinearLoop(Plotted):
-    """A linear loop, with the plant in continuous time and the controller in discrete time.
+    """A linear loop of a plant, in continuous time or sampled, and a controller in discrete time.
 
     `plot()` draws |L|, |S| and |T|, the Nyquist curve, steps and poles.
 
     Attributes:
         plant: matrices (A, B, E, C, D_d) of the plant, with x' = A x + B f + E d and y = C x + D_d d, for command f,
-            disturbance d and measured output y.
+            disturbance d and measured output y. If `sampled`, x' is x one control period later.
         law: matrices (A, B_y, B_r, C, D_y, D_r) of the controller, with z⁺ = A z + B_y y + B_r r and command = C z +
             D_y y + D_r r, for controller state z and reference r.
         names: labels of all signals.
         dt: control period [s].
+        sampled: whether the plant is in discrete time, because sampled sensors or actuators belong to it.
     """
 
     PLOT = "surctl.report.loop_views:plot_loop"
@@ -70,13 +71,14 @@ class LinearLoop(Plotted):
     law: tuple[Array, ...]
     names: LoopNames
     dt: float
+    sampled: bool = field(default=False, kw_only=True)
 
     def plant_system(self) -> Any:
         """Return the plant as `control.StateSpace`, from actuator commands and disturbances to measured outputs."""
         A, B, E, C, D = self.plant
         names = self.names
         return _state_space(
-            (A, np.hstack([B, E]), C, np.hstack([np.zeros((len(C), B.shape[1])), D])), 0,
+            (A, np.hstack([B, E]), C, np.hstack([np.zeros((len(C), B.shape[1])), D])), self.dt if self.sampled else 0,
             (names.states, (*names.inputs, *names.disturbances), _measured(names.outputs)), names.plant,
         )  # fmt: skip
 
@@ -241,7 +243,10 @@ class LinearLoop(Plotted):
     @cached_property
     def _sampled_plant(self) -> tuple[Array, Array, Array]:
         # (A_d, B_d, E_d) over one control period, driven by the commands and the disturbances
-        return _held(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.dt)
+        if self.sampled:
+            A, B, E, _, _ = self.plant
+            return A, B, E
+        return held_plant(self.plant[0], self.plant[1] @ self._selection(), self.plant[2], self.dt)
 
     def _transition(self) -> Array:
         # from one control instant to the next
@@ -257,8 +262,8 @@ class LinearLoop(Plotted):
         return np.array(chosen).reshape(len(names.inputs), len(names.commands))
 
 
-def _held(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
-    # held inputs: x⁺ = A_d x + B_d f + E_d d, exact
+def held_plant(A: Array, B: Array, E: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Return A_d, B_d and E_d of x⁺ = A_d x + B_d f + E_d d after `dt` [s] with constant inputs f and d, exact."""
     n, m = len(A), B.shape[1] + E.shape[1]
     whole = np.zeros((n + m, n + m))
     whole[:n] = np.hstack([A, B, E])

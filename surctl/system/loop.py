@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, TypeVar, cast, get_args
 from weakref import WeakKeyDictionary
 
 import casadi as ca
@@ -17,6 +17,7 @@ from surctl.ir import Layout, Port, Recording, identifier
 from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
+from surctl.system.sampled import Blocks, Sampled, connected
 from surctl.units import is_number
 
 __all__ = ["ENDED", "LOST", "Cost", "How", "Signals", "System", "once_per_system"]
@@ -37,7 +38,7 @@ class Signals(NamedTuple):
     Attributes:
         x: plant state.
         f: actuator command that is applied from this control instant on.
-        y: measured outputs.
+        y: measured outputs, behind the sensors.
         r: references.
         d: disturbances.
         p: plant parameters.
@@ -84,14 +85,15 @@ class Cost:
 class System:
     """A plant under a sampled controller, with references, disturbances, metrics and reasons to stop a run.
 
-    Signals are connected by name: a controller input with the name of a measured plant output receives this output, and
-    every other controller input is a reference; each plant input receives the command of its name. Shapes and units of
-    connected signals must agree.
+    Signals are connected by name: a controller input with the name of a measured plant output, or of an output of a
+    sensor, receives this output, and every other controller input is a reference; each plant input receives the
+    command, or the output of an actuator, of its name. Shapes and units of connected signals must agree.
 
     Attributes:
         plant: continuous dynamics and measured outputs.
         controller: controller that is evaluated once a control period; its command is held for this period.
-        substeps: number of fourth-order Runge-Kutta steps in a control period.
+        substeps: number of fourth-order Runge-Kutta steps in a control period; at least one is taken between two
+            samples of sensors or actuators.
         costs: metrics of a run by name.
         stops: reasons to end a run, by name; each reason is a function that returns an expression of the signals
             (`Signals`), and a run ends when this expression is not 0.
@@ -101,6 +103,7 @@ class System:
             default the disturbances are d.
         ranges: lower and upper bound of uncertain numbers by name (see `run_numbers`), such as `plant.mass`; margins
             are judged at every corner of them.
+        sensors, actuators: sampled blocks between plant and controller, in their order.
 
     Raises:
         InputError: a port is not connected, or is connected to a port of another shape or unit.
@@ -134,6 +137,8 @@ class System:
     reference: Callable[[ca.SX, Parts], Any] | None = field(default=None, repr=False)
     disturbance: Callable[[ca.SX, Parts], Any] | None = field(default=None, repr=False)
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sensors: Sequence[Sampled] = ()
+    actuators: Sequence[Sampled] = ()
 
     def __post_init__(self) -> None:
         for key, part, attribute, remedy in (
@@ -154,9 +159,10 @@ class System:
             for name in table if kind != "ranges" else ():
                 identifier(name)
             object.__setattr__(self, kind, MappingProxyType(dict(table)))
+        self._check_blocks()
         layouts = (
             self.plant.state,
-            self.plant.measurements,
+            self.measurements,
             self.commands,
             self.controller.inputs,
             self.controller.gains,
@@ -178,11 +184,12 @@ class System:
                     remedy=nearest(str(cost.how), get_args(How)),
                 )
         self._check_names()
+        driving, to = connected(self.commands, *self.blocks.outputs["actuators"]), f"command of {self.controller.name}"
         for port in self.plant.inputs:
-            _connected(port, self.commands, key=f"{self.plant.name}.inputs", to=f"command of {self.controller.name}")
+            _connected(port, driving, key=f"{self.plant.name}.inputs", to=to)
         for port in self.controller.inputs:
-            if port.name in self.plant.measurements:
-                _connected(port, self.plant.measurements, key=f"{self.controller.name}.inputs", to="measured output")
+            if port.name in self.measurements:
+                _connected(port, self.measurements, key=f"{self.controller.name}.inputs", to="measured output")
         self._check_compiles()
         _ = self.signals  # a metric that cannot be computed is reported here
 
@@ -198,8 +205,18 @@ class System:
 
     @cached_property
     def references(self) -> Layout:
-        """Return the layout of the references, which are the controller inputs that the plant does not measure."""
-        return Layout(tuple(port for port in self.controller.inputs if port.name not in self.plant.measurements))
+        """Return the layout of the references, which are the controller inputs that nothing measures."""
+        return Layout(tuple(port for port in self.controller.inputs if port.name not in self.measurements))
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """Return the sampled blocks: sensors and actuators."""
+        return Blocks(tuple(self.sensors), tuple(self.actuators), self.dt)
+
+    @cached_property
+    def measurements(self) -> Layout:
+        """Return the layout of the measured outputs behind the sensors; the plant's if there are none."""
+        return connected(self.plant.measurements, *self.blocks.outputs["sensors"])
 
     @property
     def dt(self) -> float:
@@ -222,21 +239,68 @@ class System:
 
     def inputs_of(self, y: ca.SX, r: ca.SX) -> ca.SX:
         """Return the flat inputs of the controller from measured outputs and references."""
-        measured, references = self.plant.measurements.split(y), self.references.split(r)
+        measured, references = self.measurements.split(y), self.references.split(r)
         return self.controller.inputs.join(
             {**references, **{n: v for n, v in measured.items() if n in self.controller.inputs}}
         )
 
-    def applied(self, command: ca.SX) -> ca.SX:
-        """Return the flat inputs of the plant from the controller's command."""
-        parts = self.commands.split(command)
-        return self.plant.inputs.join({port.name: parts[port.name] for port in self.plant.inputs})
+    def held(self, y: ca.SX, memory: ca.SX) -> ca.SX:
+        """Return the flat measured outputs behind the sensors, from the plant's and the memory of all blocks."""
+        seen, parts = self.plant.measurements.split(y), self.blocks.memory.split(memory)
+        for block in self.blocks.sensors:
+            seen |= {port.name: parts[f"{block.name}.{port.name}"] for port in block.outputs}
+        return self.measurements.join(seen)
+
+    def sensed(
+        self,
+        x: ca.SX,
+        memory: ca.SX,
+        noise: ca.SX,
+        *,
+        d: ca.SX,
+        p: ca.SX,
+        q: ca.SX,
+        count: ca.SX | float = 0.0,
+        instant: int = 0,
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return the memory of all blocks and the noise generator's state after the sensors of an instant.
+
+        Args:
+            x, d, p: plant state, disturbances at this time and plant parameters, flat.
+            memory, noise, count, instant: as in `Blocks.sampled`.
+            q: parameters of all blocks, flat.
+        """
+        y = self.plant.measurements.split(self.plant.measurement(x, d, p))
+        return self.blocks.sampled("sensors", instant, y, memory, noise, q, count)[1:]
+
+    def driven(
+        self,
+        command: ca.SX,
+        x: ca.SX,
+        memory: ca.SX,
+        noise: ca.SX,
+        *,
+        d: ca.SX,
+        p: ca.SX,
+        q: ca.SX,
+        count: ca.SX | float = 0.0,
+        instant: int = 0,
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the flat inputs of the plant behind the actuators of an instant, the memory and the noise's state.
+
+        Args: as in `sensed`, with the controller's command.
+        """
+        signals = self.plant.measurements.split(self.plant.measurement(x, d, p)) if self.blocks.actuators else {}
+        signals |= self.commands.split(command)
+        seen, memory, noise = self.blocks.sampled("actuators", instant, signals, memory, noise, q, count)
+        return self.plant.inputs.join({port.name: seen[port.name] for port in self.plant.inputs}), memory, noise
 
     @cached_property
     def signals(self) -> ca.Function:
         """Return a CasADi function that computes all costs (m,) and stops (n,) at one control instant.
 
-        The arguments are x, command, d, r, p, g, k and t, with the meaning that they have in `Signals`.
+        The arguments are x, command, d, r, p, g, k and t, with the meaning that they have in `Signals`, and the memory
+        b of all blocks.
         """
         symbols = self._symbols()
         return ca.Function(
@@ -247,15 +311,34 @@ class System:
         sizes = {
             "x": self.plant.state.size, "f": self.commands.size, "d": self.plant.disturbances.size,
             "r": self.references.size, "p": self.plant.parameters.size, "g": self.controller.gains.size,
-            "k": self.telemetry.size, "t": 1,
+            "k": self.telemetry.size, "t": 1, "b": self.blocks.memory.size,
         }  # fmt: skip
         return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+    def _check_blocks(self) -> None:
+        """Raise InputError if a sensor or actuator is no block, or an input of it is not connected."""
+        for kind, blocks in (("sensors", self.sensors), ("actuators", self.actuators)):
+            if not isinstance(cast(object, blocks), Sequence):
+                raise InputError(f"is of type {type(blocks).__name__}", key=kind, remedy="write (block,)")
+            for block in blocks:
+                if not isinstance(cast(object, block), Sampled):
+                    remedy = "give a surctl.system.Sampled"
+                    raise InputError(f"has an element of type {type(block).__name__}", key=kind, remedy=remedy)
+        measured, outputs = self.plant.measurements, self.blocks.outputs
+        sides = (
+            (self.blocks.sensors, (measured, *outputs["sensors"]), 1, "measured output"),
+            (self.blocks.actuators, (measured, self.commands, *outputs["actuators"]), 2, "command or measured output"),
+        )
+        for blocks, layouts, first, to in sides:
+            for k, block in enumerate(blocks):
+                for port in block.inputs:
+                    _connected(port, connected(*layouts[: first + k]), key=f"{block.name}.inputs", to=to)
 
     def _check_names(self) -> None:
         """Raise InputError if two signals of a record have one name; a measured output may have that of its state."""
         kinds: dict[str, str] = {}
         for kind, layout in (
-            ("state", self.plant.state), ("command", self.commands), ("measured output", self.plant.measurements),
+            ("state", self.plant.state), ("command", self.commands), ("measured output", self.measurements),
             ("reference", self.references), ("telemetry output", self.telemetry),
         ):  # fmt: skip
             for port in layout:
@@ -281,13 +364,13 @@ class System:
                     raise error.inside(None, key) from None
 
     def evaluated(
-        self, *, x: ca.SX, f: ca.SX, d: ca.SX, r: ca.SX, p: ca.SX, g: ca.SX, k: ca.SX, t: ca.SX
+        self, *, x: ca.SX, f: ca.SX, d: ca.SX, r: ca.SX, p: ca.SX, g: ca.SX, k: ca.SX, t: ca.SX, b: ca.SX
     ) -> tuple[ca.SX, ca.SX]:
         """Return expressions of all costs and of all stops for flat symbolic signals; d and r are constant in a run."""
         late_d, late_r = self.disturbance_at(t, d), self.reference_at(t, r)
-        y = self.plant.measurement(x, late_d, p)
+        y = self.held(self.plant.measurement(x, late_d, p), b)
         signals = Signals(
-            self.plant.state.split(x), self.commands.split(f), self.plant.measurements.split(y),
+            self.plant.state.split(x), self.commands.split(f), self.measurements.split(y),
             self.references.split(late_r), self.plant.disturbances.split(late_d), self.plant.parameters.split(p),
             self.controller.gains.split(g), self.telemetry.split(k), t,
         )  # fmt: skip
@@ -298,6 +381,8 @@ class System:
     def digest(self) -> str:
         """Return the SHA-256 of the loop's computations: plant, controller, period and integration."""
         text = f"{self.plant.digest()} {self.controller.block.digest()} {float(self.dt).hex()} {self.substeps}"
+        for block in self.blocks.all:
+            text += f" {block.block.digest()} {float(block.period or self.dt).hex()}"
         return hashlib.sha256(text.encode()).hexdigest()
 
 

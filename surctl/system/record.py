@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, on_vectors
+from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.recorded_write import Column
 from surctl.system.controller import NONFINITE, lost_entry
@@ -124,17 +125,20 @@ def run_system(system: System, seconds: float, values: Mapping[str, ArrayLike] |
     )
     sense, move, judge = _functions(system)
     x, z = start, system.controller.initial_state()
+    q, memory, noise = numbers.blocks[0], system.blocks.memory.pack(), np.zeros(0)
+    if system.blocks.noise:
+        noise = noise_states(numbers.seed)[0]
     rows: list[tuple[Array, ...]] = []
     status: list[int] = []
     stopped, lost = ENDED, ""
     for k in range(periods(system, seconds)):
-        t = np.array([k * system.dt])
-        y, u, reference = sense(x, t, plant, constants, disturbance)
+        t, count = np.array([k * system.dt]), np.array([float(k)])
+        y, u, reference, memory, noise = sense(x, t, plant, constants, disturbance, q, memory, noise, count)
         step = system.controller.step(z, u, gains)
-        costs, stops = judge(x, step.tau, disturbance, constants, plant, gains, step.telemetry, t)
+        costs, stops = judge(x, step.tau, disturbance, constants, plant, gains, step.telemetry, t, memory)
         rows.append((x, step.tau, y, reference, np.asarray(step.telemetry), z, u, costs))
         status.append(step.status)
-        (after,) = move(x, step.tau, t, plant, disturbance)
+        after, memory, noise = move(x, step.tau, t, plant, disturbance, q, memory, noise, count)
         if step.status == NONFINITE or not (np.isfinite(after).all() and np.isfinite(costs).all()):
             stopped, lost = LOST, _lost(system, k, (z, u, gains), costs, after)
             break
@@ -178,15 +182,21 @@ _KINDS = ("state", "command", "output", "reference", "telemetry", "controller")
 
 
 def _places(system: System) -> dict[str, tuple[str, Layout, str]]:
-    """Return kind, layout and port name of each signal, by signal name; an output with a state's name is the state."""
+    """Return kind, layout and port name of each signal, by signal name; an output with a state's name is the state.
+
+    The output of a sensor with a state's name has the prefix `measured.`.
+    """
     layouts = (
-        system.plant.state, system.commands, system.plant.measurements, system.references, system.telemetry,
+        system.plant.state, system.commands, system.measurements, system.references, system.telemetry,
         system.controller.state,
     )  # fmt: skip
     places: dict[str, tuple[str, Layout, str]] = {}
+    sensed = {port.name for outputs in system.blocks.outputs["sensors"] for port in outputs}
     for kind, layout in zip(_KINDS, layouts, strict=True):
         for port in layout:
             prefix = "controller." if port.name in places and kind == "controller" else ""
+            if kind == "output" and port.name in places and port.name in sensed:
+                prefix = "measured."
             places.setdefault(f"{prefix}{port.name}", (kind, layout, port.name))
     return places
 
@@ -198,10 +208,16 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     x, p = ca.SX.sym("x", plant.state.size), ca.SX.sym("p", plant.parameters.size)
     r, d = ca.SX.sym("r", system.references.size), ca.SX.sym("d", plant.disturbances.size)
     command = ca.SX.sym("command", system.commands.size)
-    y, reference = plant.measurement(x, system.disturbance_at(t, d), p), system.reference_at(t, r)
-    sense = ca.Function("sense", [x, t, p, r, d], [y, system.inputs_of(y, reference), reference])
-    moved = moved_state(system, x, command, {"plant": p, "disturbance": d}, t)
-    move = ca.Function("move", [x, command, t, p, d], [moved])
+    q, memory = ca.SX.sym("q", system.blocks.parameters.size), ca.SX.sym("memory", system.blocks.memory.size)
+    noise, count = ca.SX.sym("noise", system.blocks.noise), ca.SX.sym("count")
+    late, reference = system.disturbance_at(t, d), system.reference_at(t, r)
+    after = system.sensed(x, memory, noise, d=late, p=p, q=q, count=count)
+    y = system.held(plant.measurement(x, late, p), after[0])
+    results = [y, system.inputs_of(y, reference), reference, *after]
+    sense = ca.Function("sense", [x, t, p, r, d, q, memory, noise, count], results)
+    constants = {"plant": p, "disturbance": d, "blocks": q}
+    moved = moved_state(system, x, command, constants, t, count=count, memory=memory, noise=noise)
+    move = ca.Function("move", [x, command, t, p, d, q, memory, noise, count], list(moved))
     return on_vectors(sense), on_vectors(move), on_vectors(system.signals)
 
 

@@ -25,11 +25,12 @@ from surctl.ir import (
     lower_named,
     without_libm,
 )
+from surctl.noise import noise_states
 from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
-__all__ = ["Runs", "loop_step", "moved_state", "periods", "simulate_system"]
+__all__ = ["Runs", "integrated", "loop_step", "moved_state", "periods", "simulate_system"]
 
 Array = NDArray[np.float64]
 
@@ -95,8 +96,11 @@ def simulate_system(
     state, _ = _layouts(system)
     start = np.tile(state.pack({"controller": system.controller.initial_state()}), (numbers.count, 1))
     start[:, state.slice("plant")] = numbers.start
+    start[:, state.slice("memory")] = system.blocks.memory.pack()
+    if system.blocks.noise:
+        start[:, state.slice("noise")] = noise_states(numbers.seed)
     start[:, state.slice("sums")] = [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
-    constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains])
+    constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains, numbers.blocks])
     ends = _compiled(system).run(start, constants, steps=steps, threads=threads)
     flag = ends[:, 0]
     count = ends[:, state.slice("count").start]
@@ -147,22 +151,30 @@ def loop_step(system: System) -> Block:
     s, now = state.symbols("s")
     w, constants = parameters.symbols("w")
     t = now["count"] * system.dt
-    reference = system.reference_at(t, constants["reference"])
-    y = plant.measurement(now["plant"], system.disturbance_at(t, constants["disturbance"]), constants["plant"])
-    inputs = {"x": now["controller"], "u": system.inputs_of(y, reference), "p": constants["gains"]}
+    reference, d = system.reference_at(t, constants["reference"]), system.disturbance_at(t, constants["disturbance"])
+    x, p, q = now["plant"], constants["plant"], constants["blocks"]
+    y = plant.measurement(x, d, p)
+    memory, noise = system.sensed(x, now["memory"], now["noise"], d=d, p=p, q=q, count=now["count"])
+    inputs = {
+        "x": now["controller"], "u": system.inputs_of(system.held(y, memory), reference), "p": constants["gains"],
+        "memory": memory, "noise": noise,
+    }  # fmt: skip
     before = lower_named("measure", {"s": s, "w": w}, inputs)
     sizes = (system.commands.size, controller.state.size, 1, system.telemetry.size)
     outputs = {name: ca.SX.sym(name, n) for name, n in zip(("tau", "x_next", "status", "k"), sizes, strict=True)}
+    kept = {"memory": ca.SX.sym("memory", state.port("memory").size), "noise": ca.SX.sym("noise", system.blocks.noise)}
     with Recording() as recording:
-        moved = moved_state(system, now["plant"], outputs["tau"], constants, t)
+        moved, memory, noise = moved_state(
+            system, now["plant"], outputs["tau"], constants, t, count=now["count"], **kept
+        )
         costs, stops = system.evaluated(
             x=now["plant"], f=outputs["tau"], d=constants["disturbance"], r=constants["reference"],
-            p=constants["plant"], g=constants["gains"], k=outputs["k"], t=t,
+            p=constants["plant"], g=constants["gains"], k=outputs["k"], t=t, b=kept["memory"],
         )  # fmt: skip
         ended = ca.SX(0)
         for k in range(stops.numel(), 0, -1):
             ended = ca.if_else(stops[k - 1] != 0, k, ended)
-        size = ca.fabs(ca.vertcat(moved, outputs["tau"], outputs["x_next"], costs))
+        size = ca.fabs(ca.vertcat(moved, memory, outputs["tau"], outputs["x_next"], costs))
         ended = ca.if_else(ca.sum1(size) <= _FINITE, ended, -1)  # NaN compares as false
         stays = ended != 0
         after = state.join(
@@ -171,24 +183,30 @@ def loop_step(system: System) -> Block:
                 "count": now["count"] + 1,
                 "plant": ca.if_else(stays, now["plant"], moved),
                 "controller": ca.if_else(stays, now["controller"], outputs["x_next"]),
+                "memory": memory,
+                "noise": noise,
                 "sums": _summed(system, now["sums"], costs, t, stays),
             }
         )
-        move = recording.block("move", {"s": s, "w": w, **outputs}, {"s_next": after})
+        move = recording.block("move", {"s": s, "w": w, **outputs, **kept}, {"s_next": after})
     steps = (
-        Call(before, ("s", "w"), ("x", "u", "p")),
+        Call(before, ("s", "w"), ("x", "u", "p", *kept)),
         Call(controller.block, ("x", "u", "p"), tuple(outputs)),
-        Call(move, ("s", "w", *outputs), ("s_next",)),
+        Call(move, ("s", "w", *outputs, *kept), ("s_next",)),
     )
     return Routine("period", (("s", state.size), ("w", parameters.size)), steps, ("s_next",))
 
 
 def _layouts(system: System) -> tuple[Layout, Layout]:
     # the first entry of the state is the flag that ends a run
-    sizes = {"plant": system.plant.state.size, "controller": system.controller.state.size, "sums": len(system.costs)}
+    sizes = {
+        "plant": system.plant.state.size, "controller": system.controller.state.size,
+        "memory": system.blocks.memory.size, "noise": system.blocks.noise, "sums": len(system.costs),
+    }  # fmt: skip
     constants = {
         "plant": system.plant.parameters.size, "reference": system.references.size,
         "disturbance": system.plant.disturbances.size, "gains": system.controller.gains.size,
+        "blocks": system.blocks.parameters.size,
     }  # fmt: skip
     flags = (Port("done", (1,), "1", "why the run ended"), Port("count", (1,), "1", "control instants so far"))
     return Layout((*flags, *(_stack(n, k) for n, k in sizes.items()))), Layout(
@@ -200,9 +218,49 @@ def _stack(name: str, size: int) -> Port:
     return Port(name, (size,), "1", "a vector of ports in their own units")
 
 
-def moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX) -> ca.SX:
-    """Return the plant state one period later, by fourth-order Runge-Kutta steps with a constant command."""
-    f, h = system.applied(command), system.dt / system.substeps
+def moved_state(
+    system: System,
+    x: ca.SX,
+    command: ca.SX,
+    constants: Mapping[str, ca.SX],
+    t: ca.SX,
+    *,
+    count: ca.SX,
+    memory: ca.SX,
+    noise: ca.SX,
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return plant state, memory of the sampled blocks and noise generator's state one control period later.
+
+    Args:
+        system: the closed loop.
+        x: plant state at the beginning of the period, flat.
+        command: command, which is constant.
+        constants: the numbers of a run: `plant`, `disturbance` and `blocks`, flat.
+        t: time at the beginning [s].
+        count: number of the control period.
+        memory, noise: as after the sensors of the control instant, see `System.sensed`.
+    """
+    instants, p, q = system.blocks.instants, constants["plant"], constants["blocks"]
+    for k in range(instants):
+        late = k * system.dt / instants
+        d = system.disturbance_at(t + late, constants["disturbance"])
+        if k:
+            memory, noise = system.sensed(x, memory, noise, d=d, p=p, q=q, count=count, instant=k)
+        f, memory, noise = system.driven(command, x, memory, noise, d=d, p=p, q=q, count=count, instant=k)
+        x = integrated(system, x, f, constants, t, late)
+    return x, memory, noise
+
+
+def integrated(
+    system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX, late: ca.SX | float = 0.0
+) -> ca.SX:
+    """Return the plant state at the next instant, by fourth-order Runge-Kutta steps with constant inputs f.
+
+    `late` is the time [s] from the beginning t of the control period to the instant.
+    """
+    instants = system.blocks.instants
+    steps = -(-system.substeps // instants)
+    h = system.dt / (steps * instants)
 
     def derivative(state: ca.SX, late: ca.SX) -> ca.SX:
         disturbance = system.disturbance_at(t + late, constants["disturbance"])
@@ -215,7 +273,7 @@ def moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str
         k4 = derivative(state + h * k3, late + h)
         return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
-    moved: ca.SX = fold("substep", substep, x, ca.SX([k * h for k in range(system.substeps)]))
+    moved: ca.SX = fold("substep", substep, x, late + ca.SX([k * h for k in range(steps)]))
     return moved
 
 

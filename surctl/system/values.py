@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout
+from surctl.ir import Layout, Port
 from surctl.system.loop import System
 from surctl.system.parts import entry_units
 from surctl.units import is_number
@@ -20,18 +20,27 @@ __all__ = ["RunNumbers", "check_scalar", "checked_ranges", "every_combination", 
 Array = NDArray[np.float64]
 _NAME = re.compile(r"(?:(?P<group>\w+)\.)?(?P<port>\w+)(?:\[(?P<entry>\d+)\])?")
 _NAMED = 4  # largest number of entries that a message names
+_SEED = Layout((Port("seed", (1,), "1", "of the noise"),))
 _MOST_RANGES = 6  # uncertain numbers, which have 64 corners
 
 
 @dataclass(frozen=True)
 class RunNumbers:
-    """Numbers of n runs; row k of each array (start states, parameters, references, disturbances, gains) is run k."""
+    """Numbers of n runs; row k of each array is run k.
+
+    Attributes:
+        start, plant, reference, disturbance, gains: start states, parameters, references, disturbances, gains.
+        blocks: parameters of all sampled blocks, one after another.
+        seed: (n,) seeds of the noise.
+    """
 
     start: Array
     plant: Array
     reference: Array
     disturbance: Array
     gains: Array
+    blocks: Array
+    seed: Array
 
     @property
     def count(self) -> int:
@@ -44,10 +53,10 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
 
     Args:
         system: the closed loop.
-        values: values by the name of a gain (`k`), or by `plant.NAME`, `reference.NAME`, `disturbance.NAME` or
-            `start.NAME`; with `[i]`, the name denotes one entry of a port. A scalar holds for every run and entry; an
-            array (n,) has one number for each run (for a port with one entry); an array (n, size) has one row for each
-            run.
+        values: values by the name of a gain (`k`), or by `plant.NAME`, `reference.NAME`, `disturbance.NAME`,
+            `start.NAME`, `BLOCK.NAME` for a parameter of a sampled block, or `seed` for the noise; with `[i]`, the name
+            denotes one entry of a port. A scalar holds for every run and entry; an array (n,) has one number for each
+            run (for a port with one entry); an array (n, size) has one row for each run.
 
     Raises:
         InputError: a name is unknown, a number is not finite, or the arrays are for different numbers of runs.
@@ -79,7 +88,18 @@ def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:
     tables = {group: np.tile(layout.pack(), (count, 1)) for group, layout in layouts.items()}
     for group, place, array in placed:
         tables[group][:, place] = array
-    return RunNumbers(*(tables[name] for name in ("start", "plant", "reference", "disturbance", "gains")))
+    blocks = np.hstack([np.zeros((count, 0)), *(tables[block.name] for block in system.blocks.all)])
+    seed = _checked_seeds(tables["seed"][:, 0]) if system.blocks.noise else np.zeros(count)
+    start, plant, reference = tables["start"], tables["plant"], tables["reference"]
+    return RunNumbers(start, plant, reference, tables["disturbance"], tables["gains"], blocks, seed)
+
+
+def _checked_seeds(seeds: Array) -> Array:
+    wrong = (seeds != np.floor(seeds)) | (seeds < 0) | (seeds > 2**53)
+    if wrong.any():
+        remedy = "give whole numbers from 0 to 2^53"
+        raise InputError("is not a seed", key="seed", value=float(seeds[wrong][0]), remedy=remedy)
+    return seeds
 
 
 def every_combination(*groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
@@ -176,15 +196,21 @@ def _layouts(system: System) -> dict[str, Layout]:
     return {
         "gains": system.controller.gains, "plant": system.plant.parameters, "reference": system.references,
         "disturbance": system.plant.disturbances, "start": system.plant.state,
+        **{block.name: block.parameters for block in system.blocks.all},
+        **({"seed": _SEED} if system.blocks.noise else {}),
     }  # fmt: skip
 
 
 def _place(name: str, layouts: Mapping[str, Layout]) -> tuple[str, slice]:
     parts = _NAME.fullmatch(name)
     group = "gains" if parts is None or parts["group"] is None else parts["group"]
+    if name == "seed" and name in layouts:
+        group = name
     if parts is None or group not in layouts or parts["port"] not in layouts[group]:
         known = [
-            port.name if key == "gains" else f"{key}.{port.name}" for key, layout in layouts.items() for port in layout
+            port.name if key in ("gains", "seed") else f"{key}.{port.name}"
+            for key, layout in layouts.items()
+            for port in layout
         ]
         raise InputError("no such number of the system", key=name, remedy=nearest(name, known))
     where = layouts[group].slice(parts["port"])

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.marine.sensing import NoiseStream, SonarArray, fire, true_range
+from surctl.marine.sensing import SonarArray, fire, true_range
 from surctl.marine.world import Wall
+from surctl.noise import NoiseStream
 
 # narrow beams: the ones ahead and astern would else hear the same side wall, as in crosstalk
 ARRAY = SonarArray(beam_angle=0.25)

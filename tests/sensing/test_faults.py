@@ -16,18 +16,16 @@ from surctl.marine.sensing import (
     SLOT,
     Fault,
     FaultChances,
-    NoiseStream,
     SonarArray,
     check_faults,
-    draw_uniforms,
     fault_ports,
     fault_slots,
     fault_state,
     faulty,
     faulty_samples,
     firing_samples,
-    noise_states,
 )
+from surctl.noise import NoiseStream, draw_uniforms, noise_states
 
 
 class File(Strict):

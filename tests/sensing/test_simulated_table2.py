@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from surctl.marine.sensing import Calibration, Estimate, NoiseStream, SonarArray, calibrate, fire, table_ii
+from surctl.marine.sensing import Calibration, Estimate, SonarArray, calibrate, fire, table_ii
 from surctl.marine.world import Wall
+from surctl.noise import NoiseStream
 
 ARRAY = SonarArray()
 TABLES = 400

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scene import OWN_METRICS, Array, with_corners
 
-from surctl.marine.sensing import noise_states
+from surctl.noise import noise_states
 
 __all__ = ["fly_many"]
 

@@ -25,8 +25,8 @@ from surctl.export.records import Records
 from surctl.ir import Real
 from surctl.marine.control import Law, LawStep
 from surctl.marine.export.closed import closed_form
-from surctl.marine.sensing import NoiseStream
 from surctl.marine.simulation import GONE, LATE
+from surctl.noise import NoiseStream
 
 __all__ = ["LinkFaults", "LinkReport", "LinkedLaw"]
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from surctl.marine.sensing.mapping.contacts import ContactMemory, Contacts, expected_range, sonar_contacts
     from surctl.marine.sensing.mapping.local_map import LocalMap
     from surctl.marine.sensing.mapping.numbers import map_step, map_view
-    from surctl.marine.sensing.noise import NOISE_STATE, NoiseStream, draw_normals, draw_uniforms, noise_states
     from surctl.marine.sensing.ranging.filters import (
         FilterUpdate,
         LmsStep,
@@ -77,7 +76,6 @@ __all__ = [
     "FAULT_KINDS",
     "INCIDENCE_LIMITS",
     "LONGEST_DELAY",
-    "NOISE_STATE",
     "OUTLIER_RULE",
     "REFLECTORS",
     "SLOT",
@@ -102,7 +100,6 @@ __all__ = [
     "Medium",
     "MoverTracker",
     "Movers",
-    "NoiseStream",
     "OwnEstimate",
     "OwnState",
     "OwnStateFilter",
@@ -136,8 +133,6 @@ __all__ = [
     "delayed",
     "delayed_symbols",
     "detection_odds",
-    "draw_normals",
-    "draw_uniforms",
     "echo_keys",
     "echo_number",
     "echo_range",
@@ -161,7 +156,6 @@ __all__ = [
     "map_step",
     "map_view",
     "mover_step",
-    "noise_states",
     "pick_calibration",
     "read_readings",
     "replay_readings",
@@ -194,7 +188,6 @@ load_at_first_use(
         "mapping.contacts": "ContactMemory Contacts expected_range sonar_contacts",
         "mapping.local_map": "LocalMap",
         "mapping.numbers": "map_step map_view",
-        "noise": "NOISE_STATE NoiseStream draw_normals draw_uniforms noise_states",
         "ranging.filters": "FilterUpdate LmsStep SensorFilter gate lms_step weighted_average",
         "ranging.tracker": "RangeTracker Ranging",
         "replay.file": "Recording filtered_rows read_readings sonar_array",

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.marine.control import Gains, Law, build_law, law_source
 from surctl.marine.guidance import MAX_WAYPOINTS
-from surctl.marine.sensing import NoiseStream
 from surctl.marine.simulation.loop import Loop
 from surctl.marine.simulation.numbers import law_numbers
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, plant_state
 from surctl.marine.vehicle.linearise import STATE_NAMES, THRUST_NAMES, TILT_NAMES, labelled
+from surctl.noise import NoiseStream
 
 __all__ = ["ClosedLoopSystem", "closed_loop_system"]
 

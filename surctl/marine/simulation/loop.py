@@ -25,7 +25,7 @@ from surctl.marine.control import (
     default_law,
     law_source,
 )
-from surctl.marine.sensing import NoiseStream, OwnState, delayed, fault_state, faulty
+from surctl.marine.sensing import OwnState, delayed, fault_state, faulty
 from surctl.marine.simulation.column import beside, column
 from surctl.marine.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
 from surctl.marine.simulation.numbers import feeder_of, law_numbers
@@ -39,6 +39,7 @@ from surctl.marine.simulation.weak_echoes import WeakEchoes
 from surctl.marine.simulation.world import Body, World, build_world
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
+from surctl.noise import NoiseStream
 
 __all__ = ["Loop", "Stepper", "simulate"]
 

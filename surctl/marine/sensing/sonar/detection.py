@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.marine.sensing.noise import noise_states
+from surctl.noise import noise_states
 
 __all__ = ["ECHO_KEY", "echo_keys", "echo_uniform", "firing_block", "firing_block_symbols", "uniform_symbols"]
 

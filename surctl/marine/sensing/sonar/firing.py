@@ -75,7 +75,8 @@ def fire(
 
     Example:
         >>> import numpy as np
-        >>> from surctl.marine.sensing import NoiseStream, SonarArray, fire
+        >>> from surctl.marine.sensing import SonarArray, fire
+        >>> from surctl.noise import NoiseStream
         >>> from surctl.marine.world import Disc
         >>> noise, pipe = NoiseStream(0).normals(6)[:5], Disc((3.0, 1.0), 0.2)
         >>> fire(SonarArray(), 0, position=(1.0, 1.0), heading=0.0, shapes=[pipe], noise=noise).round(3).tolist()

@@ -15,7 +15,6 @@ from surctl.ir import Layout, Port
 from surctl.marine.control import CONTACT_SLOTS, Law
 from surctl.marine.sensing import (
     ECHO_KEY,
-    NOISE_STATE,
     SLOT,
     BaseStation,
     Beam,
@@ -24,8 +23,6 @@ from surctl.marine.sensing import (
     beam_of,
     certain_range_symbols,
     delayed_symbols,
-    draw_normals,
-    draw_uniforms,
     echo_range,
     echo_samples,
     fault_ports,
@@ -38,6 +35,7 @@ from surctl.marine.simulation.batch.bodies import Body
 from surctl.marine.simulation.batch.counting import modulo
 from surctl.marine.simulation.batch.structure import Structure
 from surctl.marine.simulation.sensors import FIRING, FiringPlan, firing_plan
+from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms
 
 __all__ = ["Listening", "flat", "slots"]
 

@@ -29,7 +29,6 @@ from surctl.ir import (
 )
 from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
-from surctl.marine.sensing import NOISE_STATE
 from surctl.marine.simulation.batch.bodies import ABSENT, Body, body_at, body_size
 from surctl.marine.simulation.batch.counting import SUMS, counted, path_square, path_tangent
 from surctl.marine.simulation.batch.driving import driven
@@ -41,6 +40,7 @@ from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
 from surctl.marine.simulation.sensors import FIRING
 from surctl.marine.simulation.stepping import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
+from surctl.noise import NOISE_STATE
 
 __all__ = ["Loop", "Structure", "build_loop"]
 

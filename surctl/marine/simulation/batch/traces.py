@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.marine.control import Law
-from surctl.marine.sensing import NoiseStream
 from surctl.marine.simulation.batch.case import Case, check_values
 from surctl.marine.simulation.batch.engines import broadcast, compiled_loop
 from surctl.marine.simulation.batch.loop import build_loop
@@ -18,6 +17,7 @@ from surctl.marine.simulation.loop import Loop
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
+from surctl.noise import NoiseStream
 
 __all__ = ["Trace", "law_input", "trace_batch"]
 

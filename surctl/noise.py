@@ -43,7 +43,7 @@ def noise_states(seeds: ArrayLike) -> NDArray[np.float64]:
         InputError: if a seed is not a whole number, or is negative.
 
     Example:
-        >>> from surctl.marine.sensing import noise_states
+        >>> from surctl.noise import noise_states
         >>> noise_states([7, 8])[:, :3].tolist()  # one row per seed; half of its six numbers
         [[3281794178.0, 2616230133.0, 1457051261.0], [3777646647.0, 1837464056.0, 4204654757.0]]
     """
@@ -125,7 +125,7 @@ def draw_normals(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.sensing import NoiseStream, draw_normals, noise_states
+        >>> from surctl.noise import NoiseStream, draw_normals, noise_states
         >>> numbers, _ = draw_normals(ca.SX(noise_states([7])[0]), 2)
         >>> ca.evalf(numbers).full().ravel().round(4).tolist(), NoiseStream(7).normals(2).round(4).tolist()
         ([-0.3605, -0.5043], [-0.3605, -0.5043])
@@ -147,7 +147,7 @@ def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.sensing import NoiseStream, draw_uniforms, noise_states
+        >>> from surctl.noise import NoiseStream, draw_uniforms, noise_states
         >>> numbers, _ = draw_uniforms(ca.SX(noise_states([7])[0]), 2)
         >>> ca.evalf(numbers).full().ravel().round(4).tolist(), NoiseStream(7).uniforms(2).round(4).tolist()
         ([0.8252, 0.6512], [0.8252, 0.6512])
