@@ -25,7 +25,7 @@ from surctl.export.trial import trial_steps
 from surctl.ir import Real, compile_program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form, operating_envelope, origin_of
-from surctl.marine.export.gain_ranges import gain_orders
+from surctl.marine.export.operating_envelope import gain_orders
 from surctl.marine.simulation import law_numbers, load_scenario
 from tests.export.closed_form import vehicle
 from tests.export.standin import Vector

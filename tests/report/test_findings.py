@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 from surctl.marine.report import render_page
-from surctl.marine.report.findings import findings_section
+from surctl.marine.report.page import findings_section
 from surctl.marine.verification import claims
 from surctl.report import Check, render_sections
 from surctl.report.claim_words import claim_words

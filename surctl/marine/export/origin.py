@@ -36,7 +36,7 @@ __all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificat
 
 Vector = NDArray[np.float64]
 
-CERTIFIED = "certified_law.txt"
+_CERTIFIED = "certified_law.txt"
 """File of a bundle with the instruction list of the law that certificates are about, if it is not the exported one."""
 
 _AVOIDANCE: Mapping[str, AvoidanceForm] = {
@@ -69,7 +69,7 @@ class Origin:
     def lists(self, law: Exportable) -> dict[str, Listed]:
         """Return the instruction list of the law that certificates are about, unless it is that of the exported law."""
         exported = self.ground_truth.block.digest() == law.block.digest()
-        return {} if exported else {CERTIFIED: law_list(self.ground_truth)}
+        return {} if exported else {_CERTIFIED: law_list(self.ground_truth)}
 
     @property
     def files(self) -> dict[str, str]:
