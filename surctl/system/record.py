@@ -2,26 +2,257 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.ir import Layout, Port, on_vectors
+from surctl.ir import (
+    Batch,
+    Block,
+    Call,
+    Layout,
+    Port,
+    Recording,
+    Routine,
+    compile_batch,
+    fold,
+    fused,
+    lower_named,
+    on_vectors,
+    without_libm,
+)
 from surctl.plotted import Plotted
-from surctl.recorded_write import Column
+from surctl.recorded_write import RECORD_FORMATS, Column, write_csv, write_mat, write_netcdf
 from surctl.system.controller import NONFINITE, lost_entry
-from surctl.system.loop import ENDED, LOST, How, System, once_per_system
+from surctl.system.loop import ENDED, LOST, Cost, How, System, once_per_system
 from surctl.system.parts import entry_labels, entry_units, not_finite
-from surctl.system.runs import moved_state, periods
 from surctl.system.values import run_numbers
 
-__all__ = ["Record", "run_system"]
+__all__ = ["Record", "Runs", "identity", "periods", "run_system", "save_record", "simulate_system"]
 
 Array = NDArray[np.float64]
+
+_FINITE = 1e300  # numbers with a larger absolute value count as infinite
+_FIRST = MappingProxyType({"max": -np.inf, "min": np.inf})
+
+
+@dataclass(frozen=True)
+class Runs(Plotted):
+    """Results of n runs; `runs["name"]` returns a metric (n,), and `plot()` draws how each metric is distributed.
+
+    Attributes:
+        figures: values (n,) of each metric (cost) by name; NaN for a run that produced a number that is not finite, and
+            for a run that a stop ended at its start.
+        stopped: (n,) reasons for the end of each run: the name of a stop of the system, "time" or "not finite".
+        time: (n,) duration of each run [s].
+        state: (n, states) plant state at the end of each run.
+    """
+
+    PLOT = "surctl.report.system_plots:plot_runs"
+
+    figures: Mapping[str, Array]
+    stopped: NDArray[np.str_]
+    time: Array
+    state: Array
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.figures:
+            raise InputError("no such figure", key=name, remedy=nearest(name, self.figures))
+        return self.figures[name]
+
+
+def simulate_system(
+    system: System, seconds: float, values: Mapping[str, ArrayLike] | None = None, *, threads: int = 1
+) -> Runs:
+    """Simulate many runs of a system with compiled code; the results do not depend on the number of threads.
+
+    Args:
+        system: the closed loop.
+        seconds: duration [s] of a run that no stop ends earlier; it is rounded to a whole number of control periods.
+        values: numbers by name, see `run_numbers`: gains, `plant.…`, `reference.…`, `disturbance.…`, `start.…`.
+        threads: number of threads that share the runs.
+
+    Raises:
+        InputError: `run_numbers` finds an error, or the duration is shorter than a control period.
+        ToolMissing: there is no C compiler; `run_system` needs no compiler.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Cost, Plant, System, simulate_system
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> gain = Layout((Port("k", (1,), "1/s", "gain", 1.0),))
+        >>> brake = Controller(
+        ...     "brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -p["k"] * u["speed"], gains=gain
+        ... )
+        >>> slow = Cost(lambda s: s.x["speed"] - 0.1, "last_time", "s", "time to a tenth of the speed")
+        >>> simulate_system(System(cart, brake, costs={"slow": slow}), 5.0, {"k": [1.0, 2.0, 4.0]})["slow"].round(1)
+        array([2.1, 1. , 0.4])
+    """
+    steps = periods(system, seconds)
+    numbers = run_numbers(system, values or {})
+    state, _ = _layouts(system)
+    start = np.tile(state.pack({"controller": system.controller.initial_state()}), (numbers.count, 1))
+    start[:, state.slice("plant")] = numbers.start
+    start[:, state.slice("sums")] = [_FIRST.get(cost.how, 0.0) for cost in system.costs.values()]
+    constants = np.hstack([numbers.plant, numbers.reference, numbers.disturbance, numbers.gains])
+    ends = _compiled(system).run(start, constants, steps=steps, threads=threads)
+    flag = ends[:, 0]
+    count = ends[:, state.slice("count").start]
+    reasons = np.array([ENDED, *system.stops, LOST])
+    code = np.where(flag < 0, len(reasons) - 1, np.round(flag)).astype(int)
+    sums = ends[:, state.slice("sums")]
+    moved = count - (flag != 0)
+    figures = {
+        name: np.where((flag < 0) | (moved == 0), np.nan, _figure_of_runs(cost, sums[:, j], count))
+        for j, (name, cost) in enumerate(system.costs.items())
+    }
+    return Runs(figures, reasons[code], moved * system.dt, ends[:, state.slice("plant")])
+
+
+def periods(system: System, seconds: float) -> int:
+    """Return the number of control periods in a duration in seconds.
+
+    Raises:
+        InputError: the duration is not a positive number, or is less than half a period.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, periods
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> periods(System(cart, brake), 2.0)
+        20
+    """
+    steps = round(seconds / system.dt) if np.isfinite(seconds) else 0
+    if steps < 1:
+        raise InputError(
+            "is not a duration of a run",
+            key="seconds",
+            value=seconds,
+            remedy=f"give at least a period, {system.dt:g} s",
+        )
+    return steps
+
+
+def _loop_step(system: System) -> Block:
+    """Return a program or routine that computes the state of a run after one control period.
+
+    Its arguments are the state and the parameters of the run.
+    """
+    plant, controller = system.plant, system.controller
+    state, parameters = _layouts(system)
+    s, now = state.symbols("s")
+    w, constants = parameters.symbols("w")
+    t = now["count"] * system.dt
+    reference = system.reference_at(t, constants["reference"])
+    y = plant.measurement(now["plant"], system.disturbance_at(t, constants["disturbance"]), constants["plant"])
+    inputs = {"x": now["controller"], "u": system.inputs_of(y, reference), "p": constants["gains"]}
+    before = lower_named("measure", {"s": s, "w": w}, inputs)
+    sizes = (system.commands.size, controller.state.size, 1, system.telemetry.size)
+    outputs = {name: ca.SX.sym(name, n) for name, n in zip(("tau", "x_next", "status", "k"), sizes, strict=True)}
+    with Recording() as recording:
+        moved = _moved_state(system, now["plant"], outputs["tau"], constants, t)
+        costs, stops = system.evaluated(
+            x=now["plant"], f=outputs["tau"], d=constants["disturbance"], r=constants["reference"],
+            p=constants["plant"], g=constants["gains"], k=outputs["k"], t=t,
+        )  # fmt: skip
+        ended = ca.SX(0)
+        for k in range(stops.numel(), 0, -1):
+            ended = ca.if_else(stops[k - 1] != 0, k, ended)
+        size = ca.fabs(ca.vertcat(moved, outputs["tau"], outputs["x_next"], costs))
+        ended = ca.if_else(ca.sum1(size) <= _FINITE, ended, -1)  # NaN compares as false
+        stays = ended != 0
+        after = state.join(
+            {
+                "done": ended,
+                "count": now["count"] + 1,
+                "plant": ca.if_else(stays, now["plant"], moved),
+                "controller": ca.if_else(stays, now["controller"], outputs["x_next"]),
+                "sums": _summed(system, now["sums"], costs, t, stays),
+            }
+        )
+        move = recording.block("move", {"s": s, "w": w, **outputs}, {"s_next": after})
+    steps = (
+        Call(before, ("s", "w"), ("x", "u", "p")),
+        Call(controller.block, ("x", "u", "p"), tuple(outputs)),
+        Call(move, ("s", "w", *outputs), ("s_next",)),
+    )
+    return Routine("period", (("s", state.size), ("w", parameters.size)), steps, ("s_next",))
+
+
+def _layouts(system: System) -> tuple[Layout, Layout]:
+    # the first entry of the state is the flag that ends a run
+    sizes = {"plant": system.plant.state.size, "controller": system.controller.state.size, "sums": len(system.costs)}
+    constants = {
+        "plant": system.plant.parameters.size, "reference": system.references.size,
+        "disturbance": system.plant.disturbances.size, "gains": system.controller.gains.size,
+    }  # fmt: skip
+    flags = (Port("done", (1,), "1", "why the run ended"), Port("count", (1,), "1", "control instants so far"))
+    return Layout((*flags, *(_stack(n, k) for n, k in sizes.items()))), Layout(
+        tuple(_stack(n, k) for n, k in constants.items())
+    )
+
+
+def _stack(name: str, size: int) -> Port:
+    return Port(name, (size,), "1", "a vector of ports in their own units")
+
+
+def _moved_state(system: System, x: ca.SX, command: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX) -> ca.SX:
+    """Return the plant state one period later, by fourth-order Runge-Kutta steps with a constant command."""
+    f, h = system.applied(command), system.dt / system.substeps
+
+    def derivative(state: ca.SX, late: ca.SX) -> ca.SX:
+        disturbance = system.disturbance_at(t + late, constants["disturbance"])
+        return system.plant.derivative(state, f, disturbance, constants["plant"])
+
+    def substep(state: ca.SX, late: ca.SX) -> ca.SX:
+        k1 = derivative(state, late)
+        k2 = derivative(state + h / 2 * k1, late + h / 2)
+        k3 = derivative(state + h / 2 * k2, late + h / 2)
+        k4 = derivative(state + h * k3, late + h)
+        return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+    moved: ca.SX = fold("substep", substep, x, ca.SX([k * h for k in range(system.substeps)]))
+    return moved
+
+
+def _summed(system: System, sums: ca.SX, costs: ca.SX, t: ca.SX, ended: ca.SX) -> ca.SX:
+    after = []
+    for k, cost in enumerate(system.costs.values()):
+        old, value = sums[k], costs[k]
+        after.append(
+            {
+                "integral": ca.if_else(ended, old, old + system.dt * value),  # no period follows the last instant
+                "mean": old + value,
+                "rms": old + value * value,
+                "max": ca.fmax(old, value),
+                "min": ca.fmin(old, value),
+                "final": value,
+                "last_time": ca.if_else(value > 0, t, old),
+            }[cost.how]
+        )
+    return ca.vertcat(ca.SX(0, 1), *after)
+
+
+def _figure_of_runs(cost: Cost, total: Array, count: Array) -> Array:
+    if cost.how == "mean":
+        return total / np.maximum(count, 1)
+    return np.sqrt(total / np.maximum(count, 1)) if cost.how == "rms" else total
+
+
+@once_per_system
+def _compiled(system: System) -> Batch:
+    return compile_batch(fused(without_libm(_loop_step(system))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +275,7 @@ class Record(Plotted):
             x[0] at 1.2 s"; otherwise empty.
     """
 
-    PLOT = "surctl.report.system_plot:plot_record"
+    PLOT = "surctl.report.system_plots:plot_record"
 
     system: System
     time: Array
@@ -200,7 +431,7 @@ def _functions(system: System) -> tuple[Callable[..., list[Array]], ...]:
     command = ca.SX.sym("command", system.commands.size)
     y, reference = plant.measurement(x, system.disturbance_at(t, d), p), system.reference_at(t, r)
     sense = ca.Function("sense", [x, t, p, r, d], [y, system.inputs_of(y, reference), reference])
-    moved = moved_state(system, x, command, {"plant": p, "disturbance": d}, t)
+    moved = _moved_state(system, x, command, {"plant": p, "disturbance": d}, t)
     move = ca.Function("move", [x, command, t, p, d], [moved])
     return on_vectors(sense), on_vectors(move), on_vectors(system.signals)
 
@@ -219,3 +450,82 @@ def _figure(how: How, series: Array, dt: float, *, whole: bool) -> float:
             "last_time": dt * past[-1] if past.size else 0.0,
         }[how]
     )
+
+
+_TEXTS = ("identity", "units", "meaning")  # names of the texts in a .mat file
+
+
+def identity(system: System) -> dict[str, str]:
+    """Return names, control period [s] and digests (SHA-256) of a system, for files with results."""
+    return {
+        "plant": system.plant.name,
+        "controller": system.controller.name,
+        "period_s": f"{float(system.dt)!r}",
+        "controller_sha256": system.controller.block.digest(),
+        "system_sha256": system.digest(),
+    }
+
+
+def save_record(record: Record, path: Path | str, *, about: Mapping[str, str] | None = None) -> Path:
+    """Write time and all signals of a run, one row per control instant; return the path.
+
+    The end of the name chooses the format; all formats hold the same numbers, to the last bit. CSV: a header with names
+    and units, and all digits that are needed to restore each number. .mat: a column vector per signal, named by an
+    identifier (`pose[0]` becomes `pose_0`), and the structs `units`, `meaning` and `identity`. netCDF-4: variables
+    along the dimension `time` with the attributes `units` and `long_name`; the attributes of the file are the identity.
+
+    Args:
+        record: the run.
+        path: a file in an existing folder that ends in .csv, .mat or .nc.
+        about: further texts of the identity by name, such as the origin of the system. In every case, the identity has
+            the names, the digests, the gains, the costs, and why the run ended.
+
+    Raises:
+        InputError: the format is unknown, or the folder cannot be written.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.recorded import read_recorded
+        >>> from surctl.system import Controller, Plant, System, run_system, save_record
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 1.0), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> brake = Controller("brake", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -u["speed"])
+        >>> file = save_record(run_system(System(cart, brake), 2.0), "cart.nc")
+        >>> read_recorded(file).numbers("speed")[:2].round(3).tolist()
+        [1.0, 0.9]
+    """
+    path = Path(path)
+    kind = path.suffix.removeprefix(".")
+    if kind not in RECORD_FORMATS:
+        raise InputError("has no known format", file=path, remedy="end the name in .csv, .mat or .nc")
+    if kind == "csv":
+        return write_csv(path, {head: column.tolist() for head, column in record.table().items()})
+    texts = identity(record.system) | _outcome(record) | dict(about or {})
+    if kind == "nc":
+        return write_netcdf(path, record.columns(), sizes={"time": len(record.time)}, attributes=texts)
+    return write_mat(path, _identifiers(record.columns()), texts={"identity": texts})
+
+
+def _outcome(record: Record) -> dict[str, str]:
+    controller, costs = record.system.controller, record.system.costs
+    gains = {name: np.ravel(value).tolist() for name, value in controller.gains.unpack(record.controller[2]).items()}
+    figures = {
+        name: {"value": value if np.isfinite(value) else None, "unit": costs[name].unit, "how": costs[name].how}
+        for name, value in record.figures.items()
+    }
+    return {
+        "stopped": record.stopped,
+        "not_finite": record.lost,
+        "gains": json.dumps(gains),
+        "costs": json.dumps(figures),
+    }
+
+
+def _identifiers(columns: Mapping[str, Column]) -> dict[str, Column]:
+    named: dict[str, Column] = {}
+    for label, column in columns.items():
+        name = re.sub(r"\W+", "_", label).strip("_")
+        while name in named or name in _TEXTS:
+            name += "_"
+        named[name] = column
+    return named

@@ -14,7 +14,7 @@ from surctl.marine.report.verify_files import plot_region, save_margins, save_re
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims, loop_margins
 from surctl.marine.verification.portrait import CRUISE_PLANES, HEADING_PLANES, portrait
-from surctl.report.cell_plots import plot_cells, plot_open_boxes
+from surctl.report.evidence import plot_cells, plot_open_boxes
 from surctl.verification import decide, falsify, prove
 from surctl.verification.proving.cells import cells_of
 from tests.certcheck import cruise

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.export.bundle import law_id
 from surctl.export.contract import Around, Exportable, command_size, glance
+from surctl.export.emulated import Line, LineDown, Reply
 from surctl.export.envelope import Envelope
-from surctl.export.link import Line, LineDown, Reply
 from surctl.export.precision import Guarded, Rounded, replayed, rounded
 from surctl.export.records import Records
 from surctl.ir import (

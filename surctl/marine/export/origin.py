@@ -20,7 +20,7 @@ from surctl.certcheck.document import Rejected, read
 from surctl.errors import InputError, NotApplicable, UnsupportedOperation
 from surctl.export.bundle import gain_rows, law_entries, law_entry, law_id
 from surctl.export.contract import Exportable
-from surctl.export.listed import LAW, Listed, law_list
+from surctl.export.supplement import LAW, Listed, law_list
 from surctl.ir import Real
 from surctl.marine.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
 from surctl.marine.guidance import AvoidanceForm

@@ -39,8 +39,7 @@ from surctl.marine.simulation import Body, Run
 from surctl.marine.world import Box
 from surctl.report.document import Picture, Player
 from surctl.report.mp4 import check_mp4, mp4
-from surctl.report.numbers import number
-from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure
+from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure, number
 
 if TYPE_CHECKING:
     from surctl.marine.engine import EngineOptions, Moment

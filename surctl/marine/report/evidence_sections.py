@@ -30,7 +30,7 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
-from surctl.report.numbers import number
+from surctl.report.theme import number
 from surctl.verification import Counterexample, Verdict
 
 __all__ = ["claims_section", "decisive_section", "runs_section", "simulate_command"]

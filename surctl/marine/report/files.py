@@ -15,8 +15,7 @@ from surctl.marine.sensing import Replay, SensorCalibration, file_stems
 from surctl.marine.simulation import Run, priority_timeline
 from surctl.marine.tuning import Sensitivity, SweepTable, Tuning
 from surctl.marine.verification import Locus
-from surctl.report.pictures import save_figure
-from surctl.report.theme import new_figure
+from surctl.report.theme import new_figure, save_figure
 
 __all__ = [
     "save_calibrations",

@@ -18,10 +18,9 @@ from surctl.marine.report.sections import (
     vehicle_section,
 )
 from surctl.marine.verification.linear import LinearSide
-from surctl.report.claim_words import claim_words
-from surctl.report.document import Cell, Paragraph, Section, Table, marked, outcome_cell
-from surctl.report.numbers import interval, number
-from surctl.report.page import render_sections
+from surctl.report.document import Cell, Paragraph, Section, Table, marked, outcome_cell, render_sections
+from surctl.report.evidence import claim_words
+from surctl.report.theme import interval, number
 from surctl.verification import Claim, Inapplicable, LoopMargins, Verdict
 
 __all__ = ["findings_section", "render_page", "write_page"]

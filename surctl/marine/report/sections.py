@@ -35,7 +35,7 @@ from surctl.report.document import (
     outcome_cell,
     picture,
 )
-from surctl.report.numbers import file_size, number
+from surctl.report.theme import file_size, number
 from surctl.verification import Inapplicable, LoopMargins, Verdict
 
 __all__ = [

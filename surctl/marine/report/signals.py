@@ -18,7 +18,6 @@ from surctl.marine.simulation.record import path_depths
 from surctl.marine.vehicle.linearise import command_range
 from surctl.priority import PriorityTimeline
 from surctl.priority.timeline import NOTICEABLE
-from surctl.report.numbers import number
 from surctl.report.theme import (
     AVOIDING,
     BAD,
@@ -30,6 +29,7 @@ from surctl.report.theme import (
     head,
     legend_above,
     new_figure,
+    number,
     printable,
 )
 

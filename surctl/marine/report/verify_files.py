@@ -26,10 +26,19 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import build_cascade, loop_margins
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
 from surctl.marine.verification.portrait import Portrait, planes_of, portrait
-from surctl.report.cell_plots import plot_cells, plot_open_boxes
-from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
-from surctl.report.pictures import save_figure
-from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, ROBOT, dress, legend_below, new_axes, new_figure
+from surctl.report.evidence import margin_slice, plot_cells, plot_counterexample, plot_open_boxes, plot_slice
+from surctl.report.theme import (
+    AVOIDING,
+    GOOD,
+    INK,
+    MUTED,
+    ROBOT,
+    dress,
+    legend_below,
+    new_axes,
+    new_figure,
+    save_figure,
+)
 from surctl.verification import Verdict
 from surctl.verification.linear.disk import stored_disk_margin
 

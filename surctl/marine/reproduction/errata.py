@@ -22,7 +22,7 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
 from surctl.marine.verification.avoidance_claims import settling_intrusion
 from surctl.marine.verification.tracking_claims import cap_limit
-from surctl.tasks.kinematics import planar_rotation
+from surctl.tasks.task import planar_rotation
 from surctl.verification import evaluate
 from surctl.verification.setting import Setting
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from surctl.lazy import load_at_first_use
-from surctl.tasks.kinematics import jacobian, planar_rotation
+from surctl.tasks.task import jacobian, planar_rotation
 
 if TYPE_CHECKING:
     from surctl.marine.vehicle.attainable import Attainable, attainable

@@ -30,9 +30,8 @@ from surctl.ir import Layout, Port
 from surctl.marine.vehicle.parameters import Vehicle
 from surctl.marine.vehicle.specs import PlantForm
 from surctl.tasks import ThrustLimit
-from surctl.tasks.kinematics import jacobian, planar_rotation
 from surctl.tasks.rows import checked_column
-from surctl.tasks.task import Expression
+from surctl.tasks.task import Expression, jacobian, planar_rotation
 
 __all__ = [
     "PLANT_DISTURBANCE",

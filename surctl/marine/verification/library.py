@@ -12,7 +12,7 @@ from surctl.marine.verification import avoidance_claims as avoidance
 from surctl.marine.verification import braking_claims as braking
 from surctl.marine.verification import tracking_claims as tracking
 from surctl.marine.verification.assumptions import check_sway_force
-from surctl.tasks.kinematics import planar_rotation
+from surctl.tasks.task import planar_rotation
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.setting import Setting, setting_from
 

@@ -30,7 +30,7 @@ from surctl.marine.verification.cascade import (
 )
 from surctl.marine.verification.linear.corners import corners
 from surctl.marine.verification.linear.side import least_disk
-from surctl.system.exponential import expm
+from surctl.system.linear_loop import expm
 from surctl.verification.loops import crossings_of, shape_of, state_blocks
 
 __all__ = [

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir.stored_numbers import stored_numbers
+from surctl.ir.cache import stored_numbers
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.cascade import Cascade, build_cascade
-from surctl.system.exponential import expm
+from surctl.system.linear_loop import expm
 
 __all__ = [
     "SampledLimits",
@@ -127,7 +127,7 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         return _sampled_limits(undelayed, period)
     matrices = [np.asarray(getattr(undelayed, name), dtype=float) for name in ("A", "B", "C", "K")]
     values = stored_numbers(
-        ("surctl.marine.verification.linear.sampled", "surctl.system.exponential"),
+        ("surctl.marine.verification.linear.sampled", "surctl.system.linear_loop"),
         (period, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
         lambda: asdict(_sampled_limits(undelayed, period)),
         suffix=".sampled",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import Checked, check_document, seal
-from surctl.ir.stored_numbers import stored_numbers
+from surctl.ir.cache import stored_numbers
 from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.loop import Steady, offset_slopes, steady_cruise
