@@ -33,7 +33,18 @@ from surctl.report.theme import (
     printable,
 )
 
-__all__ = ["plot_force", "plot_priority", "plot_run_signals", "relaxation_text", "spans"]
+__all__ = [
+    "plot_clearance",
+    "plot_force",
+    "plot_moment",
+    "plot_path_error",
+    "plot_priority",
+    "plot_run_signals",
+    "plot_velocity",
+    "plot_yaw_rate",
+    "relaxation_text",
+    "spans",
+]
 
 _UNKNOWN = 50.0  # [m] a larger nearest distance in the telemetry means that the law knows no contact
 
@@ -62,7 +73,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
         figure = new_figure(9.5, 7.6)
         head(figure, describe(run))
         ax = figure.subplots(3, 2, sharex=True).ravel().tolist()
-    plots = (_plot_clearance, _plot_path_error, _plot_velocity, _plot_yaw_rate, plot_force, _plot_moment)
+    plots = (plot_clearance, plot_path_error, plot_velocity, plot_yaw_rate, plot_force, plot_moment)
     for plot, target in zip(plots, ax, strict=True):
         plot(run, target)
     for target in ax[:-2]:
@@ -70,7 +81,7 @@ def plot_run_signals(run: Run, ax: Sequence[Axes] | None = None) -> Figure:
     return ax[0].figure.figure
 
 
-def _plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
+def plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
     """Plot the clearance from hull to nearest obstacle or wall [m]: the true value, and the value known to the law."""
     ax = _axes(run, ax, title="clearance", unit="m")
     time = run.record.time
@@ -83,7 +94,7 @@ def _plot_clearance(run: Run, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
+def plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
     """Plot path errors [m]: distance in the plane, depth error, and the law's y_e by equation (8) of the paper."""
     ax = _axes(run, ax, title="path error", unit="m")
     record, scenario = run.record, run.scenario
@@ -94,7 +105,7 @@ def _plot_path_error(run: Run, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
+def plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
     """Plot the ground velocity u, v, w in the body frame {B} and the horizontal speed [m/s], with the speed limit."""
     ax = _axes(run, ax, title="velocity in {B}", unit="m/s")
     nu = run.record.nu
@@ -106,7 +117,7 @@ def _plot_velocity(run: Run, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _plot_yaw_rate(run: Run, ax: Axes | None = None) -> Axes:
+def plot_yaw_rate(run: Run, ax: Axes | None = None) -> Axes:
     """Plot the yaw rate r [rad/s] of the robot, and the yaw rate that the law commands."""
     ax = _axes(run, ax, title="yaw rate", unit="rad/s")
     curve(ax, run.record.time, run.telemetry("nu_reference")[:, 3], label="r commanded", k=1, faint=True)
@@ -125,7 +136,7 @@ def plot_force(run: Run, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def _plot_moment(run: Run, ax: Axes | None = None) -> Axes:
+def plot_moment(run: Run, ax: Axes | None = None) -> Axes:
     """Plot the commanded yaw moment F_r [N m], with its limit."""
     ax = _axes(run, ax, title="yaw moment", unit="N m")
     curve(ax, run.record.time, run.record.tau[:, 3], label="F_r", k=0, faint=True)

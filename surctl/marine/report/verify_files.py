@@ -42,7 +42,7 @@ from surctl.report.theme import (
 from surctl.verification import Verdict
 from surctl.verification.linear.disk import stored_disk_margin
 
-__all__ = ["plot_region", "save_margins", "save_regions", "save_verdicts"]
+__all__ = ["plot_portrait", "plot_region", "save_margins", "save_regions", "save_verdicts"]
 
 _LABELS = {
     "along": ("along the path, x_e from its equilibrium [m]", "velocity along it [m/s]"),
@@ -83,7 +83,7 @@ def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) 
     portraits = [portrait(document, plane, extent=extent) for plane in planes_of(document)]
     figure = new_figure(4.4 * len(portraits), 4.9)
     for ax, one in zip(figure.subplots(1, len(portraits)), portraits, strict=True):
-        _plot_portrait(one, ax)
+        plot_portrait(one, ax)
         if shown:
             ax.contour(one.x, one.y, one.level, levels=[falsified], colors=[AVOIDING], linewidths=1.6, linestyles=":")
     handles = _handles(portraits[0])
@@ -95,7 +95,7 @@ def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) 
     return figure
 
 
-def _plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
+def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
     """Plot one phase portrait: level sets of the Lyapunov function, points where the certified rate fails, and flow."""
     alone = ax is None
     ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
