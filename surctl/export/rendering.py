@@ -50,7 +50,7 @@ from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emi
 from surctl.ir.c99_folded import PRAGMA, folded_lines, inline_helpers, own_helpers
 from surctl.ir.compiler import FLAGS
 
-__all__ = ["comment", "render_files", "render_unit", "with_own_names"]
+__all__ = ["comment", "render_files", "render_unit", "templates", "with_own_names"]
 
 _FUNCTION = re.compile(r"^static (?:inline )?(?:const )?\w+ \*?(\w+)\(", re.MULTILINE)
 
@@ -309,7 +309,7 @@ def render_files(
         **supplement.templates(law),
     }
     own = {file: {"about": about, "text": text} for file, about, text in of_law}
-    texts = {file: _templates().get_template(t).render(values, **own.get(file, {})) for file, t in sources.items()}
+    texts = {file: templates().get_template(t).render(values, **own.get(file, {})) for file, t in sources.items()}
     joined = (
         *(file for file in texts if file.startswith(name) and file.endswith(".c")),
         "link.c",
@@ -371,11 +371,11 @@ def render_unit(
         **_fmi3_values(),
         **_words(real),
     }
-    return {file: _templates().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
+    return {file: templates().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
 
 
 @cache
-def _templates() -> Environment:
+def templates() -> Environment:
     """Return the templates; each is compiled once in a process."""
     environment = Environment(
         loader=PackageLoader("surctl.export"),
