@@ -119,7 +119,7 @@ def _(mo):
 @app.cell
 def _(run):
     from surctl.marine.report import plot_priority
-    from surctl.marine.report.priority_plot import relaxation_text
+    from surctl.marine.report.signals import relaxation_text
     from surctl.marine.simulation import priority_timeline
 
     _timeline = priority_timeline(run)

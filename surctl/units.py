@@ -13,9 +13,9 @@ from surctl.errors import InputError
 if TYPE_CHECKING:
     from pint import UnitRegistry
 
-__all__ = ["SUFFIXES", "converted_by_suffix", "in_unit", "is_number", "number_and_unit", "suffix_unit"]
+__all__ = ["converted_by_suffix", "in_unit", "is_number", "number_and_unit"]
 
-SUFFIXES = {
+_SUFFIXES = {
     "_m_per_s": "m/s",
     "_rad_per_s": "rad/s",
     "_n_per_s": "N/s",
@@ -102,7 +102,7 @@ def in_unit(value: float, unit: str, target: str) -> float:
     return value * factor
 
 
-def suffix_unit(key: str) -> str | None:
+def _suffix_unit(key: str) -> str | None:
     """Return the unit that the ending of a key stands for (`depth_m` → m), or None if it has no such ending.
 
     Example:
@@ -110,7 +110,7 @@ def suffix_unit(key: str) -> str | None:
         >>> suffix_unit("depth_m"), suffix_unit("cruise_m_per_s"), suffix_unit("name")
         ('m', 'm/s', None)
     """
-    return next((unit for ending, unit in SUFFIXES.items() if key.endswith(ending)), None)
+    return next((unit for ending, unit in _SUFFIXES.items() if key.endswith(ending)), None)
 
 
 def converted_by_suffix(table: Any, *, key: str = "") -> Any:
@@ -128,7 +128,7 @@ def converted_by_suffix(table: Any, *, key: str = "") -> Any:
         return {name: converted_by_suffix(inner, key=f"{key}.{name}" if key else name) for name, inner in table.items()}
     if isinstance(table, list):
         return [converted_by_suffix(inner, key=key) for inner in table]
-    unit = suffix_unit(key.rpartition(".")[2])
+    unit = _suffix_unit(key.rpartition(".")[2])
     if unit is None or not isinstance(table, str):
         return table
     try:

@@ -9,7 +9,7 @@ from scipy.optimize import linprog, nnls
 
 from surctl.errors import InputError, SurctlError
 from surctl.marine.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
-from surctl.priority.kernels import KernelSolution, daqp_kernel, own_kernel
+from surctl.priority.backends import KernelSolution, daqp_kernel, own_kernel
 from surctl.tasks import (
     AccelerationLimit,
     ActuatorLimits,
@@ -30,8 +30,7 @@ from surctl.tasks import (
     velocity_task,
 )
 from surctl.testing import BACKEND_FAMILIES, CheckFailed, check_backend, check_limit, check_task, measure_backend
-from surctl.testing.backends import _compared
-from surctl.testing.known import Known, draw_known
+from surctl.testing.backends import Known, _compared, draw_known
 
 ETA = ca.SX.sym("eta", 4)
 NU = ca.SX.sym("nu", 4)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model
-from surctl.marine.reproduction.tracking_errata import e18
+from surctl.marine.reproduction.errata import e18
 from surctl.marine.verification import claims, settling_intrusion
 from surctl.verification import Claim, Verdict, decide, evaluate, falsify, replay, setting_from
 from surctl.verification.setting import Setting

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from surctl.priority import Level, Mode, Row, assemble, build_problem, solve
 from surctl.tasks import HalfPlane, Stack, heading_task, position_task
-from surctl.tasks.kinematics import jacobian
+from surctl.tasks.task import jacobian
 
 __all__ = ["MINK", "PEER", "PEER_API", "PEER_FAST", "PEER_FILTER", "PINK", "peers"]
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import Layout, Port
-from surctl.marine.control.velocity import velocity_control
+from surctl.marine.control.closing import velocity_control
 from surctl.marine.sensing import OwnState, OwnStateFilter
-from surctl.marine.sensing.localisation.design import steady_covariance
+from surctl.marine.sensing.localisation.own_state import steady_covariance
 from surctl.marine.simulation import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, Vehicle, plant_parameters
 

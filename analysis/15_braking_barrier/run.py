@@ -21,7 +21,7 @@ from surctl.marine.control import load_gains
 from surctl.marine.guidance.braking import Watch
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.braking import BRAKING_CLAIMS, BrakingClaim, braking_claim_named, prove_braking
-from surctl.marine.verification.braking.distance import distance_table
+from surctl.marine.verification.braking.proof import distance_table
 from tests.oracles.braking_episodes import Rule, rule_of, run_episodes
 
 VEHICLES = ("sur540-flooded", "sur400")

@@ -12,7 +12,7 @@ from surctl.marine.control import Law, build_law, load_gains
 from surctl.marine.simulation import load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.priority import Fallback, safe_step
-from surctl.priority.solver.bounded import BOUNDED
+from surctl.priority.solver.fallback import BOUNDED
 from surctl.priority.solver.trials import Trials, draw_trials
 
 __all__ = ["flights", "quality"]

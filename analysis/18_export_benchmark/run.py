@@ -27,9 +27,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.errors import SurctlError
 from surctl.export import TARGETS, Controller, Records, prove_bundle
-from surctl.export.check import Instructions, built_for, instructions
+from surctl.export.check import Instructions, built_for, instructions, trial_steps
 from surctl.export.process import code_bytes
-from surctl.export.trial import trial_steps
 from surctl.ir import Program, replay
 from tests.oracles.proof_mutants import caught_by, mutants
 

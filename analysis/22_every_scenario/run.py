@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from surctl.marine.control import load_gains
-from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.reproduction.scenarios import scenario_names
 from surctl.marine.sensing import FaultChances
 from surctl.marine.simulation import Case, Sensors, load_scenario, simulate_batch
 from surctl.marine.simulation.campaign import (

@@ -20,7 +20,7 @@ from surctl.certcheck import check_document
 from surctl.export import Records, software_in_the_loop
 from surctl.lyapunov import Dynamics, State, find_stability
 from surctl.marine.control import Decision, GainSpec, LawSource, Situation, build_law, law_ref, load_gains
-from surctl.marine.control.velocity import velocity_control
+from surctl.marine.control.closing import velocity_control
 from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
 from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune
 from surctl.marine.vehicle import load_vehicle

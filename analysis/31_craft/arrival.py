@@ -27,8 +27,8 @@ from surctl.marine.simulation import Case, Scenario, law_numbers, mission_size, 
 from surctl.marine.simulation.batch.engines import compiled_loop
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.pack import pack, structure_of
-from surctl.marine.simulation.disturbance import Disturbance
 from surctl.marine.simulation.metrics import STOPS
+from surctl.marine.simulation.scenario import Disturbance
 from surctl.marine.tuning import default_cruise, gains_for
 from surctl.marine.vehicle import Vehicle, load_vehicle, plant_state
 from surctl.marine.vehicle.parameters import PARAMETERS, vehicle_from_table

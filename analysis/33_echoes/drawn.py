@@ -20,7 +20,7 @@ import numpy as np
 from run import equipped
 
 from surctl.marine.control import load_gains
-from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.reproduction.scenarios import scenario_names
 from surctl.marine.sensing import FaultChances
 from surctl.marine.simulation import ECHOES, Case, Scenario, load_scenario
 from surctl.marine.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, run_campaign, world_template

@@ -13,7 +13,7 @@ import numpy as np
 
 from surctl.export import Bundle
 from surctl.export import bundle as core
-from surctl.export.plant_lists import PlantLists
+from surctl.export.supplement import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, solve
 from surctl.marine.control import Law, build_law, law_source, load_gains

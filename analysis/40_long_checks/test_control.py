@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from surctl.ir import replay
-from surctl.marine.control import DEGRADED, build_law, courses, in_real, law_ref, law_source, load_gains
+from surctl.marine.control import DEGRADED, build_law, in_real, law_ref, law_source, load_gains, steered
 from surctl.marine.sensing import Equipment, SonarArray
 from surctl.marine.simulation import METRICS, Case, load_scenario, simulate, simulate_batch
 from surctl.marine.vehicle import load_vehicle
@@ -115,8 +115,8 @@ def test_an_unfinished_search_goes_on_in_the_next_step(monkeypatch: pytest.Monke
     across = np.zeros((8, 6))
     across[:5, :2] = [[24.0, 30.0 + 3.0 * k] for k in range(-2, 3)]
     across[:5, 2], across[:5, 5] = 1.5, 1.0
-    for budget in (EXACT, 2 * courses.STEPS):
-        monkeypatch.setattr(courses, "BUDGET", budget)
+    for budget in (EXACT, 2 * steered.STEPS):
+        monkeypatch.setattr(steered, "BUDGET", budget)
         law = rebuilt()
         x = law.initial_state()
         x[law.state.slice("progress")] = 15.0
@@ -275,15 +275,15 @@ def test_a_current_from_aside_leaves_no_error(name: str, guidance: str) -> None:
 
 
 def test_the_choice_is_that_of_a_search_through_all_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
-    law, ordered = rebuilt(), courses._ordered
+    law, ordered = rebuilt(), steered._ordered
     assert law.block.operations < 40_000
     # no candidate ends the search but the last, and there are steps for all of them
 
     def unending(side: int) -> Iterator[tuple[float, ...]]:
         return ((*row[:5], -1.0 if row[5] < 1e3 else row[5]) for row in ordered(side))
 
-    monkeypatch.setattr(courses, "_ordered", unending)
-    monkeypatch.setattr(courses, "BUDGET", EXACT)
+    monkeypatch.setattr(steered, "_ordered", unending)
+    monkeypatch.setattr(steered, "BUDGET", EXACT)
     whole, p = rebuilt(), numbers()
     assert law.block.digest() != whole.block.digest()
     rng, turned = np.random.default_rng(3), 0

@@ -12,8 +12,8 @@ import pytest
 
 from surctl.export import REALS, TARGETS, Records, check_builds, chosen_targets, prove_bundle, write_bundle
 from surctl.export.check import step_stack
-from surctl.export.own_names import with_own_names
 from surctl.export.process import compile_controller
+from surctl.export.rendering import with_own_names
 from surctl.ir import Call, Real, Routine, emit_parts, memory
 from surctl.marine.control import build_law, in_real
 from surctl.marine.export import build_bundle

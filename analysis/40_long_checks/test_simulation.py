@@ -29,8 +29,8 @@ from surctl.marine.simulation import (
     simulate_batch,
     stop_reason,
 )
-from surctl.marine.simulation.batch.bodies import NO_END
-from surctl.marine.simulation.batch.bodies import Body as Symbols
+from surctl.marine.simulation.batch.structure import NO_END
+from surctl.marine.simulation.batch.structure import Body as Symbols
 from surctl.marine.simulation.column import LONGEST, beside, column
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Box, Disc, Prism

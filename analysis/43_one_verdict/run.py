@@ -42,7 +42,7 @@ from surctl.marine.tuning import derive_gains
 from surctl.marine.vehicle import Vehicle, write_vehicle
 from surctl.marine.verification import linear_table
 from surctl.report.design_bench import SystemBench
-from surctl.report.numbers import number
+from surctl.report.theme import number
 from surctl.system import run_system
 
 CAP, DT = 0.3, 0.05  # [m/s], [s]

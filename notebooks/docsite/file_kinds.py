@@ -11,7 +11,7 @@ from surctl.lyapunov.problem import _ProblemTable
 from surctl.marine.control.gains import _GainFile
 from surctl.marine.simulation.scenario import _ScenarioFile
 from surctl.marine.study.plan import _StudyFile
-from surctl.marine.vehicle.logs.log_map import LogMap
+from surctl.marine.vehicle.logs.joining import LogMap
 from surctl.marine.vehicle.parameters import _VehicleFile
 from surctl.marine.vehicle.thruster_file import _AllocationTable, _ThrusterTable
 from surctl.marine.verification.region.statement import RegionStatement

@@ -244,7 +244,7 @@ def _claim(case: Case) -> SafetyClaim | Inapplicable:
 
     from surctl.errors import NotApplicable
     from surctl.marine.simulation import safety_claim, turn_rate
-    from surctl.marine.simulation.detection import detection_range
+    from surctl.marine.simulation.echo_fit import detection_range
     from surctl.verification import Inapplicable
 
     sees = detection_range(case.scenario) if case.sensing == "sonar" else inf

@@ -122,7 +122,7 @@ def speed_lines(
 
     Speeds are in m/s. A warning is printed if the speed limit `cap` [m/s] exceeds one of these speeds.
     """
-    from surctl.ir.stored_numbers import stored_numbers
+    from surctl.ir.cache import stored_numbers
     from surctl.marine.verification.linear import bearable_speed, corners, margin_speed
     from surctl.verification.linear import LEAST_DISK_MARGIN
 

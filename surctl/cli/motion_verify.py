@@ -112,7 +112,7 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     if not isinstance(claim, Safety):
         with saving("plot"):
             from surctl.report.motion_plots import plot_motion
-            from surctl.report.pictures import save_figure
+            from surctl.report.theme import save_figure
 
             figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
             files.append(save_figure(figure, out, (name,)))

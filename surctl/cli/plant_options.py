@@ -103,7 +103,7 @@ class PlantOptions:
             check_pictures()
             prepare_folder(check_film(self.film).parent, key="--film")
         if self.view:
-            from surctl.marine.engine.viewer import check_screen
+            from surctl.marine.engine.pictures import check_screen
 
             check_screen()
         return chosen
@@ -145,7 +145,7 @@ class PlantOptions:
                 yield from simulate_with_steppers(batch_case, list(seeds), processes=self.threads or 1)
                 return
             if self.view:
-                from surctl.marine.engine.viewer import watched
+                from surctl.marine.engine.pictures import watched
 
                 physics = watched(physics)
 

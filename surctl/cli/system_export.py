@@ -51,12 +51,12 @@ def export_system(
     from surctl.export.check import STEPS, check_builds
     from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.fmu import write_fmu
-    from surctl.export.plant_lists import PlantLists
     from surctl.export.precision import REALS
     from surctl.export.process import build_controller
     from surctl.export.prove import prove_bundle, with_proof
     from surctl.export.records import as_records
     from surctl.export.sil import compare_runs
+    from surctl.export.supplement import PlantLists
     from surctl.export.targets import chosen_targets
     from surctl.ir import find_compiler
     from surctl.system import LOST, run_system

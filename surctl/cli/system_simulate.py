@@ -79,7 +79,7 @@ def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
     with saving("record"):
         files.append(save_record(record, out / f"{name}.{kind}", about=origin))
     with saving("plot"):
-        from surctl.report.system_plot import save_record_plot
+        from surctl.report.system_plots import save_record_plot
 
         files.insert(0, save_record_plot(record, out, name=name))
     return files

@@ -137,7 +137,7 @@ def _pictures(own: OwnSystem, design: Design, runs: Runs, out: Path) -> list[Pat
     files = list[Path]()
     with saving("heat maps"):
         from surctl.report.cost_map import plot_cost_map
-        from surctl.report.pictures import save_figure
+        from surctl.report.theme import save_figure
 
         for name, cost in own.system.costs.items():
             table = runs[name].reshape([len(values) for _, values in swept])

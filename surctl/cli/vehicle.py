@@ -252,7 +252,7 @@ def from_log(
     from surctl.marine.vehicle import held_out_windows, identify, in_sequence, load_vehicle, read_recording, topic_lines
 
     if topics:
-        from surctl.marine.vehicle.logs.log_map import load_log_map
+        from surctl.marine.vehicle.logs.joining import load_log_map
 
         if len(logs) > 1:
             raise click.UsageError("--topics takes one log")

@@ -3,12 +3,11 @@
 from surctl.export.bundle import Bundle, ExportedFile, check_folder, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
 from surctl.export.contract import STATUS, Exportable
-from surctl.export.emulated import EmulatedLine, emulated, emulated_target
+from surctl.export.emulated import EmulatedLine, Line, LineDown, Reply, connect, emulated, emulated_target
 from surctl.export.envelope import Envelope, Rate
 from surctl.export.evidence import evidence_of, with_evidence
 from surctl.export.fmu import write_fmu
 from surctl.export.in_process import ExportedController, ExportedStep
-from surctl.export.link import Line, LineDown, Reply, connect
 from surctl.export.precision import REALS
 from surctl.export.process import Controller, build_controller
 from surctl.export.prove import Alarm, ProofReport, gain_box, prove_bundle, with_proof

@@ -22,25 +22,15 @@ from surctl.export.contract import DATA, FILES, Exportable, checked_name, comman
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.gain_store import gains_id
 from surctl.export.guard_text import range_text
-from surctl.export.listed import LAW, law_list
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
-from surctl.export.supplement import Supplement
+from surctl.export.supplement import LAW, Supplement, law_list
 from surctl.export.vectors import self_test_vectors
 from surctl.ir import Layout, Real
 
-__all__ = [
-    "Bundle",
-    "ExportedFile",
-    "build_bundle",
-    "check_folder",
-    "gain_vector",
-    "law_id",
-    "manifest_with",
-    "write_bundle",
-]
+__all__ = ["Bundle", "ExportedFile", "build_bundle", "check_folder", "law_id", "manifest_with", "write_bundle"]
 
-MANIFEST = "manifest.json"
+_MANIFEST = "manifest.json"
 
 Vector = NDArray[np.float64]
 
@@ -124,7 +114,7 @@ def build_bundle(
             key=f"{prefix}.block",
             remedy="replace these functions by exact operations (surctl.ir.without_libm)",
         )
-    p = gain_vector(law.gains, gains)
+    p = _gain_vector(law.gains, gains)
     added = supplement or Supplement()
     within = (envelope or anywhere(law)).fitted(law, real)
     identity = law_id(law, p, real=real)
@@ -162,7 +152,7 @@ def _check_gains(law: Exportable, p: Vector, within: Envelope) -> None:
             )
 
 
-def gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:
+def _gain_vector(layout: Layout, gains: Mapping[str, NDArray[np.float64]]) -> Vector:
     """Return all gains in one vector (np,); InputError for an unknown gain, a wrong size or a non-finite value."""
     p = layout.pack(gains)
     for port in layout:
@@ -318,7 +308,7 @@ def _publish(bundle: Bundle, staging: Path, target: Path) -> None:
     if not target.exists():
         staging.rename(target)
         return
-    (target / MANIFEST).unlink(missing_ok=True)
-    for name in (*bundle.binaries, *(name for name in bundle.files if name != MANIFEST), MANIFEST):
+    (target / _MANIFEST).unlink(missing_ok=True)
+    for name in (*bundle.binaries, *(name for name in bundle.files if name != _MANIFEST), _MANIFEST):
         (target / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).replace(target / name)

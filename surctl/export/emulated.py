@@ -1,19 +1,256 @@
-"""Processor in the loop: the exported controller runs on an emulated processor and exchanges messages with Python."""
+"""Processor in the loop: connection to an exported controller in another process, also on an emulated processor."""
 
 from __future__ import annotations
 
 import socket
+import struct
 import subprocess
+import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
-from surctl.errors import InputError
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError, SurctlError
 from surctl.export.bundle import Bundle, write_bundle
-from surctl.export.link import Line
 from surctl.export.targets import TARGETS, Target, chosen_targets
 from surctl.ir import compile_program
 
-__all__ = ["EmulatedLine", "emulated", "emulated_target"]
+__all__ = ["VERSION", "EmulatedLine", "Identity", "Line", "LineDown", "Reply", "connect", "emulated", "emulated_target"]
+
+Vector = NDArray[np.float64]
+
+VERSION = 2
+"""Version of the messages; `Line` refuses a controller with another version, with an error that says so."""
+
+_MAGIC = b"SURL"
+_HEAD = struct.Struct("<4sHHII")
+_REQUEST, _IDENTITY, _START, _STARTED, _STEP, _STEPPED, _REFUSED, _COMPACT, _COMMAND = range(1, 10)
+_SIZES = struct.Struct("<64s6I")
+_GLANCE = 0.25  # s: longest wait in one system call, so that Ctrl-C takes effect soon
+_MOST = 1_000_000  # largest count of inputs, states or other numbers that a controller may report
+_REFUSALS = {
+    1: "received bytes that are not a message of this link",
+    2: f"does not speak version {VERSION} of the link",
+    3: "does not know this kind of message",
+    4: "expects another number of inputs",
+    5: "runs another controller",
+    6: "has not been started",
+    7: "already received this step or a later one",
+}
+
+
+class LineDown(SurctlError):
+    """Error: the connection ended, was silent for too long, or carried an invalid message."""
+
+
+class Identity(NamedTuple):
+    """Identity of a controller and the sizes of its vectors, as the controller reports them.
+
+    Attributes:
+        id: hash of what the controller computes, see `law_id`.
+        real: "float64" or "float32".
+        inputs, thrusts, states, telemetry: numbers of inputs, thrusts, states and telemetry values.
+        glance: number of values after the thrust in a compact reply, see `contract.glance`.
+    """
+
+    id: str
+    real: str
+    inputs: int
+    thrusts: int
+    states: int
+    telemetry: int
+    glance: int = 0
+
+
+class Reply(NamedTuple):
+    """Reply of the controller to one step, with the bytes that were received.
+
+    Attributes:
+        status: status code of the step.
+        tau: thrust (n_tau,) [N, N m].
+        state: state after the step (nx,).
+        telemetry: telemetry (k,).
+        raw: received bytes of all these numbers; in a compact reply, of the thrust and the values of `glance`.
+    """
+
+    status: int
+    tau: Vector
+    state: Vector
+    telemetry: Vector
+    raw: bytes
+
+
+@dataclass
+class Line:
+    """Connection to one controller; call `close` at the end, or use the connection in a `with` statement.
+
+    Attributes:
+        wire: a connected stream socket.
+        name: name of the controller in error messages.
+        patience: longest wait for a reply [s].
+        identity: identity that the controller reported; None before `request`.
+    """
+
+    wire: socket.socket
+    name: str
+    patience: float = 5.0
+    identity: Identity | None = None
+
+    def __enter__(self) -> Line:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection."""
+        self.wire.close()
+
+    def request(self) -> Identity:
+        """Request the controller's identity and the sizes of its vectors.
+
+        Raises:
+            LineDown: the other process is not an exported controller, or the connection is down.
+        """
+        body = self._exchange(_REQUEST, 0, b"", _IDENTITY, _SIZES.size)
+        name, width, *counts = _SIZES.unpack(body)
+        if width not in (4, 8) or any(count > _MOST for count in counts) or not name.isalnum():
+            raise LineDown(f"{self.name} reports an identity or a size that is not possible")
+        self.identity = Identity(name.decode("ascii"), "float64" if width == 8 else "float32", *counts)
+        return self.identity
+
+    def start(self, identity: str) -> None:
+        """Make the controller set its initial state and its tuned gains.
+
+        Raises:
+            LineDown: the controller's identity differs from `identity`, or the connection is down.
+        """
+        self._exchange(_START, 0, identity.encode("ascii"), _STARTED, 0)
+
+    def step(self, sequence: int, inputs: Vector, *, compact: bool = False) -> Reply:
+        """Run one step of the controller; call `request` and `start` before the first step.
+
+        Args:
+            sequence: number of the step, at least 1 and larger than the number of every earlier step since `start`.
+            inputs: inputs u of the law (nu,), which are rounded to the controller's precision.
+            compact: True requests few bytes, for a slow line: status, thrust and the values of `glance`, which `raw`
+                has; state and telemetry are then empty.
+
+        Raises:
+            LineDown: the controller sent no valid reply.
+        """
+        who = self.identity
+        assert who is not None
+        kind: np.dtype[Any] = np.dtype(who.real).newbyteorder("<")
+        with np.errstate(over="ignore"):
+            sent = np.asarray(inputs, dtype=kind).tobytes()
+        ends = np.cumsum([who.thrusts, *((0, 0) if compact else (who.states, who.telemetry))])
+        more = who.glance if compact else 0
+        kinds = (_COMPACT, _COMMAND) if compact else (_STEP, _STEPPED)
+        body = self._exchange(kinds[0], sequence, sent, kinds[1], 4 + kind.itemsize * (int(ends[-1]) + more))
+        numbers = np.frombuffer(body, dtype=kind, offset=4).astype(np.float64)
+        tau, state, telemetry = np.split(numbers[: ends[-1]], ends[:-1])
+        return Reply(struct.unpack_from("<i", body)[0], tau, state, telemetry, body[4:])
+
+    def _exchange(self, kind: int, sequence: int, body: bytes, expected: int, length: int) -> bytes:
+        deadline = time.monotonic() + self.patience
+        try:
+            self.wire.settimeout(self.patience)
+            self.wire.sendall(_HEAD.pack(_MAGIC, VERSION, kind, sequence, len(body)) + body)
+            magic, version, got, echoed, size = _HEAD.unpack(self._received(_HEAD.size, deadline))
+            if magic != _MAGIC:
+                raise LineDown(f"{self.name} is not a controller of this kind: its reply is not a message of the link")
+            if version != VERSION:
+                raise LineDown(
+                    f"{self.name} speaks version {version} of the link protocol, this program version {VERSION}"
+                )
+            if got == _REFUSED and size == 4:
+                (why,) = struct.unpack("<I", self._received(4, deadline))
+                raise LineDown(f"{self.name} {_REFUSALS.get(why, f'refuses, with code {why}')}")
+            if (got, echoed, size) != (expected, sequence, length):
+                raise LineDown(f"{self.name} sent a reply that does not fit the request")
+            return self._received(length, deadline)
+        except TimeoutError:
+            raise LineDown(f"{self.name} was silent for {self.patience:g} s") from None
+        except OSError as error:
+            raise LineDown(f"{self.name} closed the connection ({error.strerror})") from None
+
+    def _received(self, count: int, deadline: float) -> bytes:
+        parts = []
+        while count > 0:
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise TimeoutError
+            self.wire.settimeout(min(left, _GLANCE))
+            try:
+                part = self.wire.recv(min(count, 1 << 16))
+            except TimeoutError:
+                continue
+            if not part:
+                raise LineDown(f"{self.name} closed the connection")
+            parts.append(part)
+            count -= len(part)
+        return b"".join(parts)
+
+
+def connect(address: str, *, patience: float = 5.0) -> Line:
+    """Connect to a controller at tcp://HOST:PORT; HOST is a name, an IPv4 address, or an IPv6 address in brackets.
+
+    Raises:
+        InputError: the address is not valid, or no controller listens there.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from subprocess import PIPE, Popen
+        >>> from surctl.marine.control import build_law
+        >>> from surctl.marine.export import build_bundle
+        >>> from surctl.export import connect, write_bundle
+        >>> from surctl.ir import compile_program
+        >>> law, folder = build_law("closed_form"), Path("closed_form")
+        >>> bundle = build_bundle(law, {})
+        >>> _ = write_bundle(bundle, folder)
+        >>> code = [folder / name for name in ("controller.c", "link.c", *bundle.sources)]
+        >>> controller = Popen([compile_program(code, folder / "controller"), "0"], stdout=PIPE, text=True)  # any port
+        >>> with connect(controller.stdout.readline().split()[-1]) as line:
+        ...     line.request().real, line.identity.inputs == law.inputs.size
+        ('float64', True)
+        >>> _ = controller.kill(), controller.communicate()
+    """
+    host, port = _host_and_port(address)
+    try:
+        wire = socket.create_connection((host, port), timeout=patience)
+    except (OSError, UnicodeError) as error:
+        why = "no reply" if isinstance(error, TimeoutError) else getattr(error, "strerror", None) or str(error)
+        raise InputError(
+            f"no controller listens there ({why})",
+            key="controller",
+            value=address,
+            remedy="start the exported controller: make controller && ./controller PORT",
+        ) from None
+    wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return Line(wire, address, patience)
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    try:
+        parts = urlsplit(address)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    rest = parts.path or parts.query or parts.fragment or parts.username or parts.password
+    if parts.scheme != "tcp" or not parts.hostname or not port or rest:
+        raise InputError(
+            "is not the address of a controller",
+            key="controller",
+            value=address,
+            remedy="use tcp://HOST:PORT, e.g. tcp://127.0.0.1:5555 or tcp://[::1]:5555",
+        )
+    return parts.hostname, port
+
 
 _PATIENCE = 60.0  # s; emulation is slow on a busy machine
 _PARTING = 5.0  # s in which the emulator may end by itself before it is killed

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.export.contract import SATURATED, Exportable, command_size
-from surctl.export.records import Records
-from surctl.export.rows import Rows
+from surctl.export.records import Records, Rows
 from surctl.ir import Real
 
 __all__ = ["ITER", "NONFINITE", "NULL", "RANGE", "STALE", "Envelope", "Rate", "anywhere"]
@@ -20,7 +19,7 @@ Vector = NDArray[np.float64]
 
 NULL, NONFINITE, RANGE, STALE, ITER = -1, -2, -3, -4, -5
 
-LONGEST_GAP = 1000
+_LONGEST_GAP = 1000
 """Largest number of samples over which the allowed change of an input grows."""
 
 
@@ -115,7 +114,7 @@ class Envelope:
     def jumped(self, u: Vector, before: Vector, gap: int, *, dt: float, real: Real) -> bool:
         """Return whether an input changed more in `gap` samples than its rate allows, computed in precision `real`."""
         number = np.dtype(real).type
-        turn, count = number(2.0 * np.pi), number(min(gap, LONGEST_GAP))
+        turn, count = number(2.0 * np.pi), number(min(gap, _LONGEST_GAP))
         for rate in self.rates:
             moved = number(u[rate.entry]) - number(before[rate.entry])
             if rate.turn:

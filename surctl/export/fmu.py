@@ -9,28 +9,303 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import itertools
 import os
 import platform
+import re
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl import __version__
 from surctl.errors import InputError
 from surctl.export.bundle import Bundle, ExportedFile
-from surctl.export.contract import DATA, MISSION_FILES, Exportable
-from surctl.export.fmu_description import build_description, description_2, description_3
+from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
+from surctl.export.envelope import Envelope, anywhere
 from surctl.export.rendering import render_unit
-from surctl.ir import compile_program
+from surctl.ir import Port, compile_program
 
-__all__ = ["unit_sources", "write_fmu"]
+__all__ = ["description_2", "description_3", "unit_sources", "write_fmu"]
 
 Vector = NDArray[np.float64]
+
+_ROBOT = "Controller of a small underwater robot. SI units, radians; frames ENU (world) and FLU (body)."
+_LIMIT = 1e37  # a range whose end is beyond this is that of the number type
+
+_COMPONENTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "eta": ("x", "y", "z", "psi"),
+        "nu": ("u", "v", "w", "r"),
+        "nu_reference": ("u", "v", "w", "r"),
+        "tau": ("F_u", "F_v", "F_w", "F_r"),
+        "fix": ("x", "y", "z"),
+        "path_error": ("x_e", "y_e"),
+        "contacts": ("x", "y", "radius", "vx", "vy", "valid"),
+        "waypoints": ("x", "y"),
+        "walls": ("x_min", "x_max", "y_min", "y_max"),
+        "mass": ("surge", "sway", "heave", "yaw"),
+        "linear_drag": ("Xu", "Yv", "Zw", "Nr"),
+        "quadratic_drag": ("Xuu", "Yvv", "Zww", "Nrr"),
+        "thrust_limit": ("surge", "sway", "heave", "yaw"),
+        "stopping": (
+            *("least mass", "largest mass", "largest thrust", "thrust lag"),
+            *("largest linear drag", "largest quadratic drag"),
+        ),
+    }
+)
+_UNITS: Mapping[str, str] = MappingProxyType(
+    {"contacts": "m, m, m, m/s, m/s, 1", "stopping": "kg, kg, N, s, N s/m, N s^2/m^2"}
+)
+_BASE: Mapping[str, Mapping[str, int]] = MappingProxyType(
+    {
+        **{unit: {unit: 1} for unit in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")},
+        "1": {},
+        "Hz": {"s": -1},
+        "N": {"kg": 1, "m": 1, "s": -2},
+        "Pa": {"kg": 1, "m": -1, "s": -2},
+        "J": {"kg": 1, "m": 2, "s": -2},
+        "W": {"kg": 1, "m": 2, "s": -3},
+        "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    }
+)
+
+
+@dataclass(frozen=True)
+class _Variable:
+    """One number of a unit.
+
+    Attributes:
+        name: name with indices from 1.
+        reference: value reference, which counts from 0.
+        causality: "input", "parameter" or "output".
+        description: what the number is.
+        unit: unit; empty if it is not known for this component.
+        low, high: range; None if there is none.
+        start: value at the start, None for an output.
+    """
+
+    name: str
+    reference: int
+    causality: str
+    description: str
+    unit: str
+    low: float | None
+    high: float | None
+    start: float | None
+
+
+def _variables(law: Exportable, within: Envelope, gains: Vector, *, fed: Sequence[str] = ()) -> list[_Variable]:
+    """Return all numbers of a unit in the order of their value references.
+
+    Args:
+        law: the law.
+        within: ranges of inputs, gains and commands.
+        gains: tuned gains (np,).
+        fed: gains that the unit writes itself, from its mission.
+    """
+    outputs = np.full((law.outputs.size, 2), [-np.inf, np.inf])
+    if within.commands is not None:
+        outputs[: sum(port.size for port in commands(law))] = within.commands
+    parts = (
+        ("input", law.inputs, within.inputs, law.inputs.pack()),
+        ("parameter", law.gains, within.gains, gains),
+        ("output", law.outputs, outputs, None),
+    )
+    numbers: list[_Variable] = []
+    for causality, layout, box, starts in parts:
+        names = [member for port in layout for member in _members(port)]
+        for k, (name, said, unit) in enumerate(names):
+            low, high = (float(v) if abs(v) < _LIMIT else None for v in box[k])
+            start = None if starts is None else float(starts[k])
+            note = " (written by the unit from its mission)" if name.partition("[")[0] in fed else ""
+            numbers.append(_Variable(name, len(numbers), causality, said + note, unit, low, high, start))
+    return numbers
+
+
+def _members(port: Port) -> Iterator[tuple[str, str, str]]:
+    # (name, description, unit) of each number
+    if port.size == 1:
+        yield port.name, f"[{port.unit}] {port.meaning}", port.unit
+        return
+    last = port.shape[-1]
+    units = _component_units(_UNITS.get(port.name, port.unit), last)
+    labels = _COMPONENTS.get(port.name, ())
+    for index in itertools.product(*(range(n) for n in port.shape)):
+        at = index[-1]
+        label = labels[at] if len(labels) == last else f"{at + 1} of {last}"
+        row = f", row {', '.join(str(i + 1) for i in index[:-1])}" if len(index) > 1 else ""
+        unit = units[at] if units else ""
+        said = f"[{unit or port.unit}] {label}{row}: {port.meaning}"
+        yield f"{port.name}[{','.join(str(i + 1) for i in index)}]", said, unit
+
+
+def _component_units(text: str, count: int) -> list[str]:
+    # one unit for each of the last axis's components, or none if the text does not say
+    units = text.split(", ")
+    if len(units) == 1:
+        return units * count
+    if len(units) == count:
+        return units
+    if len(units) == 2 and count == 4:  # three axes, and yaw
+        return [units[0]] * 3 + [units[1]]
+    return []
+
+
+def _unit_exponents(text: str) -> dict[str, int] | None:
+    """Return the exponents of the SI base units of a unit such as "N s^2/m^2", or None if it has others.
+
+    Example:
+        >>> from surctl.export.fmu import unit_exponents
+        >>> unit_exponents("N s/m"), unit_exponents("bananas")
+        ({'kg': 1, 's': -1}, None)
+    """
+    powers: dict[str, int] = {}
+    for sign, part in zip(itertools.chain([1], itertools.repeat(-1)), text.split("/"), strict=False):
+        for factor in part.strip("()").split():
+            match = re.fullmatch(r"(\w+?)(?:\^(-?\d+))?", factor)
+            base = _BASE.get(match.group(1)) if match else None
+            if match is None or base is None:
+                return None
+            for name, power in base.items():
+                powers[name] = powers.get(name, 0) + sign * int(match.group(2) or 1) * power
+    return {name: power for name, power in powers.items() if power}
+
+
+def _root(law: Exportable, bundle: Bundle, **version: str) -> Element:
+    return Element(
+        "fmiModelDescription",
+        version,
+        modelName=bundle.name,
+        description=_ROBOT if is_robot_law(law) else "Controller. SI units, radians.",
+        generationTool=f"surctl {__version__}",
+        variableNamingConvention="structured",
+    )
+
+
+def _unit_definitions(root: Element, numbers: Sequence[_Variable]) -> None:
+    units = sorted({variable.unit for variable in numbers if variable.unit})
+    if not units:
+        return
+    listed = SubElement(root, "UnitDefinitions")
+    for unit in units:
+        element = SubElement(listed, "Unit", name=unit)
+        exponents = _unit_exponents(unit)
+        if exponents is not None:
+            SubElement(element, "BaseUnit", {name: str(power) for name, power in exponents.items()})
+
+
+def _attributes(variable: _Variable) -> dict[str, str]:
+    # unit, range and start
+    attributes = {"min": variable.low, "max": variable.high, "start": variable.start}
+    unit = {"unit": variable.unit} if variable.unit else {}
+    return unit | {name: repr(value) for name, value in attributes.items() if value is not None}
+
+
+_KIND: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {
+        "input": {"causality": "input", "variability": "discrete"},
+        "parameter": {"causality": "parameter", "variability": "tunable", "initial": "exact"},
+        "output": {"causality": "output", "variability": "discrete", "initial": "calculated"},
+    }
+)
+
+
+def _text(root: Element) -> bytes:
+    ElementTree.indent(root)
+    text: str = ElementTree.tostring(root, encoding="unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+
+
+def _numbers(law: Exportable, bundle: Bundle, gains: Vector, fed: Sequence[str]) -> tuple[list[_Variable], str]:
+    within = bundle.envelope or anywhere(law)
+    codes = "; ".join(f"{code}: {meaning}" for _, code, meaning in status_table(law))
+    return _variables(law, within, gains, fed=fed), codes
+
+
+def description_2(
+    law: Exportable, bundle: Bundle, gains: Vector, sources: Sequence[str], *, fed: Sequence[str] = ()
+) -> bytes:
+    """Return the file modelDescription.xml of FMI 2.0."""
+    numbers, codes = _numbers(law, bundle, gains, fed)
+    root = _root(law, bundle, fmiVersion="2.0", guid=bundle.id, numberOfEventIndicators="0")
+    _unit_definitions(root, numbers)
+    unit = Element(
+        "CoSimulation",
+        modelIdentifier=bundle.name,
+        canHandleVariableCommunicationStepSize="true",
+        canNotUseMemoryManagementFunctions="false",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    root.insert(0, unit)
+    listed = SubElement(unit, "SourceFiles")
+    for file in sources:
+        SubElement(listed, "File", name=file)
+    SubElement(SubElement(root, "LogCategories"), "Category", name="logStatusWarning")
+    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(law.dt)))
+    listed = SubElement(root, "ModelVariables")
+    for v in numbers:
+        named = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
+        SubElement(SubElement(listed, "ScalarVariable", named | dict(_KIND[v.causality])), "Real", _attributes(v))
+    named = {"name": "status", "valueReference": "0", "description": codes}
+    SubElement(SubElement(listed, "ScalarVariable", named | dict(_KIND["output"])), "Integer")
+    structure = SubElement(root, "ModelStructure")
+    first = law.inputs.size + law.gains.size + 1
+    for kind in ("Outputs", "InitialUnknowns"):
+        listed = SubElement(structure, kind)
+        for index in range(first, len(numbers) + 2):
+            SubElement(listed, "Unknown", index=str(index))
+    return _text(root)
+
+
+def description_3(law: Exportable, bundle: Bundle, gains: Vector, *, fed: Sequence[str] = ()) -> bytes:
+    """Return the file modelDescription.xml of FMI 3.0."""
+    numbers, codes = _numbers(law, bundle, gains, fed)
+    root = _root(law, bundle, fmiVersion="3.0", instantiationToken=bundle.id)
+    SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=bundle.name,
+        canHandleVariableCommunicationStepSize="true",
+        canGetAndSetFMUState="true",
+        canSerializeFMUState="true",
+    )
+    _unit_definitions(root, numbers)
+    SubElement(SubElement(root, "LogCategories"), "Category", name="logStatusWarning")
+    SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(law.dt)))
+    listed = SubElement(root, "ModelVariables")
+    for v in numbers:
+        named = {"name": v.name, "valueReference": str(v.reference), "description": v.description}
+        SubElement(listed, "Float64", named | dict(_KIND[v.causality]) | _attributes(v))
+    status, time = str(len(numbers)), str(len(numbers) + 1)
+    named = {"name": "status", "valueReference": status, "description": codes}
+    SubElement(listed, "Int32", named | dict(_KIND["output"]))
+    SubElement(listed, "Float64", name="time", valueReference=time, causality="independent", variability="continuous")
+    structure = SubElement(root, "ModelStructure")
+    outputs = [str(v.reference) for v in numbers if v.causality == "output"] + [status]
+    for kind in ("Output", "InitialUnknown"):
+        for reference in outputs:
+            SubElement(structure, kind, valueReference=reference)
+    return _text(root)
+
+
+def _build_description(name: str, sources: Sequence[str]) -> bytes:
+    """Return the file sources/buildDescription.xml of FMI 3.0."""
+    root = Element("fmiBuildDescription", fmiVersion="3.0")
+    listed = SubElement(SubElement(root, "BuildConfiguration", modelIdentifier=name), "SourceFileSet", language="C99")
+    for file in sources:
+        SubElement(listed, "SourceFile", name=file)
+    return _text(root)
+
 
 _PLATFORMS: Mapping[int, Mapping[tuple[str, str], tuple[str, str]]] = MappingProxyType(
     {
@@ -104,7 +379,7 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     if fmi == 3:
         members = {
             "modelDescription.xml": description_3(law, bundle, gains, fed=fed),
-            "sources/buildDescription.xml": build_description(bundle.name, compiled),
+            "sources/buildDescription.xml": _build_description(bundle.name, compiled),
         }
     else:
         members = {"modelDescription.xml": description_2(law, bundle, gains, compiled, fed=fed)}

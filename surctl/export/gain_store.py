@@ -14,13 +14,13 @@ from surctl.certcheck.bundle import numbers_sha256
 from surctl.export.contract import Exportable
 from surctl.ir import Real
 
-__all__ = ["gains_id", "gains_values", "law_key", "stored_gains"]
+__all__ = ["gains_id", "gains_values", "stored_gains"]
 
 _VERSION = 1
 _KEY = 8  # bytes
 
 
-def law_key(law: Exportable, real: Real) -> str:
+def _law_key(law: Exportable, real: Real) -> str:
     """Return 16 hexadecimal digits that depend on instruction list, period, precision and initial state, not on gains.
 
     They are the first digits of the SHA-256 of the same lines as those of the law's id, without the gains.
@@ -51,4 +51,4 @@ def gains_values(law: Exportable, real: Real) -> dict[str, Any]:
 
 def _head(law: Exportable, real: Real) -> bytes:
     width = np.dtype(real).itemsize
-    return b"SURG" + struct.pack("<HHI", _VERSION, width, law.gains.size) + bytes.fromhex(law_key(law, real))
+    return b"SURG" + struct.pack("<HHI", _VERSION, width, law.gains.size) + bytes.fromhex(_law_key(law, real))

@@ -18,8 +18,7 @@ from surctl.errors import SurctlError
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable, command_size
 from surctl.export.precision import in_precision
-from surctl.export.records import Records
-from surctl.export.rows import Rows
+from surctl.export.records import Records, Rows
 from surctl.ir import compile_program
 
 __all__ = ["Controller", "FaultResults", "build_controller", "code_bytes", "compile_controller"]

@@ -34,9 +34,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.export.bundle import Bundle, manifest_with
-from surctl.export.contract import Exportable, commands
+from surctl.export.contract import Exportable, commands, entries
 from surctl.export.envelope import anywhere
-from surctl.export.fields import entries
 from surctl.ir import Block, Loop, Program, Real, Routine, c_literal
 from surctl.ir.routine import nested
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +13,27 @@ from surctl.errors import InputError
 from surctl.export.contract import Exportable
 from surctl.system import Record
 
-__all__ = ["AnyRecord", "Records", "as_records"]
+__all__ = ["AnyRecord", "Records", "Rows", "as_records"]
+
+
+class Rows(NamedTuple):
+    """Results of T steps of a controller that is compiled or evaluated in Python.
+
+    Attributes:
+        status: status codes (T,).
+        tau: commands (T, n_tau).
+        state: state after each step (T, nx).
+        telemetry: telemetry (T, k).
+    """
+
+    status: NDArray[np.int64]
+    tau: NDArray[np.float64]
+    state: NDArray[np.float64]
+    telemetry: NDArray[np.float64]
+
 
 Vector = NDArray[np.float64]
-Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
+_Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
 
 
 @dataclass(frozen=True)
@@ -38,7 +55,7 @@ class Records:
         return len(self.X)
 
 
-AnyRecord: TypeAlias = Records | Record | Sequence[Triple]
+AnyRecord: TypeAlias = Records | Record | Sequence[_Triple]
 
 
 def as_records(law: Exportable, records: AnyRecord) -> Records:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from types import MappingProxyType
@@ -18,21 +19,22 @@ from surctl.export.contract import (
     command_size,
     command_word,
     commands,
+    entries,
+    field,
     glance,
     is_robot_law,
+    starts,
     status_table,
     telemetry_ports,
+    transfers,
 )
-from surctl.export.direct import changing, direct_law, results
-from surctl.export.elapsed import RESTART, aged_runs, forgotten, forgotten_runs, longest_gap
 from surctl.export.envelope import Envelope
-from surctl.export.examples import EXAMPLES, example_values
-from surctl.export.fields import entries, field, starts, transfers
-from surctl.export.fmi3_functions import fmi3_values
 from surctl.export.gain_store import gains_values
 from surctl.export.guard_text import (
     ANY_NUMBER,
+    EXAMPLES,
     box_lines,
+    example_values,
     flat_lines,
     jump_lines,
     keep_lines,
@@ -41,16 +43,201 @@ from surctl.export.guard_text import (
     order_lines,
     range_text,
 )
-from surctl.export.own_names import with_own_names
 from surctl.export.supplement import Supplement
-from surctl.export.texts import cell, comment
 from surctl.export.vectors import TOLERANCE, SelfTest
-from surctl.export.wiring import wiring_values
+from surctl.export.wiring import RESTART, aged_runs, forgotten, forgotten_runs, longest_gap, wiring_values
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
-from surctl.ir.c99_folded import PRAGMA
+from surctl.ir.c99_folded import PRAGMA, folded_lines, inline_helpers, own_helpers
 from surctl.ir.compiler import FLAGS
 
-__all__ = ["render_files", "render_unit", "templates"]
+__all__ = ["comment", "render_files", "render_unit", "templates", "with_own_names"]
+
+_FUNCTION = re.compile(r"^static (?:inline )?(?:const )?\w+ \*?(\w+)\(", re.MULTILINE)
+
+
+def with_own_names(text: str, prefix: str, *, bundle: str) -> str:
+    """Return C text whose static functions begin with `prefix`, unless they begin with the bundle's name already.
+
+    Members of structs (after `.` or `->`) keep their names, and so do comments and strings without a call.
+    """
+    names = {name for name in _FUNCTION.findall(text) if not name.startswith(f"{bundle}_")}
+    if not names:
+        return text
+    call = re.compile(rf"(?<![\w.>])({'|'.join(sorted(map(re.escape, names)))})(?=\()")
+    return call.sub(rf"{prefix}_\1", text)
+
+
+def _one_line(text: str) -> str:
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def comment(text: str) -> str:
+    """Return the text in a form that cannot end, nest or (as a trigraph) escape a C comment."""
+    safe = _one_line(text)
+    for bad in ("*/", "/*", "??"):
+        while bad in safe:
+            safe = safe.replace(bad, f"{bad[0]} {bad[1]}")
+    return safe
+
+
+def _cell(text: str) -> str:
+    """Return the text in a form that fits one cell of a Markdown table."""
+    return _one_line(text).replace("|", "\\|")
+
+
+_TYPES = ("Float32", "Int8", "UInt8", "Int16", "UInt16", "UInt32", "Int64", "UInt64", "Boolean", "String")
+"""Types of FMI 3.0 of which a unit has no variable, apart from binaries and clocks."""
+
+_R = ("const fmi3ValueReference r[]", "size_t n")
+_DERIVATIVE = (
+    *("const fmi3ValueReference u[]", "size_t nu", "const fmi3ValueReference k[]", "size_t nk"),
+    *("const fmi3Float64 s[]", "size_t ns", "fmi3Float64 d[]", "size_t nd"),
+)
+_NUMBERS = ("fmi3Float64 v[]", "size_t m")
+
+_UNSUPPORTED: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("fmi3EnterEventMode", ()),
+    ("fmi3GetBinary", (*_R, "size_t s[]", "fmi3Binary v[]", "size_t m")),
+    ("fmi3SetBinary", (*_R, "const size_t s[]", "const fmi3Binary v[]", "size_t m")),
+    ("fmi3GetClock", (*_R, "fmi3Clock v[]")),
+    ("fmi3SetClock", (*_R, "const fmi3Clock v[]")),
+    ("fmi3GetNumberOfVariableDependencies", ("fmi3ValueReference r", "size_t *n")),
+    (
+        "fmi3GetVariableDependencies",
+        (
+            *("fmi3ValueReference r", "size_t d[]", "fmi3ValueReference u[]", "size_t i[]"),
+            *("fmi3DependencyKind k[]", "size_t n"),
+        ),
+    ),
+    ("fmi3GetDirectionalDerivative", _DERIVATIVE),
+    ("fmi3GetAdjointDerivative", _DERIVATIVE),
+    ("fmi3EnterConfigurationMode", ()),
+    ("fmi3ExitConfigurationMode", ()),
+    ("fmi3GetIntervalDecimal", (*_R, "fmi3Float64 v[]", "fmi3IntervalQualifier q[]")),
+    ("fmi3GetIntervalFraction", (*_R, "fmi3UInt64 v[]", "fmi3UInt64 d[]", "fmi3IntervalQualifier q[]")),
+    ("fmi3GetShiftDecimal", (*_R, "fmi3Float64 v[]")),
+    ("fmi3GetShiftFraction", (*_R, "fmi3UInt64 v[]", "fmi3UInt64 d[]")),
+    ("fmi3SetIntervalDecimal", (*_R, "const fmi3Float64 v[]")),
+    ("fmi3SetIntervalFraction", (*_R, "const fmi3UInt64 v[]", "const fmi3UInt64 d[]")),
+    ("fmi3SetShiftDecimal", (*_R, "const fmi3Float64 v[]")),
+    ("fmi3SetShiftFraction", (*_R, "const fmi3UInt64 v[]", "const fmi3UInt64 d[]")),
+    ("fmi3EvaluateDiscreteStates", ()),
+    (
+        "fmi3UpdateDiscreteStates",
+        (
+            *("fmi3Boolean *u", "fmi3Boolean *t", "fmi3Boolean *n", "fmi3Boolean *v", "fmi3Boolean *d"),
+            "fmi3Float64 *e",
+        ),
+    ),
+    ("fmi3EnterContinuousTimeMode", ()),
+    ("fmi3CompletedIntegratorStep", ("fmi3Boolean b", "fmi3Boolean *e", "fmi3Boolean *t")),
+    ("fmi3SetTime", ("fmi3Float64 t",)),
+    ("fmi3SetContinuousStates", ("const fmi3Float64 v[]", "size_t m")),
+    ("fmi3GetContinuousStateDerivatives", _NUMBERS),
+    ("fmi3GetEventIndicators", _NUMBERS),
+    ("fmi3GetContinuousStates", _NUMBERS),
+    ("fmi3GetNominalsOfContinuousStates", _NUMBERS),
+    ("fmi3GetNumberOfEventIndicators", ("size_t *n",)),
+    ("fmi3GetNumberOfContinuousStates", ("size_t *n",)),
+    ("fmi3EnterStepMode", ()),
+    ("fmi3GetOutputDerivatives", (*_R, "const fmi3Int32 o[]", *_NUMBERS)),
+    ("fmi3ActivateModelPartition", ("fmi3ValueReference r", "fmi3Float64 t")),
+)
+"""(name, arguments after the instance) of each function that returns an error."""
+
+_SUPPORTED = (
+    *("GetVersion", "SetDebugLogging", "InstantiateCoSimulation", "FreeInstance", "EnterInitializationMode"),
+    *("ExitInitializationMode", "Terminate", "Reset", "GetFloat64", "SetFloat64", "GetInt32", "SetInt32", "DoStep"),
+    *("GetFMUState", "SetFMUState", "FreeFMUState", "SerializedFMUStateSize", "SerializeFMUState"),
+    *("DeserializeFMUState", "InstantiateModelExchange", "InstantiateScheduledExecution"),
+)
+
+
+def _fmi3_values() -> dict[str, Any]:
+    """Return the values of the template of FMI 3.0: names of all functions, and arguments of the unsupported ones."""
+    names = [f"fmi3{name}" for name in (*_SUPPORTED, *(f"{do}{type_}" for type_ in _TYPES for do in ("Get", "Set")))]
+    return {
+        "fmi3_functions": sorted([*names, *(name for name, _ in _UNSUPPORTED)]),
+        "fmi3_types": list(_TYPES),
+        "fmi3_unsupported": _UNSUPPORTED,
+    }
+
+
+_TRUTHS = frozenset({"lt", "le", "eq", "ne", "and", "or", "not"})
+
+
+def _direct_law(law: Exportable, block: Program, name: str, real: Real) -> Parts:
+    """Return the C text of the function `<name>_law(state, gains, input, next, status, output)`.
+
+    The function reads state->x, *gains and *input. It writes next, *status and *output, and never reads their old
+    values.
+    """
+    members = [
+        [f"state->x[{k}]" for k in range(law.state.size)],
+        [f"input->{member}" for member, _ in entries(law.inputs)],
+        [f"gains->{member}" for member, _ in entries(law.gains)],
+    ]
+    left = [
+        [f"output->{member}" for member, _ in entries(commands(law))],
+        [f"next[{k}]" for k in range(law.state.size)],
+        ["*status"],
+        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
+    ]
+    stays = {f"next[{k}]" for k in range(law.state.size)} - {f"next[{k}]" for k in _changing(block)}
+    stores = [
+        (to, ref)
+        for place, refs in zip(left, block.output_refs, strict=True)
+        for to, ref in zip(place, refs, strict=True)
+        if to not in stays
+    ]
+    kind = C_TYPE[real]
+    body = folded_lines(block.instructions, stores, address=lambda which, at: members[which][at], real=real, apart=True)
+    # searched in the text, because the instruction list also reads state entries that do not change
+    used = "\n".join(body)
+    head = [
+        f"void {name}_law(const {name}_state_t *state, const {name}_gains_t *gains,",
+        f"    const {name}_input_t *input, {kind} *next, {kind} *status, {name}_output_t *output)",
+    ]
+    lines = [
+        f"/* {block.operations} operations */",
+        *head,
+        "{",
+        *(f"    (void){word};" for word in ("state", "input", "gains") if f"{word}->" not in used),
+        *([] if _changing(block) else ["    (void)next;"]),
+        *body,
+        "}",
+    ]
+    text = "\n".join([*own_helpers([block], real), *lines]) + "\n"
+    return Parts({"": text}, (*inline_helpers([block], real), "\n".join(head) + ";"))
+
+
+def _changing(block: Program) -> list[int]:
+    """Return the indices of the state entries that a step may change."""
+    refs = block.output_refs[1]
+    moved = [(k, block.instructions[ref]) for k, ref in enumerate(refs)]
+    return [k for k, i in moved if i.op != "input" or i.args != (0, k)]
+
+
+def _results(law: Exportable, block: Program) -> list[str]:
+    """Return the C names of results that may be NaN or infinite; constants, copied inputs and truth values cannot."""
+    left = [
+        [f"output->{member}" for member, _ in entries(commands(law))],
+        [f"state->next[{k}]" for k in range(law.state.size)],
+        [],
+        [f"output->{member}" for member, _ in entries(telemetry_ports(law))],
+    ]
+    visited, checked = set[int](), list[str]()
+    for place, refs in zip(left, block.output_refs, strict=True):
+        for to, ref in zip(place, refs, strict=False):
+            if (
+                ref not in visited
+                and block.instructions[ref].op not in ("const", "input")
+                and block.instructions[ref].op not in _TRUTHS
+            ):
+                visited.add(ref)
+                checked.append(to)
+    return checked
+
 
 Vector = NDArray[np.float64]
 
@@ -80,7 +267,7 @@ def render_files(
     """
     block = law.block
     parts = (
-        direct_law(law, block, name, real)
+        _direct_law(law, block, name, real)
         if isinstance(block, Program)
         else emit_parts(block, symbol=f"{name}_law", real=real)
     )
@@ -181,7 +368,7 @@ def render_unit(
         "transfers": transfers,
         "f": lambda text: c_literal(float(text), real),
         "mission_rows": rows,
-        **fmi3_values(),
+        **_fmi3_values(),
         **_words(real),
     }
     return {file: templates().get_template(f"{file}.j2").render(values) for file in (f"fmi{fmi}.c", "fmu.h")}
@@ -198,8 +385,8 @@ def templates() -> Environment:
         keep_trailing_newline=True,
     )
     environment.filters["comment"] = comment
-    environment.filters["cell"] = cell
-    environment.filters["wrapped"] = wrapped
+    environment.filters["cell"] = _cell
+    environment.filters["wrapped"] = _wrapped
     return environment
 
 
@@ -256,13 +443,13 @@ def _values(
             (port, ", ".join(repr(float(v)) for v in value)) for port, value in getattr(law, "constant_table", ())
         ],
         "transfers": transfers,
-        "initial": runs(law.initial_state(), text=literal),
+        "initial": _runs(law.initial_state(), text=literal),
         "gain_values": [literal(float(v)) for v in gains],
         "gain_indices": [f"{name}_gain_{port.name} = {at + 1}" for port, at in starts(law.gains)],
         "gain_table": _gain_table(law.gains, gains),
         "direct": isinstance(law.block, Program),
-        "changing": changing(law.block) if isinstance(law.block, Program) else [],
-        "results": results(law, law.block) if isinstance(law.block, Program) else [],
+        "changing": _changing(law.block) if isinstance(law.block, Program) else [],
+        "results": _results(law, law.block) if isinstance(law.block, Program) else [],
         "thrusts": _thrusts(law),
         "pragma": PRAGMA,
         "operations": law.block.operations,
@@ -271,7 +458,7 @@ def _values(
         "tests": len(tests.status),
         "test_inputs": _rows(tests.inputs, real),
         "test_tau": _rows(tests.tau, real),
-        "test_state": [run for row in tests.state for run in runs(row, text=partial(_decimal, real=real))],
+        "test_state": [run for row in tests.state for run in _runs(row, text=partial(_decimal, real=real))],
         "test_status": ", ".join(str(s) for s in tests.status),
         "flags": " ".join(FLAGS),
     }
@@ -362,14 +549,14 @@ def _ram(law: Exportable, within: Envelope, width: int) -> dict[str, int]:
     return {what: width * count + padded.get(what, 0) for what, count in held.items()}
 
 
-def runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:
+def _runs(values: Vector, *, text: Callable[[float], str] = c_literal) -> list[str]:
     """Return C initialisers {number, repetitions}; if `values` is empty, return one zero, as C has no empty array."""
     literals = [text(float(v)) for v in values]
     initialisers = [f"{{{number}, {len(list(same))}}}" for number, same in itertools.groupby(literals)]
     return initialisers or ["{0.0, 1}"]
 
 
-def wrapped(items: Sequence[str], width: int = 110) -> list[str]:
+def _wrapped(items: Sequence[str], width: int = 110) -> list[str]:
     """Return lines of the items, separated by commas, with as many items per line as fit."""
     lines: list[str] = []
     for item in items:
@@ -381,7 +568,7 @@ def wrapped(items: Sequence[str], width: int = 110) -> list[str]:
 
 
 def _rows(table: Vector, real: Real) -> list[str]:
-    lines = (wrapped([_decimal(float(v), real) for v in row]) for row in table)
+    lines = (_wrapped([_decimal(float(v), real) for v in row]) for row in table)
     return ["{" + "\n         ".join(row) + "}" for row in lines]
 
 

@@ -2,31 +2,25 @@
 
 from surctl.ir.angles import nearby_angles
 from surctl.ir.batch import Batch, batch_source, compile_batch, compile_batch_source
-from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier
-from surctl.ir.c99_lanes import Feed, emit_lanes
+from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier, rearranged
+from surctl.ir.c99_folded import Feed, emit_lanes
 from surctl.ir.c99_parts import Parts, emit_parts
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import Wide, emit_wide
-from surctl.ir.cache import CacheUnused, cache_folder, cached_bytes, shared_library
+from surctl.ir.cache import CacheUnused, cache_folder, cached_bytes, shared_library, source_digest
 from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
-from surctl.ir.divisors import shared_divisors
 from surctl.ir.elementary import without_libm
-from surctl.ir.folding import with_constants
+from surctl.ir.folding import fused, shared_divisors, with_constants
 from surctl.ir.frames import stack_bytes, stack_from_report, stack_of
-from surctl.ir.fusing import fused
-from surctl.ir.lowering import lower, lower_named
-from surctl.ir.moves import rearranged
 from surctl.ir.native import Native, SlowerEngine, Workspace, compile_block, runnable, warn_slower
-from surctl.ir.ops import LIBM, OPERATIONS, Operation
 from surctl.ir.places import memory, reads
 from surctl.ir.ports import Layout, Port
-from surctl.ir.program import Instruction, Program
+from surctl.ir.program import LIBM, OPERATIONS, Instruction, Operation, Program
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step
-from surctl.ir.sources import source_digest
 from surctl.ir.stored import read_block, write_block
 from surctl.ir.symbolic import on_columns, on_vectors, to_casadi
-from surctl.ir.tracing import Recording, each, fold, only_if, picked, repeat, tabulated
+from surctl.ir.tracing import Recording, each, fold, lower, lower_named, only_if, picked, repeat, tabulated
 
 __all__ = [
     "C_TYPE",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surctl.ir.numbering import Numbering
+from surctl.ir.folding import Numbering
 from surctl.ir.program import Program
 
 __all__ = ["nearby_angles"]

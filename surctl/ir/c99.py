@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from decimal import Decimal
 from types import MappingProxyType
 from typing import Literal, TypeAlias
@@ -12,12 +13,241 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.ir.c_macros import is_macro
-from surctl.ir.moves import Move, move_lines, remaining
-from surctl.ir.ops import OPERATIONS
-from surctl.ir.program import Instruction, Program
+from surctl.ir.folding import Numbering
+from surctl.ir.program import OPERATIONS, Instruction, Program, drop_dead
 
-__all__ = ["Real", "broken", "c_literal", "emit_c99", "expression", "head", "identifier", "signature"]
+__all__ = [
+    "Move",
+    "Real",
+    "broken",
+    "c_literal",
+    "copy_loop",
+    "emit_c99",
+    "entry",
+    "expression",
+    "handed_on",
+    "head",
+    "identifier",
+    "move_lines",
+    "only_moves",
+    "rearranged",
+    "remaining",
+    "signature",
+]
+
+_FAMILIES = re.compile(
+    r"""
+    (?:
+        ADJ|AF|AI|AIO|ATOMIC|BC|BUS|CLD|CLOCK|CLONE|DBL|EAI|EXIT|FLT|FPE|FP|HUGE|ILL|INADDR|
+        IN|IPPORT|IPPROTO|IPV6|IP|ITIMER|LC|LDBL|MATH|MCAST|MOD|MSG|NETDB|NI|NL|PF|POLL|
+        PTHREAD|REG|RENAME|SA|SCHED|SCM|SEEK|SEGV|SHUT|SI|SIG|SIGEV|SOCK|SOL|SO|STA|TCPI|
+        TCPOLEN|TCPOPT|TCP|TH|TRAP|XATTR
+    )_[A-Z0-9_]+
+    | (?:
+        BOOL|CHAR|INTMAX|INTPTR|INT|INT8|INT16|INT32|INT64|LLONG|LONG|LONG_LONG|PTRDIFF|SCHAR|
+        SHRT|SIZE|SSIZE|UCHAR|UINT|UINT8|UINT16|UINT32|UINT64|UINTMAX|UINTPTR|ULLONG|ULONG|
+        ULONG_LONG|USHRT|WCHAR|WINT|U?INT_(?:LEAST|FAST)(?:8|16|32|64)
+    )_(?:BIT|MAX|MIN|WIDTH)
+    | (?:PRI|SCN)[a-zX](?:LEAST|FAST)?(?:8|16|32|64|MAX|PTR)
+    | M_(?:[12]_)?(?:E|LN2|LN10|LOG2E|LOG10E|PI|SQRTPI|SQRT2|PI_2|PI_4|SQRT1_2)(?:f|l|f32x?|f64x?|f128)?
+    | SIG[A-Z0-9]{2,}
+    | SNAN(?:F|L|F32X?|F64X?|F128)?
+    | si_(?:addr|addr_lsb|arch|band|call_addr|fd|int|lower|overrun|pid|pkey|ptr|status|stime|syscall|timerid)
+    | si_(?:uid|upper|utime|value) | sa_(?:handler|sigaction) | sigev_notify_(?:attributes|function)
+    | s6_addr(?:16|32)?
+    | B[01]{1,8}
+    """,
+    re.VERBOSE,
+)
+_MACROS = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        AF_DECnet BIG_ENDIAN BUFSIZ BYTE_ORDER CHARCLASS_NAME_MAX CLOCKS_PER_SEC CLOSE_RANGE_CLOEXEC
+        CLOSE_RANGE_UNSHARE COLL_WEIGHTS_MAX CPU_SETSIZE CSIGNAL DECIMAL_DIG DELAYTIMER_MAX E2BIG EACCES
+        EADDRINUSE EADDRNOTAVAIL EADV EAFNOSUPPORT EAGAIN EALREADY EBADE EBADF EBADFD EBADMSG EBADR EBADRQC
+        EBADSLT EBFONT EBUSY ECANCELED ECHILD ECHRNG ECOMM ECONNABORTED ECONNREFUSED ECONNRESET EDEADLK
+        EDEADLOCK EDESTADDRREQ EDOM EDOTDOT EDQUOT EEXIST EFAULT EFBIG EHOSTDOWN EHOSTUNREACH EHWPOISON EIDRM
+        EILSEQ EINPROGRESS EINTR EINVAL EIO EISCONN EISDIR EISNAM EKEYEXPIRED EKEYREJECTED EKEYREVOKED EL2HLT
+        EL2NSYNC EL3HLT EL3RST ELIBACC ELIBBAD ELIBEXEC ELIBMAX ELIBSCN ELNRNG ELOOP EMEDIUMTYPE EMFILE EMLINK
+        EMSGSIZE EMULTIHOP ENAMETOOLONG ENAVAIL ENETDOWN ENETRESET ENETUNREACH ENFILE ENOANO ENOBUFS ENOCSI
+        ENODATA ENODEV ENOENT ENOEXEC ENOKEY ENOLCK ENOLINK ENOMEDIUM ENOMEM ENOMSG ENONET ENOPKG ENOPROTOOPT
+        ENOSPC ENOSR ENOSTR ENOSYS ENOTBLK ENOTCONN ENOTDIR ENOTEMPTY ENOTNAM ENOTRECOVERABLE ENOTSOCK ENOTSUP
+        ENOTTY ENOTUNIQ ENXIO EOPNOTSUPP EOVERFLOW EOWNERDEAD EPERM EPFNOSUPPORT EPIPE EPROTO EPROTONOSUPPORT
+        EPROTOTYPE ERANGE EREMCHG EREMOTE EREMOTEIO ERESTART ERFKILL EROFS ESHUTDOWN ESOCKTNOSUPPORT ESPIPE
+        ESRCH ESRMNT ESTALE ESTRPIPE ETIME ETIMEDOUT ETOOMANYREFS ETXTBSY EUCLEAN EUNATCH EUSERS EWOULDBLOCK
+        EXDEV EXFULL EXPR_NEST_MAX FD_SETSIZE FILENAME_MAX FIOGETOWN FIOSETOWN FOPEN_MAX F_LOCK F_OK F_TEST
+        F_TLOCK F_ULOCK GAI_NOWAIT GAI_WAIT HOST_NAME_MAX HOST_NOT_FOUND IN6ADDR_ANY_INIT IN6ADDR_LOOPBACK_INIT
+        INET6_ADDRSTRLEN INET_ADDRSTRLEN INFINITY IOV_MAX LINE_MAX LITTLE_ENDIAN LOGIN_NAME_MAX L_INCR L_SET
+        L_XTND L_ctermid L_cuserid L_tmpnam MAXFLOAT MAX_CANON MAX_INPUT MB_CUR_MAX MB_LEN_MAX MINSIGSTKSZ
+        MQ_PRIO_MAX NAME_MAX NAN NFDBITS NGREG NGROUPS_MAX NO_ADDRESS NO_DATA NO_RECOVERY NSIG NZERO PATH_MAX
+        PDP_ENDIAN PF_DECnet PIPE_BUF P_tmpdir RAND_MAX RE_DUP_MAX RTSIG_MAX R_OK SCOPE_DELIMITER SEM_VALUE_MAX
+        SIOCATMARK SIOCGPGRP SIOCGSTAMPNS_OLD SIOCGSTAMP_OLD SIOCSPGRP SOMAXCONN SS_DISABLE SS_ONSTACK
+        STDERR_FILENO STDIN_FILENO STDOUT_FILENO TIMER_ABSTIME TIME_UTC TMP_MAX TRY_AGAIN TTY_NAME_MAX
+        WCONTINUED WEOF WEXITED WNOHANG WNOWAIT WORD_BIT WSTOPPED WUNTRACED W_OK X_OK h_addr h_errno i386 linux
+        math_errhandling sched_priority stderr stdin stdout unix CHANGE DEFAULT DEG_TO_RAD DISPLAY EULER
+        EXTERNAL FALLING F_CPU HALF_PI HIGH INPUT INPUT_PULLUP INTERNAL LOW LSBFIRST MSBFIRST OUTPUT PI
+        RAD_TO_DEG RISING SERIAL TWO_PI
+        """,
+    )
+)
+
+
+def _is_macro(name: str) -> bool:
+    """Return whether a header of the exported files, or a compiler, may define the name as a macro.
+
+    The headers are those of C99, C11, C++17, POSIX and Arduino, with and without the extensions of GNU.
+
+    Examples:
+        >>> from surctl.ir.c99 import is_macro
+        >>> [is_macro(name) for name in ("DBL_MAX", "M_PI", "linux", "k_max")]
+        [True, True, True, False]
+    """
+    return name in _MACROS or _FAMILIES.fullmatch(name) is not None
+
+
+_FEW = 8  # largest number of pieces of a program of moves that is written inline at its call
+_LEAST = 8  # from this many entries on, one call that copies is shorter than one line for each entry
+_LEAST_LOOP = 4  # from this many entries on, one loop that copies is shorter than one line for each entry
+
+
+@dataclass(frozen=True)
+class Move:
+    """Copy of entries `start`, `start` + `step`, … of an input to entries `to`, `to` + `to_step`, … of an output."""
+
+    output: int
+    to: int
+    input: int
+    start: int
+    count: int
+    to_step: int = 1
+    step: int = 1
+
+    @property
+    def entries(self) -> range:
+        """Return the indices of the entries in the output."""
+        return range(self.to, self.to + self.to_step * self.count, self.to_step)
+
+
+def rearranged(name: str, inputs: Mapping[str, int], outputs: Mapping[str, Sequence[tuple[str, int, int]]]) -> Program:
+    """Return a program that copies pieces of its inputs; it is built much faster than from a CasADi function.
+
+    Args:
+        name: name of the program.
+        inputs: number of entries of each input.
+        outputs: for each output, its pieces in order: name of the input, first entry, entry after the last.
+
+    Raises:
+        InputError: a piece is not inside its input.
+
+    Example:
+        >>> from surctl.ir import rearranged, replay
+        >>> swapped = rearranged("swapped", {"x": 3}, {"y": [("x", 2, 3), ("x", 0, 2)]})
+        >>> replay(swapped, [1.0, 2.0, 3.0])[0].tolist()
+        [3.0, 1.0, 2.0]
+    """
+    code, which = Numbering(), {array: k for k, array in enumerate(inputs)}
+    refs = [
+        tuple([code.add("input", (which[array], entry)) for array, first, end in pieces for entry in range(first, end)])
+        for pieces in outputs.values()
+    ]
+    sizes = tuple((output, len(entries)) for output, entries in zip(outputs, refs, strict=True))
+    return Program(name, tuple(inputs.items()), sizes, tuple(code.instructions), tuple(refs))
+
+
+def handed_on(program: Program, *, strided: bool = False) -> tuple[Move, ...]:
+    """Return the moves of at least 8 entries, in output order; with `strided`, of at least 4 entries and any step."""
+    return tuple(
+        move
+        for output in range(len(program.outputs))
+        for move in (_strided(program, output) if strided else _of(program, output))
+    )
+
+
+def only_moves(program: Program) -> tuple[Move, ...]:
+    """Return the moves, in output order, of a program that is only a few moves; return () for any other program."""
+    if any(i.op != "input" for i in program.instructions) or not all(program.output_refs):
+        return ()
+    moves = tuple(move for output in range(len(program.outputs)) for move in _of(program, output, 1))
+    return moves if len(moves) <= _FEW else ()
+
+
+def _of(program: Program, output: int, least: int = _LEAST) -> Iterator[Move]:
+    refs, at = program.output_refs[output], 0
+    while at < len(refs):
+        count = 1
+        first = program.instructions[refs[at]]
+        if first.op == "input":
+            while at + count < len(refs):
+                following = program.instructions[refs[at + count]]
+                if following.op != "input" or following.args != (first.args[0], first.args[1] + count):
+                    break
+                count += 1
+            if count >= least:
+                yield Move(output, at, first.args[0], first.args[1], count)
+        at += count
+
+
+def _strided(program: Program, output: int) -> Iterator[Move]:
+    """Yield the longest possible moves to an output, with step 1 in the input or in the output."""
+    loads = {
+        at: i.args
+        for at, ref in enumerate(program.output_refs[output])
+        if (i := program.instructions[ref]).op == "input"
+    }
+    where: dict[tuple[int, ...], list[int]] = {}
+    for at, args in loads.items():
+        where.setdefault(args, []).append(at)
+    free = set(loads)
+    for at in loads:
+        if at not in free:
+            continue
+        which, start = loads[at]
+        steps = {(1, loads[at + 1][1] - start)} if at + 1 in free and loads[at + 1][0] == which else set()
+        steps |= {(other - at, 1) for other in where.get((which, start + 1), ()) if other > at and other in free}
+        best = Move(output, at, which, start, 1)
+        for to_step, step in sorted(steps):
+            count = 1
+            while at + to_step * count in free and loads[at + to_step * count] == (which, start + step * count):
+                count += 1
+            if count > best.count:
+                best = Move(output, at, which, start, count, to_step, step)
+        if best.count >= _LEAST_LOOP:
+            free -= set(best.entries)
+            yield best
+
+
+def remaining(
+    program: Program, moves: Sequence[Move]
+) -> tuple[tuple[Instruction, ...], tuple[tuple[int, int, int], ...]]:
+    """Return the program without the moves: instructions, and (output, entry, list position) of each other value."""
+    moved = {(m.output, e) for m in moves for e in m.entries}
+    stored = [(k, e) for k, refs in enumerate(program.output_refs) for e in range(len(refs)) if (k, e) not in moved]
+    refs: list[tuple[int, ...]] = [(program.output_refs[k][e],) for k, e in stored]
+    instructions, positions = drop_dead(list(program.instructions), refs)
+    return instructions, tuple((k, e, ref) for (k, e), (ref,) in zip(stored, positions, strict=True))
+
+
+def move_lines(moves: Sequence[Move]) -> list[str]:
+    """Return the C99 lines of the moves, for outputs that do not alias inputs."""
+    return [
+        copy_loop(entry(f"out{m.output}", m.to, m.to_step), entry(f"in{m.input}", m.start, m.step), m.count)
+        for m in moves
+    ]
+
+
+def entry(array: str, first: int, step: int = 1) -> str:
+    """Return the start of the C text of an array entry; the caller appends the loop counter and the closing bracket."""
+    return "".join([array, "[", f"{first} + " if first else "", f"{step} * " if step != 1 else ""])
+
+
+def copy_loop(to: str, source: str, count: int) -> str:
+    """Return a C99 loop that copies `count` numbers; `to` and `source` are texts returned by `entry`.
+
+    The comment in the loop is for Frama-C, which regards an array as fully written only after it has unrolled the loop.
+    """
+    return f"    /*@ loop unroll {count}; */\n    for (int k = 0; k < {count}; ++k) {{ {to}k] = {source}k]; }}"
+
 
 Real: TypeAlias = Literal["float64", "float32"]
 """Type of every number in the C text: double ("float64") or float ("float32")."""
@@ -72,7 +302,7 @@ def identifier(name: str) -> str:
         )
     if name in _WORDS:
         raise InputError("is a reserved word in C or C++", key="name", value=name, remedy="choose another name")
-    if is_macro(name):
+    if _is_macro(name):
         raise InputError("is a macro in C, C++ or their headers", key="name", value=name, remedy="choose another name")
     return name
 

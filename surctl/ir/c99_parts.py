@@ -9,9 +9,8 @@ from types import MappingProxyType
 from surctl.ir.c99 import Real, identifier
 from surctl.ir.c99_folded import inline_helpers, own_helpers
 from surctl.ir.c99_routine import Writer, free_name, key_of
-from surctl.ir.ops import LEAVES
 from surctl.ir.places import inlined
-from surctl.ir.program import Program
+from surctl.ir.program import LEAVES, Program
 from surctl.ir.routine import Block, Gather, Routine
 
 __all__ = ["Parts", "emit_parts"]

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from textwrap import indent
 from types import MappingProxyType
 
-from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, emit_c99, identifier, signature
-from surctl.ir.c99_folded import emit_folded, preamble
-from surctl.ir.c99_lanes import Feed, chooses, emit_lanes, emit_straight
-from surctl.ir.moves import copy_loop, entry, handed_on
+from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, copy_loop, emit_c99, entry, handed_on, identifier, signature
+from surctl.ir.c99_folded import Feed, chooses, emit_folded, emit_lanes, emit_straight, preamble
 from surctl.ir.places import Overlaps, Places, inlined, overlapping, reads
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
@@ -79,7 +77,7 @@ def emit_block(block: Block, *, symbol: str, real: Real = "float64", folded: boo
     """
     writer = Writer(identifier(symbol), real, folded)
     writer.write(block)
-    part = writer.parts.get("", Part())
+    part = writer.parts.get("", _Part())
     return "\n".join([preamble(part.programs, real), *part.chunks] if folded else part.chunks)
 
 
@@ -102,7 +100,7 @@ def run_alone(block: Block) -> set[str]:
 
 
 @dataclass
-class Part:
+class _Part:
     """The C functions of one file, callees first, and the programs among the blocks that these functions compute."""
 
     functions: list[str] = field(default_factory=list)
@@ -140,7 +138,7 @@ class Writer:
         self.files, self.shared = files, shared
         self.overlapping: Overlaps = {}
         self.named: dict[str, str] = {}
-        self.parts: dict[str, Part] = {}
+        self.parts: dict[str, _Part] = {}
         self.prototypes: list[str] = []
 
     def write(self, block: Block) -> None:
@@ -170,7 +168,7 @@ class Writer:
         return free_name(f"{self.symbol}_{name}", self.named)
 
     def _add(self, key: str, text: str, program: Program | None = None) -> None:
-        part = self.parts.setdefault(self.files.get(key, ""), Part())
+        part = self.parts.setdefault(self.files.get(key, ""), _Part())
         if key in self.shared:
             text = text.replace("static void ", "void ", 1)
             self.prototypes += [f"{prototype};" for prototype in _HEAD.findall(text)]

@@ -7,6 +7,9 @@ equals the digest stored when the entry was built. Otherwise the entry is built 
 from __future__ import annotations
 
 import hashlib
+import importlib.resources
+import importlib.util
+import json
 import os
 import platform
 import stat
@@ -16,12 +19,85 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
+from importlib.metadata import version
+from importlib.resources.abc import Traversable
 from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
 
 from surctl.errors import SurctlError
 from surctl.ir.compiler import FLAGS, compile_program, compiler_version, find_compiler, further_flags, tuned_flags
 
-__all__ = ["CacheUnused", "cache_folder", "cached_bytes", "shared_library"]
+__all__ = ["CacheUnused", "cache_folder", "cached_bytes", "shared_library", "source_digest", "stored_numbers"]
+
+_SUFFIXES = (".py", ".toml")
+_STARTED = time.time_ns()
+
+
+@cache
+def source_digest(*packages: str) -> str:
+    """Return the SHA-256 of the source code of these packages and of the software versions with which they run.
+
+    The digest covers names and contents of all .py and .toml files of the packages, also in inner packages; the
+    versions of CasADi, NumPy and Python; and the platform, because its libm functions such as sin compute constants.
+    The digest is computed once per process.
+
+    Raises:
+        SurctlError: a package is missing, a source file cannot be read, or a file was changed after this process began,
+            so that the loaded code may be older than the file.
+
+    Example:
+        >>> from surctl.ir import source_digest
+        >>> len(source_digest("surctl.ir", "surctl.errors"))
+        64
+    """
+    total = hashlib.sha256()
+    for part in (ca.CasadiMeta.version(), np.__version__, platform.python_version(), platform.platform()):
+        total.update(f"{part}\0".encode())
+    for package in sorted(packages):
+        try:
+            sources = sorted(_sources(package))
+        except (ImportError, OSError, ValueError) as error:
+            raise SurctlError(f"the sources of {package} cannot be read: {error}") from None
+        if not any(name.endswith(".py") for name, _ in sources):
+            raise SurctlError(f"{package} has no source files")
+        for name, body in sources:
+            total.update(f"{package}\0{name}\0{len(body)}\0".encode() + body)
+    return total.hexdigest()
+
+
+def _sources(package: str) -> Iterator[tuple[str, bytes]]:
+    """Yield (name, content) of each source file of a package, or of the file of a module that is not a package."""
+    spec = importlib.util.find_spec(package)
+    if spec is None:
+        raise ImportError("there is no such package")
+    if spec.submodule_search_locations is not None:
+        yield from _inside(importlib.resources.files(package), "")
+    elif spec.origin and spec.origin.endswith(".py"):
+        path = Path(spec.origin)
+        if path.exists():  # otherwise it is in a zip file, as below
+            _refuse_changed(path)
+        yield ".py", spec.loader.get_data(spec.origin)  # type: ignore[union-attr]
+
+
+def _inside(folder: Traversable, above: str) -> Iterator[tuple[str, bytes]]:
+    for item in folder.iterdir():
+        name = f"{above}{item.name}"
+        if item.name.endswith(_SUFFIXES):
+            if isinstance(item, Path):  # files in a zip file do not change
+                _refuse_changed(item)
+            yield name, item.read_bytes()
+        elif item.is_dir() and item.name != "__pycache__":
+            yield from _inside(item, f"{name}/")
+
+
+def _refuse_changed(path: Path) -> None:
+    state = path.stat()
+    if max(state.st_mtime_ns, state.st_ctime_ns) > _STARTED:
+        raise SurctlError(f"{path} was changed after this process began")
+
 
 _SHARED = ("-shared", "-fPIC")
 _LOCKS = "locks"
@@ -239,3 +315,24 @@ def _build(source: str, flags: Sequence[str], tuned: Sequence[str]) -> bytes:
             return output.read_bytes()
     except OSError as error:
         raise SurctlError(f"cannot compile in the temporary folder: {error.strerror}") from None
+
+
+def stored_numbers(
+    sources: Sequence[str], key: Sequence[object], compute: Callable[[], dict[str, Any]], *, suffix: str = ".json"
+) -> dict[str, Any]:
+    """Return the numbers of `key`, from the cache on disk if a process with the same source code stored them.
+
+    Args:
+        sources: packages or modules that contain the code, as in `source_digest`.
+        key: everything on which the numbers depend beside the code, with an exact `repr`; arrays as `tobytes()`.
+        compute: returns the numbers as JSON can hold them; its exceptions are passed on.
+        suffix: suffix of the entry's file, with the dot.
+    """
+    try:
+        digest = source_digest(*sources)
+    except SurctlError:  # the source code is missing or changed since the import, so it cannot identify the numbers
+        return compute()
+    text = f"{digest}\0{version('scipy')}\0{tuple(key)!r}"
+    stored = cached_bytes(hashlib.sha256(text.encode()).hexdigest(), suffix, lambda: json.dumps(compute()).encode())
+    numbers: dict[str, Any] = json.loads(stored)
+    return numbers

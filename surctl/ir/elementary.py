@@ -24,7 +24,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from surctl.ir.c99 import Real
-from surctl.ir.numbering import Numbering
+from surctl.ir.folding import Numbering
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, rebuilt
 

@@ -1,18 +1,240 @@
-"""Constant folding: numbers replace an input, and values that depend only on constants are computed in advance."""
+"""Passes over an instruction list: equal instructions once, folded constants, fused products, shared divisions."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.ir.numbering import Numbering
-from surctl.ir.ops import LEAVES, OPERATIONS
-from surctl.ir.program import Program
+from surctl.ir.program import LEAVES, OPERATIONS, Instruction, Program, drop_dead
+from surctl.ir.routine import Block, Call, Loop, Routine, Step, nested, rebuilt
 
-__all__ = ["with_constants"]
+__all__ = ["Numbering", "fused", "shared_divisors", "shortened", "split", "with_constants"]
+
+
+class Numbering:
+    """Value numbering: an instruction that the list already contains is not added again. Finite results do not change.
+
+    Attributes:
+        instructions: the instructions added so far.
+    """
+
+    def __init__(self) -> None:
+        self.instructions: list[Instruction] = []
+        self._known: dict[tuple[str, tuple[int, ...] | str], int] = {}
+
+    def constant(self, value: float) -> int:
+        """Return the list position of a constant; -0.0 and 0.0 are different constants."""
+        # the key is its bit pattern, since 0.0 == -0.0 as numbers
+        key = ("const", value.hex())
+        at = self._known.get(key)
+        return self._append(key, Instruction("const", (), value)) if at is None else at
+
+    def add(self, op: str, args: tuple[int, ...]) -> int:
+        """Return the list position of an operation on earlier values, or of the instruction for an input entry."""
+        if op not in LEAVES and OPERATIONS[op].commutative:
+            args = tuple(sorted(args))
+        key = (op, args)
+        at = self._known.get(key)
+        return self._append(key, Instruction(op, args)) if at is None else at
+
+    def copy(self, instruction: Instruction, moved: list[int]) -> int:
+        """Return the position of a copy of an instruction from another list; `moved` maps old to new positions."""
+        if instruction.op == "const":
+            return self.constant(instruction.number)
+        if instruction.op == "input":
+            return self.add("input", instruction.args)
+        return self.add(instruction.op, tuple(moved[a] for a in instruction.args))
+
+    def rewritten(self, program: Program, moved: list[int]) -> Program:
+        """Return the program with this list's instructions that it needs; `moved` maps old to new positions."""
+        refs = [tuple(moved[r] for r in group) for group in program.output_refs]
+        instructions, output_refs = drop_dead(self.instructions, refs)
+        return Program(program.name, program.inputs, program.outputs, instructions, output_refs)
+
+    def _append(self, key: tuple[str, tuple[int, ...] | str], instruction: Instruction) -> int:
+        at = self._known[key] = len(self.instructions)
+        self.instructions.append(instruction)
+        return at
+
+
+def fused(block: Block) -> Block:
+    """Replace a b + c, a b - c and c - a b by `fma` if only sums and differences use the product a b.
+
+    Fusion changes rounding, so `lower` does not fuse. The outputs of the fused program or routine have equal bytes on
+    every machine, because IEEE 754 defines the rounding of `fma`. On a machine without an instruction for `fma`, the
+    code calls the function of the C library, which is slow.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import fused, lower
+        >>> x = ca.SX.sym("x", 3)
+        >>> program = lower(ca.Function("f", [x], [x[0] * x[1] + x[2]]))
+        >>> [[i.op for i in block.instructions if i.op != "input"] for block in (program, fused(program))]
+        [['mul', 'add'], ['fma']]
+    """
+    return rebuilt(block, _program)
+
+
+def _program(program: Program) -> Program:
+    additive = _additive(program)
+    text, moved = Numbering(), list[int]()
+    for instruction in program.instructions:
+        if instruction.op in ("add", "sub") and additive & set(instruction.args):
+            left, right = instruction.args
+            product, other = (right, left) if right in additive else (left, right)
+            factors = [moved[a] for a in program.instructions[product].args]
+            a, b = factors[0], factors[-1]
+            addend = moved[other]
+            if instruction.op == "sub" and product == right:
+                a = text.add("neg", (a,))
+            elif instruction.op == "sub":
+                addend = text.add("neg", (addend,))
+            moved.append(text.add("fma", (a, b, addend)))
+        else:
+            moved.append(text.copy(instruction, moved))
+    return text.rewritten(program, moved)
+
+
+def _additive(program: Program) -> set[int]:
+    """Return the list positions of the products that are used only in sums and differences."""
+    products = {at for at, i in enumerate(program.instructions) if i.op in ("mul", "sq")}
+    for instruction in program.instructions:
+        if instruction.op not in ("add", "sub", "const", "input"):
+            products -= set(instruction.args)
+    return products - {r for refs in program.output_refs for r in refs}
+
+
+def shared_divisors(program: Program) -> Program:
+    """Replace x / d by x · (1 / d) for every d that is the divisor of more than one division.
+
+    A division takes a vector unit as long as thirty products. If 1 / d is a normal number, the replacement changes a
+    quotient by at most two units in the last place. `lower` does not make this replacement, because it must not change
+    any bit; and CasADi would convert x · (1 / d) back to x / d.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import lower, shared_divisors
+        >>> x = ca.SX.sym("x", 3)
+        >>> program = lower(ca.Function("unit", [x], [x[:2] / x[2]]))
+        >>> [[i.op for i in block.instructions if i.op != "input"] for block in (program, shared_divisors(program))]
+        [['div', 'div'], ['inv', 'mul', 'mul']]
+    """
+    divisors = Counter(i.args[-1] for i in program.instructions if i.op in ("div", "inv"))
+    text, moved = Numbering(), list[int]()
+    for instruction in program.instructions:
+        if instruction.op == "div" and divisors[instruction.args[1]] > 1:
+            over, under = (moved[a] for a in instruction.args)
+            moved.append(text.add("mul", (over, text.add("inv", (under,)))))
+        else:
+            moved.append(text.copy(instruction, moved))
+    return text.rewritten(program, moved)
+
+
+_LONGEST = 1200
+"""Largest number of operations in one C function; the compile time of gcc grows faster than this number."""
+
+
+def shortened(block: Block) -> Block:
+    """Return the program or routine with its long programs split, except programs that run in SIMD lanes."""
+    built: dict[int, Block] = {}
+    for key, inner in nested(block).items():
+        if isinstance(inner, Program):
+            built[key] = split(inner, _LONGEST)
+            continue
+        steps: list[Step] = []
+        for step in inner.steps:
+            if isinstance(step, Call):
+                steps.append(Call(built[id(step.block)], step.args, step.results))
+            elif isinstance(step, Loop) and step.lanes == 1:
+                whole = {name: getattr(step, name) for name in Loop.__slots__}
+                steps.append(Loop(**{**whole, "block": built[id(step.block)]}))
+            else:
+                steps.append(step)
+        built[key] = Routine(inner.name, inner.inputs, tuple(steps), inner.results)
+    return built[id(block)]
+
+
+def split(program: Program, size: int) -> Block:
+    """Return a routine that calls parts of a program, each of at most `size` operations; short programs are unchanged.
+
+    A part returns, as one array, the values that later parts or the outputs need. Constants and the reading of inputs
+    are repeated in each part.
+    """
+    count = -(-program.operations // size)
+    if count < 2:
+        return program
+    owner = _owners(program, -(-program.operations // count))
+    last = count - 1
+    needed: list[list[int]] = [[] for _ in range(count)]  # values that each part passes on, in order
+    place: dict[int, tuple[int, int]] = {}
+    uses = [(at, arg) for at, i in enumerate(program.instructions) if i.op not in LEAVES for arg in i.args]
+    uses += [(-1, ref) for refs in program.output_refs for ref in refs]
+    for user, arg in uses:
+        if arg in owner and owner[arg] != (last if user < 0 else owner[user]) and arg not in place:
+            place[arg] = (owner[arg], len(needed[owner[arg]]))
+            needed[owner[arg]].append(arg)
+    free = _free_name("part", program)
+    steps = []
+    for part in range(count):
+        mine = [at for at, of in owner.items() if of == part]
+        refs = list(program.output_refs) if part == last else [tuple(needed[part])]
+        outputs = program.outputs if part == last else ((f"{free}{part}", len(needed[part])),)
+        arrays = (*program.inputs, *((f"{free}{k}", len(needed[k])) for k in range(part)))
+        body = _part(program, mine, refs, place, (f"{program.name}_{part}", arrays, outputs))
+        results = tuple(f"{free}{last}_{k}" for k in range(len(outputs))) if part == last else (outputs[0][0],)
+        steps.append(Call(body, tuple(name for name, _ in body.inputs), results))
+    return Routine(program.name, program.inputs, tuple(steps), steps[-1].results)
+
+
+def _owners(program: Program, size: int) -> dict[int, int]:
+    """Return the number of the part to which each operation belongs."""
+    operations = [at for at, i in enumerate(program.instructions) if i.op not in LEAVES]
+    return {at: k // size for k, at in enumerate(operations)}
+
+
+def _free_name(prefix: str, program: Program) -> str:
+    while any(name.startswith(prefix) for name, _ in program.inputs):
+        prefix += "x"
+    return prefix
+
+
+def _part(
+    program: Program,
+    mine: list[int],
+    refs: list[tuple[int, ...]],
+    place: dict[int, tuple[int, int]],
+    head: tuple[str, tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]],
+) -> Program:
+    name, arrays, outputs = head
+    code, at_of = Numbering(), dict[int, int]()
+
+    def position(old: int) -> int:
+        if old not in at_of:
+            instruction = program.instructions[old]
+            if instruction.op == "const":
+                at_of[old] = code.constant(instruction.number)
+            elif instruction.op == "input":
+                at_of[old] = code.add("input", instruction.args)
+            else:
+                part, entry = place[old]
+                at_of[old] = code.add("input", (len(program.inputs) + part, entry))
+        return at_of[old]
+
+    for old in mine:
+        instruction = program.instructions[old]
+        at_of[old] = code.add(instruction.op, tuple(position(a) for a in instruction.args))
+    moved = [tuple(position(r) for r in group) for group in refs]
+    instructions, output_refs = drop_dead(code.instructions, moved)
+    used = sorted({i.args[0] for i in instructions if i.op == "input"})
+    rank = {old: new for new, old in enumerate(used)}
+    instructions = tuple(
+        Instruction("input", (rank[i.args[0]], i.args[1])) if i.op == "input" else i for i in instructions
+    )
+    return Program(name, tuple(arrays[k] for k in used), outputs, instructions, output_refs)
 
 
 def with_constants(program: Program, source: int, values: Sequence[float]) -> Program:

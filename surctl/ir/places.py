@@ -16,11 +16,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from surctl.ir.moves import Move, only_moves
+from surctl.ir.c99 import Move, only_moves
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
-__all__ = ["Places", "carried_in_place", "inlined", "memory", "overlaid", "overlapping", "reads"]
+__all__ = ["Places", "carried_in_place", "inlined", "memory", "overlapping", "reads"]
 
 Overlaps = Mapping[str, frozenset[tuple[int, int]]]
 """For each block by its digest, the pairs (output, input) for which a caller passes the same array."""
@@ -42,7 +42,7 @@ def reads(step: Step) -> tuple[str, ...]:
     return step.args if isinstance(step, Call) else (*step.carried, *step.sliced, *step.spread, *step.fixed)
 
 
-def writes(step: Step) -> tuple[str, ...]:
+def _writes(step: Step) -> tuple[str, ...]:
     return (step.result,) if isinstance(step, Gather) else step.results
 
 
@@ -120,13 +120,13 @@ class Places:
         end = len(self.routine.steps)
         last = dict.fromkeys(self.routine.results, end)
         for at, step in enumerate(self.routine.steps):
-            for name in (*reads(step), *writes(step)):
+            for name in (*reads(step), *_writes(step)):
                 array = self.of[name][0]
                 if array in self.own:
                     first = lives[array][1] if array in lives else at
                     lives[array] = self.own[array], first, max(at, last.get(name, 0), lives.get(array, (0, 0, 0))[2])
         lives |= {array: (size, 0, end) for array, size in self.own.items() if array not in lives}
-        starts, size = overlaid(lives)
+        starts, size = _overlaid(lives)
         return (starts, size) if sum(self.own.values()) - size >= _WORTH_SHARING else ({}, sum(self.own.values()))
 
     @cached_property
@@ -222,7 +222,7 @@ class Places:
         )
 
     def _inside(self, result: str, step: Step) -> bool:
-        for name in writes(step):
+        for name in _writes(step):
             while name != result:
                 final = self._final.get(self._in_place.get(name, name), name)
                 after = self._parts[final][0] if final in self._parts else final
@@ -234,7 +234,7 @@ class Places:
         return False
 
 
-def overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int], int]:
+def _overlaid(lives: Mapping[str, tuple[int, int, int]]) -> tuple[dict[str, int], int]:
     """Return the position of each array in shared memory, and the memory's size; arrays in use together do not overlap.
 
     Args:

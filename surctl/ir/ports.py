@@ -79,7 +79,7 @@ class Layout:
             raise InputError("is one port", key=f"port {ports.name}", remedy="write Layout((port,))")
         self.ports: tuple[Port, ...] = tuple(ports)
         for port in self.ports:
-            if not isinstance(cast(object, port), Port):
+            if not isinstance(cast("object", port), Port):
                 raise InputError("is no Port", key="Layout", value=port, remedy="give surctl.ir.Port(...)")
         names = [p.name for p in self.ports]
         for name in names:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir.ops import OPERATIONS
-from surctl.ir.program import Program
+from surctl.ir.program import OPERATIONS, Program
 from surctl.ir.routine import Block, Gather, Loop, Routine
 
 __all__ = ["replay"]

@@ -119,7 +119,7 @@ class Routine:
             _write(sizes, name, size, self.name)
         for at, step in enumerate(self.steps):
             key = f"{self.name}[{at}]"
-            for name, size in written(step, sizes, key):
+            for name, size in _written(step, sizes, key):
                 _write(sizes, name, size, key)
         return sizes
 
@@ -224,7 +224,7 @@ def _size(sizes: Mapping[str, int], name: str, key: str) -> int:
     return sizes[name]
 
 
-def written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[str, int]]:
+def _written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[str, int]]:
     """Check the arrays that the step reads, then yield (name, size) of each array that the step writes."""
     if isinstance(step, Gather):
         whole = step.width >= 1 and step.lanes >= 1 and not _size(sizes, step.source, key) % (step.width * step.lanes)

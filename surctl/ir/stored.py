@@ -12,8 +12,7 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 from surctl.errors import InputError
-from surctl.ir.ops import OPERATIONS
-from surctl.ir.program import Instruction, Program
+from surctl.ir.program import OPERATIONS, Instruction, Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, own_text
 
 __all__ = ["read_block", "write_block"]

@@ -27,11 +27,12 @@ The limits of rules 1 to 3 are named in `relaxed`, and in `moved` of an assemble
 from __future__ import annotations
 
 from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
+from surctl.priority.cascade import nsb_sweep
 from surctl.priority.compiled.assemble import AssembledStep, Assembly, assemble
 from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.runner import PriorityStep
 from surctl.priority.compiled.step import priority_step
-from surctl.priority.nsb import nsb
+from surctl.priority.optimality import nsb
 from surctl.priority.persistent import PersistentDaqp, PersistentOsqp
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
 from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
@@ -39,7 +40,6 @@ from surctl.priority.solution import PrioritySolution
 from surctl.priority.solver.fallback import safe_step
 from surctl.priority.solver.safe_point import SafePoint, least_distance
 from surctl.priority.solving import solve
-from surctl.priority.sweep import nsb_sweep
 from surctl.priority.symbolic import nsb_symbolic
 from surctl.priority.timeline import PriorityTimeline
 

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.priority.backends import FEASIBLE, holds
-from surctl.priority.kernels import (
+from surctl.priority.backends import (
     DAQP_INFEASIBLE,
     DAQP_TOLERANCE,
+    FEASIBLE,
     NO_BOUND,
     KernelSolution,
     daqp_solution,
+    holds,
     new_osqp,
     osqp_solution,
     unfit,

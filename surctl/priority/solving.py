@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Literal, TypeAlias
 
@@ -10,20 +11,97 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.priority.backends import Backend, check_backend
-from surctl.priority.cascade import CascadeSolution, solve_cascade
-from surctl.priority.descent import Solution, descend
-from surctl.priority.freedom import Freedom
+from surctl.priority.cascade import (
+    CascadeSolution,
+    Freedom,
+    damped_point,
+    least_violation,
+    nsb_sweep,
+    solve_cascade,
+    without_rows,
+)
 from surctl.priority.optimality import LOSS, is_least
 from surctl.priority.polyhedron import Polyhedron, polyhedron_of
 from surctl.priority.problem import Level, PriorityProblem
 from surctl.priority.rowspace import CUTOFF
 from surctl.priority.settings import Mode, Settings
 from surctl.priority.solution import Outcome, PrioritySolution, residuals_at
-from surctl.priority.sweep import damped_point, nsb_sweep, without_rows
 
 __all__ = ["solve"]
 
 Array: TypeAlias = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """Result of `_descend`: the velocity that a priority mode returns, and how it was found.
+
+    Attributes:
+        v: (n,), velocity. target: (n,), the velocity to which v must be as near as tasks and limits allow. free: (n,),
+            the velocity without limits.
+        status: the outcome. "optimal" includes the case that limits prevent a level from being met; "unconfirmed" means
+            that v satisfies the limits but no solver confirmed that v is optimal.
+        binding, causes, iterations: see the attributes of `CascadeSolution`.
+        conflict: names of the limits that contradict each other.
+    """
+
+    v: Array
+    target: Array
+    free: Array
+    status: Outcome
+    binding: tuple[tuple[str, float], ...] = ()
+    causes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    iterations: int = 0
+    conflict: tuple[str, ...] = ()
+
+
+def _descend(
+    find: Callable[..., CascadeSolution | None], target: Array, rows: Polyhedron, *, free: Array, backend: Backend
+) -> _Solution:
+    """Return the solution of the first fallback stage that succeeds; v is always finite and inside the velocity bounds.
+
+    Args:
+        find: function that takes the constraint rows and a velocity (n,) that satisfies them (or None), and returns the
+            solution of the priority mode, or None if no velocity satisfies the rows.
+        target: (n,), the velocity to which the solution must be as near as possible. free: (n,), the velocity without
+            limits.
+    """
+    result = find(rows, inside=None)
+    if result is not None:
+        return _solution_at(result, target, rows, free, "optimal" if result.confirmed else "unconfirmed", 0, ())
+    relaxed = least_violation(rows, target, backend=backend)
+    if relaxed is None:
+        return _last_resort(free, target, rows, backend)
+    result = find(relaxed.rows, inside=relaxed.inside)
+    if result is None:  # possible only after a solver failure, since a feasible point is known
+        return _last_resort(free, target, rows, backend)
+    status: Outcome = "relaxed" if relaxed.opened else "optimal"
+    if not (result.confirmed and relaxed.least):
+        status = "unconfirmed"
+    return _solution_at(result, target, rows, free, status, relaxed.iterations, relaxed.conflict)
+
+
+def _solution_at(
+    result: CascadeSolution,
+    target: Array,
+    rows: Polyhedron,
+    free: Array,
+    status: Outcome,
+    spent: int,
+    conflict: tuple[str, ...],
+) -> _Solution:
+    v = rows.clamp(result.v)
+    return _Solution(v, target, free, status, result.binding, result.causes, spent + result.iterations, conflict)
+
+
+def _last_resort(free: Array, target: Array, rows: Polyhedron, backend: Backend) -> _Solution:
+    """Return the velocity with the least violation of the actuator limits, if these conflict or all solvers fail."""
+    hard = rows.mask("actuator")
+    solution = Freedom.whole(free.size).nearest(free, rows.only(hard), backend=backend)
+    options = [rows.clamp(option) for option in (solution.x, free, np.zeros(free.size)) if option is not None]
+    finite = [option for option in options if np.isfinite(option).all()] or [rows.clamp(np.zeros(free.size))]
+    v = min(finite, key=lambda option: float(rows.violation(option)[hard].max(initial=0.0)))
+    return _Solution(v, target, free, "clamped", iterations=solution.iterations)
 
 
 def solve(
@@ -78,23 +156,23 @@ def solve(
             pass
         # overflow: v is 0 moved into the box
         v = np.nan_to_num(rows.clamp(np.zeros(problem.width)))
-        return _solution(problem, settings, rows, Solution(v, v, v, "clamped"))
+        return _solution(problem, settings, rows, _Solution(v, v, v, "clamped"))
 
 
-def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
+def _nsb(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> _Solution:
     free = without_rows(levels, width=rows.width, settings=settings)
-    return Solution(free, free, free, "optimal")
+    return _Solution(free, free, free, "optimal")
 
 
-def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
+def _filter(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> _Solution:
     target = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(target):
-        return Solution(target, target, target, "optimal")
+        return _Solution(target, target, target, "optimal")
     find = partial(solve_cascade, (), target, backend=backend, cutoff=settings.cutoff)
-    return descend(find, target, rows, free=target, backend=backend)
+    return _descend(find, target, rows, free=target, backend=backend)
 
 
-def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
+def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> _Solution:
     v = without = np.zeros(rows.width)
     bound = False
     for _ in range(settings.sweeps):
@@ -103,28 +181,28 @@ def _projected(levels: Sequence[Level], rows: Polyhedron, settings: Settings, ba
         # as long as no row has bound, the sweeps with rows and those without are the same
         without = nsb_sweep(levels, start=without, settings=settings) if bound else free
         if rows.contains(free):
-            solution = Solution(free, target, without, "optimal")
+            solution = _Solution(free, target, without, "optimal")
         else:
             find: Callable[..., CascadeSolution | None] = partial(
                 solve_cascade, levels[:1], target, backend=backend, cutoff=settings.cutoff
             )
             if settings.damping > 0.0:
                 find = partial(_damped, levels[0], target, damping=settings.damping, backend=backend)
-            solution, bound = descend(find, target, rows, free=without, backend=backend), True
+            solution, bound = _descend(find, target, rows, free=without, backend=backend), True
         v = solution.v
     return solution
 
 
-def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> Solution:
+def _lexicographic(levels: Sequence[Level], rows: Polyhedron, settings: Settings, backend: Backend) -> _Solution:
     target = np.zeros(rows.width)
     free = without_rows(levels, width=rows.width, settings=settings)
     if rows.contains(free):
-        return Solution(free, target, free, "optimal")
+        return _Solution(free, target, free, "optimal")
     find = partial(solve_cascade, levels, target, backend=backend, cutoff=settings.cutoff)
-    return descend(find, target, rows, free=free, backend=backend)
+    return _descend(find, target, rows, free=free, backend=backend)
 
 
-_MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend], Solution]] = {
+_MODES: Mapping[Mode, Callable[[Sequence[Level], Polyhedron, Settings, Backend], _Solution]] = {
     "nsb": _nsb,
     "filter": _filter,
     "projected": _projected,
@@ -147,7 +225,7 @@ def _damped(
     )
 
 
-def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, solution: Solution) -> PrioritySolution:
+def _solution(problem: PriorityProblem, settings: Settings, rows: Polyhedron, solution: _Solution) -> PrioritySolution:
     limited = solution.status == "optimal" and problem.levels[0].name in solution.causes
     status: Outcome = "limited" if limited else solution.status
     if solution.iterations > 0 and status in ("optimal", "limited", "relaxed"):

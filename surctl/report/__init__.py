@@ -6,13 +6,19 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.report.cost_map import plot_cost_map
-    from surctl.report.document import Check
+    from surctl.report.document import Check, render_sections
     from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
-    from surctl.report.loop_views import plot_loop, plot_loop_goals, plot_loops
     from surctl.report.motion_plots import plot_motion
-    from surctl.report.page import render_sections
-    from surctl.report.system_plot import plot_record, save_record_plot
-    from surctl.report.system_plots import plot_attainable_rates, plot_dependence, plot_fan, plot_phase_plane, plot_runs
+    from surctl.report.page_parts import plot_loop, plot_loop_goals, plot_loops
+    from surctl.report.system_plots import (
+        plot_attainable_rates,
+        plot_dependence,
+        plot_fan,
+        plot_phase_plane,
+        plot_record,
+        plot_runs,
+        save_record_plot,
+    )
     from surctl.report.theme import darkened
 
 __all__ = [
@@ -42,13 +48,12 @@ load_at_first_use(
     __name__,
     {
         "cost_map": "plot_cost_map",
-        "document": "Check",
+        "document": "Check render_sections",
         "evidence": "MarginSlice margin_slice plot_counterexample plot_replay plot_slice",
-        "loop_views": "plot_loop plot_loop_goals plot_loops",
         "motion_plots": "plot_motion",
-        "page": "render_sections",
-        "system_plot": "plot_record save_record_plot",
-        "system_plots": "plot_attainable_rates plot_dependence plot_fan plot_phase_plane plot_runs",
+        "page_parts": "plot_loop plot_loop_goals plot_loops",
+        "system_plots": "plot_attainable_rates plot_dependence plot_fan plot_phase_plane plot_record plot_runs"
+        " save_record_plot",
         "theme": "darkened",
     },
 )

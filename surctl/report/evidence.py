@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.report.theme import AVOIDING, INK, ROBOT, curve, dress, legend_above, new_axes
+from surctl.report.theme import AVOIDING, BAD, INK, ROBOT, curve, dress, legend_above, new_axes
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.counterexample import Counterexample, Replay, replay
 from surctl.verification.oracle import Oracle, build_oracle
+from surctl.verification.proving.cells import Cells, cells_of
 from surctl.verification.verdict import Verdict
 
-__all__ = ["MarginSlice", "margin_slice", "plot_counterexample", "plot_replay", "plot_slice"]
+__all__ = [
+    "ClaimWords",
+    "MarginSlice",
+    "claim_words",
+    "margin_slice",
+    "plot_cells",
+    "plot_counterexample",
+    "plot_open_boxes",
+    "plot_replay",
+    "plot_slice",
+]
 
 _CELLS = 121
 _PROBES = 61
@@ -216,3 +231,182 @@ def plot_slice(cut: MarginSlice, ax: Axes | None = None) -> Axes:
 
 def _title(variable: Variable) -> str:
     return variable.name if variable.unit == "1" else f"{variable.name} [{variable.unit}]"
+
+
+_RULES = {
+    "i": "outside the domain", "j": "outside the domain, mean value", "n": "interval value", "m": "mean value",
+    "c": "concave, by a tangent", "s": "sums of squares",
+}  # fmt: skip
+_BESIDE = 0.507  # section as a share of the domain: not exactly the middle, where boxes meet
+_COLOURS = ("#0072B2", "#009E73", "#AA4499", "#E69F00", "#56B4E9", "#5F6368")
+
+
+def plot_cells(verdict: Verdict, ax: Axes | None = None) -> Axes:
+    """Plot the boxes of a proved claim's certificate over the two variables that the proof bisected most often.
+
+    If the claim has more than two variables, the plot shows a section near the middle of the other variables. If the
+    proof distinguishes several cases, the plot shows the case with the most boxes.
+
+    Raises:
+        InputError: the claim is not proved, or fewer than two of its variables vary.
+    """
+    claim = verdict.claim
+    if verdict.certificate is None:
+        raise InputError("is not proved", key=f"claim {claim.name}", remedy="plot proved claims only")
+    cases = cells_of(verdict.certificate)
+    most = max(cases, key=lambda c: len(c.rules))
+    first, second = _axes(claim, [most.lower, most.upper])
+    indices = _section(most, first, second)
+    ax = _dressed(claim, first, second, ax)
+    letters = sorted({most.rules[k] for k in indices})
+    for colour, letter in zip(_COLOURS, letters, strict=False):
+        boxes = [
+            Rectangle(
+                (most.lower[first, k], most.lower[second, k]),
+                most.upper[first, k] - most.lower[first, k],
+                most.upper[second, k] - most.lower[second, k],
+            )
+            for k in indices
+            if most.rules[k] == letter
+        ]
+        ax.add_collection(PatchCollection(boxes, facecolor=colour, alpha=0.35, edgecolor=INK, linewidth=0.5))
+        ax.plot([], [], "s", color=colour, alpha=0.5, label=_RULES.get(letter, f"rule {letter}"))
+    legend_above(ax, columns=2)
+    total = sum(len(c.rules) for c in cases)
+    note = f"{len(indices)} of {total} boxes lie in this section" + (
+        "; this case has the most boxes" if len(cases) > 1 else ""
+    )
+    ax.text(0.0, -0.2, note, transform=ax.transAxes, fontsize=8, color=INK)
+    return ax
+
+
+def plot_open_boxes(verdict: Verdict, ax: Axes | None = None) -> Axes:
+    """Plot all boxes that an attempted proof left open, projected onto two variables.
+
+    Raises:
+        InputError: no box is open, or fewer than two variables of the claim vary.
+    """
+    claim, boxes = verdict.claim, verdict.open_boxes
+    if not boxes:
+        raise InputError("has no open boxes", key=f"claim {claim.name}", remedy="plot undecided claims only")
+    ends = [np.array([[box[v.name][k] for box in boxes] for v in claim.variables]) for k in (0, 1)]
+    first, second = _axes(claim, ends)
+    ax = _dressed(claim, first, second, ax)
+    patches = [
+        Rectangle((ends[0][first, k], ends[0][second, k]), *(ends[1][i, k] - ends[0][i, k] for i in (first, second)))
+        for k in range(len(boxes))
+    ]
+    ax.add_collection(PatchCollection(patches, facecolor=BAD, alpha=0.4, edgecolor=BAD, linewidth=0.7))
+    ax.legend(
+        handles=[Patch(facecolor=BAD, alpha=0.4, label=f"the {len(boxes)} largest open boxes")], fontsize=8,
+        frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2,
+    )  # fmt: skip
+    return ax
+
+
+def _axes(claim: Claim, ends: Sequence[NDArray[np.float64]]) -> tuple[int, int]:
+    """Return the indices of the two variables in which the boxes are narrowest relative to the domain."""
+    width = np.maximum(claim.upper - claim.lower, 1e-300)
+    free = [k for k, v in enumerate(claim.variables) if v.upper > v.lower]
+    if len(free) < 2:
+        raise InputError(
+            "has fewer than two variables that vary",
+            key=f"claim {claim.name}",
+            remedy="there is no picture; the certificate lists its boxes",
+        )
+    share = np.mean((ends[1] - ends[0]) / width[:, None], axis=1)
+    first, second = sorted(sorted(free, key=lambda k: float(share[k]))[:2])
+    return first, second
+
+
+def _section(cells: Cells, first: int, second: int) -> list[int]:
+    """Return the indices of the boxes that the section near the middle of all other variables cuts."""
+    low, high = cells.lower.min(axis=1), cells.upper.max(axis=1)
+    centre = low + _BESIDE * (high - low)
+    others = [k for k in range(len(centre)) if k not in (first, second)]
+    inside = np.all(
+        (cells.lower[others] <= centre[others, None]) & (centre[others, None] <= cells.upper[others]), axis=0
+    )
+    return [int(k) for k in np.flatnonzero(inside)]
+
+
+def _dressed(claim: Claim, first: int, second: int, ax: Axes | None) -> Axes:
+    one, other = claim.variables[first], claim.variables[second]
+    ax = dress(ax or new_axes(5.4, 4.4), x=_title(one), y=_title(other))
+    ax.set_xlim(one.lower, one.upper)
+    ax.set_ylim(other.lower, other.upper)
+    return ax
+
+
+class ClaimWords(NamedTuple):
+    """A claim of the library in words without formulas.
+
+    Attributes:
+        clause: what the claim says, worded to follow "It is proved that".
+        beyond: what the claim does not cover, in addition to the limits that all claims of its kind share.
+    """
+
+    clause: str
+    beyond: str = ""
+
+
+_SHRINKS = "the distance to the obstacle's anti-collision circle never grows"
+_WORDS: Mapping[str, ClaimWords] = {
+    "v1-printed": ClaimWords(
+        "the tracking error never grows when the surge command may be negative", "corrected form: v1-corrected"
+    ),
+    "v1-corrected": ClaimWords(
+        "the tracking error decreases at a stated rate when the surge command is kept at 0 or above", "a speed limit"
+    ),
+    "v1-speed-cap": ClaimWords(
+        "the tracking error never grows under the speed limit, however far behind the robot is",
+        "corrected form: v1-speed-cap-region",
+    ),
+    "v1-speed-cap-region": ClaimWords(
+        "the tracking error never grows under the speed limit while the robot is at most as far behind as in this set",
+        "robots farther behind the target",
+    ),
+    "course-printed": ClaimWords(
+        "the cross-track error never grows when the law steers the heading, for any sway velocity",
+        "corrected form: course-corrected",
+    ),
+    "course-corrected": ClaimWords(
+        "the cross-track error decreases when the law steers the course, so that the heading compensates the sideslip",
+        "curved paths",
+    ),
+    "m-norm-printed": ClaimWords(
+        "the last inequality of the paper's convergence proof holds", "corrected form: m-norm-corrected"
+    ),
+    "m-norm-corrected": ClaimWords(
+        "the tracking error decreases at the rate of the least eigenvalue of M where the surge command is 0 or above",
+        "negative surge commands",
+    ),
+    "v2-printed": ClaimWords(
+        f"{_SHRINKS} for a static obstacle, for any offset delta of 0 or above", "corrected form: v2-static"
+    ),
+    "v2-static": ClaimWords(
+        f"{_SHRINKS} for a static obstacle where the offset delta and the distance e2 have the same sign",
+        "moving obstacles",
+    ),
+    "v2-obstacle": ClaimWords(
+        f"{_SHRINKS} for a moving obstacle that is slower than the robot", "corrected form: clearance-corrected"
+    ),
+    "v2-clockwise": ClaimWords(
+        f"{_SHRINKS} for a static obstacle when the bearing is measured clockwise, as printed",
+        "corrected form: v2-static",
+    ),
+    "clearance-printed": ClaimWords(
+        "the clearance to a static obstacle shrinks no faster than the barrier allows, with the course as printed",
+        "corrected form: clearance-corrected",
+    ),
+    "clearance-corrected": ClaimWords(
+        "the clearance to an obstacle shrinks no faster than the barrier allows while the robot is faster than the "
+        "obstacle by kappa times the stand-off or more",
+        "faster obstacles; several obstacles at once",
+    ),
+}
+
+
+def claim_words(claim: Claim) -> ClaimWords:
+    """Return the claim in words; a claim that is not in the library is described by its own statement."""
+    return _WORDS.get(claim.name, ClaimWords(claim.statement))

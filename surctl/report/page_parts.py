@@ -12,17 +12,281 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.report.design_bench import DesignBench, Slider, View
-from surctl.report.loop_views import default_step, goal_panels, locus_panel, loop_panels
-from surctl.report.panel import panel_svg
+from surctl.report.panel import Curve, Panel, Shade, draw_panels, panel_svg
 from surctl.report.theme import png
 from surctl.system import LinearLoop
-from surctl.tuning.loop_scores import judge_loops
+from surctl.tuning.loop_goals import LoopView
+from surctl.tuning.loop_responses import frequencies, rates, response, stable, step_series
+from surctl.tuning.loop_scores import LoopScores, Score, judge_loops
 from surctl.verification.sampled_margins import quick_margins
 
-__all__ = ["page", "respond"]
+__all__ = ["page", "plot_loop", "plot_loop_goals", "plot_loops", "respond"]
+
+Array = NDArray[np.float64]
+Loops = Mapping[str, LinearLoop]
+
+_CIRCLE = np.linspace(0, 2 * np.pi, 97)
+_FACTORS = np.geomspace(0.05, 20, 61)  # on the loop gain, of the root locus
+_HERE = 30  # index of the factor 1
+_REST = 0.01  # of the range of a response: smaller changes are not shown
+_FAST = 12.0  # poles further left than this multiple of the median are outside of the picture
+
+
+def _loop_panels(
+    loops: Loops, opening: str, *, source: str = "", end: str = "", compared: Loops | None = None
+) -> list[Panel]:
+    """Return the panels of loops at several operating points.
+
+    Args:
+        loops: loops by name of the operating point.
+        opening: label of the command or measured output at which the loop is opened.
+        source, end: signals of the step response, as in `LinearLoop.transfer`; empty: no step response.
+        compared: loops of another set of gains, which are drawn thin.
+    """
+    each = [*((name, loop, k, False) for k, (name, loop) in enumerate(loops.items()))]
+    each += [(f"{name}, B", loop, k, True) for k, (name, loop) in enumerate((compared or {}).items())]
+    names = ("gain", "phase", "S", "T", "nyquist", "steps", "poles")
+    by_kind: dict[str, list[Curve]] = {name: [] for name in names}
+    gain, phase, S, T, nyquist, steps, poles = (by_kind[name] for name in names)
+    for name, loop, k, faint in each:
+        omega = frequencies(loop, [opening])
+        L = response(loop.opened(opening), omega, loop.dt)[:, 0, 0]
+        gain.append(Curve(omega, _db(np.abs(L)), name, k, faint=faint))
+        phase.append(Curve(omega, np.rad2deg(np.unwrap(np.angle(L))), name, k, faint=faint))
+        nyquist.append(Curve(np.concatenate([L.real, [np.nan], L.real]), np.concatenate([L.imag, [np.nan], -L.imag]),
+                             name, k, faint=faint))  # fmt: skip
+        s = rates(loop)
+        poles.append(Curve(s.real, s.imag, name, k, "poles", faint))
+        if stable(loop):
+            S.append(Curve(omega, _db(np.abs(1 / (1 + L))), name, k, faint=faint))
+            T.append(Curve(omega, _db(np.abs(L / (1 + L))), name, k, faint=faint))
+            if source and end:
+                time, value, _ = step_series(loop, source, end)
+                steps.append(Curve(time, value, name, k, "line", faint))
+    w = "frequency [rad/s]"
+    panels = [
+        Panel(f"Loop gain |L|, opened at {opening}", w, "|L| [dB]", gain, log_x=True),
+        Panel(f"Phase of L, opened at {opening}", w, "phase [deg]", phase, log_x=True),
+        Panel("Sensitivity |S|", w, "|S| [dB]", S, log_x=True, limits=(None, (-40.0, 12.0)), note=_unstable(loops)),
+        Panel("Complementary sensitivity |T|", w, "|T| [dB]", T, log_x=True, limits=(None, (-40.0, 12.0))),
+        Panel("Nyquist curve", "real part of L", "imaginary part of L", [*nyquist, _unit()],
+              marks=[(-1.0, 0.0, "-1")], limits=((-3.0, 1.5), (-2.0, 2.0)), equal=True),
+    ]  # fmt: skip
+    if source and end:
+        span = _until_rest(steps)
+        panels.append(Panel(f"Step from {source} to {end}", "time [s]", end, steps, limits=(span, None)))
+    panels.append(_pole_panel("Poles of the closed loop", poles))
+    name, loop = next(iter(loops.items()))
+    panels.append(_pole_panel(f"Root locus: gain at {opening} times 0.05 to 20, {name}", _root_locus(loop, opening)))
+    return panels
+
+
+def _locus_panel(title: str, values: Array, loops: Sequence[LinearLoop], here: LinearLoop) -> Panel:
+    """Return the poles over the values of one gain, with the poles at its present value."""
+    every = [rates(loop) for loop in loops]
+    joined = np.concatenate(every) if every else np.zeros(0, dtype=complex)
+    now = rates(here)
+    curves = [Curve(joined.real, joined.imag, f"{values[0]:.3g} to {values[-1]:.3g}", 0, "dots")]
+    return _pole_panel(title, [*curves, Curve(now.real, now.imag, "now", 1, "poles")])
+
+
+def _goal_panels(scores: LoopScores, *, compared: LoopScores | None = None) -> list[Panel]:
+    """Return a panel for each goal with its curve at every operating point; the violated side is shaded."""
+    goals: dict[str, list[Score]] = {}
+    for score in scores.scores:
+        goals.setdefault(score.goal.name, []).append(score)
+    others: dict[str, list[Score]] = {}
+    for score in () if compared is None else compared.scores:
+        others.setdefault(score.goal.name, []).append(score)
+    return [_goal_panel(name, own, others.get(name, [])) for name, own in goals.items()]
+
+
+def _goal_panel(name: str, own: Sequence[Score], others: Sequence[Score]) -> Panel:
+    worst = max(own, key=lambda score: score.judgement.normalised)
+    one = worst.judgement
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    said = f"{one.value:.3g}{unit} for {one.limit:.3g}, {one.where}" if one.value == one.value else one.where
+    note = f"{'met' if one.met else 'missed'}: {one.normalised:.3g}, at {worst.point} ({said})"
+    title, mark = f"{name} ({worst.goal.kind})", "good" if one.met else "bad"
+    shown = [(score, k, False) for k, score in enumerate(own)] + [(score, k, True) for k, score in enumerate(others)]
+    views = [(score, score.judgement.view, k, faint) for score, k, faint in shown if score.judgement.view is not None]
+    if not views:
+        bars = [
+            Curve(np.array([0.0, _most(s.judgement.normalised)]), np.full(2, float(-k)), s.point, k)
+            for s, k, _ in shown
+        ]
+        edge = Curve(np.ones(2), np.array([0.5, 0.5 - len(own)]), "", 4)
+        return Panel(title, "normalised value [1]", "", [*bars, edge], limits=((0.0, 2.0), (0.5 - len(own), 0.5)),
+                     note=note, mark=mark)  # fmt: skip
+    _, view, _, _ = views[0]
+    assert view is not None
+    decibels = view.axis == "frequency"
+    curves = [
+        Curve(v.x, _db(v.y) if decibels else v.y, s.point + (", B" if faint else ""), k,
+              "poles" if v.axis == "poles" else "line", faint)
+        for s, v, k, faint in views if v is not None
+    ]  # fmt: skip
+    if view.axis == "poles":
+        panel = _pole_panel(title, curves)
+        return Panel(
+            title, panel.x, panel.y, curves, limits=panel.limits, regions=_region(view, panel), note=note, mark=mark
+        )
+    shades = []
+    for bound, side in ((view.upper, "above"), (view.lower, "below")):
+        if bound is not None:
+            shades.append(Shade(view.x, _db(bound) if decibels else bound, side))  # type: ignore[arg-type]
+    quantity = view.quantity.rpartition(" [")[0] + " [dB]" if decibels else view.quantity
+    x = "frequency [rad/s]" if decibels else "time [s]"
+    limits = (None, _about(shades, curves)) if decibels else (_until_rest(curves, _edges(view)), None)
+    return Panel(title, x, quantity, curves, shades, log_x=decibels, limits=limits, note=note, mark=mark)
+
+
+def plot_loops(loops: Loops, opening: str, *, source: str = "", end: str = "") -> Figure:
+    """Plot loops at several operating points: Bode, |S|, |T|, Nyquist, steps, poles and root locus.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.report import plot_loops
+        >>> from surctl.system import Controller, Plant, System
+        >>> from surctl.tuning import operating_loops
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> figure = plot_loops(operating_loops(System(cart, hold), {}), "force", source="command.force", end="speed")
+        >>> len(figure.axes), figure.axes[5].get_title("left")
+        (8, 'Step from command.force to speed')
+    """
+    return draw_panels(_loop_panels(loops, opening, source=source, end=end))
+
+
+def plot_loop(loop: LinearLoop, opening: str = "", *, source: str = "", end: str = "") -> Figure:
+    """Plot one loop as `plot_loops`; by default opened at the first command, with the step of the first reference.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> linearise(System(cart, hold)).plot().axes[0].get_title("left")
+        'Loop gain |L|, opened at force'
+    """
+    source, end = (source, end) if source else _default_step(loop)
+    return plot_loops({"loop": loop}, opening or loop.channels()[0], source=source, end=end)
+
+
+def _default_step(loop: LinearLoop) -> tuple[str, str]:
+    """Return the signals of the step response that is shown first: the first reference or setpoint, and its output."""
+    names = loop.names
+    end = f"measured.{names.outputs[0]}"
+    if not names.references:
+        return end, end
+    return f"reference.{names.references[0]}", end
+
+
+def plot_loop_goals(scores: LoopScores) -> Figure:
+    """Plot each goal about the loop with its curve at every operating point; the violated side is shaded.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System, linearise
+        >>> from surctl.tuning import SensitivityBound, judge_loops
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "m/s^2", "over the mass")
+        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -2 * u["speed"])
+        >>> goal = SensitivityBound(name="peak of S", at="force", at_most=2.0)
+        >>> judge_loops([goal], {"nominal": linearise(System(cart, hold))}).plot().axes[0].get_title("left")
+        'peak of S (soft)'
+    """
+    return draw_panels(_goal_panels(scores))
+
+
+def _until_rest(curves: Sequence[Curve], least: float = 0.0) -> tuple[float, float] | None:
+    # times up to which a response still moves, at least `least`; a slow mode may end much later
+    ends = [least]
+    for one in curves:
+        away = np.abs(one.y - one.y[-1]) > _REST * max(float(np.ptp(one.y)), 1e-300)
+        ends.append(1.4 * float(one.x[np.flatnonzero(away)[-1]]) if away.any() else 0.0)
+    return (0.0, max(ends)) if max(ends) > 0 else None
+
+
+def _edges(view: LoopView) -> float:
+    # time a little after a bound begins or ends
+    known = [np.isfinite(bound) for bound in (view.lower, view.upper) if bound is not None]
+    changes = [float(view.x[np.flatnonzero(np.diff(mask))[-1]]) for mask in known if np.diff(mask).any()]
+    return 1.3 * max(changes, default=0.0)
+
+
+def _about(shades: Sequence[Shade], curves: Sequence[Curve]) -> tuple[float, float]:
+    # the range about the bounds: a curve may fall to -200 dB
+    bounds = np.concatenate([shade.y for shade in shades])
+    highest = max(float(np.nanmax(one.y)) for one in curves)
+    low = max(float(np.nanmin(bounds)) - 40.0, min(float(np.nanmin(one.y)) for one in curves) - 3.0)
+    return min(low, float(np.nanmin(bounds)) - 6.0), max(highest, float(np.nanmax(bounds))) + 6.0
+
+
+def _db(values: Array) -> Array:
+    return np.asarray(20 * np.log10(np.maximum(values, 1e-12)), dtype=float)
+
+
+def _most(value: float) -> float:
+    return float(min(value, 2.0))
+
+
+def _unit() -> Curve:
+    return Curve(np.cos(_CIRCLE), np.sin(_CIRCLE), "", 4, faint=True)
+
+
+def _unstable(loops: Loops) -> str:
+    lost = [name for name, loop in loops.items() if not stable(loop)]
+    return f"unstable, not shown: {', '.join(lost)}" if lost else ""
+
+
+def _root_locus(loop: LinearLoop, opening: str) -> list[Curve]:
+    A, B, C, D = loop.opened(opening)
+    poles = []
+    for factor in _FACTORS:
+        closed = A - B @ C * (factor / (1 + factor * float(D[0, 0]))) if 1 + factor * float(D[0, 0]) else A
+        z = np.linalg.eigvals(closed).astype(complex)
+        poles.append(np.log(z[np.abs(z) > 1e-9]) / loop.dt)
+    every, here = np.concatenate(poles), poles[_HERE]
+    return [Curve(every.real, every.imag, "factor 0.05 to 20", 0, "dots"), Curve(here.real, here.imag, "1", 1, "poles")]
+
+
+def _pole_panel(title: str, curves: Sequence[Curve]) -> Panel:
+    x = np.concatenate([one.x for one in curves] or [np.zeros(1)])
+    y = np.concatenate([one.y for one in curves] or [np.zeros(1)])
+    size = np.hypot(x, y)
+    near = size <= _FAST * max(float(np.median(size)), 1e-9)  # fast poles would hide the slow ones
+    left = min(float(x[near].min(initial=-1e-3)) * 1.08, -1e-3)
+    right = max(float(x[near].max(initial=0.0)), -0.06 * left)
+    top = max(1.1 * float(np.abs(y[near]).max(initial=0.0)), -0.3 * left)
+    note = "" if near.all() else f"{int((~near).sum())} faster poles are outside"
+    return Panel(
+        title, "real part [1/s]", "imaginary part [rad/s]", curves, limits=((left, right), (-top, top)), note=note
+    )
+
+
+def _region(view: LoopView, panel: Panel) -> list[tuple[Array, Array]]:
+    # outlines of the parts of the s-plane outside of the region
+    (left, right), (low, high) = (limits or (-1.0, 1.0) for limits in panel.limits)
+    decay, damping, fastest = view.region or (0.0, 0.0, np.inf)
+    far = 2 * max(-left, right, high)
+    outlines = [(np.array([-decay, far, far, -decay]), np.array([low, low, high, high]) * 2)]
+    if damping > 0:
+        slope = np.sqrt(1 - min(damping, 0.999999) ** 2) / damping
+        rise = np.array([0.0, far * slope, far * max(slope, 1.0)])
+        outlines += [(np.array([0.0, -far, 0.0]), sign * rise) for sign in (1.0, -1.0)]
+    if np.isfinite(fastest):
+        angle = np.linspace(0, np.pi, 49)
+        ring = np.concatenate([-fastest * np.sin(angle), [0, -far, -far, 0]])
+        outlines.append((ring, np.concatenate([fastest * np.cos(angle), [-far, -far, far, far]])))
+    return outlines
+
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _LOCUS = 21  # values of a gain in its locus
@@ -39,8 +303,8 @@ def page(bench: DesignBench, *, nonce: str, token: str) -> str:
         nonce: value that allows the page's own script and no other.
         token: secret that the page sends with each request.
     """
-    loop = first_loop(bench)
-    start, end = default_step(loop)
+    loop = _first_loop(bench)
+    start, end = _default_step(loop)
     about = {
         "sliders": [_slider(one) for one in bench.sliders],
         "points": list(bench.points),
@@ -73,7 +337,7 @@ def page(bench: DesignBench, *, nonce: str, token: str) -> str:
     return text
 
 
-def first_loop(bench: DesignBench) -> LinearLoop:
+def _first_loop(bench: DesignBench) -> LinearLoop:
     """Return the loop at the first operating point with the initial gains."""
     return bench.loop({one.name: one.value for one in bench.sliders}, bench.points[0])
 
@@ -132,7 +396,7 @@ def _both(bench: DesignBench, request: Request, points: Sequence[str] = ()) -> l
 def _linear(bench: DesignBench, request: Request) -> dict[str, Any]:
     loops, compared = _both(bench, request)
     assert loops is not None
-    panels = loop_panels(loops, request["opening"], source=request["source"], end=request["end"], compared=compared)
+    panels = _loop_panels(loops, request["opening"], source=request["source"], end=request["end"], compared=compared)
     return {"html": "".join(map(panel_svg, panels)) + _command(bench, request, "loop")}
 
 
@@ -143,7 +407,7 @@ def _goals(bench: DesignBench, request: Request) -> dict[str, Any]:
     scores, others = (None if one is None else judge_loops(bench.goals, one) for one in (loops, compared))
     assert scores is not None
     worst = max((score.judgement.normalised for score in scores.scores), default=0.0)
-    panels = "".join(map(panel_svg, goal_panels(scores, compared=others)))
+    panels = "".join(map(panel_svg, _goal_panels(scores, compared=others)))
     return {"html": panels, "worst": _number(worst)}
 
 
@@ -170,7 +434,7 @@ def _details(bench: DesignBench, request: Request) -> dict[str, Any]:
     grid = _positions(slider, _LOCUS)
     point = next(iter(loops))
     swept = [bench.loop({**values, name: float(value)}, point) for value in grid]
-    locus = locus_panel(f"Poles over {name}, {point}", grid, swept, loops[point])
+    locus = _locus_panel(f"Poles over {name}, {point}", grid, swept, loops[point])
     return {"margins": _table(head, rows), "locus": panel_svg(locus)}
 
 

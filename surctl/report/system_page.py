@@ -23,12 +23,11 @@ from surctl.report.document import (
     marked,
     outcome_cell,
     picture,
+    render_sections,
 )
 from surctl.report.motion_plots import plot_motion
-from surctl.report.numbers import number
-from surctl.report.page import render_sections
-from surctl.report.system_plot import plot_record
-from surctl.report.system_plots import plot_dependence
+from surctl.report.system_plots import plot_dependence, plot_record
+from surctl.report.theme import number
 from surctl.system import Record, Runs, entry_labels, entry_units
 
 __all__ = ["SystemStudy", "export_line", "render_system_page"]

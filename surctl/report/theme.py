@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import re
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -24,6 +27,9 @@ from matplotlib.text import Text
 from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
+import surctl
+from surctl.files import write_file
+
 __all__ = [
     "AVOIDING",
     "BAD",
@@ -36,15 +42,42 @@ __all__ = [
     "curve",
     "darkened",
     "dress",
+    "file_size",
     "finite",
     "head",
+    "interval",
     "legend_above",
     "legend_below",
     "new_axes",
     "new_figure",
+    "number",
     "png",
     "printable",
+    "save_figure",
 ]
+
+
+def number(value: float | None, *, digits: int = 4) -> str:
+    """Format a value with at most `digits` significant digits; None and NaN give "–", infinities "∞" or "-∞"."""
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "-∞"
+    return f"{value:.{digits}g}"
+
+
+def interval(lower: float, upper: float) -> str:
+    """Format an interval as "a to b", or as a single number if both ends are equal."""
+    return number(lower) if lower == upper else f"{number(lower)} to {number(upper)}"
+
+
+def file_size(path: Path) -> str:
+    """Format the size of a file on disk [byte]; "–" if the file does not exist."""
+    try:
+        return f"{path.stat().st_size:,}".replace(",", "\u202f")
+    except OSError:
+        return "–"
+
 
 # Okabe and Ito (2008), without the hues that are too faint on white
 ROBOT = "#0072B2"
@@ -242,3 +275,26 @@ def printable(text: str) -> str:
 def _glyphs() -> frozenset[int]:
     font = Path(mpl.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
     return frozenset(FT2Font(str(font)).get_charmap())
+
+
+def _command() -> dict[str, str]:
+    # the command that draws the picture, as text in the file; a script by its name, since its folder is this machine's
+    program = Path(sys.argv[0])
+    if program.stem == "surctl" or program == Path(surctl.__file__).with_name("__main__.py"):
+        words = ["surctl", *sys.argv[1:]]
+    elif program.suffix == ".py" and program.name != "__main__.py":
+        words = ["python", program.name, *sys.argv[1:]]
+    else:
+        return {}
+    return {"Description": shlex.join(words).encode("ascii", "backslashreplace").decode()}  # a name may be any bytes
+
+
+def save_figure(figure: Figure, folder: Path | str, what: tuple[str, ...]) -> Path:
+    """Write a figure as a PNG in the folder, named after its contents; return its path.
+
+    The text `Description` in the file is the command that wrote it, `Software` the function that plotted the figure.
+    """
+    # names can come from input files: replace characters that could lead out of the folder
+    name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", part).strip("-.") or "x" for part in what)
+    body = png(figure, **{"Software": getattr(figure, "maker", None), **_command()})
+    return write_file(Path(folder) / f"{name}.png", body)

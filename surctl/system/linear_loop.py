@@ -65,7 +65,7 @@ class LinearLoop(Plotted):
         sampled: whether the plant is in discrete time, because sampled sensors or actuators belong to it.
     """
 
-    PLOT = "surctl.report.loop_views:plot_loop"
+    PLOT = "surctl.report.page_parts:plot_loop"
 
     plant: tuple[Array, ...]
     law: tuple[Array, ...]

@@ -45,7 +45,7 @@ class Record(Plotted):
             x[0] at 1.2 s"; otherwise empty.
     """
 
-    PLOT = "surctl.report.system_plot:plot_record"
+    PLOT = "surctl.report.system_plots:plot_record"
 
     system: System
     time: Array

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from surctl.tasks.acceleration import AccelerationLimit
-from surctl.tasks.actuators import ActuatorLimits
-from surctl.tasks.angle import wrap
-from surctl.tasks.barrier import Barrier
-from surctl.tasks.braking import BrakingBarrier, allowed_closing_speed
+from surctl.tasks.actuators import AccelerationLimit, ActuatorLimits, ThrustLimit
+from surctl.tasks.barrier import Barrier, BrakingBarrier, allowed_closing_speed
 from surctl.tasks.library import (
     clearance_task,
     depth_task,
@@ -17,11 +14,9 @@ from surctl.tasks.library import (
     velocity_task,
 )
 from surctl.tasks.limits import HalfPlane, Kind, Limit, LimitRow, VelocityBox
-from surctl.tasks.rate import RateLimit
-from surctl.tasks.set_task import SetTask
+from surctl.tasks.set_task import RateLimit, SetTask
 from surctl.tasks.stack import Stack
-from surctl.tasks.task import Task
-from surctl.tasks.thrust import ThrustLimit
+from surctl.tasks.task import Task, wrap
 
 __all__ = [
     "AccelerationLimit",

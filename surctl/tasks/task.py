@@ -10,8 +10,6 @@ from typing import Any, Literal, TypeAlias
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.tasks.angle import wrap
-from surctl.tasks.kinematics import jacobian as kinematics
 
 __all__ = [
     "Expression",
@@ -21,10 +19,56 @@ __all__ = [
     "as_expression",
     "is_pose",
     "is_symbol",
+    "jacobian",
     "kinematics_of",
+    "planar_rotation",
     "sigma_column",
     "sized_column",
+    "wrap",
 ]
+
+
+def wrap(angle: ca.SX) -> ca.SX:
+    """Return each angle [rad] wrapped to (−π, π], without trigonometric functions; −π becomes π, and π stays π.
+
+    After a wrap with the floor function, a rounding error can leave the angle just outside the interval (an angle just
+    above 3π becomes just above π). So two corrections by one turn follow.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import wrap
+        >>> wrap(ca.SX(4.0))
+        SX(-2.28319)
+    """
+    turn = 2.0 * math.pi
+    once = angle + turn * ca.floor((math.pi - angle) / turn)
+    return once - turn * (once > math.pi) + turn * (once <= -math.pi)
+
+
+def planar_rotation(psi: ca.SX) -> ca.SX:
+    """Return the 2×2 matrix R(ψ) that rotates horizontal vectors from {B} to {E}; ψ [rad] is counter-clockwise from x.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.vehicle import planar_rotation
+        >>> ca.DM(planar_rotation(ca.SX(ca.pi / 2)) @ ca.DM([0.2, 0.0])).full().round(3).ravel().tolist()
+        [0.0, 0.2]
+    """
+    c, s = ca.cos(psi), ca.sin(psi)
+    return ca.vertcat(ca.horzcat(c, -s), ca.horzcat(s, c))
+
+
+def jacobian(psi: ca.SX) -> ca.SX:
+    """Return the matrix J(ψ) of equation (2), 4×4, that maps ν = (u, v, w, r) in {B} [m/s, rad/s] to η̇ in {E}.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.vehicle import jacobian
+        >>> ca.DM(jacobian(ca.SX(ca.pi / 2)) @ ca.DM([0.2, 0.0, 0.0, 0.1])).full().round(3).ravel().tolist()
+        [0.0, 0.2, 0.0, 0.1]
+    """
+    return ca.diagcat(planar_rotation(psi), ca.SX.eye(2))
+
 
 Expression: TypeAlias = ca.SX | float | Sequence[float]
 """A CasADi expression, a number, or a list of numbers."""
@@ -123,11 +167,11 @@ def is_symbol(eta: object) -> bool:
 
 def is_pose(eta: ca.SX, mapping: ca.SX) -> bool:
     """Return whether η is the pose (x, y, z, ψ) of a vehicle: four entries with the kinematics of equations (1)–(2)."""
-    return bool(eta.shape[0] == 4 and ca.is_equal(ca.densify(mapping), ca.densify(kinematics(eta[3])), 9))
+    return bool(eta.shape[0] == 4 and ca.is_equal(ca.densify(mapping), ca.densify(jacobian(eta[3])), 9))
 
 
 def kinematics_of(key: str, eta: ca.SX, matrix: Kinematics) -> ca.SX:
-    """Return S(η) (m, n) of η̇ = S(η) v for the attribute `kinematics` of a task or barrier.
+    """Return S(η) (m, n) of η̇ = S(η) v for the attribute `jacobian` of a task or barrier.
 
     Raise InputError with `key` if the matrix does not have m rows, or if m = 4 and there is no matrix.
     """
@@ -139,7 +183,7 @@ def kinematics_of(key: str, eta: ca.SX, matrix: Kinematics) -> ca.SX:
     if isinstance(matrix, str):
         if matrix != "vehicle" or m != 4:
             raise InputError("is not known", key=f"{key}: kinematics", value=matrix, remedy=f"give {pose}, or a matrix")
-        return kinematics(eta[3])
+        return jacobian(eta[3])
     if matrix is None:
         return ca.SX.eye(m)
     try:

@@ -16,8 +16,7 @@ from scipy.optimize import linprog
 from surctl.errors import InputError
 from surctl.tasks import Kind, Limit, LimitRow
 from surctl.tasks.task import as_expression
-from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import Parameter, Ranges, Sampled, checked_count, ranges_of
+from surctl.testing.ranges import CheckFailed, Parameter, Ranges, Sampled, checked_count, ranges_of
 
 __all__ = ["LimitReport", "check_limit"]
 
@@ -94,7 +93,7 @@ def check_limit(
         >>> check_limit(wall, parameters=ranges, holds=lambda v, eta: v[0] <= 0.2)  # differs from the limit
         Traceback (most recent call last):
             ...
-        surctl.testing.finding.CheckFailed: limit row 'wall': refuses v = [...], but holds() says otherwise, ...
+        surctl.testing.ranges.CheckFailed: limit row 'wall': refuses v = [...], but holds() says otherwise, ...
     """
     checked_count("samples", samples)
     if not 0.0 < velocity < math.inf:

@@ -15,8 +15,7 @@ from surctl.ir import Block, Layout, on_vectors, replay
 from surctl.system import NONFINITE, Controller, Plant
 from surctl.system.controller import step_results
 from surctl.system.parts import not_finite
-from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import checked_count, checked_type
+from surctl.testing.ranges import CheckFailed, checked_count, checked_type
 
 __all__ = ["SystemReport", "check_controller", "check_plant"]
 

@@ -15,8 +15,7 @@ from surctl.errors import InputError
 from surctl.tasks import SetTask, Task
 from surctl.tasks.rows import axis_names
 from surctl.tasks.task import is_pose
-from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import Parameter, Ranges, Sampled, checked_count, ranges_of
+from surctl.testing.ranges import CheckFailed, Parameter, Ranges, Sampled, checked_count, ranges_of
 
 __all__ = ["TaskReport", "check_task"]
 
@@ -96,7 +95,7 @@ def check_task(
         >>> check_task(lambda eta: Task(name="yaw", eta=eta, sigma=eta[3], target=0.4, kinematics="vehicle"))
         Traceback (most recent call last):
             ...
-        surctl.testing.finding.CheckFailed: ...the reference changes when the vehicle makes a full turn ...
+        surctl.testing.ranges.CheckFailed: ...the reference changes when the vehicle makes a full turn ...
     """
     checked_count("samples", samples)
     built = task(ca.SX.sym("eta", 4)) if callable(task) else task

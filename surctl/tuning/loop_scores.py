@@ -55,7 +55,7 @@ class LoopScores(Plotted):
         scores: the scores, goal by goal.
     """
 
-    PLOT = "surctl.report.loop_views:plot_loop_goals"
+    PLOT = "surctl.report.page_parts:plot_loop_goals"
 
     scores: tuple[Score, ...]
 

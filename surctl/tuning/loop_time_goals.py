@@ -85,7 +85,7 @@ class Settling(Between):
     def _judged(self, loop: LinearLoop) -> Judgement:
         time, value, final = step_series(loop, self.source, self.end)
         scale = float(np.abs(value).max()) if _returns(value, final) else abs(final)
-        duration, late = settling_time(time, value, final, scale), time >= self.at_most
+        duration, late = _settling_time(time, value, final, scale), time >= self.at_most
         lower, upper = (np.where(late, final + sign * _BAND * scale, np.nan) for sign in (-1, 1))
         view = LoopView("time", time, value, self.end, lower, upper)
         return Judgement(duration, "s", self.at_most, duration / self.at_most, view, "2 % band")
@@ -309,7 +309,7 @@ class Margins(Opened):
         return Judgement(value, unit, limit, share, None, text)
 
 
-def settling_time(time: Array, value: Array, final: float, scale: float) -> float:
+def _settling_time(time: Array, value: Array, final: float, scale: float) -> float:
     """Return the time [s] from which a response stays within 2 % of `scale` about its final value."""
     if not scale > 0:
         return 0.0

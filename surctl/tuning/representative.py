@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_time_goals import Overshoot, Settling, StepRejection, StepTracking
 
-__all__ = ["ACTIVE", "not_representative", "step_goals"]
+__all__ = ["not_representative", "step_goals"]
 
-ACTIVE = 0.01
+_ACTIVE = 0.01
 """Share of time at a limit above which a step response of the linear loop does not describe a run."""
 
 _STEPS = (Overshoot, Settling, StepRejection, StepTracking)
@@ -38,6 +38,6 @@ def not_representative(names: Sequence[str], share: float, *, limit: str, run: s
         >>> print(*not_representative(["quick"], 0.25, **options))
         not representative: quick (linear): command force is at its limit 25% of the run; write metric = "settling"
     """
-    if not names or not share > ACTIVE:
+    if not names or not share > _ACTIVE:
         return []
     return [f"not representative: {', '.join(names)} (linear): {limit} is at its limit {share:.0%} of {run}; {remedy}"]

@@ -16,8 +16,8 @@ from surctl.certcheck.braking_claim import read_claim
 from surctl.certcheck.braking_distance import forces, largest_disturbance, read_distance, thrust_ahead
 from surctl.certcheck.document import Rejected
 from surctl.marine.control import load_gains
+from surctl.marine.control.closing import velocity_control
 from surctl.marine.control.stopping import BARRIERS, BRAKE
-from surctl.marine.control.velocity import velocity_control
 from surctl.marine.guidance.braking import brakes_of
 from surctl.marine.vehicle import load_vehicle
 from tests.certcheck import encounters

@@ -28,7 +28,7 @@ from surctl.errors import InputError
 from surctl.export import Bundle, write_bundle
 from surctl.export.bundle import build_bundle as build_core
 from surctl.export.bundle import law_id
-from surctl.export.plant_lists import PlantLists
+from surctl.export.supplement import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import continuous_dynamics
 from surctl.lyapunov.claims import _plain

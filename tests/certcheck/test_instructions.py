@@ -13,8 +13,7 @@ from surctl.certcheck import Rejected
 from surctl.certcheck.instructions import digest, evaluate, read_list
 from surctl.certcheck.leaves import Leaves
 from surctl.ir import Gather, Loop, Program, Routine, replay
-from surctl.ir.ops import OPERATIONS
-from surctl.ir.program import Instruction
+from surctl.ir.program import OPERATIONS, Instruction
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle

@@ -10,7 +10,7 @@ import pytest
 from surctl.certcheck.belonging import compare
 from surctl.certcheck.bundle import Manifest, read_bundle
 from surctl.export.bundle import build_bundle, write_bundle
-from surctl.export.plant_lists import PlantLists
+from surctl.export.supplement import PlantLists
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics, solve
 from surctl.system import Controller, Plant, System

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.control.calm import CALM_GAINS, beside_margin, calmed, eased, pushed, soft_gain
+from surctl.marine.control.closing import CALM_GAINS, beside_margin, calmed, eased, pushed, soft_gain
 
 Array = NDArray[np.float64]
 LIMIT, MASS, STILL, DT = np.array([5.0, 5.0, 5.0, 0.5]), np.array([95.0, 95.0, 95.0, 1.5]), 0.006, 0.05

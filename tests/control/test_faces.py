@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.ir import Layout
-from surctl.marine.control.faces import FACE_PORTS, Firing, face_after, with_face
+from surctl.marine.control.perception import FACE_PORTS, Firing, face_after, with_face
 
 HULL, BLIND, DT, DEEP = 0.27, 0.2, 0.05, 0.03
 HALF = math.radians(37.5)

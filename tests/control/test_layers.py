@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from surctl.ir import memory, replay
 from surctl.marine.control import Law, build_law, law_parameters, load_gains
-from surctl.marine.control.layers import LAYER_PORTS
+from surctl.marine.control.dead_end import LAYER_PORTS
 from surctl.marine.guidance import Path
 from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import load_vehicle

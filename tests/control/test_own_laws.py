@@ -17,7 +17,7 @@ from surctl.ir import replay
 from surctl.marine.control import GainSpec, build_law, law_ref, law_source, load_gains, write_gains
 from surctl.marine.export import build_bundle
 from surctl.marine.report import save_run
-from surctl.marine.report.words import simulate_command
+from surctl.marine.report.evidence_sections import simulate_command
 from surctl.marine.simulation import Case, case_parameters, law_numbers, load_scenario, simulate, simulate_batch
 from surctl.marine.testing import check_law
 from surctl.marine.tuning import build_cases, default_tuned, gain_ranges

@@ -27,7 +27,7 @@ from surctl.marine.control.steering import Moving, moved
 from surctl.marine.simulation import Run, findings, law_numbers
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.vehicle.vehicle_file import write_vehicle
+from surctl.marine.vehicle.parameters import write_vehicle
 from surctl.marine.verification import build_cascade, law_loop, loop_margins
 from tests.craft import CRUISE, craft, mission, table
 

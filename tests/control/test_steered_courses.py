@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surctl.marine.control import DEGRADED, LAWS, Law, build_law_of, courses, law_parameters, load_gains, steered
+from surctl.marine.control import DEGRADED, LAWS, Law, build_law_of, law_parameters, load_gains, steered
 from surctl.marine.guidance import Path
 from tests.craft import CRUISE, craft
 
 SITE = (0.0, 60.0, 0.0, 60.0)
-EXACT = (1 + len(courses.COURSES) * len(courses.SPEEDS)) * courses.STEPS  # the last choice, then all candidates
+EXACT = (1 + len(steered.COURSES) * len(steered.SPEEDS)) * steered.STEPS  # the last choice, then all candidates
 
 
 def rebuilt() -> Law:
@@ -28,11 +28,11 @@ def numbers(**changed: float) -> NDArray[np.float64]:
     return law_parameters(gains, craft("otter"), path=path, depth=0.0, cruise=CRUISE["otter"], cap=1.0, walls=SITE)
 
 
-@pytest.mark.parametrize(("budget", "stops"), [(1, True), (courses.STEPS, False)])
+@pytest.mark.parametrize(("budget", "stops"), [(1, True), (steered.STEPS, False)])
 def test_a_course_counts_as_clear_only_as_far_as_it_was_predicted(
     monkeypatch: pytest.MonkeyPatch, budget: int, *, stops: bool
 ) -> None:
-    monkeypatch.setattr(courses, "BUDGET", budget)
+    monkeypatch.setattr(steered, "BUDGET", budget)
     # a stopping distance of several steps
     law, p = rebuilt(), numbers(brake=0.1)
     x = law.initial_state()

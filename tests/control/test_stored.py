@@ -11,8 +11,8 @@ import pytest
 from surctl.errors import SurctlError
 from surctl.ir import replay
 from surctl.marine.control import build, build_law, load_gains
+from surctl.marine.control.build import law_bytes, law_from
 from surctl.marine.control.law import Law
-from surctl.marine.control.stored import law_bytes, law_from
 from surctl.marine.sensing import Equipment, SonarArray
 from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.marine.control.velocity import velocity_control
+from surctl.marine.control.closing import velocity_control
 from surctl.marine.simulation import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, load_vehicle, plant_parameters, trim_thrust
 

@@ -63,7 +63,7 @@ def test_a_film_has_all_frames_and_is_repeatable(tmp_path: Path, monkeypatch: py
     run = simulate(short, BOAT, gains=load_gains("default"), law=build_law("closed_form"), physics=mujoco_physics())
     frames, again = list(film_frames(run)), next(film_frames(run))
     assert frames[0].tobytes() == again.tobytes()
-    monkeypatch.setattr("surctl.marine.report.film.film_frames", lambda *_, **__: iter(frames))
+    monkeypatch.setattr("surctl.marine.report.animation.film_frames", lambda *_, **__: iter(frames))
     with Image.open(save_film(run, tmp_path / "run.gif")) as film:
         assert film.size == (640, 540) and getattr(film, "n_frames", 1) == 3
 

@@ -15,9 +15,9 @@ import pytest
 from surctl.certcheck.bundle import manifest_seal
 from surctl.errors import InputError
 from surctl.export import Bundle, write_bundle
-from surctl.export.examples import EXAMPLES
+from surctl.export.guard_text import EXAMPLES
 from surctl.export.process import compile_controller
-from surctl.export.texts import comment
+from surctl.export.rendering import comment
 from surctl.ir import Layout, Port, compile_program, find_compiler
 from surctl.marine.control import build_law
 from surctl.marine.export import build_bundle

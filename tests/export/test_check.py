@@ -27,8 +27,8 @@ from surctl.export import (
     chosen_targets,
     software_in_the_loop,
 )
+from surctl.export.check import trial_steps
 from surctl.export.precision import Rounded
-from surctl.export.trial import trial_steps
 from surctl.ir import Block, Layout, Port, Real, lower, stack_of, without_libm
 from surctl.marine.export import build_bundle
 from tests.export.altered import altered

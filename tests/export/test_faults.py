@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surctl.export import SilReport, build_controller, compare_runs
-from surctl.export.faults import fault_cases
+from surctl.export.sil import fault_cases
 from surctl.marine.export import build_bundle
 from tests.export.altered import altered
 from tests.export.standin import recorded, stand_in

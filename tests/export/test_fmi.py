@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.export.fmu import unit_sources, write_fmu
-from surctl.export.fmu_description import description_2, description_3
+from surctl.export.fmu import description_2, description_3, unit_sources, write_fmu
 from surctl.export.precision import Rounded, evaluated
 from surctl.ir import compile_program
 from surctl.marine.control import build_law, load_gains

@@ -16,16 +16,16 @@ import pytest
 from surctl.certcheck.bundle import read_manifest
 from surctl.errors import InputError
 from surctl.export import Bundle, build_controller, write_bundle
+from surctl.export.check import trial_steps
 from surctl.export.contract import Exportable
 from surctl.export.envelope import RANGE
 from surctl.export.gain_store import gains_id, stored_gains
 from surctl.export.process import compile_controller
 from surctl.export.records import Records
-from surctl.export.trial import trial_steps
 from surctl.ir import Real, compile_program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form, operating_envelope, origin_of
-from surctl.marine.export.gain_ranges import gain_orders
+from surctl.marine.export.operating_envelope import gain_orders
 from surctl.marine.simulation import law_numbers, load_scenario
 from tests.export.closed_form import vehicle
 from tests.export.standin import Vector

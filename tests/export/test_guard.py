@@ -12,9 +12,9 @@ import pytest
 from surctl.errors import InputError
 from surctl.export import REALS, TARGETS, Envelope, Rate, build_controller, check_builds, compare_runs, write_bundle
 from surctl.export.envelope import ITER, RANGE, anywhere
-from surctl.export.faults import fault_cases
 from surctl.export.precision import Guarded, evaluated, in_precision, replayed
 from surctl.export.process import compile_controller
+from surctl.export.sil import fault_cases
 from surctl.ir import Real
 from surctl.marine.control import build_law
 from surctl.marine.export import operating_envelope

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.export import TARGETS, Bundle, Line, LineDown, Reply, connect, emulated, emulated_target, write_bundle
-from surctl.export.link import VERSION, Identity
+from surctl.export.emulated import VERSION, Identity
 from surctl.export.precision import Rounded
 from surctl.ir import Layout, Port, Real, compile_program
 from surctl.marine.control import Law, LawStep, build_law, load_gains

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from surctl.export import Bundle, write_bundle
-from surctl.export.examples import example_values
+from surctl.export.guard_text import example_values
 from surctl.ir import Layout, Port
 from surctl.marine.export import build_bundle
 from tests.export.clocks import clocks

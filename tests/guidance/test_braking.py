@@ -18,17 +18,21 @@ from surctl.errors import InputError
 from surctl.marine.guidance import braking
 from surctl.marine.guidance.braking import (
     Brakes,
+    BrakeSymbols,
     Watch,
     admissible,
     allowed_speed,
+    beside,
     brakes_of,
+    closing_bound,
     fastest_obstacle,
     range_needed,
+    range_symbol,
+    sideways_force,
     stopping_distance,
     stopping_distance_with_drag,
+    stopping_symbol,
 )
-from surctl.marine.guidance.braking_symbols import BrakeSymbols, closing_bound, range_symbol, stopping_symbol
-from surctl.marine.guidance.sideways import beside, sideways_force
 from surctl.marine.vehicle import load_vehicle
 
 FLOODED = load_vehicle("sur540-flooded")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.marine.guidance import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.marine.guidance.crosstrack import numeric_crosstrack_next
+from surctl.marine.guidance.tracking import numeric_crosstrack_next
 
 DT, SIGMA, GAMMA, LOOKAHEAD, SPEED = 0.05, 0.05, 0.4, 0.8, 0.2
 numbers = st.floats(-5, 5)

@@ -17,7 +17,7 @@ from surctl.marine.guidance import (
     window_next,
     window_values,
 )
-from surctl.marine.guidance.window import last_first
+from surctl.marine.guidance.following import last_first
 
 RNG = np.random.default_rng(4)
 POINTS = np.cumsum(RNG.uniform([-1.1, -1.5], [1.9, 1.5], (30, 2)), axis=0)

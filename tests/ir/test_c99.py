@@ -26,7 +26,7 @@ from surctl.ir import (
     lower,
     replay,
 )
-from surctl.ir.numbering import Numbering
+from surctl.ir.folding import Numbering
 from tests.ir.expressions import EXACT, LIBM_MAKERS, compiled, random_functions, whole
 from tests.tools import need_compiler
 

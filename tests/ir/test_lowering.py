@@ -7,7 +7,7 @@ from hypothesis import given, settings
 
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.ir import Instruction, Program, lower, rearranged, replay
-from surctl.ir.lowering import _Builder
+from surctl.ir.tracing import _Builder
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, numbers, picks, whole
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import SurctlError
-from surctl.ir import source_digest, sources
+from surctl.ir import cache, source_digest
 
 FILES = {
     "__init__.py": "",
@@ -28,7 +28,7 @@ FILES = {
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A package `dived`, as old as this process."""
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(sources, "_STARTED", 2**63)
+    monkeypatch.setattr(cache, "_STARTED", 2**63)
     for name, text in FILES.items():
         (tmp_path / "dived" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "dived" / name).write_text(text)
@@ -105,7 +105,7 @@ def test_a_zip_file_is_read_as_well(package: Path, tmp_path: Path, monkeypatch: 
     zipped = digest("zipped"), digest("zipped.law")
     assert zipped[0] not in plain and zipped[1] not in plain  # the package has another name
     assert len({*zipped, digest("zipped.inner")}) == 3
-    assert [name for name, _ in sorted(sources._sources("zipped"))] == sorted(
+    assert [name for name, _ in sorted(cache._sources("zipped"))] == sorted(
         name for name in FILES if not name.endswith(".txt")
     )
 
@@ -125,6 +125,6 @@ def test_code_that_cannot_be_known_has_none(package: Path) -> None:
 
 @pytest.mark.parametrize("name", ["dived", "dived.law"])
 def test_sources_younger_than_the_process_have_none(package: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.setattr(sources, "_STARTED", (package / "law.py").stat().st_ctime_ns - 1)
+    monkeypatch.setattr(cache, "_STARTED", (package / "law.py").stat().st_ctime_ns - 1)
     with pytest.raises(SurctlError, match=r"\.py was changed after this process began"):
         digest(name)

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.ir import Block, Call, Gather, Loop, Routine, emit_wide, lower, replay, shared_library
-from surctl.ir.c99_words import PRELUDE
+from surctl.ir.batch import PRELUDE
+from surctl.ir.folding import split
 from surctl.ir.native import loaded
-from surctl.ir.split import split
 from tests.ir.expressions import EXACT, LIBM_MAKERS, grown, picks, random_functions, whole
 from tests.ir.test_lanes import bench, drawn
 from tests.ir.test_routine import growth, program

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from surctl.marine.guidance.braking import Watch, allowed_speed
 from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers
-from surctl.marine.verification.braking.distance import DistanceTable, distance_table, encounter, figures_needed
+from surctl.marine.verification.braking.proof import DistanceTable, distance_table, encounter, figures_needed
 
 __all__ = ["Episodes", "Rule", "rule_of", "run_episodes"]
 

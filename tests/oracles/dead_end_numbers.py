@@ -10,8 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import cos, hypot, sin, sqrt
 
-from surctl.marine.control.dead_end import ARRIVED, HOLD, MOVES, NEAR, NEW
-from surctl.marine.control.layers import AT, FAST, RISES, SLACK
+from surctl.marine.control.dead_end import ARRIVED, AT, FAST, HOLD, MOVING_SPEED, NEAR, NEW, RISES, SLACK
 
 __all__ = ["Aim", "DeadEnd", "Mission", "Mover", "Place", "aim", "dead_end_step"]
 
@@ -174,7 +173,7 @@ def _searching(
     further = place.reached > dead_end.furthest + NEW
     outside = max(west - x, x - east, south - y, y - north) > NEW
     ended = (x - mission.end[0]) ** 2 + (y - mission.end[1]) ** 2 < ARRIVED**2
-    near = any(m.speed > MOVES and m.clearance < NEAR for m in movers)
+    near = any(m.speed > MOVING_SPEED and m.clearance < NEAR for m in movers)
     stalled = dead_end.stalled if place.stopped or ended or near else dead_end.stalled + dt
     stalled = 0.0 if further or outside else stalled
     searching = dead_end.searching

@@ -115,8 +115,7 @@ def test_a_fixed_velocity_and_absent_bounds(backend):
 
 
 def test_an_answer_that_does_not_hold_is_not_passed_on():
-    from surctl.priority.backends import _checked
-    from surctl.priority.kernels import KernelSolution
+    from surctl.priority.backends import KernelSolution, _checked
 
     G, low, high = np.eye(2), np.array([0.5, -1.0]), np.array([1.0, 1.0])
     close = np.full(2, 1e-9)

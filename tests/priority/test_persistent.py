@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.priority import BACKENDS, Level, Mode, Row, build_problem, solve, solve_least_distance
+from surctl.priority.backends import NO_BOUND, KernelSolution, daqp_kernel, new_osqp, osqp_kernel, osqp_solution
 from surctl.priority.draws import draw_problem, unit
-from surctl.priority.kernels import NO_BOUND, KernelSolution, daqp_kernel, new_osqp, osqp_kernel, osqp_solution
 from surctl.priority.persistent import PersistentDaqp, PersistentOsqp
 from surctl.testing import check_backend
 
@@ -308,5 +308,5 @@ def test_a_search_that_did_not_end_is_not_called_optimal(monkeypatch):
     rows = [Row("box", "actuator", np.array([1.0, 0.0]), -1.0, 1.0)]
     problem = build_problem([Level("goal", np.eye(2), np.array([3.0, 0.5]))], rows)
     assert solve(problem).status == "limited"
-    monkeypatch.setattr("surctl.priority.active_set._CAP", 1)
+    monkeypatch.setattr("surctl.priority.cascade._CAP", 1)
     assert solve(problem).status == "unconfirmed"

@@ -21,7 +21,7 @@ from surctl.cli.simulate import simulate
 from surctl.errors import InputError, ToolMissing
 from surctl.marine.report import check_animation, save_animation
 from surctl.marine.report.animation import _gif, frame_steps, frames
-from surctl.marine.report.beams import INSTANT, beams_at
+from surctl.marine.report.plan_view import INSTANT, beams_at
 from surctl.marine.simulation import Run
 from surctl.report.theme import ROBOT
 from tests.report.data import run

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from surctl.marine.report import plot_calibration, save_calibrations
-from surctl.marine.report.calibration_plots import plot_errors, plot_studentised
+from surctl.marine.report.sonar_plots import plot_errors, plot_studentised
 from surctl.marine.sensing import SensorCalibration, calibrate, calibrate_table_ii
 from tests.pictures import rendered
 

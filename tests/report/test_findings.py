@@ -6,11 +6,11 @@ import re
 from dataclasses import replace
 
 from surctl.marine.report import render_page
-from surctl.marine.report.findings import findings_section
+from surctl.marine.report.page import findings_section
 from surctl.marine.verification import claims
 from surctl.report import Check, render_sections
-from surctl.report.claim_words import claim_words
 from surctl.report.document import Section, Table
+from surctl.report.evidence import claim_words
 from surctl.verification import Inapplicable
 from tests.report.data import report
 from tests.report.reader import Reader

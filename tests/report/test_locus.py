@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 
-from surctl.marine.report.locus import plot_locus
+from surctl.marine.report.margin_plots import plot_locus
 from surctl.marine.verification import Locus
 
 VALUES = np.array([1.0, 2.0, 3.0])

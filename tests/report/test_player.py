@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from surctl.marine.report import render_page
-from surctl.marine.report.player import player, player_frames
+from surctl.marine.report.animation import player, player_frames
 from surctl.marine.simulation import Run
 from surctl.report.document import Picture
 from tests.report.data import run

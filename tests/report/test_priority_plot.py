@@ -11,7 +11,7 @@ import pytest
 
 from surctl.cli.single_run import further_output
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.report.priority_plot import plot_priority, relaxation_text
+from surctl.marine.report.signals import plot_priority, relaxation_text
 from surctl.marine.simulation import Run, explain, load_scenario, priority_timeline, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.priority import PriorityTimeline

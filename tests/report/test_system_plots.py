@@ -27,8 +27,7 @@ from surctl.report import (
     plot_phase_plane,
     plot_record,
 )
-from surctl.report.pictures import save_figure
-from surctl.report.theme import new_axes
+from surctl.report.theme import new_axes, save_figure
 from surctl.system import Controller, Plant, Record, Runs, System, run_system
 from tests.system.examples import pendulum
 

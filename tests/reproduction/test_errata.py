@@ -8,10 +8,7 @@ from functools import partial
 
 import pytest
 
-from surctl.marine.reproduction import avoidance_errata as avoidance
-from surctl.marine.reproduction import scenario_errata as scenario
-from surctl.marine.reproduction import sensing_errata as sensing
-from surctl.marine.reproduction import tracking_errata as tracking
+from surctl.marine.reproduction import errata
 from surctl.marine.reproduction.errata import errata_items
 from surctl.marine.sensing import SonarArray
 from surctl.marine.sensing.ranging.filters import lms_step
@@ -21,12 +18,12 @@ ITEMS = {item.id: item for item in errata_items()}
 
 along_command, load_scenario, avoidance_course = (
     tracking_claims.along_command,
-    scenario.load_scenario,
-    avoidance.avoidance_course,
+    errata.load_scenario,
+    errata.avoidance_course,
 )
-printed_step, cross_track_rate, loop_terms = sensing.printed_step, tracking.cross_track_rate, tracking.loop_terms
-quadratic_form, first_line, clearance_rate = tracking.quadratic_form, tracking.first_line, avoidance.clearance_rate
-largest_error, printed_gradient, pushed = sensing.largest_error, sensing.printed_gradient, avoidance.inertial_motion
+printed_step, cross_track_rate, loop_terms = errata.printed_step, errata.cross_track_rate, errata.loop_terms
+quadratic_form, first_line, clearance_rate = errata.quadratic_form, errata.first_line, errata.clearance_rate
+largest_error, printed_gradient, pushed = errata.largest_error, errata.printed_gradient, errata.inertial_motion
 
 
 def corrected_lms(*values: object, **named: object) -> object:
@@ -40,40 +37,40 @@ def turned_terms(setting: object) -> tuple[float, float, float]:
 
 # id: where the formula stands, its name, and another formula
 MUTATIONS: dict[str, list[tuple[object, str, object]]] = {
-    "E1": [(avoidance, "printed_obstacle_rate", lambda u, psi: (u * avoidance.cos(psi), u * avoidance.sin(psi)))],
-    "E2": [(sensing, "table_ii", lambda: sensing_table(3.5)), (sensing, "table_ii", lambda: sensing_table(1.0))],
-    "E3": [(sensing, "largest_error", lambda test: 1.5 * largest_error(test))],
-    "E4": [(sensing, "SonarArray", partial(SonarArray, bits=10))],
+    "E1": [(errata, "printed_obstacle_rate", lambda u, psi: (u * errata.cos(psi), u * errata.sin(psi)))],
+    "E2": [(errata, "table_ii", lambda: sensing_table(3.5)), (errata, "table_ii", lambda: sensing_table(1.0))],
+    "E3": [(errata, "largest_error", lambda test: 1.5 * largest_error(test))],
+    "E4": [(errata, "SonarArray", partial(SonarArray, bits=10))],
     "E5": [
-        (sensing, "lms_step", corrected_lms),
-        (sensing, "printed_step", lambda x, residual: 0.5 * printed_step(x, residual)),
+        (errata, "lms_step", corrected_lms),
+        (errata, "printed_step", lambda x, residual: 0.5 * printed_step(x, residual)),
     ],
-    "E6": [(sensing, "printed_step", lambda x, residual: 0.5 * printed_step(x, residual))],
+    "E6": [(errata, "printed_step", lambda x, residual: 0.5 * printed_step(x, residual))],
     "E7": [
-        (tracking, "cross_track_rate", lambda y, u, v, **k: cross_track_rate(y, u, v, **{**k, "course": True})),
-        (tracking, "cross_track_rate", lambda y, u, v, **k: cross_track_rate(y, u, v, **{**k, "course": False})),
+        (errata, "cross_track_rate", lambda y, u, v, **k: cross_track_rate(y, u, v, **{**k, "course": True})),
+        (errata, "cross_track_rate", lambda y, u, v, **k: cross_track_rate(y, u, v, **{**k, "course": False})),
     ],
-    "E8": [(tracking, "loop_terms", turned_terms)],
+    "E8": [(errata, "loop_terms", turned_terms)],
     "E8-diagonal": [
-        (tracking, "quadratic_form", lambda s, middle, third: quadratic_form(s, middle, s.k2)),
-        (tracking, "quadratic_form", lambda s, middle, third: quadratic_form(s, third, middle)),
+        (errata, "quadratic_form", lambda s, middle, third: quadratic_form(s, middle, s.k2)),
+        (errata, "quadratic_form", lambda s, middle, third: quadratic_form(s, third, middle)),
     ],
     "E9": [(tracking_claims, "along_command", lambda *v, **k: along_command(*v, **{**k, "repaired": True}))],
-    "E10": [(avoidance, "printed_side", lambda phi: 1), (avoidance, "encounter_side", lambda v, n: -1)],
-    "E11": [(avoidance, "avoidance_course", lambda *v, **k: avoidance_course(*v, **{**k, "delta": 0}))],
-    "E12": [(avoidance, "clearance_rate", lambda c, phi, **k: clearance_rate(c, phi, **{**k, "closing": 0}))],
-    "E13": [(avoidance, "inertial_motion", lambda start, s, a: pushed(start - [1.0, 0, 0, 0], s, a))],
-    "E14": [(tracking, "printed_position_error", lambda x, y, z: (x * x + y * y + z * z) ** 0.5)],
-    "E15": [(scenario, "PRINTED_HULL", "sur400")],
-    "E16": [(scenario, "load_scenario", lambda name: replace(load_scenario(name), depth=-0.3))],
-    "E17": [(avoidance, "printed_turn", avoidance.mended_turn), (avoidance, "mended_turn", avoidance.printed_turn)],
+    "E10": [(errata, "printed_side", lambda phi: 1), (errata, "encounter_side", lambda v, n: -1)],
+    "E11": [(errata, "avoidance_course", lambda *v, **k: avoidance_course(*v, **{**k, "delta": 0}))],
+    "E12": [(errata, "clearance_rate", lambda c, phi, **k: clearance_rate(c, phi, **{**k, "closing": 0}))],
+    "E13": [(errata, "inertial_motion", lambda start, s, a: pushed(start - [1.0, 0, 0, 0], s, a))],
+    "E14": [(errata, "printed_position_error", lambda x, y, z: (x * x + y * y + z * z) ** 0.5)],
+    "E15": [(errata, "PRINTED_HULL", "sur400")],
+    "E16": [(errata, "load_scenario", lambda name: replace(load_scenario(name), depth=-0.3))],
+    "E17": [(errata, "printed_turn", errata.mended_turn), (errata, "mended_turn", errata.printed_turn)],
     "E18": [
-        (tracking, "first_line", lambda s, speed, factor: first_line(s, speed, factor=1.0)),
-        (tracking, "first_line", lambda s, speed, factor: first_line(s, speed, factor=0.4 / 0.41**0.5)),
+        (errata, "first_line", lambda s, speed, factor: first_line(s, speed, factor=1.0)),
+        (errata, "first_line", lambda s, speed, factor: first_line(s, speed, factor=0.4 / 0.41**0.5)),
     ],
-    "E19": [(sensing, "printed_gradient", lambda theta, x, x_n: -printed_gradient(theta, x, x_n))],
-    "E20": [(sensing, "largest_error", lambda test: 0.6 * largest_error(test))],
-    "E21": [(tracking, "followed_path", lambda x, y: x + 2 * y)],
+    "E19": [(errata, "printed_gradient", lambda theta, x, x_n: -printed_gradient(theta, x, x_n))],
+    "E20": [(errata, "largest_error", lambda test: 0.6 * largest_error(test))],
+    "E21": [(errata, "followed_path", lambda x, y: x + 2 * y)],
 }
 
 
@@ -87,7 +84,7 @@ def sensing_table(percent: float) -> object:
     return replace(test, water=replace(test.water, printed_percent=printed))
 
 
-TABLE: Callable[[], object] = sensing.table_ii
+TABLE: Callable[[], object] = errata.table_ii
 
 
 def test_every_erratum_has_a_row_and_a_mutation() -> None:

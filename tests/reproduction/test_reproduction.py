@@ -17,13 +17,12 @@ from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.reproduction import WORDS, Item, Reproduction, Result, Simulations, items, reproduce, required
-from surctl.marine.reproduction import tables as tables_module
-from surctl.marine.reproduction.claims import claim_items, judged
+from surctl.marine.reproduction import reproduction as reproducing
 from surctl.marine.reproduction.page import write_reproduction
+from surctl.marine.reproduction.reproduction import claim_items, judged, table_items
 from surctl.marine.reproduction.row import agrees
-from surctl.marine.reproduction.simulations import scenario_names
-from surctl.marine.reproduction.tables import table_items
-from surctl.marine.sensing.calibration.table2 import RangeTest
+from surctl.marine.reproduction.scenarios import scenario_names
+from surctl.marine.sensing.calibration.file import RangeTest
 from surctl.marine.simulation import load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
@@ -86,7 +85,7 @@ def test_a_percentage_that_is_recomputed_otherwise_is_noticed(monkeypatch: pytes
 
 
 def test_a_sensor_with_more_bits_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tables_module, "SonarArray", partial(tables_module.SonarArray, bits=10))
+    monkeypatch.setattr(reproducing, "SonarArray", partial(reproducing.SonarArray, bits=10))
     failing = [row.item.id for row in (item.row() for item in table_items()) if not row.as_expected]
     assert failing == ["table-i-resolution"]
 

@@ -11,9 +11,15 @@ import pytest
 from surctl.cli.reproduce import row_lines
 from surctl.errors import InputError
 from surctl.marine.reproduction import Row, Simulations
-from surctl.marine.reproduction.instants import avoidances, instant_items
-from surctl.marine.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items, time_verdict
-from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.reproduction.reproduction import avoidances, instant_items
+from surctl.marine.reproduction.scenarios import (
+    hull_items,
+    limit_items,
+    position_items,
+    scenario_items,
+    scenario_names,
+    time_verdict,
+)
 from surctl.marine.simulation import METRICS, BatchResult
 
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.marine.sensing.mapping.directions import (
+from surctl.marine.sensing.mapping.firing import (
     DIRECTIONS,
     WIDEST,
     WIDEST_FREE,

@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.sensing import SonarArray, true_range
-from surctl.marine.sensing.sonar.mounting import open_cones
+from surctl.marine.sensing.sonar.array import open_cones
 from surctl.marine.world import Disc
 
 R = 0.27

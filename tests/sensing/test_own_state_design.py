@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from surctl.marine.sensing.localisation.design import ahead, growth, steady_covariance, transition, white, yaw_gains
+from surctl.marine.sensing.localisation.own_state import ahead, growth, steady_covariance, transition, white, yaw_gains
 
 DT = 0.05
 

@@ -16,7 +16,7 @@ from surctl.marine.sensing import (
     sonar_array,
     track,
 )
-from surctl.marine.sensing.replay import tracked
+from surctl.marine.sensing import replay as replaying
 from tests.sensing.recording import ARRAY, recorded, truth, write
 
 
@@ -44,7 +44,7 @@ def stepped(
 
 @pytest.mark.parametrize("chunk", [1000, 7])
 def test_a_replay_is_the_tracker_step_by_step(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracked, "_CHUNK", chunk)
+    monkeypatch.setattr(replaying, "_CHUNK", chunk)
     rng = np.random.default_rng(0)
     tracker, steps = RangeTracker(), 60
     samples = np.clip(

@@ -138,7 +138,7 @@ def test_bad_files_are_refused(tmp_path: Path, case: str) -> None:
 def test_a_recording_of_sparse_readings_that_takes_too_many_steps_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("surctl.marine.sensing.replay.pacing._MOST_STEPS", 1000)
+    monkeypatch.setattr("surctl.marine.sensing.replay._MOST_STEPS", 1000)
     rows = [f"{4.0 * (k // 40) + 0.1 * (k % 40)},0,2" for k in range(1000)]
     with pytest.raises(InputError, match=r"more than 1000 steps of 0\.05 s; split"):
         read(tmp_path, rows, header=PLAIN)

@@ -11,8 +11,7 @@ import pytest
 from surctl.marine.control import load_gains
 from surctl.marine.guidance import Path
 from surctl.marine.simulation import LIBRARY, Disturbance, Obstacle, Scenario, findings, load_scenario
-from surctl.marine.simulation.clearance import layers
-from surctl.marine.simulation.passage import tightest_gap
+from surctl.marine.simulation.clearance import layers, tightest_gap
 from surctl.marine.vehicle import load_vehicle
 
 TANK, POOL = load_scenario("tank-static"), load_scenario("pool-static")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surctl.marine.simulation import Body
-from surctl.marine.simulation.batch.bodies import Body as Symbols
+from surctl.marine.simulation.batch.structure import Body as Symbols
 from surctl.marine.simulation.column import BAND, FOOTPRINT, LONGEST, beside, column
 from surctl.marine.simulation.scenario import load_scenario
 from surctl.marine.world import WHOLE, Box, Disc, Heights, Prism

@@ -14,8 +14,8 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.guidance import Path
 from surctl.marine.simulation import Case, Obstacle, findings, load_scenario, simulate, stop_reason
+from surctl.marine.simulation.motion import planned_radius
 from surctl.marine.simulation.scenario_table import scenario_table
-from surctl.marine.simulation.steering_fit import planned_radius
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.tuning import prepare
 from surctl.marine.vehicle import Vehicle

@@ -15,7 +15,7 @@ from surctl.errors import InputError
 from surctl.files import file_name
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import RECORD_FORMATS, Run, load_scenario, record_columns, save_record, simulate
-from surctl.marine.study.scaled import write_missions
+from surctl.marine.study.plan import write_missions
 from surctl.marine.vehicle import (
     FRAME_TEXT,
     FRAMES,

@@ -22,7 +22,7 @@ from surctl.marine.guidance.braking import (
 )
 from surctl.marine.sensing import SurfaceModel
 from surctl.marine.simulation import SafetyClaim, Scenario, findings, load_scenario, safety_claim
-from surctl.marine.simulation.detection import detection_range, unanswered
+from surctl.marine.simulation.echo_fit import detection_range, unanswered
 from surctl.marine.simulation.reflectors import Reflectors, ReflectorTable
 from surctl.marine.vehicle import load_vehicle
 from tests.guidance.test_braking import fly

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from surctl.errors import SurctlError
-from surctl.marine.simulation.batch import stored
+from surctl.marine.simulation.batch import engines
 from surctl.marine.simulation.batch.loop import Loop, Structure, build_loop
 
 PLAIN = Structure("closed_form", "corrected", "nsb", "truth", ("disc",))
@@ -22,31 +22,31 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def begin() -> None:
     """As in another process: nothing is known but what lies on disk."""
-    stored.stored_loop.cache_clear()
+    engines.stored_loop.cache_clear()
     build_loop.cache_clear()
 
 
 def test_a_stored_loop_is_the_loop_and_is_built_once(monkeypatch: pytest.MonkeyPatch) -> None:
     begin()
-    first, other = stored.stored_loop(PLAIN), stored.stored_loop(replace(PLAIN, optional=True))
+    first, other = engines.stored_loop(PLAIN), engines.stored_loop(replace(PLAIN, optional=True))
     assert first.digest == build_loop(PLAIN).step.digest() != other.digest
     assert first.source.startswith("#") and first.source != other.source
     begin()
     monkeypatch.setattr(Loop, "step", property(lambda _: pytest.fail("it is built again")))
-    assert stored.stored_loop(PLAIN) == first and stored.stored_loop(replace(PLAIN, optional=True)) == other
+    assert engines.stored_loop(PLAIN) == first and engines.stored_loop(replace(PLAIN, optional=True)) == other
 
 
 def test_other_sources_or_none_build_it_again(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     begin()
-    first = stored.stored_loop(PLAIN)
+    first = engines.stored_loop(PLAIN)
     before = {path.name for path in folder.glob("*.loop")}
     begin()
-    monkeypatch.setattr(stored, "source_digest", lambda *_: "other sources")
-    assert stored.stored_loop(PLAIN) == first and len(list(folder.glob("*.loop"))) == 2 * len(before) == 2
+    monkeypatch.setattr(engines, "source_digest", lambda *_: "other sources")
+    assert engines.stored_loop(PLAIN) == first and len(list(folder.glob("*.loop"))) == 2 * len(before) == 2
 
     def unknown(*_: str) -> str:
         raise SurctlError("a source was changed")
 
     begin()
-    monkeypatch.setattr(stored, "source_digest", unknown)
-    assert stored.stored_loop(PLAIN) == first and len(list(folder.glob("*.loop"))) == 2
+    monkeypatch.setattr(engines, "source_digest", unknown)
+    assert engines.stored_loop(PLAIN) == first and len(list(folder.glob("*.loop"))) == 2

@@ -7,7 +7,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.marine.control import build_law
 from surctl.marine.study import load_plan
-from surctl.marine.study.shipping import with_perception
+from surctl.marine.study.conduct import with_perception
 
 
 @pytest.mark.parametrize("name", ["girona500", "lauv", "sur540-light"])

@@ -13,10 +13,7 @@ from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate
 from surctl.marine.study import conduct, load_plan
-from surctl.marine.study.conduct import assessed
-from surctl.marine.study.loops import loops_of
-from surctl.marine.study.notes import summary
-from surctl.marine.study.shipping import with_perception
+from surctl.marine.study.conduct import assessed, loops_of, summary, with_perception
 from surctl.marine.vehicle import LIBRARY, load_vehicle
 from surctl.marine.verification.linear import slowest_mode
 from tests.cli.process import surctl

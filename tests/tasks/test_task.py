@@ -19,7 +19,7 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
-from surctl.tasks.angle import wrap
+from surctl.tasks.task import wrap
 
 ETA = ca.SX.sym("eta", 4)
 POINT = (1.3, -0.4)

@@ -11,8 +11,7 @@ import pytest
 from surctl.cli.vehicle import _fit_lines
 from surctl.marine.vehicle import FITTED, MotionLog, identify
 from surctl.marine.vehicle.identification.model import Model, drift_sections_of, sections_of
-from surctl.marine.vehicle.identification.outliers import outliers
-from surctl.marine.vehicle.identification.solve import minimise
+from surctl.marine.vehicle.identification.solve import minimise, outliers
 from tests.vehicle.test_identify import START, TRUE, made_log
 
 MASSES = ("m11", "m22", "m33", "m44")

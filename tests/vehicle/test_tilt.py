@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, advance, load_scenario, simulate, simulate_batch
-from surctl.marine.simulation.tilting import tilt_findings
+from surctl.marine.simulation.fit import tilt_findings
 from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     TERMS,

@@ -14,7 +14,7 @@ from surctl.marine.verification import (
     avoidance_claims,
     braking_claims,
     claims,
-    course_claims,
+    library,
     settling_intrusion,
     tracking_claims,
 )
@@ -198,7 +198,7 @@ class Overconfident(braking_claims._Box):
         ("v1-corrected", patched(tracking_claims, "tracking_rate", pushed)),
         ("v1-speed-cap-region", patched(tracking_claims, "along_command", slower)),
         ("m-norm-corrected", patched(tracking_claims, "tracking_rate", pushed)),
-        ("course-corrected", patched(course_claims, "planar_rotation", turned)),
+        ("course-corrected", patched(library, "planar_rotation", turned)),
         ("v2-static", patched(avoidance_claims, "avoidance_course", form_of("printed"))),
         ("clearance-corrected", patched(avoidance_claims, "avoidance_course", form_of("printed"))),
         ("clearance-corrected", patched(avoidance_claims, "avoidance_course", deaf_to_the_obstacle)),

@@ -6,7 +6,7 @@ from scipy.signal import tf2ss
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
-from surctl.marine.control.velocity import velocity_control
+from surctl.marine.control.closing import velocity_control
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
 from surctl.marine.verification import build_cascade, closed_loop_poles, loop_margins, worst_margins

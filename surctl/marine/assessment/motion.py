@@ -12,7 +12,7 @@ from surctl.assessment.figures import SATURATED
 from surctl.errors import NotApplicable
 from surctl.marine.control import CASCADE, Barrier, Gains, Movers, law_source
 from surctl.marine.simulation import Run, SafetyClaim, Scenario, safety_claim, turn_rate
-from surctl.marine.simulation.detection import detection_range
+from surctl.marine.simulation.echo_fit import detection_range
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
 from surctl.own_code import label

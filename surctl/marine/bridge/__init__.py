@@ -1,19 +1,31 @@
 """Sessions of the exported law with an ArduSub autopilot by MAVLink, and rehearsals of them (extra `field`)."""
 
 from surctl.marine.bridge.autopilot import SimulatedSub
-from surctl.marine.bridge.axes import MODES, Axes, Mapping, Mode, mode_of
-from surctl.marine.bridge.bridge import Bridge, Moment, Plan
+from surctl.marine.bridge.bridge import Bridge, Moment, Plan, plan_session
 from surctl.marine.bridge.channel import Channel, LinkQuality
-from surctl.marine.bridge.clock import Clock
-from surctl.marine.bridge.events import Attitude, Beat, Gone, Odometry, Position, Ranges, Reply, Text
-from surctl.marine.bridge.limits import Limits
 from surctl.marine.bridge.live import Address, Ended, SessionLog, parse_address, run_session
 from surctl.marine.bridge.log import FrameLog, SessionRecord
-from surctl.marine.bridge.plan import plan_session
 from surctl.marine.bridge.rehearsal import ACTIONS, Act, Rehearsal, RehearsalResult, rehearse
-from surctl.marine.bridge.session import Session, sending
+from surctl.marine.bridge.session import Clock, Limits, Session, sending
 from surctl.marine.bridge.site import Site, parse_site
-from surctl.marine.bridge.wire import SENDS, Wire, dialect
+from surctl.marine.bridge.wire import (
+    MODES,
+    SENDS,
+    Attitude,
+    Axes,
+    Beat,
+    Gone,
+    Mapping,
+    Mode,
+    Odometry,
+    Position,
+    Ranges,
+    Reply,
+    Text,
+    Wire,
+    dialect,
+    mode_of,
+)
 
 __all__ = [
     "ACTIONS",

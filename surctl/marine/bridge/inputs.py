@@ -12,8 +12,8 @@ from math import atan2, cos, inf, pi, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.bridge.events import Attitude, Odometry, Position, Ranges
 from surctl.marine.bridge.site import Site, body_velocity, yaw_rate
+from surctl.marine.bridge.wire import Attitude, Odometry, Position, Ranges
 from surctl.marine.control import Law
 from surctl.marine.simulation import Scenario, build_world
 from surctl.marine.vehicle import Vehicle

@@ -18,13 +18,15 @@ The functions are pure: they map a state and an event to the next state, and kno
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from math import isfinite
 from typing import Literal
 
-from surctl.marine.bridge.clock import Clock
-from surctl.marine.bridge.limits import Limits
+from surctl.errors import InputError
 
 __all__ = [
+    "Clock",
+    "Limits",
     "Phase",
     "Sending",
     "Session",
@@ -35,6 +37,106 @@ __all__ = [
     "after_time",
     "sending",
 ]
+
+_BACK = 1.0  # [s] a time since boot that is older than the newest by more than this is that of a restarted autopilot
+_AHEAD = 5.0  # [s] and one that is ahead of its time by more than this belongs to another autopilot
+_MEMORY = 10.0  # [s] for which the best measurement of the offset is kept; clocks drift by far less than 1 ms in it
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Estimate of the offset between the clocks of bridge and autopilot, from round trips (TIMESYNC).
+
+    The offset is that of the shortest round trip of the last 10 s, with equal delays in both directions. If they
+    differ, an age is wrong by at most half the round trip.
+
+    Attributes:
+        offset: time of the bridge at which the autopilot started [s]; None before the first round trip.
+        trip: duration of the round trip from which the offset comes [s].
+        replied: time of the newest reply [s]; None before the first.
+        best: time of the round trip from which the offset comes [s].
+        newest: newest time since the autopilot's start [s], and the time of the bridge at which it arrived; None before
+            the first.
+        restarts: number of times that the time since start jumped.
+    """
+
+    offset: float | None = None
+    trip: float = 0.0
+    replied: float | None = None
+    best: float = 0.0
+    newest: tuple[float, float] | None = None
+    restarts: int = 0
+
+    def stamped(self, now: float, boot: float) -> Clock:
+        """Return the clock after a message with the time `boot` [s] since the autopilot's start."""
+        if self.newest is None:
+            return replace(self, newest=(boot, now))
+        last, arrived = self.newest
+        if boot < last - _BACK or boot > last + (now - arrived) + _AHEAD:
+            return Clock(newest=(boot, now), restarts=self.restarts + 1)
+        return replace(self, newest=(boot, now)) if boot > last else self
+
+    def reply(self, now: float, *, sent: float, boot: float) -> Clock:
+        """Return the clock after a reply to a request that was sent at `sent` [s] and answered at `boot` [s]."""
+        trip = now - sent
+        if not 0.0 <= trip <= _MEMORY:
+            return self
+        known = self.stamped(now, boot)
+        if known.offset is None or trip <= known.trip or now - known.best > _MEMORY:
+            known = replace(known, offset=0.5 * (sent + now) - boot, trip=trip, best=now)
+        return replace(known, replied=now)
+
+    def measured(self, boot: float) -> float | None:
+        """Return the time of the bridge [s] at which the autopilot's clock showed `boot`; None if it is unknown."""
+        return None if self.offset is None else self.offset + boot
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """Time-outs of a session [s]; every default is a design choice.
+
+    Attributes:
+        estimate: largest age that position and attitude may have at the vehicle while the command that follows from
+            them acts there. Beyond it the command is neutral; steering goes on when newer estimates arrive.
+        slack: on a link whose round trip is long, the age may be the round trip and this time, but at most `lost`: no
+            loss can have an effect at the vehicle sooner than a round trip after it.
+        heartbeat: longest silence of the autopilot's heartbeat, which it sends each second, or faster on request.
+        reply: longest time without a reply to TIMESYNC: the autopilot no longer hears the bridge.
+        lost: longest time without a usable estimate, or of refused control steps, after which the bridge steers again
+            only when the operator disarms and arms the vehicle.
+        obstacle: longest silence of a moving obstacle; its last motion is continued until then.
+        release: time for which neutral commands are sent before the bridge is silent.
+    """
+
+    estimate: float = 0.45
+    slack: float = 0.15
+    heartbeat: float = 3.0
+    reply: float = 2.0
+    lost: float = 2.0
+    obstacle: float = 1.0
+    release: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Raise InputError for a time that is not positive, or an `estimate` above `lost`."""
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if not (isfinite(value) and value > 0):
+                raise InputError("is not a valid time", key=each.name, value=value, remedy="give seconds, above 0")
+        if self.estimate > self.lost:
+            raise InputError(
+                f"is above lost = {self.lost:g} s", key="estimate", value=self.estimate, remedy="give a shorter time"
+            )
+
+    def oldest(self, trip: float) -> float:
+        """Return the largest age [s] of an estimate when its command reaches the vehicle, for a round trip [s].
+
+        Example:
+            >>> from surctl.marine.bridge import Limits
+            >>> Limits().oldest(0.1), Limits().oldest(0.6)
+            (0.45, 0.75)
+        """
+        return min(max(self.estimate, trip + self.slack), self.lost)
+
 
 Phase = Literal["waiting", "ready", "steering", "holding", "released", "arrived"]
 Sending = Literal["nothing", "neutral", "command"]

@@ -22,7 +22,7 @@ from surctl.marine.control.perception import LAST_THRUST
 from surctl.marine.vehicle import Actuators, axis_limits
 from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 
-__all__ = ["WORKING", "allocation_outputs", "with_allocation"]
+__all__ = ["WORKING", "with_allocation"]
 
 WORKING = "working"
 """Name of the input that says which thrusters work."""
@@ -30,7 +30,7 @@ WORKING = "working"
 _PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
 
 
-def allocation_outputs(actuators: Actuators) -> tuple[Port, ...]:
+def _allocation_outputs(actuators: Actuators) -> tuple[Port, ...]:
     """Return the outputs (`Port`) that allocation appends to those of a law."""
     count, named = len(actuators.thrusters), ", ".join(actuators.names)
     joints = ", ".join(actuators.names[k] for k in actuators.swivels)
@@ -65,7 +65,7 @@ def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -
     names = ", ".join(actuators.names)
     flags = Port(WORKING, (len(actuators.thrusters),), "1", f"1 for each thruster that works, else 0: {names}", 1.0)
     inputs = Layout((*law.inputs.ports, flags))
-    outputs = Layout((*law.outputs.ports, *allocation_outputs(actuators)))
+    outputs = Layout((*law.outputs.ports, *_allocation_outputs(actuators)))
     allocation = allocation_block(actuators, real)
     arrays = tuple(name for name, _ in allocation.outputs)
     steps = (

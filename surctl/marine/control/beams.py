@@ -13,12 +13,11 @@ import casadi as ca
 from surctl.ir import each, tabulated
 from surctl.marine.sensing import Equipment, Ranging, SonarArray, expected_range
 from surctl.marine.sensing.mapping.local_map import READING
-from surctl.marine.sensing.sonar.cones import turned
+from surctl.marine.sensing.sonar.solids import turned
 from surctl.marine.vehicle import planar_rotation
 
 __all__ = [
     "SILENT",
-    "TOLERANCE",
     "Around",
     "Expected",
     "beams",
@@ -33,7 +32,7 @@ __all__ = [
 SILENT = 0.1
 """A reading less than this distance [m] below the maximum range counts as no echo."""
 
-TOLERANCE = 0.10
+_TOLERANCE = 0.10
 """Distance [m] below an expected range from which an echo counts as that of the known object."""
 
 SURE, POSSIBLE = radians(3.0), radians(27.0)
@@ -98,12 +97,12 @@ class Expected(NamedTuple):
 
     def unexplained(self, reading: ca.SX, sensor: int) -> ca.SX:
         """Return whether no wall and no known obstacle explains an echo at the range `reading` [m]."""
-        nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - TOLERANCE
+        nearer: ca.SX = reading < ca.fmin(self.possible[sensor], self.things[sensor]) - _TOLERANCE
         if self.possible is self.walls:
             return nearer
         # the nearest point of the walls may answer too, if a wall is less smooth than assumed
         off = ca.fabs(reading - self.walls[sensor])
-        return ca.logic_and(nearer, off > TOLERANCE)
+        return ca.logic_and(nearer, off > _TOLERANCE)
 
 
 def expected(
@@ -172,7 +171,7 @@ def floor_range(equipment: Equipment, z: Height) -> Height | None:
         5.79
     """
     depth = equipment.floor
-    return None if depth is None else (z + depth) / sin(equipment.array.steepest(-1)) - TOLERANCE
+    return None if depth is None else (z + depth) / sin(equipment.array.steepest(-1)) - _TOLERANCE
 
 
 def honest(array: SonarArray, samples: ca.SX, ranging: Ranging, sensor: int, *, repeats: int) -> ca.SX:

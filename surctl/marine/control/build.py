@@ -1,22 +1,34 @@
-"""Function `build_law`, which assembles a law from perception, guidance, tasks, priority and velocity control."""
+"""Function `build_law`, which assembles a law from perception, guidance, tasks, priority and velocity control.
+
+The first line is JSON that describes the law and gives the length of each routine's text. The texts of the routines
+follow. The cache checks a digest of all bytes, and each text contains a digest of its routine, so an altered file is
+not loaded.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from typing import cast, get_args
+from functools import cache, partial
+from typing import Any, cast, get_args
 
 import casadi as ca
 
 from surctl.errors import InputError, SurctlError, nearest
 from surctl.ir import (
     Block,
+    Call,
     Layout,
+    Port,
+    Real,
     Recording,
+    Routine,
     cached_bytes,
     fold,
     read_block,
+    rearranged,
     source_digest,
     tabulated,
     without_libm,
@@ -24,9 +36,9 @@ from surctl.ir import (
 )
 from surctl.marine.control.allocated import with_allocation
 from surctl.marine.control.baselines import Situation
-from surctl.marine.control.closing import Closing, Memory
-from surctl.marine.control.dead_end import dead_end_next, standing
-from surctl.marine.control.decision import Scan
+from surctl.marine.control.closing import CLIMB, Closing, Memory, yaw_limit
+from surctl.marine.control.dead_end import aimed_depth, dead_end_next, forgetting, standing
+from surctl.marine.control.decision import Decision, Scan, TaskLevel
 from surctl.marine.control.echoes import perceive
 from surctl.marine.control.law import (
     DEGRADED,
@@ -39,11 +51,11 @@ from surctl.marine.control.law import (
     Stages,
     scan_telemetry,
 )
-from surctl.marine.control.layers import aimed_depth
-from surctl.marine.control.perception import PerceptionStage, build_perception
+from surctl.marine.control.perception import PERCEPTION, PerceptionStage, build_perception
 from surctl.marine.control.ports import (
     CONTACT_SLOTS,
     DEFAULT_ARRAY,
+    PARAMETERS,
     SECTORS,
     law_inputs,
     parameter_ports,
@@ -52,18 +64,212 @@ from surctl.marine.control.ports import (
 )
 from surctl.marine.control.reference import learnt, path_following
 from surctl.marine.control.registry import SONARLESS, law_ref, law_source
-from surctl.marine.control.routines import limited, sensing
-from surctl.marine.control.solver_inputs import limit_rows, solver_inputs
 from surctl.marine.control.source import LawSource, decision_of, perceived_by, state_layout, thrust_of
 from surctl.marine.control.stopping import BARRIER_NAMES, MOVERS, Barrier, Movers
-from surctl.marine.control.stored import law_bytes, law_from
 from surctl.marine.guidance import FORMS, AvoidanceForm, Guidance, check_guidance
 from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
-from surctl.priority import Fallback, Mode, check_fallback, nsb_symbolic
+from surctl.priority import Fallback, LevelShape, Mode, check_fallback, nsb_symbolic, priority_step
+from surctl.priority.solver.precision import FLOAT32, FLOAT64
+from surctl.tasks import LimitRow, VelocityBox
 
-__all__ = ["LAW_SOURCES", "MODES", "build_law", "build_law_of"]
+__all__ = [
+    "LAW_SOURCES",
+    "MODES",
+    "build_law",
+    "build_law_of",
+    "in_real",
+    "law_bytes",
+    "law_from",
+    "limited",
+    "sensing",
+]
+
+
+def _limit_rows(decision: Decision, p: dict[str, ca.SX]) -> list[LimitRow]:
+    """Return the limits l ≤ a·ν ≤ u: first the four of the velocity box, then those of the barriers."""
+    most = ca.vertcat(p["cap"], p["cap"], CLIMB, yaw_limit(p))
+    return [*VelocityBox(-most, most).rows(), *(row for limit in decision.rows for row in limit.rows())]
+
+
+def _solver_inputs(levels: Sequence[TaskLevel], rows: Sequence[LimitRow]) -> dict[str, ca.SX]:
+    """Return J by rows, the references, the limits (a, lower, upper, may be relaxed?), and the velocity box."""
+    flat = [ca.vertcat(row.a.T, row.lower, row.upper, row.kind != "actuator") for row in rows]
+    inputs = {
+        "J": ca.vec(ca.vertcat(*(level.J for level in levels)).T),
+        "reference": ca.vertcat(*(level.reference for level in levels)),
+        "rows": ca.vertcat(*flat),
+        "box": ca.vertcat(*(getattr(row, side) for side in ("lower", "upper") for row in rows[:4])),
+    }
+    return {name: ca.densify(value) for name, value in inputs.items()}
+
+
+_WORDS = ("name", "ref", "avoidance", "mode", "dt", "guidance", "barrier", "movers", "fallback")
+_STAGES = ("closed", "pre", "post")
+
+
+def law_bytes(law: Law) -> bytes:
+    """Return the law, and those of its stages that are built, as bytes that `law_from` can read."""
+    stages = [name for name in _STAGES if name in law.stages.__dict__]
+    blocks = [write_block(block) for block in (law.block, *(getattr(law.stages, name) for name in stages))]
+    head: dict[str, Any] = {word: getattr(law, word) for word in _WORDS}
+    own = [port for port in law.gains if port.name not in PARAMETERS]
+    head |= {"gains": _listed(own), "state": _listed(law.state)}
+    head |= {"inputs": _listed(law.inputs), "outputs": _listed(law.outputs)}
+    head |= {"levels": law.levels, "rows": law.rows, "stages": stages, "lengths": [len(text) for text in blocks]}
+    if law.perception is not None:
+        head["perception"] = {name: _listed(getattr(law.perception, name)) for name in ("state", "inputs", "outputs")}
+    return "\n".join([json.dumps(head), "".join(blocks)]).encode()
+
+
+def law_from(stored: bytes, other: Callable[[str], Block]) -> Law:
+    """Load a law from the bytes of `law_bytes`; each part of the law is parsed when it is first used.
+
+    Args:
+        stored: the bytes.
+        other: function from the name of a stage that the bytes do not contain to this stage; called when it is needed.
+    """
+    first, _, rest = stored.decode().partition("\n")
+    head = json.loads(first)
+    texts = []
+    for length in head["lengths"]:
+        texts.append(rest[:length])
+        rest = rest[length:]
+    block = read_block(texts[0])
+    stages: dict[str, Callable[[], Block]] = {name: partial(other, name) for name in _STAGES}
+    stages |= {name: partial(read_block, text) for name, text in zip(head["stages"], texts[1:], strict=True)}
+    return Law(
+        **{word: head[word] for word in _WORDS},
+        state=_layout(head["state"]),
+        inputs=_layout(head["inputs"]),
+        outputs=_layout(head["outputs"]),
+        gains=Layout((*PARAMETERS, *_layout(head["gains"]))),
+        block=block,
+        stages=Stages(**stages),
+        levels=tuple((name, count, unit) for name, count, unit in head["levels"]),
+        rows=tuple(head["rows"]),
+        perception=_perception(head["perception"], block) if "perception" in head else None,
+    )
+
+
+def _perception(head: dict[str, list[list[Any]]], whole: Block) -> PerceptionStage:
+    assert isinstance(whole, Routine)
+    (block,) = (step.block for step in whole.steps if isinstance(step, Call) and step.block.name == PERCEPTION)
+    return PerceptionStage(_layout(head["state"]), _layout(head["inputs"]), _layout(head["outputs"]), block)
+
+
+def _listed(layout: Iterable[Port]) -> list[list[Any]]:
+    return [[port.name, port.shape, port.unit, port.meaning, port.default, port.gap] for port in layout]
+
+
+def _layout(listed: list[list[Any]]) -> Layout:
+    return Layout(
+        tuple(Port(name, tuple(shape), unit, text, default, gap) for name, shape, unit, text, default, gap in listed)
+    )
+
+
+_MEMORY = ("carried", "reported", "flags")
+_PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
+
+
+def limited(
+    mode: Mode,
+    pre: Block,
+    post: Block,
+    *,
+    levels: tuple[tuple[str, int, str], ...],
+    rows: int,
+    fallback: Fallback = "exact",
+    real: Real = "float64",
+) -> Block:
+    """Return the routine that runs `pre`, the priority solver with tolerances for number type `real`, and `post`."""
+    shapes = tuple(LevelShape(count) for _, count, _ in levels)
+    # the law does not report which limit rows limit task 1, so `named` is off
+    step = priority_step(
+        mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, confirm=False, fallback=fallback
+    )
+    solution = tuple(f"step_{name}" for name, _ in step.outputs)
+    results = tuple(name for name, _ in post.outputs)
+    steps = (
+        Call(pre, ("x", "u", "p"), ("J", "reference", "rows", "box", *_MEMORY)),
+        Call(step, ("J", "reference", "reference", "rows", "box"), solution),
+        Call(post, ("u", "p", *_MEMORY, "step_v", "step_status"), results),
+    )
+    return Routine("law", pre.inputs, steps, results)
+
+
+def sensing(decide: Block, state: Layout, perception: PerceptionStage) -> Routine:
+    """Return the routine that runs perception, then the decision; `state` is the layout of the decision's state."""
+    whole = Layout((*state.ports, *perception.state.ports))
+    own, size = state.size, whole.size
+    apart = rearranged("apart", {"x": size}, {"decided": [("x", 0, own)], "sensed": [("x", own, size)]})
+    parts = {"decided": own, "tau": 4, "sensed": perception.state.size - 4}
+    together = rearranged("together", parts, {"x_next": [(name, 0, size) for name, size in parts.items()]})
+    anew = ("anew",) if "changing" in state else ()
+    gains = dict(decide.inputs)["p"]
+    shared, first = ("p",), tuple[Call, ...]()
+    if gains > PARAMETERS.size:  # a law with gains of its own, which perception does not know
+        cut = rearranged("shared", {"p": gains}, {"shared": [("p", 0, PARAMETERS.size)]})
+        shared, first = ("shared",), (Call(cut, ("p",), ("shared",)),)
+    steps = (
+        *first,
+        Call(apart, ("x",), ("decided", "sensed")),
+        *(Call(forgetting(state), ("decided",), (name,)) for name in anew),
+        Call(perception.block, ("sensed", "u", *shared, *anew), ("sensed_next", "decision_inputs")),
+        Call(decide, ("decided", "decision_inputs", "p"), ("tau", "decided_next", "status", "telemetry")),
+        Call(together, ("decided_next", "tau", "sensed_next"), ("x_next",)),
+    )
+    sizes = (("x", whole.size), ("u", perception.inputs.size), ("p", gains))
+    return Routine("law", sizes, steps, ("tau", "x_next", "status", "telemetry"))
+
+
+def in_real(law: Law, real: Real) -> Law:
+    """Return the law with the solver tolerances, and the polynomials for sin, cos and atan2, of number type `real`.
+
+    With the tolerances for double, the solver would never stop in float, because the rounding errors of float exceed
+    these tolerances. Without allocation to thrusters, a law in mode nsb or lexicographic is returned unchanged, because
+    it uses no solver tolerances.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.control import build_law, in_real, load_gains
+        >>> from surctl.ir import replay
+        >>> from surctl.marine.simulation import law_numbers, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> law = build_law("paper", mode="projected", contacts=1)
+        >>> p = law_numbers(load_scenario("pool-behind"), load_gains("default"), load_vehicle("sur400"))
+        >>> inputs = [v[None] for v in (law.initial_state(), law.inputs.pack({"eta": [1.2, 0.8, -0.15, 0.5]}), p)]
+        >>> for variant, real in ((law, np.float64), (in_real(law, "float32"), np.float32)):
+        ...     tau = replay(variant.block, *inputs, real=real)[0]
+        ...     print(tau.dtype, [round(float(f), 2) for f in tau[0, [0, 1]]])
+        float64 [5.0, 0.88]
+        float32 [5.0, 0.88]
+    """
+    if real == "float64":
+        return law
+    if law.base is not None and law.actuators is not None:
+        base = in_real(law.base, real)
+        if base.mode == "nsb" and base.perception is None:
+            base = replace(base, block=without_libm(base.stages.closed, real))
+        return with_allocation(base, law.actuators, real=real)
+    if law.mode not in ("filter", "projected"):
+        return law
+    block = limited(
+        law.mode,
+        law.stages.pre,
+        law.stages.post,
+        levels=law.levels,
+        rows=len(law.rows),
+        fallback=law.fallback,
+        real=real,
+    )
+    decide = without_libm(block, real)
+    if law.perception is None:
+        return replace(law, block=decide)
+    own = Layout(law.state.ports[: -len(law.perception.state.ports)])
+    return replace(law, block=sensing(decide, own, law.perception))
+
 
 DEFAULT_EQUIPMENT = Equipment()
 MODES: tuple[Mode, ...] = get_args(Mode)
@@ -349,7 +555,7 @@ def _decide(
         flags += TRAPPED * reported.get("trapped", 0)
         memory = Memory(state.join(carried), outputs.join({**unknown, **reported})[8:], flags)
 
-    rows = limit_rows(decision, ps)
+    rows = _limit_rows(decision, ps)
     nsb = nsb_symbolic([(level.J, level.reference) for level in levels], damping=source.damping)
     close = Closing(state, outputs, u, us, p, ps, dt, thrust_of(source, chosen.law))
     arguments = {"x": x, "u": u, "p": p}
@@ -358,7 +564,7 @@ def _decide(
         return recording.block("law", arguments, close.outputs_of(memory, nsb, ca.SX(0)))
 
     def pre() -> Block:
-        return recording.block("pre", arguments, {**solver_inputs(levels, rows), **memory._asdict()})
+        return recording.block("pre", arguments, {**_solver_inputs(levels, rows), **memory._asdict()})
 
     stages = Stages(closed, pre, close.block)
     shapes = tuple((level.name, int(level.J.shape[0]), level.unit) for level in levels)

@@ -1,4 +1,21 @@
-"""The last part of every law: it computes thrust, status and telemetry from the priority solver's velocity ν."""
+"""The last part of every law: it computes thrust, status and telemetry from the priority solver's velocity ν.
+
+The controller cancels neither Coriolis forces nor the true drag. A body that turns while it translates needs no force
+to hold its inertial velocity. To cancel the Coriolis force m u r, the thrusters would have to provide 9–14 N, but only
+5 N are available. The true drag adds damping. Because the gains in surge and sway are equal, properties of the closed
+loop can be proved. The feedback uses the velocity over ground, so a constant current causes only a small steady error.
+
+Noise of the estimated velocity enters the thrust through the velocity loop: an error e becomes m k_v e, which is 1 N
+for 95 kg, 1.5 1/s and 0.7 cm/s. `calmed` follows the demanded thrust through a band (hysteresis, or "play"): the
+command changes at once only as far as the demand leaves the band, and slowly within the band. So the command differs
+from the demand by at most the half width of the band, and not for long.
+
+`eased` lets the velocity reference follow the decision with a time constant and a limited acceleration, unless the
+speed bound of an obstacle requires more. Short-lived decisions then do not reverse the thrust. A share of the force
+that accelerates the mass along this reference is added to the demand (`pushed`), so the robot follows it more closely.
+
+The gains are chosen by a design of experiments on the compiled loop (`analysis/12_sonar_loop`).
+"""
 
 from __future__ import annotations
 
@@ -9,15 +26,267 @@ from typing import NamedTuple, Protocol
 
 import casadi as ca
 
-from surctl.ir import Block, Layout, Recording
-from surctl.marine.control.calm import calmed, soft_gain
+from surctl.ir import Block, Layout, Port, Recording, fold, tabulated
+from surctl.marine.control.gains import GainSpec
 from surctl.marine.control.law import DEGRADED, SATURATED, TRAPPED
 from surctl.marine.control.ports import YAW_SHARE
-from surctl.marine.control.velocity import velocity_control
+from surctl.marine.control.stopping import Bounds
 from surctl.marine.vehicle import planar_rotation
 from surctl.priority.solver.fallback import RELAXED
 
-__all__ = ["CLIMB", "Closing", "Memory", "Thrust", "thrust_bounds", "yaw_limit"]
+__all__ = [
+    "ACCELERATION_NOISE",
+    "BRAKE",
+    "BRAKE_AT_START",
+    "CALM_GAINS",
+    "CALM_PORTS",
+    "CLIMB",
+    "EVADE",
+    "HARD",
+    "MODEL_NOISE",
+    "Closing",
+    "Memory",
+    "Thrust",
+    "beside_margin",
+    "calm_parameters",
+    "calmed",
+    "eased",
+    "pushed",
+    "soft_gain",
+    "thrust_bounds",
+    "velocity_control",
+    "yaw_limit",
+]
+
+
+def velocity_control(
+    nu_reference: ca.SX,
+    nu: ca.SX,
+    integral: ca.SX,
+    model: Mapping[str, ca.SX],
+    *,
+    k_v: ca.SX,
+    k_r: ca.SX,
+    k_i: ca.SX,
+    dt: float,
+    calm: Callable[[ca.SX], ca.SX] | None = None,
+) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the limited thrust, the next integral ξ, and whether a limit is reached.
+
+    Before the limits, the thrust is D(ν_d)ν_d + M (K (ν_d − ν) + ξ) with the drag D, the mass matrix M and the gains K.
+
+    Args:
+        nu_reference: ν_d (4, 1) [m/s, rad/s] in {B}.
+        nu: measured velocity over ground (4, 1) in {B}.
+        integral: ξ (4, 1) [m/s², rad/s²].
+        model: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit` of the controller's model, each (4, 1).
+        k_v: bandwidth in surge, sway and heave [1/s], one number or (3, 1).
+        k_r: bandwidth in yaw [1/s].
+        k_i: integral gain [1/s²]; the integral of an axis does not change while the thrust of this axis is saturated
+            (conditional anti-windup).
+        dt: control period [s].
+        calm: function that keeps measurement noise out of the thrust before its limits (`control.calm`), or None.
+
+    Returns:
+        The thrust (4, 1) [N, N m] within the limits, the next integral (4, 1), and 1 if the thrust of an axis is
+        saturated, otherwise 0. Each axis is limited separately, because a common scaling of the horizontal force would
+        allow a large sideways command to remove most of the braking force.
+    """
+    error = nu_reference - nu
+    gain = ca.vertcat(ca.SX.ones(3) * k_v, k_r)
+    drag = model["linear_drag"] * nu_reference + model["quadratic_drag"] * nu_reference * ca.fabs(nu_reference)
+    free = drag + model["mass"] * (gain * error + integral)
+    if calm is not None:
+        free = calm(free)
+    limit = model["thrust_limit"]
+    thrust = ca.fmin(ca.fmax(free, -limit), limit)
+    clipped = ca.fabs(free - thrust) > 1e-9
+    held = ca.if_else(clipped, integral, integral + dt * k_i * error)
+    return thrust, held, ca.fmax(ca.fmax(clipped[0], clipped[1]), ca.fmax(clipped[2], clipped[3]))
+
+
+EVADE = 0.1
+"""Time constant [s] of the velocity reference while the robot evades a moving obstacle (*chosen*)."""
+
+MODEL_NOISE = 0.05
+"""Error of the vehicle model that the own-state filter of a calm law assumes [s^0.5] (*chosen*)."""
+
+ACCELERATION_NOISE = 0.012
+"""Acceleration noise that the own-state filter of a calm law always assumes [m/s^1.5] (*chosen*): a filter that follows
+the fixes faster costs the loop less of its margins."""
+
+BRAKE, BRAKE_AT_START, HARD = 3.0, 6.0, 0.03
+"""How a calm law brakes above a speed bound, see `stopping.braked` (*chosen*): harder near the start, where an obstacle
+may be in the blind range of the sonars."""
+
+_SMOOTH = 0.4  # [s] time constant of the reference's acceleration before it becomes thrust
+_WIDEST = 0.3  # share of the thrust limit: largest half width of the band
+_HEAVE, _DEPTH = 0.18, 0.33  # shares of `k_v` and `k2`: nothing is near above or below, so the depth may return slowly
+_HEAVE_LAG = 1.0  # [s] `settle` in heave, whose demand is about 0 and would often change its sign
+_BESIDE, _AHEAD = 0.3, 0.8  # cosines to the course: a mark beside the robot, and ahead of it
+_SLOW = 0.05  # [m/s] speed below which the robot hardly approaches anything
+
+CALM_PORTS = (
+    Port("eased", (2,), "m/s", "velocity reference of the step before, without braking, in {E}", gap="anew"),
+    Port("pushed", (2,), "m/s^2", "low-pass filtered acceleration of `eased`, in {E}", gap="anew"),
+    Port("held", (4,), "N, N m", "thrust command of the step before", gap="anew"),
+)
+
+CALM_GAINS: Mapping[str, GainSpec] = {
+    "ease": GainSpec("s", "time constant of the velocity reference; 0 for none", True, default=0.9, range=(0.0, 1.5)),
+    "ramp": GainSpec(
+        "1", "largest change of the velocity reference, as a share of the acceleration at full thrust", default=0.9,
+        range=(0.5, 2.0),
+    ),
+    "soft": GainSpec("1", "share of `k_v` that this law uses in surge and sway", default=0.65, range=(0.3, 1.0)),
+    "prompt": GainSpec("1", "share of `reaction` that this law uses", default=1.0, range=(0.5, 1.0)),
+    "feed_forward": GainSpec("1", "fed forward share of a steady acceleration", True, default=0.5, range=(0.0, 1.0)),
+    "still": GainSpec(
+        "m/s", "velocity error that changes the thrust only slowly; 0 for none", True, default=0.02, range=(0.0, 0.04)
+    ),
+    "settle": GainSpec("s", "time constant of the thrust after such an error", default=0.5, range=(0.1, 5.0)),
+    "beside": GainSpec("1", "share of `margin` kept from marks beside the course", True, default=0.3, range=(0.0, 1.0)),
+}  # fmt: skip
+"""Gains of law `calm` in addition to those of law `guarded`."""
+
+
+def calm_parameters(p: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+    """Return the parameters with the shares of `reaction` and `k2` that the decision of a calm law uses.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control.closing import calm_parameters
+        >>> float(calm_parameters({"prompt": ca.DM(0.8), "reaction": ca.DM(0.5), "k2": ca.DM(0.3)})["reaction"])
+        0.4
+    """
+    return {**p, "reaction": p["prompt"] * p["reaction"], "k2": _DEPTH * p["k2"]}
+
+
+def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the bandwidth (3, 1) of the velocity loops in surge, sway and heave [1/s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control.closing import soft_gain
+        >>> soft_gain({"k_v": ca.DM(1.5), "soft": ca.DM(0.5)})
+        DM([0.75, 0.75, 0.405])
+    """
+    return p["k_v"] * ca.vertcat(p["soft"], p["soft"], _HEAVE)
+
+
+def beside_margin(normal: ca.SX, *, course: ca.SX, now: ca.SX, full: ca.SX, p: Mapping[str, ca.SX]) -> ca.SX:
+    """Return the margin [m] to a mark of the map: `margin` ahead, and its share `beside` beside the desired course.
+
+    In a gap between two marks the robot passes both, and does not approach them. Ahead the margin covers an obstacle
+    that drifts towards the robot within the blind range of its sonars.
+
+    Args:
+        normal: unit vector (2, 1) from the robot to the mark, in {E}.
+        course: desired velocity (2, 1) in {E} [m/s].
+        now: velocity over ground (2, 1) in {E} [m/s]; a mark that the robot approaches is ahead, too.
+        full: 1 where every mark needs `margin`.
+        p: parameters by name: `margin`, `beside`.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control.closing import beside_margin
+        >>> p, to_x = {"margin": ca.DM(0.05), "beside": ca.DM(0.2)}, ca.DM([0.15, 0])
+        >>> marks = (ca.DM([1, 0]), ca.DM([0, 1]), ca.DM([-1, 0]))
+        >>> [round(float(beside_margin(n, course=to_x, now=to_x, full=ca.DM(0), p=p)), 3) for n in marks]
+        [0.05, 0.01, 0.01]
+    """
+    cosine = ca.fmax(_cosine(normal, course, 1e-3), _cosine(normal, now, _SLOW))
+    ahead = ca.fmin(ca.fmax((cosine - _BESIDE) / (_AHEAD - _BESIDE), 0), 1)
+    return p["margin"] * ca.if_else(full, 1, p["beside"] + (1 - p["beside"]) * ahead)
+
+
+def calmed(free: ca.SX, held: ca.SX, acceleration: ca.SX, *, p: Mapping[str, ca.SX], dt: float) -> ca.SX:
+    """Return the thrust (4, 1) that follows the demand slowly within a band, and at once where it leaves the band.
+
+    The yaw moment is the demand. The half width of the band is at most 30 % of the thrust limit.
+
+    Args:
+        free: demanded thrust (4, 1) before the limits, without acceleration of the reference [N, N m].
+        held: thrust command of the step before (4, 1) [N, N m].
+        acceleration: acceleration of the reference (2, 1) in {B} [m/s²]; the share `feed_forward` of it is used.
+        p: parameters by name: `mass`, `k_v`, `thrust_limit`, `soft`, `feed_forward`, `still`, `settle`.
+        dt: control period [s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control.closing import calmed
+        >>> p = {"mass": ca.DM([95, 95, 95, 1.5]), "thrust_limit": ca.DM([5, 5, 5, 0.5])}
+        >>> p |= {"k_v": 1.5, "soft": 1.0, "feed_forward": 0.5, "still": 0.007, "settle": 0.95}
+        >>> rest = ca.DM.zeros(2)
+        >>> near, far = (calmed(ca.DM([f, 0, 0, 0]), ca.DM.zeros(4), rest, p=p, dt=0.05)[0] for f in (0.8, 3.0))
+        >>> round(float(near), 2), round(float(far), 2)  # the band is 1 N wide on either side
+        (0.04, 2.0)
+    """
+    free = free + p["feed_forward"] * p["mass"] * ca.vertcat(acceleration, 0, 0)
+    width = ca.fmin(p["mass"][:3] * soft_gain(p) * p["still"], _WIDEST * p["thrust_limit"][:3])
+    width = ca.vertcat(width, 0)
+    lag = ca.vertcat(p["settle"], p["settle"], _HEAVE_LAG, p["settle"])
+    slow = held + dt / (dt + lag) * (free - held)
+    return ca.fmin(ca.fmax(slow, free - width), free + width)
+
+
+def _cosine(normal: ca.SX, velocity: ca.SX, least: float) -> ca.SX:
+    return ca.dot(normal, velocity) / ca.fmax(ca.sqrt(ca.sumsqr(velocity)), least)
+
+
+def eased(
+    velocity: ca.SX, before: ca.SX, bounds: Bounds, *, time: ca.SX | float, fastest: ca.SX | float, dt: float
+) -> ca.SX:
+    """Return a velocity between the reference of the step before and the desired one, within the bounds.
+
+    Where the reference would exceed a speed bound that the desired velocity respects, it follows faster, as far as the
+    bound requires.
+
+    Args:
+        velocity: desired velocity (2, 1) in {E} [m/s].
+        before: velocity reference of the step before (2, 1) in {E} [m/s].
+        bounds: speed bounds.
+        time: time constant [s].
+        fastest: largest acceleration of the reference [m/s²].
+        dt: control period [s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control.closing import eased
+        >>> slow, still, how = ca.SX([0.2, 0.0]), ca.SX([0.0, 0.0]), {"time": 0.45, "fastest": 1.0, "dt": 0.05}
+        >>> free = eased(still, slow, [(ca.SX([0.0, 1.0]), ca.SX(1.0))], **how)
+        >>> wall = eased(still, slow, [(ca.SX([1.0, 0.0]), ca.SX(0.05))], **how)
+        >>> ca.DM(free).full().ravel().round(3).tolist(), ca.DM(wall).full().ravel().round(3).tolist()
+        ([0.18, 0.0], [0.05, 0.0])
+    """
+    step = velocity - before
+
+    def further(share: ca.SX, row: ca.SX) -> ca.SX:
+        along, excess = ca.dot(row[:2], step), ca.dot(row[:2], before) - row[2]
+        needed = ca.fmin(excess / ca.fmax(-along, 1e-9), 1)
+        return ca.if_else(ca.logic_and(excess > 0, along < 0), ca.fmax(share, needed), share)
+
+    share = ca.fmin(dt / (dt + time), fastest * dt / ca.fmax(ca.sqrt(ca.sumsqr(step)), 1e-9))
+    return before + fold("eased", further, share, tabulated(bounds, 3)) * step
+
+
+def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
+    """Return the low-pass filtered acceleration (2, 1) of the velocity reference in {E} [m/s²].
+
+    Args:
+        velocity: velocity reference (2, 1) in {E} [m/s].
+        before: velocity reference of the step before (2, 1) in {E} [m/s].
+        held: result of the step before (2, 1) [m/s²].
+        dt: control period [s].
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control.closing import pushed
+        >>> rest = ca.DM([0.0, 0.0])
+        >>> pushed(ca.DM([0.011, 0.0]), rest, rest, dt=0.05)
+        DM([0.02, 0])
+    """
+    return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)
 
 
 class Thrust(Protocol):

@@ -58,7 +58,7 @@ class GainSpec:
         for value in (self.default, *(self.range or ())):
             if not is_number(value):
                 raise InputError("is not a number", key=key, value=value, remedy=f"give a number in {self.unit}")
-            check_value(key, float(value), None, {key: self})
+            _check_value(key, float(value), None, {key: self})
         if self.range is not None and self.range[0] > self.range[1]:
             raise InputError("is a reversed range", key=f"{key}.range", value=self.range, remedy="write (low, high)")
         if self.range is not None and not self.range[0] <= self.default <= self.range[1]:
@@ -119,7 +119,7 @@ class Gains:
 
     def __getitem__(self, name: str) -> float:
         """Return the value of a gain; an unknown name raises InputError and the message suggests a similar name."""
-        check_name(name, self.source, self.specs)
+        _check_name(name, self.source, self.specs)
         return self.values[name]
 
     def with_own(self, own: Mapping[str, GainSpec]) -> Gains:
@@ -138,8 +138,8 @@ class Gains:
     ) -> Gains:
         """Return a copy with new, checked values of some gains; `how` is appended to the name of the gain set."""
         for name, value in values.items():
-            check_name(name, self.source, self.specs)
-            check_value(name, float(value), self.source, self.specs)
+            _check_name(name, self.source, self.specs)
+            _check_value(name, float(value), self.source, self.specs)
         merged = {**self.values, **{k: float(v) for k, v in values.items()}}
         name = self.name if how is None else f"{self.name.removesuffix(f'-{how}')}-{how}"
         return replace(self, name=name, values=merged, provenance=provenance or self.provenance)
@@ -149,13 +149,13 @@ def _chosen(own: Mapping[str, GainSpec]) -> Mapping[str, GainSpec]:
     return {name: spec for name, spec in own.items() if not spec.from_vehicle}
 
 
-def check_name(name: str, source: object, specs: Mapping[str, GainSpec]) -> None:
+def _check_name(name: str, source: object, specs: Mapping[str, GainSpec]) -> None:
     """Raise InputError if `name` is not a gain; the message suggests a similar known name."""
     if name not in specs:
         raise InputError("no such gain", file=source or None, key=f"gains.{name}", remedy=nearest(name, specs))
 
 
-def check_value(name: str, value: float, source: object, specs: Mapping[str, GainSpec]) -> None:
+def _check_value(name: str, value: float, source: object, specs: Mapping[str, GainSpec]) -> None:
     """Raise InputError if the value of a gain is not finite, has the wrong sign or exceeds its bound."""
     spec = specs[name]
     low_ok = value >= 0 if spec.zero_allowed else value > 0
@@ -193,16 +193,16 @@ def load_gains(name_or_path: str, *, own: Mapping[str, GainSpec] | None = None) 
     ranges: dict[str, tuple[float, float]] = {}
     specs = {**GAINS, **_chosen(own or {})}
     for name, quantity in model.gains.items():
-        check_name(name, path, specs)
+        _check_name(name, path, specs)
         try:
             stated = quantity.within(specs[name].unit)
         except InputError as error:
             raise error.inside(path, f"gains.{name}.unit") from None
-        check_value(name, stated.value, path, specs)
+        _check_value(name, stated.value, path, specs)
         stated_values[name] = stated.value
         if stated.range is not None:
             for bound in stated.range:
-                check_value(name, bound, path, specs)
+                _check_value(name, bound, path, specs)
             if not stated.range[0] <= stated.value <= stated.range[1]:
                 raise InputError(
                     "is outside its own range",

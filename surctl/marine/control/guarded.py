@@ -15,7 +15,7 @@ from typing import TypeAlias
 import casadi as ca
 
 from surctl.ir import each, fold, tabulated
-from surctl.marine.control.calm import BRAKE, BRAKE_AT_START, EVADE, HARD, beside_margin, eased, pushed
+from surctl.marine.control.closing import BRAKE, BRAKE_AT_START, EVADE, HARD, beside_margin, eased, pushed
 from surctl.marine.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.marine.control.echoes import Perception
 from surctl.marine.control.ports import LAUNCHED, SECTORS
@@ -38,7 +38,7 @@ from surctl.tasks import HalfPlane, velocity_task
 
 __all__ = ["guarded_law"]
 
-Margin: TypeAlias = Callable[[ca.SX], ca.SX]
+_Margin: TypeAlias = Callable[[ca.SX], ca.SX]
 
 _CRAWL = 0.01  # [m/s] commanded speed below which the robot counts as stopped
 _GROPING = 0.5  # share of the cruise speed allowed in the direction of an untrusted sonar
@@ -85,7 +85,7 @@ def guarded_law(
     sectors, cones = _movers(perceived.known[:movers], desired, eta, p, stop)
     over_ground = planar_rotation(eta[3]) @ nu[:2]
     away = ca.sumsqr(eta[:2] - p["waypoints"][0, :].T) > LAUNCHED**2
-    mark_margin: Margin | None = None
+    mark_margin: _Margin | None = None
     if scan is not None and calm is not None:
         mark_margin = partial(beside_margin, course=desired.velocity, now=over_ground, full=ca.logic_not(away), p=p)
     for retreat, contacts, margin in (
@@ -239,7 +239,7 @@ def _standing(
     stop: Stop,
     *,
     retreat: float,
-    margin: Margin | None = None,
+    margin: _Margin | None = None,
 ) -> list[Sector]:
     """Return, for obstacles at rest, the sectors of courses that the braking distance blocks.
 

@@ -12,11 +12,10 @@ from surctl.errors import InputError, nearest
 from surctl.ir import Layout, Port, identifier
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import Thrust
-from surctl.marine.control.dead_end import DEAD_END_PORTS, SEARCH_PORT
+from surctl.marine.control.dead_end import DEAD_END_PORTS, LAYER_PORTS, SEARCH_PORT
 from surctl.marine.control.decision import DECISION_PORTS, Decision, TaskLevel
 from surctl.marine.control.echoes import Perception, perception_ports
 from surctl.marine.control.gains import GainSpec
-from surctl.marine.control.layers import LAYER_PORTS
 from surctl.marine.control.ports import PARAMETERS
 from surctl.marine.control.steering import Steering
 from surctl.marine.guidance import Guidance
@@ -127,7 +126,7 @@ class LawSource:
             if not callable(function := getattr(self, name)) and (function is not None or name == "decide"):
                 key = f"{self.name}.{name}"
                 raise InputError(f"is of type {type(function).__name__}", key=key, remedy="give a function")
-        gains, state = cast(object, self.gains), cast(object, self.state)
+        gains, state = cast("object", self.gains), cast("object", self.state)
         if not isinstance(gains, Mapping):
             remedy = 'write {"name": GainSpec(…)}'
             raise InputError(f"is of type {type(gains).__name__}", key=f"{self.name}.gains", remedy=remedy)
@@ -246,7 +245,7 @@ def _checked_decision(decision: object, source: LawSource, *, file: object) -> D
 
     if not isinstance(decision, Decision):
         raise fail(f"returned {type(decision).__name__}, not Decision", "decide", "return Decision([task, …])")
-    if isinstance(cast(object, decision.levels), Task | TaskLevel):
+    if isinstance(cast("object", decision.levels), Task | TaskLevel):
         raise fail("is one task", "levels", "write Decision([task])")
     decision = replace(decision, levels=tuple(decision.levels))
     if not decision.levels:

@@ -8,7 +8,7 @@ for the yaw rate that a law may plan:
 1. The drift angle v/u stays below the gain `sideslip`.
 2. The drift causes the moment μ u v, which turns the craft further into the turn: the Munk moment (m22 − m11) u v and
    the lift of body and fins, with `munk` μ = m22 − m11 + Nuv + Nv/U. The yaw moment that ends the turn must exceed it,
-   so only the share `MUNK_SHARE` of the largest yaw moment may be needed for it.
+   so only the share `_MUNK_SHARE` of the largest yaw moment may be needed for it.
 
 If the fins carry more than the centripetal force (m < 0), the craft drifts inwards, and the moment μ u v acts against
 the turn: it counts as further damping in yaw.
@@ -29,7 +29,6 @@ from surctl.marine.vehicle import Vehicle
 
 __all__ = [
     "FIN_STEERAGE",
-    "MUNK_SHARE",
     "SLOWEST",
     "Moving",
     "Steering",
@@ -42,7 +41,7 @@ __all__ = [
     "yaw_moment",
 ]
 
-MUNK_SHARE = 0.5
+_MUNK_SHARE = 0.5
 """Share of the largest yaw moment that the Munk moment of a planned turn may reach (*chosen*)."""
 
 SLOWEST = 0.25
@@ -103,7 +102,7 @@ def planned_yaw_rate(p: Mapping[str, ca.SX], speed: ca.SX) -> ca.SX:
     u = ca.fmax(speed, SLOWEST * p["cruise"])
     munk = ca.fabs(p["munk"]) * u
     moment = yaw_moment(p, u)
-    drift = ca.fmin(p["sideslip"] * u, MUNK_SHARE * moment / ca.fmax(munk, 1e-6))
+    drift = ca.fmin(p["sideslip"] * u, _MUNK_SHARE * moment / ca.fmax(munk, 1e-6))
     sideways = p["linear_drag"][1] * drift + p["quadratic_drag"][1] * drift * drift
     inwards = ca.fmax(-p["centripetal"], 0) * u / ca.fmax(p["linear_drag"][1], 1e-6)
     damping = p["linear_drag"][3] + ca.fmax(p["munk"] * u * inwards, 0)

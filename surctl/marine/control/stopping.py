@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias, get_args
 import casadi as ca
 
 from surctl.ir import fold, tabulated
-from surctl.marine.guidance.braking_symbols import BrakeSymbols, closing_bound
+from surctl.marine.guidance.braking import BrakeSymbols, closing_bound
 from surctl.tasks import allowed_closing_speed
 
 __all__ = ["BARRIERS", "BARRIER_NAMES", "BRAKE", "HARD", "MOVERS", "Barrier", "Bounds", "Movers", "Stop", "braked"]

@@ -6,9 +6,8 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.engine.batch import BatchCase, simulate_seeds
-    from surctl.marine.engine.exported import write_mjcf
     from surctl.marine.engine.fluid import Body, body_of, fluid_program
-    from surctl.marine.engine.mjcf import mjcf
+    from surctl.marine.engine.mjcf import mjcf, write_mjcf
     from surctl.marine.engine.options import EngineOptions, parse_plant
     from surctl.marine.engine.physics import MujocoPhysics, mujoco_physics
     from surctl.marine.engine.pictures import CAMERAS, Moment, Scene
@@ -34,9 +33,8 @@ load_at_first_use(
     __name__,
     {
         "batch": "BatchCase simulate_seeds",
-        "exported": "write_mjcf",
         "fluid": "Body body_of fluid_program",
-        "mjcf": "mjcf",
+        "mjcf": "mjcf write_mjcf",
         "options": "EngineOptions parse_plant",
         "physics": "MujocoPhysics mujoco_physics",
         "pictures": "CAMERAS Moment Scene",

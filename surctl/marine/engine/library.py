@@ -19,7 +19,43 @@ from surctl.ir import emit_block, shared_library
 from surctl.ir.native import loaded
 from surctl.marine.engine.fluid import Body, fluid_program
 
-__all__ = ["callback_source", "mujoco_library", "stepper"]
+__all__ = ["mujoco_library", "no_renderer", "stepper"]
+
+_LIBRARIES = {"egl": "libEGL.so.1", "osmesa": "libOSMesa.so.8"}
+
+
+def _choose_renderer() -> None:
+    """Let MuJoCo render without a screen where there is none; it reads MUJOCO_GL when it is first imported."""
+    screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if "mujoco" in sys.modules or os.environ.get("MUJOCO_GL") or screen or not sys.platform.startswith("linux"):
+        return
+    for name, library in _LIBRARIES.items():
+        try:
+            ctypes.CDLL(library)
+        except OSError:
+            continue
+        os.environ["MUJOCO_GL"] = name
+        return
+
+
+def no_renderer(why: str) -> ToolMissing:
+    """Return the error that nothing renders without a screen."""
+    return ToolMissing(
+        f"MuJoCo cannot render here ({why})",
+        key="--film",
+        remedy="install Mesa (Debian: apt install libegl1 libgl1-mesa-dri) and set MUJOCO_GL=egl",
+    )
+
+
+def _wrong_renderer(value: str, why: str) -> ToolMissing:
+    """Return the error that MuJoCo cannot be imported with a value of the environment variable MUJOCO_GL."""
+    return ToolMissing(
+        f"MuJoCo cannot be imported with this renderer ({why})",
+        key="environment variable MUJOCO_GL",
+        value=value,
+        remedy="set it to egl, osmesa or glfw, or unset it",
+    )
+
 
 Array = NDArray[np.float64]
 
@@ -31,10 +67,9 @@ def mujoco_library() -> ModuleType:
     Raises:
         ToolMissing: it is not installed, its installation is broken, or MUJOCO_GL names no renderer of it.
     """
-    from surctl.marine.engine.renderer import choose_renderer, wrong_renderer
 
     renderer = os.environ.get("MUJOCO_GL", "")
-    choose_renderer()
+    _choose_renderer()
     try:
         import mujoco
 
@@ -43,7 +78,7 @@ def mujoco_library() -> ModuleType:
         if isinstance(error, ModuleNotFoundError) and error.name == "mujoco":
             problem, remedy = "needs MuJoCo, which is not installed", "pip install 'surctl[mujoco]'"
         elif renderer and "mujoco" not in sys.modules:
-            raise wrong_renderer(renderer, str(error)) from None
+            raise _wrong_renderer(renderer, str(error)) from None
         else:
             problem = f"the installation of mujoco is broken ({error})"
             remedy = "reinstall it: pip install --force-reinstall mujoco"
@@ -100,7 +135,7 @@ void surctl_advance(callback step, callback *slot, listener *warned, const void 
 """
 
 
-def callback_source(body: Body) -> str:
+def _callback_source(body: Body) -> str:
     """Return the C text that adds the force of the water in every evaluation of MuJoCo's integrator."""
     text = emit_block(fluid_program(body), symbol="surctl_fluid")
     return f"#include <math.h>\n\n{text}\n" + _BOUND.replace("DOF", str(body.options.dof))
@@ -116,7 +151,7 @@ def stepper(body: Body) -> Callable[..., Callable[[], None]]:
         ToolMissing: MuJoCo or a C compiler is not installed.
     """
     mujoco = mujoco_library()
-    library = loaded(shared_library(callback_source(body)))
+    library = loaded(shared_library(_callback_source(body)))
     engine = _engine(str(mujoco.__file__))
     function = library.surctl_advance
     function.restype = None

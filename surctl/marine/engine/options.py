@@ -10,7 +10,7 @@ from surctl.marine.vehicle import Vehicle
 
 __all__ = ["EngineOptions", "parse_plant"]
 
-PLANTS = ("own", "mujoco")
+_PLANTS = ("own", "mujoco")
 _FORM = "write --plant mujoco or --plant mujoco:KEY=VALUE,..."
 _BOX = "write LENGTHxWIDTHxHEIGHT in m, such as 1.2x0.6x0.4"
 _UNLIKE = 20.0  # largest ratio of a side of a box to the diameter in the vehicle file, and of this to a side
@@ -134,8 +134,8 @@ def parse_plant(text: str) -> EngineOptions | None:
         True
     """
     name, colon, rest = text.partition(":")
-    if name not in PLANTS:
-        raise InputError("is not known", key="--plant", value=text, remedy=nearest(name, PLANTS))
+    if name not in _PLANTS:
+        raise InputError("is not known", key="--plant", value=text, remedy=nearest(name, _PLANTS))
     if name == "own":
         if colon:
             raise InputError("has no options", key="--plant", value=text, remedy="write --plant own")

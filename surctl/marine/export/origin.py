@@ -20,7 +20,7 @@ from surctl.certcheck.document import Rejected, read
 from surctl.errors import InputError, NotApplicable, UnsupportedOperation
 from surctl.export.bundle import gain_rows, law_entries, law_entry, law_id
 from surctl.export.contract import Exportable
-from surctl.export.listed import LAW, Listed, law_list
+from surctl.export.supplement import LAW, Listed, law_list
 from surctl.ir import Real
 from surctl.marine.control import AVOIDANCE, BARRIER, PATH_FOLLOWING, Law, build_law, law_source
 from surctl.marine.guidance import AvoidanceForm
@@ -36,7 +36,7 @@ __all__ = ["Origin", "check_belonging", "fitting_certificates", "load_certificat
 
 Vector = NDArray[np.float64]
 
-CERTIFIED = "certified_law.txt"
+_CERTIFIED = "certified_law.txt"
 """File of a bundle with the instruction list of the law that certificates are about, if it is not the exported one."""
 
 _AVOIDANCE: Mapping[str, AvoidanceForm] = {
@@ -69,7 +69,7 @@ class Origin:
     def lists(self, law: Exportable) -> dict[str, Listed]:
         """Return the instruction list of the law that certificates are about, unless it is that of the exported law."""
         exported = self.ground_truth.block.digest() == law.block.digest()
-        return {} if exported else {CERTIFIED: law_list(self.ground_truth)}
+        return {} if exported else {_CERTIFIED: law_list(self.ground_truth)}
 
     @property
     def files(self) -> dict[str, str]:

@@ -1,18 +1,31 @@
 """Guidance of the robot: path tracking, obstacle avoidance, and the choice of a course past several obstacles."""
 
 from surctl.marine.guidance.avoidance import FORMS, AvoidanceForm, avoidance_course, encounter_side
-from surctl.marine.guidance.cones import Cone, collision_cone, inside
 from surctl.marine.guidance.contacts import (
     FAR,
+    Cone,
     Contact,
+    collision_cone,
     disc_contact,
     disc_contacts,
+    inside,
     nearest_in_quadrants,
     point_contact,
     wall_contacts,
 )
-from surctl.marine.guidance.crosstrack import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.marine.guidance.following import FOLLOWING, PASSED, SKIPS, Follower, follow, follow_on
+from surctl.marine.guidance.following import (
+    AHEAD,
+    FOLLOWING,
+    PASSED,
+    ROW,
+    SKIPS,
+    Follower,
+    Window,
+    follow,
+    follow_on,
+    window_next,
+    window_values,
+)
 from surctl.marine.guidance.path import (
     AT_CORNER,
     BEND,
@@ -26,8 +39,17 @@ from surctl.marine.guidance.path import (
     wheel_over,
 )
 from surctl.marine.guidance.sectors import SAME_CONTACT, Choice, Sector, choose_velocity, round_unknown, slowed
-from surctl.marine.guidance.tracking import along_command, path_error, progress_rate, tracking_velocity
-from surctl.marine.guidance.window import AHEAD, ROW, Window, window_next, window_values
+from surctl.marine.guidance.tracking import (
+    GUIDANCE,
+    Guidance,
+    along_command,
+    check_guidance,
+    crosstrack_next,
+    crosstrack_shift,
+    path_error,
+    progress_rate,
+    tracking_velocity,
+)
 
 __all__ = [
     "AHEAD",

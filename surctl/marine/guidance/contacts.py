@@ -1,15 +1,41 @@
-"""Contacts: objects near the robot, described by direction, clearance and velocity, whatever sensor detects them."""
+"""Contacts around the robot: circles, the cones of directions that they occupy, and the side on which to pass them.
+
+The method follows Fiorini and Shiller (1998). A barrier on the distance would make the robot retreat from an
+approaching contact. A collision cone forbids only the velocities that lead to a collision, so the robot can also
+sidestep.
+
+In a head-on encounter, the course left of the contact and the course right of it are equally near to the desired
+course. Without these costs, the noise of the first measurement of the contact would choose the side, and the robot
+would keep to this side.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 
 from surctl.ir import each
 
-__all__ = ["FAR", "Contact", "disc_contact", "disc_contacts", "nearest_in_quadrants", "point_contact", "wall_contacts"]
+__all__ = [
+    "FAR",
+    "MISSED",
+    "MISSED_RATE",
+    "Cone",
+    "Contact",
+    "collision_cone",
+    "disc_contact",
+    "disc_contacts",
+    "inside",
+    "nearest_in_quadrants",
+    "passes_left",
+    "point_contact",
+    "side_costs",
+    "swap_costs",
+    "wall_contacts",
+]
 
 FAR = 100.0  # clearance [m] of an empty contact slot
 
@@ -146,3 +172,192 @@ def nearest_in_quadrants(contacts: Sequence[Contact], axes: Sequence[ca.SX]) -> 
             )
         chosen.append(best)
     return chosen
+
+
+_NEVER = -10.0  # [m/s] depth of every velocity if there is no contact: far outside the cone
+
+
+class Cone(NamedTuple):
+    """A collision cone: velocities v (2, 1) [m/s] in {E} at which the robot collides with a moving contact.
+
+    A velocity v lies in the cone if left·v, right·v and ahead·v exceed `left_bound`, `right_bound` and `ahead_bound`.
+
+    Attributes:
+        left, right: (2, 1) unit normals of the two sides of the cone, which point into the cone.
+        ahead: (2, 1) unit vector from robot to contact.
+        left_bound, right_bound: bounds on left·v and right·v [m/s].
+        ahead_bound: value of ahead·v [m/s] above which the robot meets the contact within the prediction time.
+        closing: component of the contact's velocity along `ahead` [m/s], negative if the contact approaches.
+        clearance: clearance minus the stand-off distance [m], not negative.
+        distance: distance between the centres of robot and contact [m].
+        offset: distance between the centres of robot and contact when the robot passes the contact [m].
+        crossing: component of the contact's velocity perpendicular to `ahead` [m/s], positive to the left.
+        there: 1 if a contact exists; 0 if the cone is empty.
+        point: (2, 1) [m] in {E}, position of the contact.
+    """
+
+    left: ca.SX
+    right: ca.SX
+    ahead: ca.SX
+    left_bound: ca.SX
+    right_bound: ca.SX
+    ahead_bound: ca.SX
+    closing: ca.SX
+    clearance: ca.SX
+    distance: ca.SX
+    offset: ca.SX
+    crossing: ca.SX
+    there: ca.SX
+    point: ca.SX
+
+    @staticmethod
+    def of(row: ca.SX) -> Cone:
+        """Return the collision cone whose numbers form one row of an array of cones."""
+        left, right, ahead, point = (row[k : k + 2] for k in (0, 2, 4, 15))
+        bounds, met = (row[6], row[7], row[8]), (row[9], row[10], row[11], row[12], row[13], row[14])
+        return Cone(left, right, ahead, *bounds, *met, point)
+
+
+def collision_cone(
+    contact: Contact, *, apart: ca.SX, standoff: ca.SX, horizon: ca.SX, there: ca.SX, point: ca.SX
+) -> Cone:
+    """Return the collision cone of a contact.
+
+    Args:
+        contact: the moving contact.
+        apart: least clearance with which the robot may pass the contact [m].
+        standoff: clearance at or below which the robot and the contact count as having collided [m].
+        horizon: prediction time; only collisions within this time count [s].
+        there: 1 if the contact must be avoided; with 0, the cone is empty.
+        point: (2, 1) [m] in {E}, position of the contact.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.guidance import collision_cone, disc_contact
+        >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
+        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
+        >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
+        >>> known = {name: ca.DM(value) for name, value in known.items()}
+        >>> cone = collision_cone(contact, point=centre, **known)
+        >>> float(cone.closing), round(float(cone.clearance), 2), float(cone.distance)
+        (-0.1, 1.5, 2.0)
+    """
+    n, across = contact.normal, ca.vertcat(-contact.normal[1], contact.normal[0])
+    distance = contact.clearance + contact.combined_radius
+    sine = ca.fmin((contact.combined_radius + apart) / ca.fmax(distance, 1e-6), 1)
+    cosine = ca.sqrt(1 - sine * sine)
+    left, right = sine * n - cosine * across, sine * n + cosine * across
+    motion = contact.velocity
+    return Cone(
+        left,
+        right,
+        n,
+        ca.dot(left, motion),
+        ca.dot(right, motion),
+        ca.dot(n, motion) + ca.fmax(contact.clearance - standoff, 0) / horizon,
+        ca.dot(n, motion),
+        ca.fmax(contact.clearance - standoff, 0),
+        distance,
+        contact.combined_radius + apart,
+        ca.dot(across, motion),
+        there,
+        point,
+    )
+
+
+def inside(velocity: ca.SX, cone: Cone) -> ca.SX:
+    """Return how deep [m/s] inside the cone a velocity (2, 1) lies; the result is negative outside the cone.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.guidance import collision_cone, disc_contact, inside
+        >>> here, hull, centre, motion = ca.DM([0, 0]), ca.DM(0.2), ca.DM([2, 0]), ca.DM([-0.1, 0])
+        >>> contact = disc_contact(here, hull, centre, ca.DM(0.3), motion, ca.DM(1))  # approaches at 0.1 m/s
+        >>> known = dict(apart=0.05, standoff=0.0, horizon=10.0, there=1)
+        >>> known = {name: ca.DM(value) for name, value in known.items()}
+        >>> cone = collision_cone(contact, point=centre, **known)
+        >>> [round(float(inside(ca.DM(v), cone)), 3) for v in ([0.15, 0.0], [0.1, 0.15])]  # collides, passes
+        [0.069, -0.089]
+    """
+    depth = ca.fmin(ca.dot(cone.left, velocity) - cone.left_bound, ca.dot(cone.right, velocity) - cone.right_bound)
+    depth = ca.fmin(depth, ca.dot(cone.ahead, velocity) - cone.ahead_bound)
+    return ca.if_else(cone.there, depth, _NEVER)
+
+
+MISSED, MISSED_RATE = 10.0, 100.0
+"""Cost of a course that violates a bound, and additional cost per m/s of violation."""
+
+_HEAD_ON = 0.03  # [m/s] crosswise speed below which an encounter is head-on: three standard deviations of a message
+_RIGHT = 0.15  # cost of passing a head-on contact on its right; noise changes the costs of the courses by only 0.05
+# share of the path to the place of passing, and sufficient clearance from walls there [m]
+_AMPLE_CLEARANCE = ((0.5, 0.3), (1.0, 0.05))
+_CRAMPED = 5.0  # cost per metre of missing clearance
+_SWAP = 2.0  # cost of changing sides, per share of the speed that must be reversed
+_AHEAD = 12.0  # [s] time until the meeting, below which this cost counts
+_REACHED = 0.5  # share of the time until the meeting in which the crosswise velocity must be reversed
+_STANDS = 1e-3  # [m/s] lower bound of the closing speed
+_SLOW = 0.05  # [m/s] least assumed speed of a contact towards the robot
+
+
+def side_costs(cone: Cone, desired: ca.SX, walls: Sequence[Contact]) -> tuple[ca.SX, ca.SX]:
+    """Return the additional costs of passing a moving contact on its left and on its right in a head-on encounter.
+
+    In any other encounter both costs are 0. The robot keeps a head-on contact on its right (erratum E10), unless the
+    path left of the contact is too close to a wall: near a wall the sonars detect little and the robot is slow.
+
+    Args:
+        cone: collision cone of the moving contact.
+        desired: desired velocity (2, 1) [m/s] in {E}.
+        walls: walls of the site.
+    """
+    n, across = cone.ahead, _left_of(cone.ahead)
+    speed = ca.sqrt(ca.sumsqr(desired))
+    travel = cone.distance * speed / ca.fmax(speed - cone.closing, speed + _SLOW)
+    left, right = (_cramped(travel * n + sign * cone.offset * across, walls) for sign in (1, -1))
+    head_on = ca.fabs(ca.dot(across, desired) - cone.crossing) < _HEAD_ON
+    return ca.if_else(head_on, left, 0), ca.if_else(head_on, right + _RIGHT, 0)
+
+
+def swap_costs(cone: Cone, now: ca.SX, speed: ca.SX, acceleration: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the costs of passing a moving contact on its left and on its right that a reversal of motion causes.
+
+    To pass on one of the two sides, the robot may have to reverse its crosswise velocity relative to the contact. The
+    cost of this side grows with the velocity to be reversed. So the robot completes a manoeuvre that it has begun, and
+    from rest it passes behind a crossing contact and not in front of it. If the thrust cannot reverse this velocity in
+    half the time until the robot meets the contact, the remaining velocity counts as a violation of a bound. In a
+    head-on encounter both costs are 0, so that noise does not choose the side.
+
+    Args:
+        cone: collision cone of the moving contact.
+        now: velocity over ground (2, 1) [m/s] in {E}.
+        speed: commanded speed [m/s].
+        acceleration: available acceleration [m/s²].
+    """
+    across = ca.dot(_left_of(cone.ahead), now) - cone.crossing
+    nearing = ca.fmax(ca.dot(cone.ahead, now) - cone.closing, _STANDS)
+    turn, time = ca.fabs(across), cone.clearance / nearing
+    late = turn - _REACHED * acceleration * time
+    cost = _SWAP * turn / speed + ca.if_else(late > 0, MISSED + MISSED_RATE * late, 0)
+    counts = ca.logic_and(turn > _HEAD_ON, ca.logic_and(cone.there, time < _AHEAD))
+    cost = ca.if_else(counts, cost, 0)
+    return ca.if_else(across < 0, cost, 0), ca.if_else(across > 0, cost, 0)
+
+
+def passes_left(velocity: ca.SX, cone: Cone) -> ca.SX:
+    """Return whether a velocity (2, 1) outside the cone passes left of the contact (contact on the robot's right)."""
+    return ca.dot(_left_of(cone.ahead), velocity) >= cone.crossing
+
+
+def _left_of(n: ca.SX) -> ca.SX:
+    return ca.vertcat(-n[1], n[0])
+
+
+def _cramped(path: ca.SX, walls: Sequence[Contact]) -> ca.SX:
+    """Return the cost of a straight path (2, 1) [m] from the robot's position, positive if too close to a wall."""
+    cost = ca.SX(0)
+    for share, ample in _AMPLE_CLEARANCE:
+        clearance = ca.SX(FAR)
+        for wall in walls:
+            clearance = ca.fmin(clearance, wall.clearance - share * ca.dot(path, wall.normal))
+        cost += _CRAMPED * ca.fmax(ample - clearance, 0)
+    return cost

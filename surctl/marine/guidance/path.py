@@ -259,13 +259,13 @@ def wheel_over(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, radius: ca.SX, lead: 
     tangent, ends, corner, ahead, length = _corner(waypoints, s)
     cosine = ca.fmin(ca.fmax(ca.dot(tangent, ahead), -1), 1)
     half = ca.sqrt((1 - cosine) / ca.fmax(1 + cosine, _SHARPEST))
-    before, left = ends - leg_start(waypoints, s), ca.dot(corner - here, tangent)
+    before, left = ends - _leg_start(waypoints, s), ca.dot(corner - here, tangent)
     distance = ca.fmin(radius * half + lead * ca.fmin(half, 1), 0.5 * ca.fmin(length, before))
     begins = ca.logic_and(ca.logic_and(length > 1e-6, s < ends), left <= distance)
     return ca.if_else(begins, ends, s)
 
 
-def leg_start(waypoints: ca.SX, s: ca.SX) -> ca.SX:
+def _leg_start(waypoints: ca.SX, s: ca.SX) -> ca.SX:
     """Return the arc length [m] at the start of the path segment that contains s; see `path_target`.
 
     Example:

@@ -9,20 +9,159 @@ free if n·v ≤ a(l) + v_o·n. For one contact, the edges of the blocked sector
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from math import cos, radians, sin
 from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.ir import fold, only_if, tabulated
-from surctl.marine.guidance.around import TOLERANCE, Around, Sector, edge, turned
-from surctl.marine.guidance.cones import Cone
-from surctl.marine.guidance.contacts import Contact
-from surctl.marine.guidance.sides import MISSED, MISSED_RATE
+from surctl.ir import each, fold, only_if, tabulated
+from surctl.marine.guidance.contacts import (
+    MISSED,
+    MISSED_RATE,
+    Cone,
+    Contact,
+    inside,
+    passes_left,
+    side_costs,
+    swap_costs,
+)
 
 __all__ = ["Choice", "Sector", "choose_velocity", "round_unknown", "slowed"]
+
+_TOLERANCE = 1e-3
+"""Violation of a bound [m/s] up to which a course still counts as free."""
+
+_AWAITED = 12.0  # [s] time in which a moving contact must come near, for the robot to wait for it
+
+
+class Sector(NamedTuple):
+    """The sector of courses that one contact (nearby object) blocks: all velocities v with n·v > bound.
+
+    Attributes:
+        normal: (2, 1) unit vector n from robot to contact, in {E}.
+        bound: largest allowed n·v [m/s]; a negative bound requires that the robot retreats.
+        point: (2, 1) [m] in {E}, position of the contact; if this position jumps between two steps, the law assumes
+            that another contact blocks the course.
+    """
+
+    normal: ca.SX
+    bound: ca.SX
+    point: ca.SX
+
+    @staticmethod
+    def of(row: ca.SX) -> Sector:
+        """Return the sector whose numbers form one row of the array `Around.sectors`."""
+        return Sector(row[:2], row[2], row[3:5])
+
+
+@dataclass(frozen=True)
+class _Around:
+    """The contacts (nearby objects) as arrays: `sectors` (n, 5), `cones` (m, 17) and `sides` (m, 3).
+
+    Each row of `sectors` is a `Sector`, and each row of `cones` is a `Cone`.
+
+    For each cone, a row of `sides` holds three numbers: the cost of passing the contact on its left, the cost of
+    passing it on its right, and 1 if the contact crosses the robot's course.
+    """
+
+    sectors: ca.SX
+    cones: ca.SX
+    sides: ca.SX | None = None
+
+    @staticmethod
+    def of(sectors: Sequence[Sector], cones: Sequence[Cone]) -> _Around:
+        """Return the arrays of the given sectors and collision cones; the array `sides` is None."""
+        return _Around(tabulated(sectors, 5), tabulated(cones, 17))
+
+    def with_sides(
+        self, desired: ca.SX, speed: ca.SX, velocity: ca.SX, now: ca.SX, acceleration: ca.SX, walls: Sequence[Contact]
+    ) -> _Around:
+        """Return a copy with the array `sides`: costs of passing each moving contact on its left and right."""
+
+        def sides(row: ca.SX) -> tuple[ca.SX]:
+            cone = Cone.of(row)
+            met = inside(velocity, cone) > _TOLERANCE
+            head_on, swap = side_costs(cone, desired, walls), swap_costs(cone, now, speed, acceleration)
+            costs = [ca.if_else(met, a, 0) + b for a, b in zip(head_on, swap, strict=True)]
+            return (ca.vertcat(*costs, swap[0] + swap[1] > 0),)
+
+        return replace(self, sides=each("sides", sides, self.cones)[0]) if self.cones.shape[0] else self
+
+    def excess(self, velocity: ca.SX) -> ca.SX:
+        """Return how deep [m/s] a velocity (2, 1) lies in any sector or cone; negative if it lies in none."""
+
+        def missed(worst: ca.SX, row: ca.SX) -> ca.SX:
+            return ca.fmax(worst, ca.dot(velocity, row[:2]) - row[2])
+
+        worst = fold("excess", missed, ca.SX(-10.0), self.sectors)
+        return fold("depth", lambda worst, row: ca.fmax(worst, inside(velocity, Cone.of(row))), worst, self.cones)
+
+    def free_speed(self, course: ca.SX, speed: ca.SX) -> ca.SX:
+        """Return the largest speed [m/s], at most `speed`, at which a course violates no bound of a sector.
+
+        The course is a unit vector (2, 1). A negative bound counts as 0.
+        """
+
+        def limited(free: ca.SX, row: ca.SX) -> ca.SX:
+            along = ca.dot(course, row[:2])
+            limit = ca.fmax(row[2], 0) / ca.fmax(along, 1e-3)
+            return ca.if_else(along > 1e-3, ca.fmin(free, limit), free)
+
+        return fold("free_speed", limited, speed, self.sectors)
+
+    def passing(self, velocity: ca.SX, cost: ca.SX) -> ca.SX:
+        """Return `cost` plus, for each moving contact, the cost of the side on which `velocity` passes the contact."""
+
+        def passed(cost: ca.SX, row: ca.SX, sides: ca.SX) -> ca.SX:
+            return cost + ca.if_else(passes_left(velocity, Cone.of(row)), sides[0], sides[1])
+
+        return cost if self.sides is None else fold("passing", passed, cost, self.cones, self.sides)
+
+    def waits(self) -> ca.SX:
+        """Return whether a moving contact will reach the robot so soon that the robot should wait for it to pass."""
+
+        def soon(any_other: ca.SX, row: ca.SX) -> ca.SX:
+            cone = Cone.of(row)
+            return ca.logic_or(any_other, ca.logic_and(cone.there, cone.clearance < -_AWAITED * cone.closing))
+
+        return fold("waits", soon, ca.SX(0), self.cones)
+
+    def any_there(self) -> ca.SX:
+        """Return whether at least one contact moves."""
+        return fold("there", lambda other, row: ca.logic_or(other, Cone.of(row).there), ca.SX(0), self.cones)
+
+    def worst_blocker(self, course: ca.SX, speed: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the position of the contact that blocks a course most, and whether this contact crosses the course."""
+
+        def by_sector(worst: ca.SX, where: ca.SX, row: ca.SX) -> list[ca.SX]:
+            violation = speed * ca.dot(course, row[:2]) - row[2]
+            return [ca.fmax(worst, violation), ca.if_else(violation > worst, row[3:5], where)]
+
+        def by_cone(worst: ca.SX, where: ca.SX, crossed: ca.SX, row: ca.SX, sides: ca.SX) -> list[ca.SX]:
+            depth = inside(speed * course, Cone.of(row))
+            deeper = depth > worst
+            there, crosses = ca.if_else(deeper, row[15:17], where), ca.if_else(deeper, sides[2], crossed)
+            return [ca.fmax(worst, depth), there, crosses]
+
+        worst, where = fold("worst_sector", by_sector, [ca.SX(-10.0), self.sectors[0, 3:5].T], self.sectors)
+        if self.sides is None:
+            return where, ca.SX(0)
+        _, where, crossed = fold("worst_cone", by_cone, [worst, where, ca.SX(0)], self.cones, self.sides)
+        return where, crossed
+
+
+def _edge(n: ca.SX, bound: ca.SX, speed: ca.SX, sign: ca.SX) -> ca.SX:
+    """Return the left edge (`sign` +1) or the right edge (−1) of a sector: n turned by arccos(bound/speed)."""
+    cosine = ca.fmin(ca.fmax(bound / speed, -1), 1)
+    return _turned(n, cosine, sign * ca.sqrt(1 - cosine * cosine))
+
+
+def _turned(n: ca.SX, cosine: ca.SX | float, sine: ca.SX | float) -> ca.SX:
+    """Return a vector (2, 1) turned to the left by the angle with the given cosine and sine."""
+    return ca.vertcat(n[0] * cosine - n[1] * sine, n[1] * cosine + n[0] * sine)
+
 
 _HEAD_ON = 1e-4  # cost of side −1 between two equal edges, so a head-on obstacle stays on the right (E10)
 _TURN_BACK = 8.0  # cost of leaving the latched side: more than that of a free course (0 … 2), less than of a violation
@@ -120,9 +259,9 @@ def choose_velocity(
     """
     desired_speed = ca.fmax(ca.sqrt(ca.sumsqr(desired)), 1e-3)
     ahead = desired / desired_speed
-    around = Around.of(sectors, cones)
+    around = _Around.of(sectors, cones)
     retreat = fold("retreat", lambda most, row: ca.fmax(most, ca.fmin(-row[2], cap)), ca.SX(0), around.sectors)
-    near = around.excess(desired_speed * ahead) > TOLERANCE
+    near = around.excess(desired_speed * ahead) > _TOLERANCE
     speed = ca.if_else(near, ca.fmin(desired_speed, cruise), desired_speed)
     speed = ca.fmax(speed, ca.if_else(retreat > 0, ca.fmin(retreat + _OVERTAKE, cap), 0))
 
@@ -134,7 +273,7 @@ def choose_velocity(
     # the latched side refers to the desired course, so it does not apply to crossing contacts; see `swap_costs`
     latched = ca.if_else(ca.logic_and(held, ca.logic_not(crossed)), side, 0)
     missed = around.excess(speed * ahead)
-    blocked = missed > TOLERANCE
+    blocked = missed > _TOLERANCE
     best = _Best(ahead, missed, ca.SX(0), _missed_cost(missed), speed)
     search = _Search(around, ahead, speed, latched, keeps)
     at_first = best
@@ -147,8 +286,8 @@ def choose_velocity(
         best = _Best(*only_if("slower", slower, lambda: search.slower(current), current))
     velocity = ca.fmax(ca.fmin(around.free_speed(best.course, speed), best.pace), retreat) * best.course
     # boxed in: the robot stops if every course violates the bounds more than zero velocity does
-    worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + TOLERANCE
-    velocity = ca.if_else(ca.logic_and(best.missed > TOLERANCE, worse), 0, velocity)
+    worse = around.excess(velocity) > around.excess(ca.SX.zeros(2)) + _TOLERANCE
+    velocity = ca.if_else(ca.logic_and(best.missed > _TOLERANCE, worse), 0, velocity)
     return Choice(velocity, ca.if_else(blocked, best.side, 0), blocked, ca.fmax(best.missed, 0), worst)
 
 
@@ -168,7 +307,7 @@ class _Best(NamedTuple):
 class _Search:
     """Search over all candidates in a fixed order; among candidates with equal cost the first is chosen."""
 
-    around: Around
+    around: _Around
     ahead: ca.SX
     speed: ca.SX
     latched: ca.SX
@@ -208,7 +347,7 @@ class _Search:
         return _Best(*fold("both_sides", on_one_side, best, ca.SX([[1, 0], [-1, _HEAD_ON]])))
 
     def _edge(self, best: _Best, normal: ca.SX, bound: ca.SX, sign: ca.SX, dearer: ca.SX) -> _Best:
-        course, ahead = edge(normal, bound, self.speed, sign), self.ahead
+        course, ahead = _edge(normal, bound, self.speed, sign), self.ahead
         missed = self.around.excess(self.speed * course)
         left = ca.if_else(ahead[0] * course[1] - ahead[1] * course[0] >= 0, 1, -1)
         if self.keeps is not None:
@@ -229,7 +368,7 @@ class _Search:
 
         def course(*values: ca.SX) -> _Best:
             *held, row = values
-            aside, sign, off = turned(self.ahead, row[0], row[1]), row[2], row[3]
+            aside, sign, off = _turned(self.ahead, row[0], row[1]), row[2], row[3]
             free = self.around.free_speed(aside, self.speed)
             # no violation is possible: here no bound is negative and there is no cone
             cost = off + _SLOWER * (1 - free / self.speed)
@@ -291,12 +430,12 @@ def round_unknown(
     """
     speed = ca.fmax(ca.sqrt(ca.sumsqr(velocity)), 1e-3)
     ahead = velocity / speed
-    around = Around.of(sectors, cones)
-    allowed_excess = ca.fmax(around.excess(velocity), 0) + TOLERANCE
+    around = _Around.of(sectors, cones)
+    allowed_excess = ca.fmax(around.excess(velocity), 0) + _TOLERANCE
 
     def beside(chosen: ca.SX, most: ca.SX, row: ca.SX) -> list[ca.SX]:
         def one_side(best: ca.SX, most: ca.SX, sign: ca.SX) -> list[ca.SX]:
-            course = speed * edge(row[:2], row[2], speed, sign)
+            course = speed * _edge(row[:2], row[2], speed, sign)
             gain = ca.dot(slowed(course, bounds), ahead)
             gain = ca.if_else(around.excess(course) <= allowed_excess, gain, 0)
             return [ca.if_else(gain > most, course, best), ca.if_else(gain > most, gain, most)]
@@ -312,4 +451,4 @@ def round_unknown(
 
 
 def _missed_cost(violation: ca.SX) -> ca.SX:
-    return ca.if_else(violation > TOLERANCE, MISSED + MISSED_RATE * violation, 0)
+    return ca.if_else(violation > _TOLERANCE, MISSED + MISSED_RATE * violation, 0)

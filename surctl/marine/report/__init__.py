@@ -5,9 +5,15 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.report.animation import check_animation, save_animation
-    from surctl.marine.report.calibration_plots import plot_calibration
-    from surctl.marine.report.data import ExportSummary, ReportData
+    from surctl.marine.report.animation import (
+        check_animation,
+        check_film,
+        film_frames,
+        film_pictures,
+        moment_of,
+        save_animation,
+        save_film,
+    )
     from surctl.marine.report.evidence_sections import runs_section
     from surctl.marine.report.files import (
         save_calibrations,
@@ -20,7 +26,6 @@ if TYPE_CHECKING:
         save_sonar_replay,
         save_tuning,
     )
-    from surctl.marine.report.film import check_film, film_frames, film_pictures, moment_of, save_film
     from surctl.marine.report.goals import (
         GoalBars,
         GoalView,
@@ -30,21 +35,24 @@ if TYPE_CHECKING:
         plot_goal_bars,
         plot_goal_view,
     )
-    from surctl.marine.report.heat_map import plot_heat_map
-    from surctl.marine.report.locus import plot_locus
-    from surctl.marine.report.loops import LoopResponse, loop_responses, plot_bode, plot_nyquist, plot_poles
     from surctl.marine.report.map_view import MapView, map_view, plot_map, plot_maps
+    from surctl.marine.report.margin_plots import (
+        LoopResponse,
+        loop_responses,
+        plot_bode,
+        plot_locus,
+        plot_nyquist,
+        plot_poles,
+    )
     from surctl.marine.report.page import render_page, write_page
     from surctl.marine.report.paper_plots import plot_coordinates, plot_position_errors, plot_series
     from surctl.marine.report.plan_view import plot_run
-    from surctl.marine.report.prediction_plots import plot_prediction, save_prediction
-    from surctl.marine.report.priority_plot import plot_priority
-    from surctl.marine.report.region_plots import plot_region
-    from surctl.marine.report.replay_plots import plot_replay_sensor, plot_sonar_replay
-    from surctl.marine.report.signals import plot_run_signals
-    from surctl.marine.report.sweep_plots import plot_parallel, plot_sensitivity
-    from surctl.marine.report.thruster_plot import plot_attainable, save_attainable
-    from surctl.marine.report.verify_files import save_margins, save_regions, save_verdicts
+    from surctl.marine.report.sections import ExportSummary, ReportData
+    from surctl.marine.report.signals import plot_priority, plot_run_signals
+    from surctl.marine.report.sonar_plots import plot_calibration, plot_replay_sensor, plot_sonar_replay
+    from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel, plot_sensitivity
+    from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction, save_attainable, save_prediction
+    from surctl.marine.report.verify_files import plot_region, save_margins, save_regions, save_verdicts
 
 __all__ = [
     "ExportSummary",
@@ -110,28 +118,21 @@ __all__ = [
 load_at_first_use(
     __name__,
     {
-        "animation": "check_animation save_animation",
-        "calibration_plots": "plot_calibration",
-        "data": "ExportSummary ReportData",
+        "animation": "check_animation check_film film_frames film_pictures moment_of save_animation save_film",
         "evidence_sections": "runs_section",
-        "files": "save_calibrations save_heat_map save_locus save_parallel "
-        "save_priority save_run save_sensitivity save_sonar_replay save_tuning",
-        "film": "check_film film_frames film_pictures moment_of save_film",
+        "files": "save_calibrations save_heat_map save_locus save_parallel save_priority save_run save_sensitivity"
+        " save_sonar_replay save_tuning",
         "goals": "GoalBars GoalView goal_bars goal_view plot_front plot_goal_bars plot_goal_view",
-        "heat_map": "plot_heat_map",
-        "locus": "plot_locus",
-        "loops": "LoopResponse loop_responses plot_bode plot_nyquist plot_poles",
         "map_view": "MapView map_view plot_map plot_maps",
+        "margin_plots": "LoopResponse loop_responses plot_bode plot_locus plot_nyquist plot_poles",
         "page": "render_page write_page",
         "paper_plots": "plot_coordinates plot_position_errors plot_series",
         "plan_view": "plot_run",
-        "prediction_plots": "plot_prediction save_prediction",
-        "priority_plot": "plot_priority",
-        "region_plots": "plot_region",
-        "replay_plots": "plot_replay_sensor plot_sonar_replay",
-        "signals": "plot_run_signals",
-        "sweep_plots": "plot_parallel plot_sensitivity",
-        "thruster_plot": "plot_attainable save_attainable",
-        "verify_files": "save_margins save_regions save_verdicts",
+        "sections": "ExportSummary ReportData",
+        "signals": "plot_priority plot_run_signals",
+        "sonar_plots": "plot_calibration plot_replay_sensor plot_sonar_replay",
+        "sweep_plots": "plot_heat_map plot_parallel plot_sensitivity",
+        "vehicle_plots": "plot_attainable plot_prediction save_attainable save_prediction",
+        "verify_files": "plot_region save_margins save_regions save_verdicts",
     },
 )

@@ -1,12 +1,16 @@
-"""Animations of a run: path, hull, heading, obstacles, sonar beams and clearance."""
+"""Animations of a run: GIF and MP4 in the plan view, films of MuJoCo's pictures, and the player of the report."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from base64 import b64encode
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from io import BytesIO
 from itertools import chain
+from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -16,20 +20,45 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Rectangle
 from matplotlib.text import Text
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from surctl.errors import InputError
 from surctl.files import write_file
-from surctl.marine.report.beams import INSTANT, beam_patch, beams_at
-from surctl.marine.report.plan_view import body_outline, describe, draw_ends, draw_site
-from surctl.marine.simulation import Run
+from surctl.marine.report.plan_view import (
+    INSTANT,
+    beam_patch,
+    beams_at,
+    body_middle,
+    body_outline,
+    box_corners,
+    describe,
+    draw_ends,
+    draw_site,
+)
+from surctl.marine.simulation import Body, Run
+from surctl.marine.world import Box
+from surctl.report.document import Picture, Player
 from surctl.report.mp4 import check_mp4, mp4
-from surctl.report.numbers import number
-from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure
+from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure, number
 
-__all__ = ["RATE", "check_animation", "frame_steps", "frames", "save_animation"]
+if TYPE_CHECKING:
+    from surctl.marine.engine import EngineOptions, Moment
 
-RATE = 10
+__all__ = [
+    "check_animation",
+    "check_film",
+    "film_frames",
+    "film_pictures",
+    "frame_steps",
+    "frames",
+    "moment_of",
+    "player",
+    "player_frames",
+    "save_animation",
+    "save_film",
+]
+
+_RATE = 10
 """Frames per second of an animation."""
 _SUFFIXES = (".gif", ".mp4")
 _SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # playback speeds as multiples of real time
@@ -69,16 +98,16 @@ def frame_steps(run: Run, *, apart: float) -> list[int]:
     return [*range(0, last, step), last]
 
 
-def playback_speed(run: Run) -> int:
+def _playback_speed(run: Run) -> int:
     """Return how much faster than real time an animation of the run plays."""
     duration = float(run.record.time[-1])
-    return next((s for s in _SPEEDS if duration * RATE / s <= _MOST), _SPEEDS[-1])
+    return next((s for s in _SPEEDS if duration * _RATE / s <= _MOST), _SPEEDS[-1])
 
 
 def save_animation(run: Run, path: Path | str) -> Path:
     """Write a run as a GIF, or as an MP4, according to the suffix of the path; return the path.
 
-    The animation plays at `RATE` frames per second. A long run plays faster than real time, and the animation shows
+    The animation plays at `_RATE` frames per second. A long run plays faster than real time, and the animation shows
     the factor. Equal runs give GIF files with equal bytes.
 
     Raises:
@@ -99,13 +128,13 @@ def save_animation(run: Run, path: Path | str) -> Path:
     path = check_animation(path)
     pictures = frames(run)
     return write_file(
-        path, _gif(pictures) if path.suffix.lower() == ".gif" else mp4(pictures, rate=RATE, key="--animate")
+        path, _gif(pictures) if path.suffix.lower() == ".gif" else mp4(pictures, rate=_RATE, key="--animate")
     )
 
 
 def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
     """Yield the frames (height, width, 3) in order; height and width are even, as video encoders require."""
-    speed = playback_speed(run)
+    speed = _playback_speed(run)
     length, width, _ = run.scenario.site
     figure = new_figure(7.2, float(np.clip(6.6 * width / length + 2.9, 4.4, 8.4)))
     figure.set_dpi(100)
@@ -118,7 +147,7 @@ def frames(run: Run) -> Iterator[NDArray[np.uint8]]:
     canvas.draw()
     figure.set_layout_engine("none")  # later frames reuse this background, so the layout must not change
     ground = canvas.copy_from_bbox(figure.bbox)
-    for step in frame_steps(run, apart=speed / RATE):
+    for step in frame_steps(run, apart=speed / _RATE):
         canvas.restore_region(ground)
         for ax, artist in _moving(run, step, plan, strip, heading, speed):
             ax.draw_artist(artist)
@@ -204,7 +233,7 @@ def _gif(pictures: Iterator[NDArray[np.uint8]]) -> bytes:
     nearest, colours = _palette(begun)
     first, *rest = (_indexed(nearest[_cells(p)], colours) for p in chain([begun], pictures))
     out = BytesIO()
-    duration = [1000 // RATE] * len(rest) + [2000]  # the last frame stays for 2 s
+    duration = [1000 // _RATE] * len(rest) + [2000]  # the last frame stays for 2 s
     first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
     return out.getvalue()
 
@@ -231,3 +260,261 @@ def _indexed(indices: NDArray[np.uint8], colours: NDArray[np.uint8]) -> Image.Im
     image = Image.fromarray(indices)
     image.putpalette(colours.tobytes())  # converts it to an image of palette indices
     return image
+
+
+_Pixels = NDArray[np.uint8]
+
+_WIDTH = 640  # [pixels]
+_PAGE_WIDTH, _PAGE_FRAMES = 480, 80  # of the film in a report, which has about 0.5 MB
+
+
+def check_film(path: Path | str) -> Path:
+    """Return the path if a film can be written to it; raise as `check_animation` otherwise.
+
+    Example:
+        >>> from surctl.marine.report import check_film
+        >>> check_film("run.avi")
+        Traceback (most recent call last):
+            ...
+        surctl.errors.InputError: --film = 'run.avi': is not the name of an animation; end the name in .gif or .mp4
+    """
+    return check_animation(path, key="--film")
+
+
+def save_film(run: Run, path: Path | str, *, options: EngineOptions | None = None) -> Path:
+    """Write a film of the run as a GIF, or as an MP4, by the suffix of the path; return the path.
+
+    Raises:
+        InputError: see `check_film`; or the file cannot be written.
+        ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.report import save_film
+        >>> from surctl.marine.simulation import load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=0.2), load_gains("default")
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("closed_form"))
+        >>> save_film(run, "run.gif").read_bytes()[:6]
+        b'GIF89a'
+    """
+    path = check_film(path)
+    frames = film_frames(run, options=options)
+    gif = path.suffix.lower() == ".gif"
+    return write_file(path, _film_gif(list(frames)) if gif else mp4(frames, rate=_RATE, key="--film"))
+
+
+def film_pictures(run: Run) -> tuple[list[int], tuple[str, ...]]:
+    """Return the film of a report: the control steps that it shows, and for each a picture as a data URI (WebP).
+
+    Raises:
+        ToolMissing: MuJoCo, or a library that renders without a screen, is not installed.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.report import film_pictures
+        >>> from surctl.marine.simulation import load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=0.2), load_gains("default")
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("closed_form"))
+        >>> steps, pictures = film_pictures(run)
+        >>> steps, pictures[0][:23]
+        ([0, 2, 3], 'data:image/webp;base64,')
+    """
+    apart = max(0.1, float(run.record.time[-1]) / _PAGE_FRAMES)
+    pictures = []
+    for frame in film_frames(run, apart=apart, width=_PAGE_WIDTH):
+        out = BytesIO()
+        Image.fromarray(frame).save(out, "WEBP", quality=60)
+        pictures.append("data:image/webp;base64," + b64encode(out.getvalue()).decode())
+    return frame_steps(run, apart=apart), tuple(pictures)
+
+
+def film_frames(
+    run: Run, *, options: EngineOptions | None = None, apart: float | None = None, width: int = _WIDTH
+) -> Iterator[_Pixels]:
+    """Yield the frames (height, width, 3) of the film in order: the view from above, below it those of side and nose.
+
+    Args:
+        run: the run.
+        options: the options of MuJoCo.
+        apart: time between two frames [s]; None: such that the film lasts at most about 15 s.
+        width: width of the frames [pixels], a multiple of 32.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.report import film_frames
+        >>> from surctl.marine.simulation import load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> mission, gains = replace(load_scenario("pool-behind"), time_limit=0.2), load_gains("default")
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=gains, law=build_law("closed_form"))
+        >>> next(film_frames(run)).shape
+        (540, 640, 3)
+    """
+    from surctl.marine.engine import Scene
+
+    speed = _playback_speed(run) if apart is None else 1
+    wide, small = ((side, side * 9 // 16) for side in (width, width // 2))
+    with (
+        Scene(run.scenario, run.vehicle, options=options, size=wide) as large,
+        Scene(run.scenario, run.vehicle, options=options, size=small) as little,
+    ):
+        for step in frame_steps(run, apart=speed / _RATE if apart is None else apart):
+            moment = moment_of(run, step)
+            below = np.hstack([little.picture(camera, moment) for camera in ("side", "nose")])
+            yield _labelled(np.vstack([large.picture("above", moment), below]), run, step, speed)
+
+
+def moment_of(run: Run, step: int) -> Moment:
+    """Return what a picture of a control step shows.
+
+    Example:
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.report import moment_of
+        >>> from surctl.marine.simulation import load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> gains, law = load_gains("default"), build_law("closed_form")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> len(moment_of(run, 40).track)
+        41
+    """
+    from surctl.marine.engine import Moment
+
+    record = run.record
+    tilt = (0.0, 0.0) if record.tilt is None else (float(record.tilt[step, 0]), float(record.tilt[step, 1]))
+    beams = [(*b.apex, b.axis, b.half_angle, b.length, b.echo) for b in beams_at(run, step)]
+    return Moment(record.eta[step], tilt, record.obstacles[step], record.eta[: step + 1, :3], beams)
+
+
+def _labelled(picture: _Pixels, run: Run, step: int, speed: int) -> _Pixels:
+    image = Image.fromarray(picture)
+    pen = ImageDraw.Draw(image)
+    fast = "" if speed == 1 else f"   {speed} x real time"
+    time, clear = run.record.time[step], run.record.clearance[step]
+    texts = {
+        (8, 6): f"{run.scenario.name}   {run.plant}   {time:.1f} s   clearance {clear:.3f} m{fast}",
+        (8, picture.shape[0] * 2 // 3 + 4): "from the side",
+        (picture.shape[1] // 2 + 8, picture.shape[0] * 2 // 3 + 4): "from the nose",
+    }
+    for (x, y), text in texts.items():
+        pen.text((x + 1, y + 1), text, fill=(0, 25, 35))
+        pen.text((x, y), text, fill=(255, 255, 255))
+    return np.array(image)
+
+
+def _film_gif(pictures: list[_Pixels]) -> bytes:
+    # one palette for all frames, from some of them; without dithering, which would flicker
+    chosen = pictures[:: max(1, len(pictures) // 8)]
+    sample = Image.fromarray(np.vstack([picture[::2, ::2] for picture in chosen]))
+    palette = sample.quantize(256, method=Image.Quantize.MAXCOVERAGE)  # the median cut loses the colour of the hull
+    first, *rest = (Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures)
+    out = BytesIO()
+    duration = [1000 // _RATE] * len(rest) + [2000]  # the last frame stays for 2 s
+    first.save(out, "GIF", save_all=True, append_images=rest, duration=duration, loop=0, optimize=False)
+    return out.getvalue()
+
+
+_APART = 0.1  # [s] smallest time between two frames
+_LARGEST = 150_000  # [byte] largest size of the frames
+_STILL = 5e-4  # [m] an obstacle that moves less has one position
+
+
+def player(run: Run, still: Picture, *, film: bool = False) -> Player:
+    """Return the run as a `Player` of the report; `still` is the picture shown on paper and without scripts.
+
+    Args:
+        run: the run.
+        still: picture of the whole run.
+        film: whether MuJoCo's pictures of the scene are shown beside the plan view.
+
+    Raises:
+        ToolMissing: `film`, but MuJoCo, or a library that renders without a screen, is not installed.
+    """
+    steps, pictures = film_pictures(run) if film else ([], ())
+    apart, frames = _APART, player_frames(run, filmed=steps)
+    while len(frames) > _LARGEST:
+        apart *= 1.05 * len(frames) / _LARGEST
+        frames = player_frames(run, apart=apart, filmed=steps)
+    grid = _grid(run)
+    words = f"Animation with a grid of {grid:g} m; below it, clearance over time. The arrow keys move the slider."
+    if film:
+        words += " Beside it, the scene from above, from the side and from the robot's nose (MuJoCo)."
+    return Player(frames, replace(still, caption=f"{still.caption} {words}"), f"Animation. {still.alt}", pictures)
+
+
+def _grid(run: Run) -> float:
+    return 1.0 if max(run.scenario.site[:2]) <= 25 else 10.0
+
+
+def player_frames(run: Run, *, apart: float = _APART, filmed: Sequence[int] = ()) -> str:
+    """Return the frames, at least `apart` [s] from each other, as one JSON text without any `<`.
+
+    `filmed` are the control steps of which the report has a picture of the scene.
+
+    Lengths are in m, angles in rad, times in s, and positions in the world frame {E} unless stated otherwise; values
+    that are not finite are null. The `length` of a beam is negative if the sonar reads its maximum range.
+    """
+    record, scenario, steps = run.record, run.scenario, frame_steps(run, apart=apart)
+    frames = {
+        "site": [float(side) for side in scenario.site[:2]],
+        "grid": _grid(run),
+        "radius": run.vehicle["radius"],
+        "path": _rounded(scenario.path.waypoints, 3),
+        "time": _rounded(record.time[steps], 2),
+        "place": _rounded(record.eta[steps, :2], 3),
+        "heading": _rounded(record.eta[steps, 3], 3),
+        "speed": _rounded(np.hypot(record.nu[steps, 0], record.nu[steps, 1]), 3),
+        "clearance": _rounded(record.clearance[steps], 3),
+        "avoiding": [int(a) for a in run.telemetry("avoiding")[steps, 0] > 0.5],
+        "closest": int(np.argmin(record.clearance[steps])),
+        "obstacles": _obstacles([record.obstacles[k] for k in steps]),
+        "beams": _beams(run, steps),
+    }
+    if filmed:
+        frames["filmed"] = _rounded(record.time[list(filmed)], 2)
+    # only a "<" could end the script element that contains the text
+    return json.dumps(frames, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _obstacles(frames: Sequence[Sequence[Body]]) -> list[dict[str, object]]:
+    # one centre per frame, or a single centre if the obstacle is fixed
+    entries: list[dict[str, object]] = []
+    for name in dict.fromkeys(body.name for bodies in frames for body in bodies):
+        history = [next((body for body in bodies if body.name == name), None) for bodies in frames]
+        first = next(body for body in history if body is not None)
+        outline: dict[str, object]
+        if isinstance(first.shape, Box):
+            outline = {"corners": _rounded(box_corners(first.shape), 3)}
+        else:
+            outline = {"radius": float(getattr(first.shape, "radius", 0.0))}
+        places = [None if body is None else _rounded(body_middle(body), 3) for body in history]
+        middles = np.array([body_middle(body) for body in history if body is not None])
+        still = len(middles) == len(history) and float(np.ptp(middles, axis=0).max()) < _STILL
+        entries.append({"name": name, **outline, "at": places[:1] if still else places})
+    return entries
+
+
+def _beams(run: Run, steps: Sequence[int]) -> list[dict[str, object]]:
+    # apex and axis in {B}; a negative length means no echo
+    if run.sensing != "sonar":
+        return []
+    array, ranges = run.scenario.sensors.array_on(run.vehicle["radius"]), run.telemetry("ranges")[steps]
+    signed = np.where(ranges < array.maximum - array.resolution, ranges, -ranges)
+    entries: list[dict[str, object]] = []
+    for sensor in range(array.size):
+        x, y, axis = array.apex(sensor, position=np.zeros(2), heading=0.0)
+        where = {"apex": _rounded(np.array([x, y]), 3), "axis": round(axis, 4), "half": round(array.half_angle, 4)}
+        entries.append({**where, "length": _rounded(signed[:, sensor], 2)})
+    return entries
+
+
+def _rounded(values: NDArray[np.float64], digits: int) -> list[object]:
+    def rounded(value: object) -> object:
+        if isinstance(value, list):
+            return [rounded(one) for one in value]
+        return round(float(value), digits) if isinstance(value, float) and isfinite(value) else None
+
+    return [rounded(value) for value in np.asarray(values, dtype=float).tolist()]

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import shlex
+from pathlib import Path
+
 from surctl.errors import InputError
-from surctl.marine.report.data import ReportData
+from surctl.marine.control import LIBRARY as GAIN_LIBRARY
+from surctl.marine.control import Gains, load_gains
+from surctl.marine.report.animation import player
 from surctl.marine.report.plan_view import describe, plot_run
-from surctl.marine.report.player import player
-from surctl.marine.report.priority_plot import plot_priority, relaxation_text
-from surctl.marine.report.signals import plot_run_signals
-from surctl.marine.report.words import gains_argument, simulate_command, verify_command
+from surctl.marine.report.sections import ReportData
+from surctl.marine.report.signals import plot_priority, plot_run_signals, relaxation_text
+from surctl.marine.simulation import LIBRARY as SCENARIO_LIBRARY
 from surctl.marine.simulation import Run, priority_timeline
-from surctl.own_code import label
+from surctl.marine.vehicle import LIBRARY as VEHICLE_LIBRARY
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.own_code import label, own_file
 from surctl.report.document import (
     Block,
     Cell,
@@ -24,10 +30,66 @@ from surctl.report.document import (
     picture,
 )
 from surctl.report.evidence import margin_slice, plot_counterexample, plot_slice
-from surctl.report.numbers import number
+from surctl.report.theme import number
 from surctl.verification import Counterexample, Verdict
 
-__all__ = ["claims_section", "decisive_section", "runs_section"]
+__all__ = ["claims_section", "decisive_section", "runs_section", "simulate_command"]
+
+
+def _gains_argument(gains: Gains, gains_file: str) -> str | None:
+    """Return the value of `--gains`: `gains_file`, or the file of unchanged gains; None if neither has these gains."""
+    try:
+        for source in filter(None, (gains_file, gains.source)):
+            if load_gains(source).values == gains.values:
+                return _short(source, GAIN_LIBRARY)
+    except InputError:
+        return None
+    return None
+
+
+def simulate_command(run: Run, gains: str | None) -> str | None:
+    """Return the command that repeats and plots the run; None if no command line reproduces it completely."""
+    vehicle = _vehicle_argument(run.vehicle)
+    law = own_file(run.law.ref)
+    if gains is None or vehicle is None:
+        return None
+    words = ["surctl", "simulate", _short(run.scenario.source, SCENARIO_LIBRARY) or run.scenario.name]
+    words += ["--vehicle", vehicle, "--gains", gains, "--law", law, "--avoidance", run.law.avoidance]
+    words += [] if run.law.guidance == "los" else ["--guidance", run.law.guidance]
+    words += ["--priority-mode", run.law.mode]
+    words += [] if run.law.fallback == "exact" else ["--fallback", run.law.fallback]
+    if (run.law.barrier, run.law.movers) != ("simple", "predict"):
+        words += ["--barrier", run.law.barrier, "--movers", run.law.movers]
+    words += ["--sensing", run.sensing, "--seed", str(run.seed), "--out", "plots"]
+    return shlex.join(words)
+
+
+def _verify_command(
+    claim: str, gains: str | None, vehicle: Vehicle, speeds: tuple[float, float] | None = None
+) -> str | None:
+    """Return the command that repeats the proof of the claim for the vehicle and (cruise speed, speed limit) [m/s]."""
+    robot = _vehicle_argument(vehicle)
+    if gains is None or robot is None:
+        return None
+    words = ["surctl", "verify", claim, "--vehicle", robot, "--gains", gains]
+    if speeds is not None:
+        words += ["--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]
+    return shlex.join(words)
+
+
+def _vehicle_argument(vehicle: Vehicle) -> str | None:
+    try:
+        same = bool(vehicle.source) and load_vehicle(vehicle.source).parameters == vehicle.parameters
+    except InputError:
+        return None
+    return _short(vehicle.source, VEHICLE_LIBRARY) if same else None
+
+
+def _short(source: str, library: Path) -> str:
+    # bare name of a built-in file
+    path = Path(source)
+    return path.stem if path.parent == library else source
+
 
 _BUDGET = 3_600_000  # [byte] approximate total size of run pictures; keeps the page below 6 MB
 
@@ -45,9 +107,9 @@ def claims_section(data: ReportData) -> Section:
         "share of failing samples [%]", "time [s]",
     )  # fmt: skip
     blocks: list[Block] = [Paragraph(text), Table("Verdicts", heads, rows)]
-    gains = gains_argument(data.gains, data.gains_file)
+    gains = _gains_argument(data.gains, data.gains_file)
     for verdict in data.verdicts:
-        command = verify_command(verdict.claim.name, gains, data.vehicle, data.speeds)
+        command = _verify_command(verdict.claim.name, gains, data.vehicle, data.speeds)
         blocks += _claim_blocks(verdict, command or data.command)
     return Section("claims", "Evidence for each claim", tuple(blocks), folded=True)
 
@@ -193,7 +255,7 @@ def runs_section(data: ReportData) -> Section:
 
 def _simulate_command(data: ReportData, run: Run) -> str:
     same = run.gains.values == data.gains.values
-    gains = gains_argument(data.gains, data.gains_file) if same else gains_argument(run.gains, "")
+    gains = _gains_argument(data.gains, data.gains_file) if same else _gains_argument(run.gains, "")
     return simulate_command(run, gains) or data.command
 
 

@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from surctl.marine.report.calibration_plots import plot_calibration
 from surctl.marine.report.goals import goal_bars, goal_views, plot_front, plot_goal_bars, plot_goal_view
-from surctl.marine.report.heat_map import plot_heat_map
-from surctl.marine.report.locus import plot_locus
+from surctl.marine.report.margin_plots import plot_locus
 from surctl.marine.report.plan_view import describe, plot_run
-from surctl.marine.report.priority_plot import plot_priority
-from surctl.marine.report.replay_plots import plot_sonar_replay
-from surctl.marine.report.signals import plot_run_signals
-from surctl.marine.report.sweep_plots import plot_parallel, plot_sensitivity
+from surctl.marine.report.signals import plot_priority, plot_run_signals
+from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
+from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel, plot_sensitivity
 from surctl.marine.sensing import Replay, SensorCalibration, file_stems
 from surctl.marine.simulation import Run, priority_timeline
 from surctl.marine.tuning import Sensitivity, SweepTable, Tuning
 from surctl.marine.verification import Locus
-from surctl.report.pictures import save_figure
-from surctl.report.theme import new_figure
+from surctl.report.theme import new_figure, save_figure
 
 __all__ = [
     "save_calibrations",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import isinf
 
 import numpy as np
@@ -9,18 +10,83 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle
+from matplotlib.patches import Circle, Patch, PathPatch, Polygon, Rectangle, Wedge
 from matplotlib.path import Path as Outline
 from numpy.typing import NDArray
 
-from surctl.marine.report.beams import INSTANT, beam_patch, beams_at
 from surctl.marine.simulation import Body, Run, depth_changes
 from surctl.marine.simulation.scenario import Shape
 from surctl.marine.world import Box, Disc, Heights, Wall
 from surctl.own_code import label
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, legend_below, new_axes, printable
 
-__all__ = ["body_middle", "body_outline", "box_corners", "describe", "draw_ends", "draw_site", "plot_run"]
+__all__ = [
+    "INSTANT",
+    "Beam",
+    "beam_patch",
+    "beams_at",
+    "body_middle",
+    "body_outline",
+    "box_corners",
+    "describe",
+    "draw_ends",
+    "draw_site",
+    "plot_run",
+]
+
+INSTANT = "#6D28D9"
+"""Colour that marks the instant at which sonar beams are shown."""
+
+
+@dataclass(frozen=True)
+class Beam:
+    """The beam of one sonar in the world frame {E}, drawn as a cone whose length is the filtered range.
+
+    Attributes:
+        apex: position of the sonar (x, y) [m].
+        axis: direction of the cone's axis [rad].
+        half_angle: half of the cone's opening angle [rad].
+        length: filtered range [m].
+        echo: whether the sonar received an echo; False if it reads its maximum range.
+    """
+
+    apex: tuple[float, float]
+    axis: float
+    half_angle: float
+    length: float
+    echo: bool
+
+
+def beams_at(run: Run, step: int) -> tuple[Beam, ...]:
+    """Return the beams of all sonars at a control period; empty if the law uses true positions instead of sonar."""
+    if run.sensing != "sonar":
+        return ()
+    array = run.scenario.sensors.array_on(run.vehicle["radius"])
+    x, y, _, heading = run.record.eta[step]
+    beams = []
+    for sensor, length in enumerate(run.record.telemetry[step, run.law.telemetry_slice("ranges")].tolist()):
+        at_x, at_y, axis = array.apex(sensor, position=(x, y), heading=heading)
+        echo = length < array.maximum - array.resolution
+        beams.append(Beam((float(at_x), float(at_y)), float(axis), array.half_angle, length, echo))
+    return tuple(beams)
+
+
+def beam_patch(beam: Beam) -> Wedge:
+    """Return the beam as a matplotlib patch in the world frame {E} [m], filled if there is an echo, else dashed."""
+    middle, half = np.rad2deg(beam.axis), np.rad2deg(beam.half_angle)
+    return Wedge(
+        beam.apex,
+        beam.length,
+        middle - half,
+        middle + half,
+        facecolor=INSTANT if beam.echo else "none",
+        edgecolor=INSTANT,
+        linestyle="-" if beam.echo else "--",
+        alpha=0.22 if beam.echo else 0.45,
+        linewidth=0.9,
+        zorder=1.8,
+    )
+
 
 _SNAPSHOTS = 9  # largest number of hulls drawn along a run
 _NICE = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0)  # [s]

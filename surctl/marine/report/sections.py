@@ -1,25 +1,31 @@
-"""Sections of the HTML report on the design: loops, sweep, export, computing time, and tables of parameters."""
+"""Sections of the HTML report on the design: loops, sweep, export, computing time, and tables of parameters.
+
+The disk margins hold for simultaneous perturbations of all loops. For the sampled loop, the report gives the largest
+control period and the largest delay up to which the loop is stable.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from surctl.export import Difference, SilReport
+from surctl.errors import InputError
+from surctl.export import Difference, ExportedFile, SilReport
 from surctl.export.sil import TOLERANCE
 from surctl.marine.control import Gains
-from surctl.marine.report.data import ExportSummary, ReportData
-from surctl.marine.report.heat_map import COLUMN_TITLES, axis_title, plot_heat_map
-from surctl.marine.report.linear_section import linear_blocks
-from surctl.marine.report.loops import LoopResponse, plot_bode, plot_nyquist, plot_poles
-from surctl.marine.report.sweep_plots import plot_parallel
+from surctl.marine.report.margin_plots import LoopResponse, plot_bode, plot_nyquist, plot_poles
+from surctl.marine.report.sweep_plots import COLUMN_TITLES, axis_title, plot_heat_map, plot_parallel
+from surctl.marine.simulation import Run
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, parameter_spec
+from surctl.marine.verification.linear import LinearSide
 from surctl.report.document import (
     Block,
     Cell,
+    Check,
     Heading,
     Paragraph,
     Picture,
@@ -29,9 +35,175 @@ from surctl.report.document import (
     outcome_cell,
     picture,
 )
-from surctl.report.numbers import file_size, number
+from surctl.report.theme import file_size, number
+from surctl.verification import Inapplicable, LoopMargins, Verdict
 
-__all__ = ["export_section", "gains_section", "loops_section", "sweep_section", "time_section", "vehicle_section"]
+__all__ = [
+    "ExportSummary",
+    "ReportData",
+    "export_section",
+    "gains_section",
+    "loops_section",
+    "sweep_section",
+    "time_section",
+    "vehicle_section",
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportSummary:
+    """An exported controller and its comparison with Python.
+
+    Attributes:
+        name: prefix of the files and C symbols.
+        id: identifier of the law.
+        files: the files that were written.
+        sil: software-in-the-loop reports, one for each replayed run; empty if nothing was compiled.
+        status: a sentence that says what was done or not done; may be empty.
+    """
+
+    name: str
+    id: str
+    files: tuple[ExportedFile, ...]
+    sil: tuple[SilReport, ...] = ()
+    status: str = ""
+
+    @property
+    def passed(self) -> bool | None:
+        """Return whether C equalled Python in every comparison, without a reset; None if there was no comparison."""
+        return all(report.conclusive for report in self.sil) if self.sil else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReportData:
+    """The contents of one HTML report.
+
+    Attributes:
+        title: heading of the report.
+        command: the command line that produced the report.
+        version: version of this package.
+        vehicle: the vehicle that the gains and margins are for.
+        gains: the gains of the runs.
+        speeds: (cruise speed, speed limit) [m/s] of the margins and claims; None if these speeds are not known.
+        margins: margins of the eight loops.
+        linear: linear analysis (all loops together, poles, sampling), for the nominal vehicle and for the worst corner
+            of its ranges.
+        poles: closed-loop poles [rad/s]; None if they were not computed.
+        loops: frequency responses of the loops; if empty, the report has no Bode plot.
+        verdicts: verdicts on the claims.
+        inapplicable: claims that do not apply to this vehicle, each with the reason.
+        regions: region claims that cannot be proved for this vehicle, grouped by reason.
+        runs: closed-loop runs.
+        deciding: for each run, whether the run counts towards the result; if None, only runs with true positions count.
+        sweep: the parameter sweep that selected the gains, or None.
+        export: the exported controller, or None.
+        seconds: computing time [s] of each part of the study.
+        summary: lines of the summary, see `Check`.
+        banner: the verdict in one sentence; empty: one that counts the lines.
+        gains_file: name of the gain file with these gains, for the option `--gains`; empty if there is none.
+        film: whether MuJoCo's pictures of the scene are shown beside the plan view of the decisive run.
+
+    Raises:
+        InputError: `deciding` and `runs` differ in length.
+    """
+
+    title: str
+    command: str
+    version: str
+    vehicle: Vehicle
+    gains: Gains
+    speeds: tuple[float, float] | None = None
+    margins: tuple[LoopMargins, ...] = ()
+    linear: tuple[LinearSide, ...] = ()
+    poles: NDArray[np.complex128] | None = None
+    loops: tuple[LoopResponse, ...] = ()
+    verdicts: tuple[Verdict, ...] = ()
+    inapplicable: tuple[Inapplicable, ...] = ()
+    regions: tuple[Inapplicable, ...] = ()
+    runs: tuple[Run, ...] = ()
+    deciding: tuple[bool, ...] | None = None
+    sweep: SweepTable | None = None
+    export: ExportSummary | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    summary: tuple[Check | tuple[bool | None, str], ...] = ()
+    banner: str = ""
+    gains_file: str = ""
+    film: bool = False
+
+    def __post_init__(self) -> None:
+        if self.deciding is not None and len(self.deciding) != len(self.runs):
+            raise InputError(
+                f"has {len(self.deciding)} entries for {len(self.runs)} runs",
+                key="deciding",
+                remedy="give one entry per run",
+            )
+
+    @property
+    def decides(self) -> tuple[bool, ...]:
+        """Return, for each run, whether the run counts towards the result."""
+        if self.deciding is None:
+            return tuple(run.sensing == "truth" for run in self.runs)
+        return self.deciding
+
+    @property
+    def passed(self) -> bool | None:
+        """Return False if a line of the summary fails, None if one is open or none counts, True otherwise."""
+        lines = [Check(*line) for line in self.summary]
+        outcomes = [line.good for line in lines if line.good is not None or line.open]
+        return False if False in outcomes else None if None in outcomes or not outcomes else True
+
+
+def _linear_blocks(sides: Sequence[LinearSide]) -> list[Block]:
+    """Return a table of disk margins and a table of poles and sampling; empty if there is no analysis."""
+    if not sides:
+        return []
+    text = (
+        "All loops at once: the gains and phases of all loops may vary together, in any combination, within the disk "
+        "margin. The guaranteed margin holds at every frequency. The upper bound is the size of a perturbation that "
+        "destabilises the loop. The sampled loop is computed without approximation: thrust is constant over each "
+        "control period, and delays are whole periods."
+    )
+    return [Paragraph(text), _disks(sides), _sampled(sides)]
+
+
+def _disks(sides: Sequence[LinearSide]) -> Table:
+    rows: tuple[tuple[Cell | str, ...], ...] = tuple(
+        (
+            side.of,
+            Cell(disk.place, code=True),
+            outcome_cell(disk.stable, "stable", "UNSTABLE"),
+            *(Cell(number(v, digits=3), number=True) for v in (disk.guaranteed, disk.reached, disk.frequency_rad_s)),
+            Cell(f"{number(disk.gain[0], digits=3)} to {number(disk.gain[1], digits=3)}", number=True),
+            Cell(number(disk.phase_deg, digits=3), number=True),
+        )
+        for side in sides
+        for disk in side.disks
+    )
+    heads = (
+        "vehicle", "opened at", "closed loop", "guaranteed [1]", "upper bound [1]", "at [rad/s]",
+        "tolerated gain factors [1]", "tolerated phase errors [deg]",
+    )  # fmt: skip
+    return Table("Disk margins of all loops at once", heads, rows)
+
+
+def _sampled(sides: Sequence[LinearSide]) -> Table:
+    rows: tuple[tuple[Cell | str, ...], ...] = tuple(
+        (
+            side.of,
+            outcome_cell(side.stable, "stable", "UNSTABLE"),
+            *(Cell(number(v, digits=3), number=True) for v in (side.slowest_per_s, side.least_damping)),
+            *(Cell(number(v, digits=3), number=True) for v in side.sampled.largest_period_s),
+            Cell(str(side.sampled.delay_periods), number=True),
+        )
+        for side in sides
+    )
+    periods = tuple(f"largest period [s], {d}" for d in ("no delay", "1 period of delay", "2 periods of delay"))
+    heads = (
+        "vehicle", "closed loop", "slowest pole [1/s]", "least damping [1]", *periods,
+        f"tolerated periods of delay at {number(sides[0].sampled.period_s)} s",
+    )  # fmt: skip
+    return Table("Poles, and the sampled loop", heads, rows)
+
 
 _SWEPT = (
     "score",
@@ -119,7 +291,7 @@ def loops_section(data: ReportData) -> Section:
             "Each loop of the sampled law is opened at one place while all others stay closed, about straight cruise: "
             "surge, yaw and the like at the thrust command, x, y, psi, u, v and r at the measurement."
         )
-    blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *linear_blocks(data.linear)]
+    blocks: list[Block] = [Paragraph(text), Table("Margins about cruise", heads, rows), *_linear_blocks(data.linear)]
     pictures = _loop_pictures(data)
     if data.poles is not None:
         slowest = float(np.max(np.real(data.poles)))

@@ -2,6 +2,6 @@
 
 from surctl.marine.reproduction.reproduction import Reproduction, items, reproduce, required
 from surctl.marine.reproduction.row import WORDS, Item, Result, Row, Word
-from surctl.marine.reproduction.simulations import Simulations
+from surctl.marine.reproduction.scenarios import Simulations
 
 __all__ = ["WORDS", "Item", "Reproduction", "Result", "Row", "Simulations", "Word", "items", "reproduce", "required"]

@@ -9,7 +9,7 @@ from surctl.files import write_file
 from surctl.marine.report import plot_coordinates, plot_position_errors, plot_run, plot_series
 from surctl.marine.reproduction.reproduction import Reproduction
 from surctl.marine.reproduction.row import Row
-from surctl.marine.reproduction.simulations import scenario_names
+from surctl.marine.reproduction.scenarios import scenario_names
 from surctl.marine.simulation import Run
 from surctl.report import render_sections
 from surctl.report.document import Block, Cell, Pictures, Section, Table, outcome_cell, picture

@@ -2,25 +2,272 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
-from surctl.errors import InputError, nearest
-from surctl.marine.reproduction.claims import FULL, claim_items
-from surctl.marine.reproduction.errata import errata_items
-from surctl.marine.reproduction.instants import instant_items
-from surctl.marine.reproduction.row import Item, Row
-from surctl.marine.reproduction.scenarios import hull_items, limit_items, position_items, scenario_items
-from surctl.marine.reproduction.simulations import Simulations, scenario_names
-from surctl.marine.reproduction.tables import table_items
-from surctl.marine.sensing.calibration.table2 import MEDIA, table_ii
-from surctl.marine.verification import claims
+import numpy as np
 
-__all__ = ["QUICK_SAMPLES", "QUICK_SEEDS", "SEEDS", "Reproduction", "items", "reproduce", "required"]
+from surctl.errors import InputError, nearest
+from surctl.marine.reproduction.errata import errata_items
+from surctl.marine.reproduction.row import Item, Result, Row, Word, agrees, differs, wrong_in_print
+from surctl.marine.reproduction.scenarios import (
+    ABOUT,
+    Simulations,
+    hull_items,
+    limit_items,
+    position_items,
+    scenario_items,
+    scenario_names,
+    time_verdict,
+)
+from surctl.marine.sensing import SonarArray
+from surctl.marine.sensing.calibration.file import MEDIA, Medium, table_ii
+from surctl.marine.simulation import Run
+from surctl.marine.verification import claims
+from surctl.marine.world import Box, Disc
+from surctl.verification import Claim, decide
+from surctl.verification.setting import Setting
+
+__all__ = [
+    "FULL",
+    "QUICK_SEEDS",
+    "SEEDS",
+    "Reproduction",
+    "avoidances",
+    "claim_items",
+    "instant_items",
+    "items",
+    "reproduce",
+    "required",
+    "table_items",
+]
+
+FULL = 4096
+"""Number of samples that the falsifier of `surctl verify` uses."""
+
+_SPEEDS = f"--cruise {Setting.speed:g} --cap {Setting.speed_max:g}"
+"""Options with the speeds of the paper; without them, `surctl verify` uses the speeds of a scenario."""
+
+
+def claim_items(gains: Mapping[str, float], *, samples: int = FULL) -> list[Item]:
+    """Return, for each claim of the paper, the comparison of its verdict with the expected one, for these gains.
+
+    The falsifier takes `samples` samples per claim.
+    """
+    return [
+        Item(
+            claim.name,
+            "claims",
+            claim.statement,
+            "; ".join([claim.equation, *claim.errata]),
+            "wrong in print" if claim.expected == "refuted" else "agrees",
+            partial(judged, claim, samples),
+            f"surctl verify {claim.name} {_SPEEDS}" if samples == FULL else f"surctl reproduce {claim.name} --quick",
+        )
+        for claim in claims(gains)
+        if claim.paper
+    ]
+
+
+def judged(claim: Claim, samples: int) -> Result:
+    """Return the verdict on a claim: refuted by a counterexample, proved by a checked certificate, or undecided."""
+    verdict = decide(claim, samples=samples)
+    counterexample, unit = verdict.counterexample, claim.unit
+    if verdict.certificate is not None:
+        slack = verdict.certificate["claim"]["slack"]
+        within = f" with a slack of {slack:.1g} {unit}" if slack else ""
+        ours = f"proved{within} by a certificate that the checker accepts"
+        return agrees(ours, worst_margin=verdict.worst_margin, slack=slack)
+    if counterexample is None:
+        return differs("undecided", verdict.remaining or "", worst_margin=verdict.worst_margin)
+    where = ", ".join(f"{name} = {number:.4g}" for name, number in counterexample.values.items())
+    share = f"the claim fails for {100 * verdict.fraction:.2g} % of the samples"
+    ours = f"refuted: the bound is exceeded by {counterexample.margin:.3g} {unit}; {share}"
+    return wrong_in_print(ours, f"at {where}", margin=counterexample.margin, fraction=verdict.fraction)
+
+
+_APART = 1.0  # [s] a shorter interruption does not end an avoidance
+
+
+def instant_items(simulations: Simulations) -> list[Item]:
+    """Return a comparison for each time that the paper gives for a scenario of the library."""
+    items = []
+    for name in scenario_names():
+        paper = simulations.scenario(name).paper
+        figures = [
+            ("transients", f"near {', '.join(f'{t:g}' for t in paper.transients_s)} s", bool(paper.transients_s))
+        ]
+        figures += [("detected", f"at about {paper.detected_s} s", paper.detected_s is not None)]
+        figures += [("passed", f"by {paper.passed_s} s", paper.passed_s is not None)]
+        items += [
+            Item(
+                f"{name}-{what}",
+                "scenarios",
+                f"{_WORDS[what]} in {name}, true positions, seed 0",
+                words,
+                None,
+                partial(_COMPUTED[what], simulations, name),
+                f"surctl reproduce {name}-{what}",
+            )
+            for what, words, printed in figures
+            if printed
+        ]
+    return items
+
+
+def avoidances(run: Run) -> list[float]:
+    """Return the start times [s] of the intervals in which the law avoids an obstacle."""
+    time = run.record.time[run.telemetry("avoiding")[:, 0] > 0.5]
+    return [float(t) for k, t in enumerate(time) if k == 0 or t - time[k - 1] > _APART]
+
+
+def _passed_at(run: Run) -> float:
+    """Return the last time [s] at which a moving obstacle is ahead of the robot; 0 if there is no such time.
+
+    Ahead means farther in the direction from start to target.
+    """
+    direction = run.scenario.target - run.scenario.start
+    last = 0.0
+    for time, eta, bodies in zip(run.record.time, run.record.eta, run.record.obstacles, strict=True):
+        for body in bodies:
+            if body.moving and isinstance(body.shape, Disc | Box):
+                ahead = (np.asarray(body.shape.center) - eta[:2]) @ direction
+                last = float(time) if ahead > 0 else last
+    return last
+
+
+def _transients(simulations: Simulations, name: str) -> Result:
+    ours, paper = avoidances(simulations.run(name)), simulations.scenario(name).paper.transients_s
+    text = f"avoidance begins at {', '.join(f'{t:.1f}' for t in ours) or 'no time'} s"
+    numbers = {f"begins_{k}_s": t for k, t in enumerate(ours)}
+    off = [min((abs(t - t0) / t0 for t in ours), default=np.inf) for t0 in paper]
+    if len(ours) == len(paper) and max(off) <= ABOUT:
+        return agrees(text, **numbers)
+    scenario, radius = simulations.scenario(name), simulations.run(name).vehicle["radius"]
+    path = [(float(x), float(y)) for x, y in np.linspace(scenario.start, scenario.target, 200)]
+    clearances = [min(obstacle.distance(point) for point in path) - radius for obstacle in scenario.obstacles]
+    left = ", ".join(f"{clearance:.2f}" for clearance in clearances)
+    why = f"{len(ours)} instead of {len(paper)}: on the straight path, the clearances to the obstacles are {left} m"
+    return differs(text, why, **numbers)
+
+
+def _detected(simulations: Simulations, name: str) -> Result:
+    ours, paper = avoidances(simulations.run(name)), simulations.scenario(name).paper.detected_s or np.nan
+    if not ours:
+        return differs(
+            "no avoidance was needed",
+            f"the robot's path stays clear of the obstacle, so the paper's {paper:g} s has no counterpart",
+        )
+    good, off = time_verdict(ours[0], paper, "about")
+    text, apart = f"avoidance begins at {ours[0]:.2f} s", _apart(simulations.run(name), ours[0])
+    if good:
+        return agrees(text, begins_s=ours[0], apart_m=apart)
+    why = f"{off}: the law receives the obstacle's true position and begins to avoid at {apart:.2f} m between centres"
+    return differs(text, why, begins_s=ours[0], apart_m=apart)
+
+
+def _passed(simulations: Simulations, name: str) -> Result:
+    ours, paper = _passed_at(simulations.run(name)), simulations.scenario(name).paper.passed_s or np.nan
+    good, off = time_verdict(ours, paper, "about")
+    text = f"no moving obstacle is ahead after {ours:.2f} s"
+    return agrees(text, passed_s=ours) if good else differs(text, off, passed_s=ours)
+
+
+def _apart(run: Run, time: float) -> float:
+    # [m], between the centres of robot and moving body; inf without a moving body
+    k = int(np.argmin(np.abs(run.record.time - time)))
+    centres = [b.shape.center for b in run.record.obstacles[k] if b.moving and isinstance(b.shape, Disc | Box)]
+    return min((float(np.hypot(*(np.asarray(c) - run.record.eta[k, :2]))) for c in centres), default=float("inf"))
+
+
+_WORDS = {
+    "transients": "start times of avoidance",
+    "detected": "start time of avoidance of the moving obstacle",
+    "passed": "time after which no moving obstacle is ahead",
+}
+_COMPUTED = {"transients": _transients, "detected": _detected, "passed": _passed}
+
+
+def table_items() -> list[Item]:
+    """Return the comparisons for Table I (range and resolution) and for Table II.
+
+    No model uses the other quantities of Table I: size, supply and frequency.
+    """
+    items = [
+        Item(
+            f"table-i-{name}",
+            "tables",
+            what,
+            f"Table I: {paper}",
+            word,
+            partial(_sensor, name),
+            _own(f"table-i-{name}"),
+        )
+        for name, what, paper, word in _SENSOR
+    ]
+    test = table_ii()
+    for medium in MEDIA:
+        for k, desired in enumerate(test.desired):
+            name = f"table-ii-{medium}-{round(100 * desired):03d}"
+            printed, wrong = float(test.column(medium).printed_percent[k]), (medium, round(100 * desired)) == _E2
+            items.append(
+                Item(
+                    name,
+                    "tables",
+                    f"error at {100 * desired:.0f} cm in {medium}",
+                    f"Table II: {printed:.1f} %",
+                    "wrong in print" if wrong else "agrees",
+                    partial(_percentage, medium, k),
+                    _own(name),
+                )
+            )
+    return items
+
+
+_SENSOR: tuple[tuple[str, str, str, Word], ...] = (
+    ("minimum", "minimum range of the sensor", "0.2 m", "agrees"),
+    ("maximum", "maximum range of the sensor", "4.5 m", "agrees"),
+    ("resolution", "resolution of the sensor", "about 5 mm", "differs"),
+)
+_E2 = ("water", 85)  # the row whose percentage is printed wrongly
+_PRINTED = {"minimum": 0.2, "maximum": 4.5, "resolution": 0.005}  # [m]
+
+
+def _own(name: str) -> str:
+    return f"surctl reproduce {name}"
+
+
+def _sensor(name: str) -> Result:
+    # Table I, compared with the default sonar array
+    ours, printed = float(getattr(SonarArray(), "blind" if name == "minimum" else name)), _PRINTED[name]
+    text = f"{ours:.4g} m" if name != "resolution" else f"{1e3 * ours:.2f} mm"
+    # a step finer than "about 5 mm" also agrees
+    if ours <= (1 + ABOUT) * printed if name == "resolution" else abs(ours - printed) <= 1e-9:
+        return agrees(text, metres=ours)
+    why = f"section II-B gives a conversion with {SonarArray().bits} bits over {SonarArray().maximum:g} m"
+    return differs(text, why, metres=ours)
+
+
+def _percentage(medium: Medium, k: int) -> Result:
+    # agrees if the recomputed percentage rounds to the printed decimal
+    test = table_ii()
+    ours, column = float(test.percent(medium)[k]), test.column(medium)
+    printed = float(column.printed_percent[k])
+    text = f"{ours:.3f} %"
+    if k not in test.disagreeing(medium):
+        return agrees(text, percent=ours)
+    read, true = 100 * column.measured[k], 100 * test.desired[k]
+    return wrong_in_print(
+        text,
+        f"a reading of {read:.0f} cm at {true:.0f} cm is an error of {ours:.1f} %, not {printed:.1f} %",
+        percent=ours,
+    )
+
 
 SEEDS, QUICK_SEEDS = 20, 3
-QUICK_SAMPLES = 512
+_QUICK_SAMPLES = 512
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +377,7 @@ def reproduce(
     """
     count = seeds if seeds is not None else QUICK_SEEDS if quick else SEEDS
     simulations = Simulations(count, independent=independent, webots=webots)
-    known = {item.id: item for item in items(simulations, samples=QUICK_SAMPLES if quick else FULL)}
+    known = {item.id: item for item in items(simulations, samples=_QUICK_SAMPLES if quick else FULL)}
     for name in names:
         if name not in known:
             raise InputError("no such row", key="row", value=name, remedy=nearest(name, known))

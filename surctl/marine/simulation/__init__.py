@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.simulation.attitude import Attitude, attitude_of
     from surctl.marine.simulation.batch import (
         ENGINES,
         BatchResult,
@@ -17,9 +16,8 @@ if TYPE_CHECKING:
         check_speeds,
         simulate_batch,
     )
-    from surctl.marine.simulation.disturbance import Disturbance
-    from surctl.marine.simulation.explanation import Explanation, explain
-    from surctl.marine.simulation.fit import Finding, findings
+    from surctl.marine.simulation.explanation import Explanation, explain, priority_timeline
+    from surctl.marine.simulation.fit import Finding, findings, held_share, thruster_findings
     from surctl.marine.simulation.iosystem import ClosedLoopSystem, closed_loop_system
     from surctl.marine.simulation.loop import Stepper, simulate
     from surctl.marine.simulation.margin import margin_needed, turn_rate
@@ -36,20 +34,22 @@ if TYPE_CHECKING:
     )
     from surctl.marine.simulation.numbers import law_numbers
     from surctl.marine.simulation.obstacle import Obstacle
-    from surctl.marine.simulation.paper_figure import PaperFigure
-    from surctl.marine.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker
+    from surctl.marine.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker, advance
     from surctl.marine.simulation.plan_file import Mission, mission_scenario, read_mission
-    from surctl.marine.simulation.priority_timeline import priority_timeline
     from surctl.marine.simulation.record import Record
     from surctl.marine.simulation.record_file import (
+        LAYOUT,
         RECORD_FORMATS,
         RUN_FORMATS,
         RecordFormat,
+        SceneFile,
         record_columns,
         save_record,
+        save_scene,
+        write_layout,
     )
     from surctl.marine.simulation.reflectors import ECHOES, EchoModel, Reflectors
-    from surctl.marine.simulation.run import SENSING, DepthChange, Run, Sensing, depth_changes
+    from surctl.marine.simulation.run import SENSING, Attitude, DepthChange, Run, Sensing, attitude_of, depth_changes
     from surctl.marine.simulation.safety import SafetyClaim, safety_claim
     from surctl.marine.simulation.scaling import (
         disturbed,
@@ -58,13 +58,10 @@ if TYPE_CHECKING:
         straight_mission,
         two_leg_mission,
     )
-    from surctl.marine.simulation.scenario import LIBRARY, Scenario, load_scenario
-    from surctl.marine.simulation.scene_file import LAYOUT, SceneFile, save_scene, write_layout
+    from surctl.marine.simulation.scenario import LIBRARY, Disturbance, PaperFigure, Scenario, load_scenario
     from surctl.marine.simulation.sensors import Sensors
-    from surctl.marine.simulation.stepping import advance
     from surctl.marine.simulation.stopping import stop_reason, time_limit_reason
     from surctl.marine.simulation.thruster_faults import ThrusterFault
-    from surctl.marine.simulation.thruster_fit import held_share, thruster_findings
     from surctl.marine.simulation.thruster_use import ThrusterUse, thruster_use
     from surctl.marine.simulation.world import Body, World, build_world
 
@@ -156,35 +153,29 @@ __all__ = [
 load_at_first_use(
     __name__,
     {
-        "attitude": "Attitude attitude_of",
         "batch": "ENGINES BatchResult Case CaseParameter Engine SlowerEngine case_parameters check_speeds"
         " simulate_batch",
-        "disturbance": "Disturbance",
-        "explanation": "Explanation explain",
-        "fit": "Finding findings",
+        "explanation": "Explanation explain priority_timeline",
+        "fit": "Finding findings held_share thruster_findings",
         "iosystem": "ClosedLoopSystem closed_loop_system",
         "loop": "Stepper simulate",
         "margin": "margin_needed turn_rate",
-        "metrics": "GONE LATE LINK_LOST METRICS STANDSTILL STOPPED_LIMIT STOPS Metrics MetricSpec",
+        "metrics": "GONE LATE LINK_LOST METRICS STANDSTILL STOPPED_LIMIT STOPS MetricSpec Metrics",
         "numbers": "law_numbers",
         "obstacle": "Obstacle",
-        "paper_figure": "PaperFigure",
-        "physics": "Contact OwnPhysics Physics PhysicsMaker",
+        "physics": "Contact OwnPhysics Physics PhysicsMaker advance",
         "plan_file": "Mission mission_scenario read_mission",
-        "priority_timeline": "priority_timeline",
         "record": "Record",
-        "record_file": "RECORD_FORMATS RUN_FORMATS RecordFormat record_columns save_record",
+        "record_file": "LAYOUT RECORD_FORMATS RUN_FORMATS RecordFormat SceneFile record_columns save_record save_scene"
+        " write_layout",
         "reflectors": "ECHOES EchoModel Reflectors",
-        "run": "SENSING DepthChange Run Sensing depth_changes",
+        "run": "SENSING Attitude DepthChange Run Sensing attitude_of depth_changes",
         "safety": "SafetyClaim safety_claim",
         "scaling": "disturbed mission_size scaled_scenario straight_mission two_leg_mission",
-        "scenario": "LIBRARY Scenario load_scenario",
-        "scene_file": "LAYOUT SceneFile save_scene write_layout",
+        "scenario": "LIBRARY Disturbance PaperFigure Scenario load_scenario",
         "sensors": "Sensors",
-        "stepping": "advance",
         "stopping": "stop_reason time_limit_reason",
         "thruster_faults": "ThrusterFault",
-        "thruster_fit": "held_share thruster_findings",
         "thruster_use": "ThrusterUse thruster_use",
         "world": "Body World build_world",
     },

@@ -7,6 +7,7 @@ hull; surctl's own plant is integrated by RK4 with steps of 10 ms.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -25,7 +26,19 @@ from surctl.marine.control import (
     default_law,
     law_source,
 )
-from surctl.marine.sensing import OwnState, delayed, fault_state, faulty
+from surctl.marine.sensing import (
+    OwnState,
+    SonarArray,
+    corner_points,
+    delayed,
+    echo_keys,
+    echo_number,
+    echo_uniform,
+    fault_state,
+    faulty,
+    firing_block,
+    weak_range,
+)
 from surctl.marine.simulation.column import beside, column
 from surctl.marine.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
 from surctl.marine.simulation.numbers import feeder_of, law_numbers
@@ -35,13 +48,59 @@ from surctl.marine.simulation.run import SENSING, Run, Sensing
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters
-from surctl.marine.simulation.weak_echoes import WeakEchoes
 from surctl.marine.simulation.world import Body, World, build_world
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
 from surctl.noise import NoiseStream
 
-__all__ = ["Loop", "Stepper", "simulate"]
+__all__ = ["Loop", "Stepper", "WeakEchoes", "simulate"]
+
+
+class WeakEchoes:
+    """The weak echoes of one run; every firing has its own random numbers, independent of all other firings.
+
+    Args:
+        world: the world of the run.
+        array: the sonars on the hull.
+        seed: seed of the run.
+    """
+
+    def __init__(self, world: World, array: SonarArray, *, seed: int) -> None:
+        scenario = world.scenario
+        surfaces = scenario.surfaces
+        self._hull, self._array, self._key = world.hull, array, echo_keys([seed])[0]
+        self._known = {}
+        self._corners: list[tuple[float, float]] = []
+        if surfaces is not None:
+            names = [obstacle.name for obstacle in scenario.obstacles]
+            pairs = zip(names, surfaces.obstacles, strict=True)
+            self._known = {name: (echo_number(name), reflector) for name, reflector in pairs}
+            self._corners = corner_points(scenario.walls, surfaces)
+        self._any = surfaces is not None and (surfaces.weak or bool(self._corners))
+
+    def nearest(self, sensor: int, state: NDArray[np.float64], bodies: Sequence[Body], *, instant: int) -> float:
+        """Return the distance [m] from a sensor's apex to the nearest detected weak echo; inf if there is none.
+
+        Args:
+            sensor: index of the sensor that fires.
+            state: state of the plant, which begins with x, y, z [m] and ψ [rad].
+            bodies: the obstacles that are in the water.
+            instant: number of the firing instant.
+        """
+        if not self._any:
+            return inf
+        block = firing_block(self._key, instant, sensor)
+        audible = [(self._known[body.name], body.shape) for body in beside(bodies, float(state[2]), self._hull)]
+        return weak_range(
+            self._array,
+            sensor,
+            position=state[:2],
+            heading=float(state[3]),
+            bodies=[(number, shape, reflector) for (number, reflector), shape in audible],
+            corners=self._corners,
+            uniform=lambda echo: echo_uniform(self._key, block, echo),
+        )
+
 
 Vector: TypeAlias = NDArray[np.float64]
 

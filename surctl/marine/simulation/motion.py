@@ -3,20 +3,237 @@
 from __future__ import annotations
 
 from itertools import combinations, pairwise
-from math import inf, sqrt
+from math import acos, degrees, inf, sqrt, tan
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.marine.control import Gains, default_law, law_source, turning_radius
+from surctl.marine.control.ports import YAW_SHARE
+from surctl.marine.guidance import BEND
 from surctl.marine.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_distance_with_drag
+from surctl.marine.simulation.clearance import tightest_gap
 from surctl.marine.simulation.finding import Finding
-from surctl.marine.simulation.mission_fit import leg_speeds
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 
-__all__ = ["closest", "motion_findings"]
+__all__ = ["closest", "mission_findings", "motion_findings", "planned_radius", "steering_findings"]
+
+_REVERSAL = 2.4  # [rad] largest change of direction (137°) that counts as a corner; beyond it the path turns back
+_PASSES = 0.03  # of the turning radius: how near a craft with fins passes its target (study 31)
+
+
+def planned_radius(vehicle: Vehicle, gains: Gains, speed: float) -> tuple[float, str]:
+    """Return the radius [m] of the tightest turn that the law plans at a speed [m/s], and a text of what it is.
+
+    The hull can turn more tightly: the gain `sideslip` limits the drift angle of a planned turn.
+    """
+    values = gains.with_own(law_source(default_law(vehicle)).gains).values
+    radius = turning_radius(vehicle, values, speed)
+    with_gain = f"(gain sideslip = {values['sideslip']:g} rad)"
+    return radius, f"planned turning radius at {speed:g} m/s is {radius:.2g} m {with_gain}"
+
+
+def steering_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Return the findings about turning, holding a place and depth; empty for a vehicle that has all four forces."""
+    results = _depths(scenario, vehicle)
+    if vehicle["Fv_max"] > 0:
+        return results
+    radius, about = planned_radius(vehicle, gains, scenario.cruise)
+    at_rest = vehicle.fin_share(scenario.cruise) * 100
+    text = (
+        f"{vehicle.name} has no sway force (Fv_max = 0): law {default_law(vehicle)} steers it by heading and speed, "
+        f"from obstacle positions, without sonars; its {about}"
+    )
+    if at_rest > 0:
+        text += f"; rudders or fins give {at_rest:.0f} % of its yaw moment, and nothing at rest"
+    return [
+        *results,
+        Finding("info", "vehicle", text),
+        *_corners(scenario, radius),
+        *_turning_circle(scenario, vehicle, radius),
+        *_arrival_findings(scenario, vehicle, radius),
+        *_station(scenario, vehicle),
+    ]
+
+
+def _depths(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    if vehicle["Fw_max"] > 0 or scenario.depths is None:
+        return []
+    text = f"{vehicle.name} has no heave force (Fw_max = 0), so it cannot leave the path's depth; remove depths_m"
+    return [Finding("error", "depths_m", text)]
+
+
+def _corners(scenario: Scenario, radius: float) -> list[Finding]:
+    """Report the worst reversal, and the worst corner whose wheel-over distance R tan(α/2) exceeds half a leg."""
+    reversals, sharp = [], []
+    points, legs = scenario.path.waypoints[1:-1], np.diff(scenario.path.waypoints, axis=0)
+    bends = np.zeros(len(points)) if scenario.path.kinds is None else scenario.path.kinds[1:-1]
+    for (before, after), corner, bend in zip(pairwise(legs), points, bends, strict=True):
+        if bend == BEND:  # of an arc, which `mission_findings` judges
+            continue
+        lengths = float(np.linalg.norm(before)), float(np.linalg.norm(after))
+        turn = acos(float(np.clip(before @ after / (lengths[0] * lengths[1]), -1, 1)))
+        where = f"corner ({corner[0]:g}, {corner[1]:g})"
+        if turn > _REVERSAL:
+            text = f"at {where} the path turns by {degrees(turn):.0f}°: the craft leaves it by up to {2 * radius:.2g} m"
+            reversals.append((turn, text))
+            continue
+        wheel_over, half = radius * tan(turn / 2), min(lengths) / 2
+        if wheel_over > half and not scenario.visit:
+            text = (
+                f"{where} turns by {degrees(turn):.0f}°, so the turn must begin {wheel_over:.2g} m before it, but half "
+                f"of the shorter leg is {half:.2g} m: it leaves the path; lower cruise_m_per_s or lengthen the leg"
+            )
+            sharp.append((wheel_over - half, text))
+    results = []
+    for listed, others in ((reversals, "also turn back"), (sharp, "are also too sharp")):
+        if listed:
+            more = f" (the worst; {len(listed) - 1} other corners {others})" if len(listed) > 1 else ""
+            results.append(Finding("warning", "path_m", max(listed)[1] + more))
+    return results
+
+
+def _turning_circle(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
+    needed, hull = 2 * radius, vehicle["radius"]
+    results = []
+    width = min(scenario.site[:2]) - 2 * hull
+    if width < needed:
+        text = (
+            f"the site leaves {width:.2g} m for the centre of {vehicle.name}, less than its planned turning circle of "
+            f"{needed:.2g} m at the cruise speed: it must slow down to turn round; lower cruise_m_per_s"
+        )
+        results.append(Finding("warning", "site", text))
+    gap = tightest_gap(scenario, hull + radius)
+    if gap is not None and 0 < gap.always - 2 * hull < needed:
+        text = (
+            f"the passage between {gap.between[0]} and {gap.between[1]} leaves {gap.always - 2 * hull:.2g} m for the "
+            f"centre of {vehicle.name}, less than its planned turning circle of {needed:.2g} m at the cruise speed: "
+            "it cannot turn back there without slowing down"
+        )
+        results.append(Finding("info", "obstacles", text))
+    return results
+
+
+def _arrival_findings(scenario: Scenario, vehicle: Vehicle, radius: float) -> list[Finding]:
+    needed = _PASSES * radius
+    if vehicle.fin_share(scenario.cruise) < 0.5 or scenario.arrival_radius >= needed:
+        return []
+    text = (
+        f"{vehicle.name} steers by rudders or fins and passes its target at speed, to within about {needed:.1g} m, "
+        f"{100 * _PASSES:g} % of its planned turning radius: in {scenario.arrival_radius:g} m it may turn round "
+        f"several times; set arrival_m = {needed:.1g}"
+    )
+    return [Finding("warning", "arrival_m", text)]
+
+
+def _station(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    d = scenario.disturbance
+    if not scenario.visit or not (np.hypot(*d.current_m_per_s) > 0 or d.drift_force_n > 0):
+        return []
+    text = f"{vehicle.name} has no sway force, so a current or a drift force moves it away from a corner to visit"
+    return [Finding("warning", "corners", text)]
+
+
+Array = NDArray[np.float64]
+
+
+def _leg_speeds(scenario: Scenario) -> Array:
+    """Return the speed of the target point on each path segment (n - 1,) [m/s]."""
+    speeds = scenario.path.speeds
+    if speeds is None:
+        return np.full(len(scenario.path.waypoints) - 1, scenario.cruise)
+    return np.where(speeds[1:] > 0, speeds[1:], scenario.cruise)
+
+
+def mission_findings(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Return the findings about arcs, changes of depth and segments shorter than the look-ahead distance."""
+    return [*_arcs(scenario, vehicle, gains), *_climb(scenario, vehicle), *_short(scenario, gains)]
+
+
+def _arcs(scenario: Scenario, vehicle: Vehicle, gains: Gains) -> list[Finding]:
+    """Report the arc that needs most of the yaw rate or of the sway force, if it needs more than there is."""
+    kinds, speeds, lengths = scenario.path.kinds, _leg_speeds(scenario), scenario.path.lengths
+    if kinds is None or not np.any(kinds[1:-1] == BEND):
+        return []
+    ahead = np.diff(scenario.path.waypoints, axis=0)
+    turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    turns = np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
+    curvature = np.where(kinds[1:-1] == BEND, turns / ((lengths[1:] + lengths[:-1]) / 2), 0.0)
+    speed = np.maximum(speeds[1:], speeds[:-1])
+    if vehicle["Fv_max"] > 0:
+        return _forced_arcs(scenario, vehicle, curvature, speed)
+    # the drift of the hull carries the force towards the centre: the radius of a planned turn counts, as at corners
+    tightest = [(v, float(np.max(curvature[speed == v]))) for v in np.unique(speed)]
+    results = []
+    for v, most in tightest:
+        radius, about = planned_radius(vehicle, gains, float(v))
+        if most * radius > 1:
+            text = (
+                f"an arc of radius {1 / most:.2g} m is tighter than {vehicle.name} turns: its {about}, so it "
+                "leaves the path; lower the speed or enlarge the radius"
+            )
+            results.append((most * radius, Finding("warning", "leg.radius_m", text)))
+    return [max(results, key=lambda one: one[0])[1]] if results else []
+
+
+def _forced_arcs(scenario: Scenario, vehicle: Vehicle, curvature: Array, speed: Array) -> list[Finding]:
+    results = []
+    most = vehicle.at_speed(scenario.cruise).steady_yaw(YAW_SHARE, scenario.cruise)
+    k = int(np.argmax(curvature * speed))
+    if curvature[k] * speed[k] > most:
+        text = (
+            f"an arc of radius {1 / curvature[k]:.2g} m at {speed[k]:g} m/s turns at {curvature[k] * speed[k]:.2g} "
+            f"rad/s, but {vehicle.name} sustains {most:.2g} rad/s: its hull will lag behind the path"
+        )
+        results.append(Finding("warning", "leg.radius_m", text))
+    # the force towards the centre turns with the hull, which heads along the path: sway thrust
+    force = vehicle["m11"] * speed**2 * curvature
+    k = int(np.argmax(force))
+    if force[k] > vehicle["Fv_max"]:
+        text = (
+            f"an arc of radius {1 / curvature[k]:.2g} m at {speed[k]:g} m/s needs {force[k]:.2f} N towards its centre, "
+            f"but the sway thrust of {vehicle.name} is {vehicle['Fv_max']:g} N"
+        )
+        results.append(Finding("error", "leg.radius_m", text))
+    return results
+
+
+def _climb(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
+    rises = scenario.path.rises
+    if rises is None or not rises.any():
+        return []
+    climb = float(np.max(np.abs(np.diff(rises)) / scenario.path.lengths * _leg_speeds(scenario)))
+    needed = vehicle["Zw"] * climb + vehicle["Zww"] * climb**2
+    if needed <= vehicle["Fw_max"]:
+        return []
+    text = (
+        f"a change of depth at {climb:.2g} m/s needs {needed:.2f} N, but the heave thrust of {vehicle.name} is "
+        f"{vehicle['Fw_max']:g} N"
+    )
+    return [Finding("error", "climb_m_per_s", text)]
+
+
+def _short(scenario: Scenario, gains: Gains) -> list[Finding]:
+    """Report corners that are closer together than the look-ahead distance: the law smooths such a path."""
+    path = scenario.path
+    kinds = path.table(visits=scenario.corners == "visit")[1:-1, 4]
+    ahead = np.diff(path.waypoints, axis=0)
+    turns = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    turns = np.abs((turns + np.pi) % (2 * np.pi) - np.pi)
+    corner = np.concatenate([[True], (kinds != BEND) & (turns > np.deg2rad(30)), [True]])
+    at = np.concatenate([[0.0], np.cumsum(path.lengths)])[corner]
+    near = int(np.sum(np.diff(at) < gains["lookahead"]))
+    if len(path.waypoints) <= 2 or not near:
+        return []
+    text = (
+        f"{near} of {len(at) - 1} stretches between corners are shorter than the look-ahead distance of "
+        f"{gains['lookahead']:g} m: the robot cuts these corners"
+    )
+    return [Finding("info", "path_m", text)]
+
 
 _SAME = 1e-6  # [m] distance of points that are one
 
@@ -123,7 +340,7 @@ def _thrust(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
     worst, figures, worst_leg = 0.0, (0.0, 0.0, 0.0, 0.0), 0
     ahead_most, aside_most = weak * ahead_limit(vehicle), weak * float(vehicle.thrust_limit[1])
     legs = np.diff(scenario.path.waypoints, axis=0)
-    for k, (leg, cruise) in enumerate(zip(legs, leg_speeds(scenario).tolist(), strict=True)):
+    for k, (leg, cruise) in enumerate(zip(legs, _leg_speeds(scenario).tolist(), strict=True)):
         ahead = leg / np.linalg.norm(leg)
         through = cruise * ahead - current
         along, across = float(through @ ahead), float(through[1] * ahead[0] - through[0] * ahead[1])

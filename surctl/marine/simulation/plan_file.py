@@ -6,7 +6,7 @@ import json
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import isfinite
+from math import cos, isfinite, radians, sin, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,111 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.files import quoted
-from surctl.marine.simulation.plan_items import Places, geofence, home_position, metres_per_degree, unused, waypoint
 from surctl.marine.simulation.route import MAX_POINTS
 from surctl.marine.simulation.scenario import scenario_from_table
 from surctl.recorded import shown, xml_root
 
 __all__ = ["Mission", "mission_scenario", "read_mission"]
+
+_AXIS, _FLATTENING = 6378137.0, 1 / 298.257223563  # WGS 84
+_ABOVE_SEA, _ABOVE_HOME, _ABOVE_TERRAIN = (0, 5), (3, 6), (10, 11)  # frames of MAVLink
+_NED, _ENU = 1, 4  # local frames, in metres from the home position
+_NOT_USED: dict[int, dict[int, str]] = {  # parameters of the commands that change the motion, by their index
+    16: {0: "hold {:g} s", 2: "pass at {:g} m", 3: "yaw {:g}°"},
+    17: {2: "radius {:g} m"},
+    18: {0: "{:g} turns", 2: "radius {:g} m"},
+    19: {0: "hold {:g} s", 2: "radius {:g} m"},
+    82: {0: "hold {:g} s"},
+}
+
+_Place = tuple[float, float, float]
+"""Latitude and longitude [°], and a height or radius [m]."""
+_Places = list[_Place]
+
+
+def _metres_per_degree(latitude: float) -> tuple[float, float]:
+    """Return metres per degree to the east and to the north, with the radii of curvature of the ellipsoid."""
+    eccentricity = _FLATTENING * (2 - _FLATTENING)
+    root = sqrt(1 - eccentricity * sin(radians(latitude)) ** 2)
+    return radians(_AXIS / root * cos(radians(latitude))), radians(_AXIS * (1 - eccentricity) / root**3)
+
+
+def _home_position(value: object) -> _Place | None:
+    """Return latitude, longitude [°] and height above the sea [m] of a plan's home; None if it gives none."""
+    try:
+        latitude, longitude, height = (float(v) for v in value)  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        return None
+    return latitude, longitude, height
+
+
+def _waypoint(frame: int, numbers: list[float], home: _Place | None) -> tuple[_Place, list[str]]:
+    """Return latitude, longitude and height above the surface of a waypoint, and what of it is not known.
+
+    Args:
+        frame: frame of MAVLink.
+        numbers: latitude, longitude and height, or three coordinates in metres.
+        home: the home position, at the surface.
+
+    Raises:
+        InputError: the frame is none of a waypoint, or metres from a home position that does not exist.
+    """
+    one, other, height = numbers
+    if frame in _ABOVE_HOME:
+        return (one, other, height), []
+    if frame in _ABOVE_TERRAIN:
+        return (one, other, float("nan")), [f"height {height:g} m above the terrain"]
+    if frame in _ABOVE_SEA:
+        if home is None:
+            return (one, other, float("nan")), [f"height {height:g} m above the sea, without a home position"]
+        return (one, other, height - home[2]), []
+    if frame not in (_NED, _ENU):
+        remedy = "give latitude, longitude and height above home"
+        raise InputError("is no frame of a waypoint", value=f"frame {frame}", remedy=remedy)
+    if home is None:
+        problem = "is in metres from a home position, and the plan has no plannedHomePosition"
+        raise InputError(problem, value=f"frame {frame}", remedy="save the plan with a home position")
+    x, y, z = (other, one, -height) if frame == _NED else (one, other, height)
+    east, north = _metres_per_degree(home[0])
+    return (home[0] + y / north, home[1] + x / east, z), []
+
+
+def _unused(command: int, params: list[Any], item: dict[str, Any]) -> list[str]:
+    """Return what of a waypoint changes the motion, and a path does not have."""
+    said = {k: float(params[k]) for k in _NOT_USED[command] if k < len(params) and params[k] is not None}
+    texts = [_NOT_USED[command][k].format(value) for k, value in said.items() if isfinite(value) and value != 0]
+    if command == 17:
+        texts.append("loiter without end")
+    return texts + (["waits for the operator"] if item.get("autoContinue") is False else [])
+
+
+def _geofence(fence: Any, path: Path) -> tuple[_Places, list[str]]:
+    """Return the circles of a geofence that exclude, with centre [°] and radius [m], and notes about the rest.
+
+    Raises:
+        InputError: the geofence cannot be read.
+    """
+    zones: _Places = []
+    notes: list[str] = []
+    try:
+        circles, polygons = (list((fence or {}).get(key) or []) for key in ("circles", "polygons"))
+        for number, part in enumerate(circles, start=1):
+            (latitude, longitude), radius = (
+                (float(v) for v in part["circle"]["center"]),
+                float(part["circle"]["radius"]),
+            )
+            if part.get("inclusion", True):
+                notes.append(f"not used: inclusion circle {number}, of radius {radius:g} m")
+            else:
+                zones.append((latitude, longitude, radius))
+        for number, part in enumerate(polygons, start=1):
+            kind = "inclusion" if part.get("inclusion", True) else "exclusion"
+            notes.append(f"not used: {kind} polygon {number}, with {len(part['polygon'])} corners")
+    except (KeyError, TypeError, ValueError, AttributeError):
+        remedy = "correct it in QGroundControl and save the plan again"
+        raise InputError("cannot be read", file=shown(path), key="geoFence", remedy=remedy) from None
+    return zones, notes
+
 
 _WAYPOINTS = frozenset({16, 17, 18, 19, 82})  # commands of MAVLink that go to a position
 _SPEED = 178
@@ -211,15 +310,15 @@ def _obstacles(
 @dataclass
 class _Content:
     # of a file, in degrees and metres; the zones are circles
-    places: Places
+    places: _Places
     speed: float | None
     notes: list[str]
-    zones: Places = field(default_factory=list)
+    zones: _Places = field(default_factory=list)
 
 
 def _plane(latitude: float, longitude: float, origin: tuple[float, float, float]) -> NDArray[np.float64]:
     # x east and y north
-    east, north = metres_per_degree(origin[0])
+    east, north = _metres_per_degree(origin[0])
     turn = (longitude - origin[1] + 180) % 360 - 180
     return np.array([east * turn, north * (latitude - origin[0])])
 
@@ -231,8 +330,8 @@ def _plan(raw: bytes, path: Path) -> _Content:
         assert isinstance(items, list)
     except (ValueError, KeyError, TypeError, AssertionError, RecursionError):
         raise InputError("is not a QGroundControl plan", file=shown(path), remedy="give a .plan or .gpx file") from None
-    home = home_position(table["mission"].get("plannedHomePosition"))
-    places: Places = []
+    home = _home_position(table["mission"].get("plannedHomePosition"))
+    places: _Places = []
     speeds: list[tuple[str, float, bool]] = []
     skipped: dict[str, list[str]] = {}
     for number, item in _items(items):
@@ -244,9 +343,9 @@ def _plan(raw: bytes, path: Path) -> _Content:
                 continue
             command, params = int(item["command"]), list(item.get("params", ()))
             if command in _WAYPOINTS:
-                place, unknown = waypoint(int(item["frame"]), [float(v) for v in params[4:7]], home)
+                place, unknown = _waypoint(int(item["frame"]), [float(v) for v in params[4:7]], home)
                 places.append(place)
-                for text in (*unknown, *unused(command, params, item)):
+                for text in (*unknown, *_unused(command, params, item)):
                     skipped.setdefault(text, []).append(number)
             elif command == _SPEED and params[0] in _FORWARD:
                 speeds.append((number, float(params[1]), bool(places)))
@@ -263,7 +362,7 @@ def _plan(raw: bytes, path: Path) -> _Content:
             ) from None
     notes = [f"not used: item {', '.join(numbers)} ({what})" for what, numbers in skipped.items()]
     speed, of_speeds = _speed(speeds, table["mission"].get("cruiseSpeed"))
-    zones, of_fence = geofence(table.get("geoFence"), path)
+    zones, of_fence = _geofence(table.get("geoFence"), path)
     return _Content(places, speed, [*notes, *of_speeds, *of_fence], zones)
 
 
@@ -307,7 +406,7 @@ def _gpx(raw: bytes, path: Path) -> _Content:
     ]
     groups = [group for group in groups if group] or [list(root.iter("wpt"))]
     notes = [f"{len(groups) - 1} more routes or tracks are not used"] if len(groups) > 1 else []
-    places: Places = []
+    places: _Places = []
     for k, point in enumerate(groups[0], start=1):
         latitude, longitude, height = point.get("lat"), point.get("lon"), point.findtext("ele")
         try:

@@ -1,8 +1,17 @@
-"""Write a run as a file for other programs: CSV, MATLAB's .mat or netCDF, with one line per control step."""
+"""Write a run as a file for other programs: CSV, MATLAB's .mat or netCDF, with one line per control step.
+
+Topics: `/tf` (frames `world` and `hull`), `/pose`, `/path`, `/scene` (hull, obstacles, walls), `/sonar/N` (one echo as
+an arc over the beam), `/state`, `/thrust`, `/status`, `/log`. The frame `world` is {E}: x along the site, z up; `hull`
+is {B}: x forward, y left. Numbers are rounded to 0.1 mm, 0.1 mN and 1e-5 rad, below any sensor.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
+from math import cos, degrees, isfinite, isinf, sin
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,15 +19,350 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.files import file_name, write_file
 from surctl.marine.simulation.run import Run
-from surctl.marine.simulation.scene_file import save_scene
-from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, check_frame, swap_body, swap_pose
+from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.world import Body
+from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle, check_frame, swap_body, swap_pose
+from surctl.marine.world import Box, Disc
 from surctl.recorded import shown
+from surctl.recorded_mcap import McapFile, stamp
 from surctl.recorded_write import RECORD_FORMATS, Column, RecordFormat, write_mat, write_netcdf
+
+__all__ = [
+    "LAYOUT",
+    "RECORD_FORMATS",
+    "RUN_FORMATS",
+    "RecordFormat",
+    "SceneFile",
+    "record_columns",
+    "save_record",
+    "save_scene",
+]
+
+Vector = NDArray[np.float64]
+
+LAYOUT = "foxglove-layout.json"
+"""Name of the layout file for Foxglove, which is written beside each MCAP file."""
+
+_SCENE = 0.2  # [s] between two messages with moving obstacles
+_STILL = 10.0  # [s] between two messages with path and standing obstacles, so that a viewer may begin anywhere
+_ARC = 9  # points of a sonar's arc
+_FLOAT = {"hull": (0.95, 0.75, 0.1, 0.9), "still": (0.45, 0.45, 0.5, 0.9), "moving": (0.85, 0.25, 0.2, 0.9)}
+_WALL = (0.3, 0.5, 0.7, 0.6)
+_PATH = (0.1, 0.6, 0.3, 0.9)
+_UNTURNED = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+_INFO, _WARNING = 2, 3
+
+
+class SceneFile:
+    """Writes moments of a run or session to an MCAP file.
+
+    Attributes:
+        file: the MCAP file.
+        scenario, vehicle: mission and vehicle.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import numpy as np
+        >>> from surctl.recorded_mcap import McapFile
+        >>> from surctl.marine.simulation import SceneFile, load_scenario
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> with McapFile(Path("run.mcap")) as file:
+        ...     scene = SceneFile(file, load_scenario("pool-behind"), load_vehicle("sur400"))
+        ...     scene.text(0.0, "begins")
+        ...     scene.moment(0.0, eta=np.array([0.5, 1.0, -0.15, 0.0]), nu=np.zeros(4), tau=np.zeros(4), status=0)
+    """
+
+    def __init__(self, file: McapFile, scenario: Scenario, vehicle: Vehicle) -> None:
+        self.file, self.scenario, self.vehicle = file, scenario, vehicle
+        self.array = scenario.sensors.array_on(vehicle["radius"])
+        self._scene, self._still = -float("inf"), -float("inf")
+        self._shown: set[str] = set()
+        z = scenario.depth
+        rises = scenario.path.rises if scenario.path.rises is not None else np.zeros(len(scenario.path.waypoints))
+        self._path = [
+            _point(x, y, z + rise) for (x, y), rise in zip(scenario.path.waypoints.tolist(), rises, strict=True)
+        ]
+
+    def text(self, time: float, text: str, *, warning: bool = False, name: str = "surctl") -> None:
+        """Write a line of text to the log."""
+        level = _WARNING if warning else _INFO
+        message = {"timestamp": self._at(time), "level": level, "message": text, "name": name, "file": "", "line": 0}
+        self.file.write("/log", "foxglove.Log", time, message)
+
+    def moment(
+        self,
+        time: float,
+        *,
+        eta: Vector,
+        nu: Vector,
+        tau: Vector | None,
+        status: int | None,
+        tilt: tuple[float, float] = (0.0, 0.0),
+        clearance: float = float("nan"),
+        bodies: Sequence[Body] = (),
+        ranges: Vector | None = None,
+        values: Mapping[str, Any] | None = None,
+    ) -> None:
+        """Write one control step.
+
+        Args:
+            time: time [s].
+            eta: pose (4,) in {E}.
+            nu: velocity (4,) in {B}.
+            tau: thrust (4,) [N, N m] in {B}; None: the law made no step, and `/thrust` gets no message.
+            status: status of the law; None: the law made no step.
+            tilt: roll and pitch [rad].
+            clearance: distance to the nearest obstacle [m]; NaN: unknown.
+            bodies: obstacles that are there now.
+            ranges: (n,) measured distance of each sonar [m]; None: no sonars.
+            values: further values for `/status`.
+        """
+        at, write = self._at(time), self.file.write
+        pose = {"position": _point(*eta[:3]), "orientation": _turned(float(eta[3]), *tilt)}
+        frames = {"parent_frame_id": "world", "child_frame_id": "hull"}
+        transform = {"translation": pose["position"], "rotation": pose["orientation"]}
+        write("/tf", "foxglove.FrameTransform", time, {"timestamp": at, **frames, **transform})
+        write("/pose", "foxglove.PoseInFrame", time, {"timestamp": at, "frame_id": "world", "pose": pose})
+        x, y, z, psi = (float(v) for v in eta)
+        state = dict(zip(("x_m", "y_m", "z_m"), _rounded(x, y, z), strict=True))
+        state |= {"heading_deg": round(degrees(psi), 3)}
+        names = ("surge_m_per_s", "sway_m_per_s", "heave_m_per_s")
+        state |= dict(zip(names, _rounded(*nu[:3], digits=5), strict=True))
+        state |= {"yaw_rate_deg_per_s": round(degrees(float(nu[3])), 3)}
+        write("/state", "surctl.State", time, {"timestamp": at, **state})
+        if tau is not None:
+            thrust = dict(zip(("surge_n", "sway_n", "heave_n", "yaw_n_m"), _rounded(*tau), strict=True))
+            write("/thrust", "surctl.Thrust", time, {"timestamp": at, **thrust})
+        near = round(clearance, 4) if isfinite(clearance) else None
+        status_values = {
+            "status": None if status is None else int(status),
+            "clearance_m": near,
+            "values": dict(values or {}),
+        }
+        write("/status", "surctl.Status", time, {"timestamp": at, **status_values})
+        self._obstacles(time, bodies)
+        if ranges is not None:
+            self._sonars(time, ranges)
+
+    def _at(self, time: float) -> dict[str, int]:
+        return stamp(self.file.epoch + time)
+
+    def _sonars(self, time: float, ranges: Vector) -> None:
+        for k, (axis, distance) in enumerate(zip(self.array.azimuths, ranges.tolist(), strict=True)):
+            x, y = self._apex(k)
+            half = self.array.half_angle
+            echo = round(distance, 3) if distance < self.array.maximum else None
+            scan = {
+                "timestamp": self._at(time),
+                "frame_id": "hull",
+                "pose": {"position": _point(x, y, 0.0), "orientation": _UNTURNED},
+                "start_angle": round(axis - half, 4),
+                "end_angle": round(axis + half, 4),
+                "ranges": [] if echo is None else [echo] * _ARC,
+                "intensities": [],
+            }
+            self.file.write(f"/sonar/{k}", "foxglove.LaserScan", time, scan)
+
+    def _apex(self, sensor: int) -> tuple[float, float]:
+        x, y, _ = self.array.apex(sensor, position=(0.0, 0.0), heading=0.0)
+        return x, y
+
+    def _obstacles(self, time: float, bodies: Sequence[Body]) -> None:
+        entities: list[dict[str, Any]] = []
+        if time >= self._still + _STILL:
+            self._still = time
+            entities += [self._hull(time), self._walls(time)]
+            poses = [{"position": point, "orientation": _UNTURNED} for point in self._path]
+            line = {"timestamp": self._at(time), "frame_id": "world", "poses": poses}
+            self.file.write("/path", "foxglove.PosesInFrame", time, line)
+        if time >= self._scene + _SCENE or entities:
+            self._scene = time
+            entities += [self._body(time, body) for body in bodies if body.velocity.any() or entities]
+            names = {_id(body.name) for body in bodies}
+            gone = [{"timestamp": self._at(time), "type": 0, "id": name} for name in sorted(self._shown - names)]
+            self._shown = names
+            if entities or gone:
+                self.file.write("/scene", "foxglove.SceneUpdate", time, {"deletions": gone, "entities": entities})
+
+    def _hull(self, time: float) -> dict[str, Any]:
+        r = float(self.vehicle["radius"])
+        pose = {"position": _point(0.0, 0.0, 0.0), "orientation": _UNTURNED}
+        sphere = {"pose": pose, "size": _point(2 * r, 2 * r, 2 * r), "color": _color(_FLOAT["hull"])}
+        nose = _line([_point(0.0, 0.0, 0.0), _point(1.5 * r, 0.0, 0.0)], _FLOAT["moving"])
+        return self._entity(time, "hull", frame="hull", spheres=[sphere], lines=[nose])
+
+    def _walls(self, time: float) -> dict[str, Any]:
+        length, width, deep = self.scenario.site
+        corners = [(0.0, 0.0), (length, 0.0), (length, width), (0.0, width), (0.0, 0.0)]
+        rings = [_line([_point(x, y, z) for x, y in corners], _WALL) for z in (0.0, -deep)]
+        return self._entity(time, "site", lines=[*rings, _line(self._path, _PATH)])
+
+    def _body(self, time: float, body: Body) -> dict[str, Any]:
+        deep = self.scenario.site[2]
+        bottom = -deep if isinf(body.heights.bottom) else body.heights.bottom
+        top = 0.0 if isinf(body.heights.top) else body.heights.top
+        assert isinstance(body.shape, Box | Disc)
+        height, z = top - bottom, 0.5 * (top + bottom)
+        x, y = (float(v) for v in body.shape.center)
+        kind = {"color": _color(_FLOAT["moving" if body.moving else "still"])}
+        if isinstance(body.shape, Disc):
+            pose, wide = {"position": _point(x, y, z), "orientation": _UNTURNED}, 2 * body.shape.radius
+            solid = {"pose": pose, "size": _point(wide, wide, height), "bottom_scale": 1.0, "top_scale": 1.0, **kind}
+            return self._entity(time, _id(body.name), cylinders=[solid])
+        pose = {"position": _point(x, y, z), "orientation": _turned(body.shape.angle, 0.0, 0.0)}
+        long, wide = (float(v) for v in body.shape.size)
+        return self._entity(time, _id(body.name), cubes=[{"pose": pose, "size": _point(long, wide, height), **kind}])
+
+    def _entity(self, time: float, name: str, *, frame: str = "world", **parts: list[dict[str, Any]]) -> dict[str, Any]:
+        kinds = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+        return {
+            "timestamp": self._at(time),
+            "frame_id": frame,
+            "id": name,
+            "lifetime": stamp(0.0),
+            "frame_locked": True,
+            "metadata": [],
+            **{kind: parts.get(kind, []) for kind in kinds},
+        }
+
+
+def save_scene(run: Run, folder: Path) -> Path:
+    """Write the run to `SCENARIO-SEED.mcap` in the folder, and a layout for Foxglove beside it; return the path.
+
+    Raises:
+        ToolMissing: the package mcap is not installed.
+        InputError: the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.marine.simulation import load_scenario, save_scene, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> law, gains = build_law("closed_form"), load_gains("default")
+        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
+        >>> save_scene(run, Path()).name
+        'pool-behind-0.mcap'
+    """
+    record, path = run.record, folder / f"{file_name(run.scenario.name)}-{run.seed}.mcap"
+    part = path.with_suffix(".part.mcap")
+    sonar = run.telemetry("ranges") if run.law.perception is not None else None
+    shown = [port.name for port in run.law.outputs if port.size == 1 and port.name != "tau"]
+    try:
+        with McapFile(part) as file:
+            scene = SceneFile(file, run.scenario, run.vehicle)
+            for k, time in enumerate(record.time.tolist()):
+                telemetry = record.telemetry[k]
+                values = {name: float(telemetry[run.law.telemetry_slice(name)][0]) for name in shown}
+                scene.moment(
+                    time,
+                    eta=record.eta[k],
+                    nu=record.nu[k],
+                    tau=record.tau[k],
+                    status=int(record.status[k]),
+                    tilt=(0.0, 0.0) if record.tilt is None else (float(record.tilt[k, 0]), float(record.tilt[k, 1])),
+                    clearance=float(record.clearance[k]),
+                    bodies=record.obstacles[k],
+                    ranges=None if sonar is None else sonar[k],
+                    values=values,
+                )
+            end = f"{run.scenario.name} by {run.vehicle.name}, seed {run.seed}: {run.metrics.stopped_because}"
+            scene.text(float(record.time[-1]), end, warning=not run.metrics.reached)
+        part.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot be written ({error.strerror})", file=path, remedy="free disk space") from None
+    write_layout(folder, sonars=0 if sonar is None else sonar.shape[1])
+    return path
+
+
+def write_layout(folder: Path, *, sonars: int = 0) -> Path:
+    """Write the layout file for Foxglove (Layouts, Import from file) to a folder and return its path.
+
+    Args:
+        folder: an existing folder.
+        sonars: number of sonars whose echoes the layout shows.
+
+    Raises:
+        InputError: the folder cannot be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.marine.simulation import write_layout
+        >>> write_layout(Path()).name
+        'foxglove-layout.json'
+    """
+    topics = {name: {"visible": True} for name in ("/pose", "/path", "/scene", *(f"/sonar/{k}" for k in range(sonars)))}
+    lists = {
+        "Thrust [N]": ["/thrust.surge_n", "/thrust.sway_n", "/thrust.heave_n"],
+        "Speed [m/s]": ["/state.surge_m_per_s", "/state.sway_m_per_s"],
+        "Clearance [m]": ["/status.clearance_m"],
+    }
+    plots = {
+        f"Plot!{k}": {
+            "foxglovePanelTitle": title,
+            "paths": [{"value": path, "enabled": True, "timestampMethod": "receiveTime"} for path in paths],
+            "showLegend": True,
+            "xAxisVal": "timestamp",
+        }
+        for k, (title, paths) in enumerate(lists.items())
+    }
+    view = {"followTf": "world", "topics": topics, "scene": {"transforms": {"visible": False}}}
+    panels = {"3D!scene": view, **plots, "Log!log": {"topicToRender": "/log"}}
+    right = {
+        "direction": "column",
+        "first": "Plot!0",
+        "second": {"direction": "column", "first": "Plot!1", "second": "Plot!2"},
+    }
+    left = {"direction": "column", "first": "3D!scene", "second": "Log!log", "splitPercentage": 80}
+    layout = {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {"direction": "row", "first": left, "second": right, "splitPercentage": 60},
+    }
+    return write_file(folder / LAYOUT, json.dumps(layout, indent=2) + "\n")
+
+
+def _id(name: str) -> str:
+    # of an obstacle; a viewer would replace the hull by an obstacle of this name
+    return f"obstacle {name}" if name in ("hull", "site") else name
+
+
+def _rounded(*numbers: float, digits: int = 4) -> list[float]:
+    return [round(float(v), digits) for v in numbers]
+
+
+def _point(x: float, y: float, z: float) -> dict[str, float]:
+    return {"x": round(float(x), 4), "y": round(float(y), 4), "z": round(float(z), 4)}
+
+
+def _turned(psi: float, roll: float, pitch: float) -> dict[str, float]:
+    # quaternion of R_z(psi) R_y(pitch) R_x(roll)
+    (ca, cb, cc), (sa, sb, sc) = ([f(0.5 * v) for v in (roll, pitch, psi)] for f in (cos, sin))
+    numbers = {
+        "x": sa * cb * cc - ca * sb * sc,
+        "y": ca * sb * cc + sa * cb * sc,
+        "z": ca * cb * sc - sa * sb * cc,
+        "w": ca * cb * cc + sa * sb * sc,
+    }
+    return {name: round(value, 6) for name, value in numbers.items()}
+
+
+def _color(rgba: tuple[float, float, float, float]) -> dict[str, float]:
+    return dict(zip("rgba", rgba, strict=True))
+
+
+def _line(points: Sequence[Mapping[str, float]], rgba: tuple[float, float, float, float]) -> dict[str, Any]:
+    pose = {"position": _point(0.0, 0.0, 0.0), "orientation": _UNTURNED}
+    return {
+        "type": 0, "pose": pose, "thickness": 2.0, "scale_invariant": True, "points": list(points),
+        "color": _color(rgba), "colors": [], "indices": [],
+    }  # fmt: skip
+
 
 RUN_FORMATS = (*RECORD_FORMATS, "mcap")
 """File formats of a run: tables, and mcap, messages for Foxglove."""
 
-__all__ = ["RECORD_FORMATS", "RUN_FORMATS", "RecordFormat", "record_columns", "save_record"]
 
 _UNITS = {
     "t_s": "s",

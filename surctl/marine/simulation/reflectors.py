@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from surctl.marine.sensing import SonarArray
     from surctl.marine.simulation.obstacle import Obstacle
 
-__all__ = ["ECHOES", "EchoModel", "ReflectorTable", "Reflectors", "WallTable", "reflector_name"]
+__all__ = ["ECHOES", "EchoModel", "ReflectorTable", "Reflectors", "WallTable"]
 
 NotNegative = Annotated[float, Field(ge=0)]
 Incidence = Annotated[float, Field(ge=0, lt=90)]
@@ -153,7 +153,7 @@ class Reflectors:
         return {"site": site, **({"reflectors": kinds} if kinds else {})}
 
 
-def reflector_name(reflector: Reflector, kinds: Mapping[str, ReflectorTable]) -> str:
+def _reflector_name(reflector: Reflector, kinds: Mapping[str, ReflectorTable]) -> str:
     """Return the name by which messages refer to a reflector."""
     own = {name: table.reflector() for name, table in kinds.items()}
     return next((name for name, known in {**own, **REFLECTORS}.items() if known == reflector), "smooth")

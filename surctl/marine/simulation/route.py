@@ -25,12 +25,12 @@ from surctl.marine.control.closing import CLIMB
 from surctl.marine.guidance import BEND, MAX_WAYPOINTS, PASS, VISIT, Path
 from surctl.marine.simulation.obstacle import Point, Positive
 
-__all__ = ["ARC_ERROR", "MAX_POINTS", "Corner", "Leg", "Route", "Survey"]
+__all__ = ["MAX_POINTS", "Corner", "Leg", "Route", "Survey"]
 
-ARC_ERROR = 0.001
+_ARC_ERROR = 0.001
 """Largest distance [m] between an arc and its chords, if the file does not state another (*chosen*)."""
 
-RISE_SPEED = 0.05
+_RISE_SPEED = 0.05
 """Vertical speed [m/s] of a change of depth, if the file does not state another: half the law's limit (*chosen*)."""
 
 MAX_POINTS = 100_000
@@ -122,8 +122,8 @@ class Route(Strict):
     path_m: tuple[Point, ...] = ()
     leg: tuple[Leg, ...] = ()
     survey: Survey | None = None
-    arc_error_m: Positive = ARC_ERROR
-    climb_m_per_s: Annotated[float, Field(gt=0, le=CLIMB)] = RISE_SPEED
+    arc_error_m: Positive = _ARC_ERROR
+    climb_m_per_s: Annotated[float, Field(gt=0, le=CLIMB)] = _RISE_SPEED
 
     def path(self, *, depth: float, cruise: float, cap: float, corners: Corner) -> Path:
         """Return the path; the InputError for a mistake names the key and the remedy, but not the file.

@@ -12,15 +12,15 @@ from surctl.marine.control import Barrier, Gains, Movers
 from surctl.marine.guidance.braking import (
     LEAST_THRUST,
     Watch,
+    beside,
     brakes_of,
     fastest_obstacle,
     range_needed,
     stopping_distance_with_drag,
 )
-from surctl.marine.guidance.sideways import beside
 from surctl.marine.sensing import INCIDENCE_LIMITS
 from surctl.marine.simulation.column import BAND, FOOTPRINT
-from surctl.marine.simulation.detection import unanswered
+from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.margin import Bound, mass_difference, munk, turned
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text

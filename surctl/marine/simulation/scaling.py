@@ -9,18 +9,16 @@ from numpy.typing import ArrayLike
 
 from surctl.marine.control import Gains, turning_radius
 from surctl.marine.guidance import Path
-from surctl.marine.simulation.disturbance import Disturbance
 from surctl.marine.simulation.obstacle import Obstacle
-from surctl.marine.simulation.paper_figure import PaperFigure
-from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.scenario import Disturbance, PaperFigure, Scenario
 from surctl.marine.vehicle import Vehicle, load_vehicle
 
 __all__ = ["disturbed", "mission_size", "scaled_scenario", "straight_mission", "two_leg_mission"]
 
-LONGER = 1.5  # factor on the scaled time limit: a vehicle that is slow to turn for its size loses time at obstacles
-CAP = 1.1  # speed cap as a share of the cruise speed
-TURN = 0.44 / 0.27  # turning radius over hull radius of the vehicle of tank-static
-HULLS = 20.0  # length of the straight mission in hull lengths
+_LONGER = 1.5  # factor on the scaled time limit: a vehicle that is slow to turn for its size loses time at obstacles
+_CAP = 1.1  # speed cap as a share of the cruise speed
+_TURN = 0.44 / 0.27  # turning radius over hull radius of the vehicle of tank-static
+_HULLS = 20.0  # length of the straight mission in hull lengths
 
 
 def mission_size(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
@@ -44,7 +42,7 @@ def mission_size(vehicle: Vehicle, gains: Gains, *, cruise: float) -> float:
     """
     if vehicle["Fv_max"] > 0:
         return vehicle["radius"]
-    return max(vehicle["radius"], turning_radius(vehicle, gains.values, cruise) / TURN)
+    return max(vehicle["radius"], turning_radius(vehicle, gains.values, cruise) / _TURN)
 
 
 def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
@@ -82,7 +80,7 @@ def scaled_scenario(scenario: Scenario, vehicle: Vehicle, *, cruise: float, size
         cruise=cruise,
         cap=speed * scenario.cap,
         arrival_radius=length * scenario.arrival_radius,
-        time_limit=LONGER * time * scenario.time_limit,
+        time_limit=_LONGER * time * scenario.time_limit,
         site=(length * scenario.site[0], length * scenario.site[1], length * scenario.site[2]),
         obstacles=tuple(_obstacle(one, length, speed) for one in scenario.obstacles),
         disturbance=disturbance.model_copy(update=periods),
@@ -113,7 +111,7 @@ def _mission(name: str, vehicle: Vehicle, corners: ArrayLike, *, cruise: float, 
         path=Path(points),
         depth=-4 * size,
         cruise=cruise,
-        cap=CAP * cruise,
+        cap=_CAP * cruise,
         arrival_radius=0.5 * size,
         time_limit=3 * length / cruise + 60,
         site=(float(side[0]), float(side[1]), 8 * size),
@@ -133,7 +131,7 @@ def straight_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenari
         >>> mission.name, round(float(mission.path.lengths.sum()), 1), mission.obstacles
         ('straight-girona500', 36.0, ())
     """
-    return _mission("straight", vehicle, [(0, 0), (HULLS, 0)], cruise=cruise, size=size)
+    return _mission("straight", vehicle, [(0, 0), (_HULLS, 0)], cruise=cruise, size=size)
 
 
 def two_leg_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario:
@@ -145,7 +143,7 @@ def two_leg_mission(vehicle: Vehicle, *, cruise: float, size: float) -> Scenario
         >>> two_leg_mission(load_vehicle("girona500"), cruise=0.5, size=0.9).path.lengths.round(1).tolist()
         [18.0, 18.0]
     """
-    half = HULLS / 2
+    half = _HULLS / 2
     return _mission("two-legs", vehicle, [(0, 0), (half, 0), (half, half)], cruise=cruise, size=size)
 
 

@@ -7,26 +7,118 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import ceil
 from pathlib import Path as FilePath
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from surctl.errors import InputError
 from surctl.files import Strict, pick, read_toml, validate
 from surctl.marine.guidance import MAX_WAYPOINTS, VISIT, Follower, Path
 from surctl.marine.sensing import Surfaces
-from surctl.marine.simulation.disturbance import Disturbance
 from surctl.marine.simulation.obstacle import NotNegative, Obstacle, Positive
-from surctl.marine.simulation.paper_figure import PaperFigure
 from surctl.marine.simulation.reflectors import Reflectors, ReflectorTable, WallTable
 from surctl.marine.simulation.route import PERIOD, Corner, Route
 from surctl.marine.simulation.sensors import OwnStateTable, Sensors, SonarTable, StationTable, sensors_from_tables
-from surctl.marine.simulation.uncertainty import Uncertainty
 from surctl.marine.world import Box, Disc, Wall, site_walls
 
-__all__ = ["LIBRARY", "Scenario", "Shape", "check_spacing", "load_scenario", "scenario_from_table"]
+__all__ = [
+    "LIBRARY",
+    "Disturbance",
+    "PaperFigure",
+    "Scenario",
+    "Shape",
+    "Uncertainty",
+    "check_spacing",
+    "load_scenario",
+    "scenario_from_table",
+]
+
+Share = Annotated[float, Field(ge=0, lt=1)]
+
+
+class Disturbance(Strict):
+    """Disturbances: waves, slow drift force, constant current, and thrust errors.
+
+    Waves and slow drift are sinusoidal forces in the earth frame {E}; the seed determines their directions and phases.
+
+    For a command τ, an axis with the thrust limit τ_max delivers the thrust (1 + g)·τ + b·τ_max, clipped to ±τ_max. The
+    gain error g and the bias b are drawn once per run, uniformly within ±`thrust_error` and ±`thrust_bias`.
+    """
+
+    wave_force_n: NotNegative = 0.0
+    wave_period_s: Positive = 3.0
+    drift_force_n: NotNegative = 0.0
+    drift_period_s: Positive = 40.0
+    thrust_error: Share = 0.0
+    thrust_bias: Share = 0.0
+    current_m_per_s: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def seeded(self) -> bool:
+        """Whether any disturbance depends on the random seed."""
+        return any((self.wave_force_n, self.drift_force_n, self.thrust_error, self.thrust_bias))
+
+
+_OF = {
+    "time_kind": "time_s",
+    "time_of": "time_s",
+    "position_error_kind": "position_error_m",
+    "position_error_of": "position_error_m",
+}
+
+
+class PaperFigure(Strict):
+    """The numbers that the paper reports for a scenario; numbers that the paper does not state are left out.
+
+    Attributes:
+        result: the result in words; empty if the paper has no such scenario.
+        time_s: time to the target; `time_kind` says whether the time is approximate or an upper limit; `time_of` says
+            whether the paper states the time for this run, for every run of a series, or for the mean of a series.
+        position_error_m: position error E_p to the reference path outside avoidance; `position_error_kind` and
+            `position_error_of` correspond to `time_kind` and `time_of`.
+        detected_s: approximate time at which the robot detects the moving obstacle.
+        passed_s: approximate time from which the moving obstacles are behind the robot.
+        transients_s: approximate times at which avoidance disturbs the path tracking.
+    """
+
+    result: str = ""
+    time_s: Positive | None = None
+    time_kind: Literal["about", "less than"] = "about"
+    time_of: Literal["run", "series", "series mean"] = "run"
+    position_error_m: Positive | None = None
+    position_error_kind: Literal["about", "less than"] = "less than"
+    position_error_of: Literal["run", "series", "series mean"] = "series"
+    detected_s: Positive | None = None
+    passed_s: Positive | None = None
+    transients_s: tuple[Positive, ...] = ()
+
+    @model_validator(mode="after")
+    def _of_something(self) -> PaperFigure:
+        for key, figure in _OF.items():
+            if key in self.model_fields_set and getattr(self, figure) is None:
+                raise ValueError(f"{key} describes {figure}, which is missing; add {figure} or remove {key}")
+        return self
+
+
+class Uncertainty(Strict):
+    """The table `[uncertainty]` of a scenario file, which controls the random draws of a Monte Carlo campaign.
+
+    All parameters are drawn uniformly and independently.
+
+    Attributes:
+        vehicle: whether the simulated vehicle's parameters are drawn within the ranges of its file; the law keeps the
+            file's values.
+        obstacle_size: largest relative error of an obstacle's size (design choice); both edges of a box have the same
+            error.
+        obstacle_speed: largest relative error of a moving obstacle's speed (design choice).
+    """
+
+    vehicle: bool = True
+    obstacle_size: Share = 0.1
+    obstacle_speed: Share = 0.2
+
 
 LIBRARY = FilePath(__file__).parent / "library"
 

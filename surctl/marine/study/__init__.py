@@ -1,7 +1,6 @@
 """A study: it computes gains, verdicts, runs, exported C and a report from a vehicle file or a study file."""
 
 from surctl.marine.study.conduct import Study, conduct
-from surctl.marine.study.plan import LIBRARY, Leg, Plan, load_plan
-from surctl.marine.study.scaled import scaled_missions
+from surctl.marine.study.plan import LIBRARY, Leg, Plan, load_plan, scaled_missions
 
 __all__ = ["LIBRARY", "Leg", "Plan", "Study", "conduct", "load_plan", "scaled_missions"]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,26 +14,252 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from surctl import __version__
 from surctl.assessment import Assessment, Line, assess
-from surctl.export import ExportedFile, SilReport
+from surctl.export import (
+    Bundle,
+    Controller,
+    ExportedFile,
+    Records,
+    SilReport,
+    build_controller,
+    compare_runs,
+    write_bundle,
+)
 from surctl.files import prepare_folder, write_file
 from surctl.ir import find_compiler
-from surctl.marine.assessment import Mission
+from surctl.marine.assessment import LoopAnalysis, Mission
 from surctl.marine.control import Gains, Law, build_law, law_source, write_gains
-from surctl.marine.simulation import Run, simulate
-from surctl.marine.study.loops import Loops, loops_of
-from surctl.marine.study.notes import left_out, summary
+from surctl.marine.export import build_bundle, origin_of
+from surctl.marine.simulation import Run, findings, law_numbers, simulate
 from surctl.marine.study.plan import Leg, Plan
-from surctl.marine.study.shipping import Shipment, shipping, with_perception
 from surctl.marine.tuning import SweepTable, has_tuned, sweep
-from surctl.marine.verification import applicable_claims
+from surctl.marine.verification import OverSpeeds, applicable_claims, over_speeds, speeds_text
 from surctl.marine.verification.region import refused_regions
 from surctl.tuning import LocalExecutor, grid
-from surctl.verification import Inapplicable, Verdict, decide
+from surctl.verification import Inapplicable, LoopMargins, Verdict, decide
 
 if TYPE_CHECKING:
-    from surctl.marine.report import ExportSummary
+    from surctl.marine.report import ExportSummary, LoopResponse
 
-__all__ = ["Study", "conduct"]
+__all__ = ["Loops", "Study", "conduct", "left_out", "loops_of", "summary", "with_perception"]
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Linear analysis of the missions that count towards the result.
+
+    Attributes:
+        analysis: the analysis at their largest cruise speed, as it was assessed.
+        over: metrics of the linear loops at the cruise speeds that the plan names, or None.
+        responses: frequency responses of the loops; empty for a law without the built-in cascade.
+    """
+
+    analysis: LoopAnalysis
+    over: OverSpeeds | None = None
+    responses: tuple[LoopResponse, ...] = ()
+
+    @property
+    def margins(self) -> tuple[LoopMargins, ...]:
+        """Delay margin and disk margin of each loop alone."""
+        return self.analysis.margins
+
+    def to_dict(self) -> dict[str, Any] | None:
+        """Return the analysis of all loops together as plain data; None if there is none."""
+        one = self.analysis
+        if one.law is not None:
+            return one.law.to_dict()
+        if one.mode is None:
+            return None
+        nominal, worst = one.sides
+        table = {"nominal": nominal.to_dict(), "worst": worst.to_dict(), "mode": one.mode.to_dict()}
+        return table | ({} if self.over is None else {"speeds": self.over.to_dict()})
+
+
+def loops_of(plan: Plan, gains: Gains, analysis: LoopAnalysis, *, dt: float) -> Loops:
+    """Return the control loops of a plan's vehicle with these gains."""
+    if analysis.mode is None:
+        return Loops(analysis)
+    from surctl.marine.report import loop_responses  # loads matplotlib only now
+
+    vehicle, values = plan.vehicle, gains.values
+    return Loops(
+        analysis,
+        over_speeds(vehicle, values, cruise=plan.cruise, dt=dt) if plan.cruise else None,
+        loop_responses(vehicle, values, cruise=analysis.cruise, dt=dt),
+    )
+
+
+def summary(
+    plan: Plan,
+    swept: SweepTable,
+    assessment: Assessment,
+    loops: Loops,
+    verdicts: Sequence[Verdict | Inapplicable],
+    runs: Sequence[Run],
+    sil: Sequence[SilReport],
+) -> Assessment:
+    """Return the assessment of a study with the lines of its sweep, claims, runs and export.
+
+    Args:
+        plan: the plan of the study.
+        swept: the parameter sweep of the study.
+        assessment: what is assessed of the vehicle with the gains of the sweep.
+        loops: linear analysis of the control loops; empty if the law has no linear model.
+        verdicts: verdicts on the claims of the study.
+        runs: runs of the study.
+        sil: software-in-the-loop (SIL) reports, one report for each run that the exported law replayed.
+    """
+    notes = list[Line]()
+    feasible = int((swept.column("feasible") > 0.5).sum())
+    points = swept.column("feasible").size
+    if swept.picked is None:
+        notes.append(Line(False, f"sweep: none of {points} points is feasible; the gains stay unchanged", "sweep"))
+    else:
+        at = list(zip(swept.axes, swept.picked, strict=True))
+        chosen = ", ".join(f"{a.name} = {a.values[k]:g} {a.unit}" for a, k in at)
+        edges = [a.name for a, k in at if len(a.values) > 1 and k in (0, len(a.values) - 1)]
+        edge = f" (on the edge of the grid in {' and '.join(edges)}: extend the grid there)" if edges else ""
+        notes.append(Line(True, f"sweep: {feasible} of {points} points are feasible; picked {chosen}{edge}", "sweep"))
+    speed = max(leg.scenario.cruise for leg in plan.deciding)
+    notes += _speed_notes(loops)
+    decided = [v for v in verdicts if isinstance(v, Verdict)]
+    unexpected = [v.claim.name for v in decided if not v.as_expected]
+    counts = Counter(v.verdict for v in decided)
+    text = f"claims at {speed:g} m/s: {', '.join(f'{n} {word}' for word, n in sorted(counts.items()))}, "
+    text += "all as expected" if not unexpected else f"unexpected: {unexpected}"
+    if decided:
+        notes.append(Line(not unexpected, text, f"claims-{unexpected[0]}" if unexpected else "claims"))
+    notes += [
+        Line(False, f"claim {one.claim}: {one.sentence}", "claims", counts=bool(plan.claims))
+        for one in verdicts
+        if isinstance(one, Inapplicable)
+    ]
+    for leg in plan.legs:
+        if leg.exclusion or leg.misfit:
+            reason = leg.exclusion or leg.misfit
+            notes.append(_remark(f"{leg.scenario.name} does not count towards the result: {reason}"))
+    worst = max((max(r.tau.mixed, r.state.mixed, r.telemetry.mixed) for r in sil), default=0.0)
+    steps, cases = sum(r.steps for r in sil), sum(r.fault_cases for r in sil)
+    passed = bool(sil) and all(r.conclusive for r in sil)
+    replays = f"{len(sil)} {'' if plan.unheard else 'sonar '}run{'s' * (len(sil) != 1)}"
+    which = "that takes obstacle positions" if plan.unheard else "with perception"
+    text = f"export of the law {which}: C and Python agree to {worst:.1e} over {steps} steps of {replays}; "
+    notes.append(Line(passed, text + f"{cases} inputs with NaN or infinity tested", "export"))
+    notes += [_remark(f"no sonars are simulated, because {plan.unheard}")] if plan.unheard else []
+    return assessment.with_lines(notes + _limits(plan, runs))
+
+
+def _remark(text: str, about: str = "") -> Line:
+    return Line(None, text, about, counts=False)
+
+
+def _limits(plan: Plan, runs: Sequence[Run]) -> list[Line]:
+    """Return what the craft of the plan can and cannot do, for a craft without sway force."""
+    if plan.vehicle["Fv_max"] > 0:
+        return []
+    crab = max((run.metrics.max_crab_angle_deg for run in runs), default=float("nan"))
+    scenario = plan.deciding[0].scenario
+    texts = [f.text for f in findings(scenario, plan.vehicle, gains=plan.gains) if f.level == "info"]
+    return [_remark(f"limit: {text}") for text in texts] + [
+        _remark(f"largest crab angle of the runs, outside avoidance: {crab:.1f} deg", "runs")
+    ]
+
+
+def _speed_notes(loops: Loops) -> list[Line]:
+    over, mode, notes = loops.over, loops.analysis.mode, list[Line]()
+    if over is not None:
+        names = {"delay_margin_s": "delay margin {:.2f} s", "disk_margin": "disk margin {:.2f}"}
+        margin_text = ", ".join(
+            f"least {word.format(value)} (at {at:g} m/s)"
+            for word, (value, at) in ((word, over.worst(name)) for name, word in names.items())
+        )
+        poles = over.figures["slowest_pole_per_s"]
+        held = bool((poles < 0).all())
+        if not held:
+            lost = [u for u, pole in zip(over.cruise, poles.tolist(), strict=True) if not pole < 0]
+            bearable = "" if mode is None else f" (bearable speed {mode.bearable:.3g} m/s)"
+            margin_text = f"the linear loop is unstable at {speeds_text(lost)}{bearable}; {margin_text}"
+        notes.append(Line(held, f"margins at {speeds_text(over.cruise)}: {margin_text}", "margins"))
+    return notes
+
+
+def left_out(runs: Sequence[Run]) -> tuple[Line, ...]:
+    """Return summary lines on runs that were not replayed, because their sensors are not those of the exported law."""
+    text = "has other sensors than the exported law and is not replayed"
+    return tuple(_remark(f"{run.scenario.name} by {run.vehicle.name}, sonar, {text}", "export") for run in runs)
+
+
+def with_perception(plan: Plan, leg: Leg) -> Law:
+    """Return the plan's law with perception, for the sensors of the mission's scenario on the hull of its vehicle.
+
+    If the plan simulates no sonars (`Plan.unheard`), the law takes obstacle positions. The law allocates its thrust to
+    the thrusters of the vehicle, if it has any.
+
+    Raises:
+        InputError: the law cannot use the sonars of the scenario.
+    """
+    mission, actuators = leg.scenario, leg.vehicle.actuators
+    if plan.unheard:
+        return build_law(plan.law, guidance=plan.guidance, actuators=actuators)
+    equipment = mission.sensors.on(leg.vehicle["radius"])
+    return build_law(
+        plan.law,
+        sonar=True,
+        equipment=equipment,
+        guidance=plan.guidance,
+        depths=mission.depths is not None,
+        actuators=actuators,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Shipment:
+    """An exported law.
+
+    Attributes:
+        law: the exported law.
+        bundle: the exported C code, with default gains and a default mission.
+        files: paths of the written files.
+        compiling: future (`concurrent.futures`) whose result is the compiled bundle.
+    """
+
+    law: Law
+    bundle: Bundle
+    files: tuple[ExportedFile, ...]
+    compiling: Future[Controller]
+
+    def carries(self, run: Run) -> bool:
+        """Return whether a run used the exported law; its gains and mission may differ from those of the export."""
+        return run.law is self.law or run.law.block.digest() == self.law.block.digest()
+
+    def replayed(self, runs: Sequence[Run]) -> tuple[SilReport, ...]:
+        """Replay the given runs of the exported law and return one report per run; wait for the compiler if necessary.
+
+        Raises:
+            SurctlError: the compiler rejects the bundle, or the compiled program crashes during a replay.
+        """
+        records = [Records(r.law_state, r.law_input, r.step_parameters) for r in (run.record for run in runs)]
+        return compare_runs(self.compiling.result(), records)
+
+
+@contextmanager
+def _shipping(law: Law, gains: Gains, leg: Leg, out: Path) -> Iterator[_Shipment]:
+    """Write the C code of the law to `out` and compile it in parallel with the body of the `with` statement.
+
+    Args:
+        law: the law to export.
+        gains: complete gain set.
+        leg: the study's mission whose scenario and vehicle become the defaults of the export.
+        out: folder of the exported bundle.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    numbers = law_numbers(leg.scenario, gains, leg.vehicle)
+    bundle = build_bundle(law, law.gains.unpack(numbers), origin=origin_of(law, leg.vehicle))
+    files = tuple(write_bundle(bundle, out))
+    with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch, ThreadPoolExecutor(1) as beside:
+        yield _Shipment(law, bundle, files, beside.submit(build_controller, law, bundle, Path(scratch, bundle.name)))
+
 
 Progress = Callable[[str], None]
 
@@ -180,7 +409,7 @@ def conduct(
             swept = _sweep(plan, out, workers, progress)
             gain_file = write_file(out / "gains.toml", write_gains(swept.gains))
         with clock("export"):
-            shipment = stack.enter_context(shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
+            shipment = stack.enter_context(_shipping(sonar_laws[first], swept.gains, legs[first], out / "export"))
         with clock("runs"):
             leg_runs = _simulate_legs(plan, legs, (laws, sonar_laws), swept, progress)
         runs = tuple(run for _, run in leg_runs)
@@ -315,7 +544,7 @@ def _sensing(plan: Plan) -> Literal["truth", "sonar"]:
 
 
 def _export_summary(
-    plan: Plan, shipment: Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]
+    plan: Plan, shipment: _Shipment, replayed: Sequence[Run], sil: tuple[SilReport, ...]
 ) -> ExportSummary:
     from surctl.marine.report import ExportSummary
 

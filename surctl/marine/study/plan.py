@@ -10,23 +10,102 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from surctl.errors import InputError
-from surctl.files import Strict, pick, read_toml, validate
+from surctl.files import Strict, file_name, pick, read_toml, validate, write_file
 from surctl.marine.control import SONARLESS, Gains, check_forces, default_law, law_ref, law_source, load_gains
 from surctl.marine.guidance import Guidance
-from surctl.marine.simulation import Case, Scenario, findings, load_scenario
-from surctl.marine.study.scaled import scaled_axes, scaled_missions, write_missions
-from surctl.marine.tuning import Derivation, Goal, goals_from_tables, load_goals, shared_gains
+from surctl.marine.simulation import (
+    Case,
+    Scenario,
+    disturbed,
+    findings,
+    load_scenario,
+    mission_size,
+    scaled_scenario,
+    straight_mission,
+    two_leg_mission,
+)
+from surctl.marine.simulation.scenario_table import scenario_table
+from surctl.marine.simulation.toml_text import toml_text
+from surctl.marine.tuning import (
+    Derivation,
+    Goal,
+    default_cruise,
+    gains_for,
+    goals_from_tables,
+    load_goals,
+    shared_gains,
+)
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.verification import applicable_claims, check_held, cruise_speeds
 from surctl.tuning import Axis, GoalTable
 
-__all__ = ["LIBRARY", "Leg", "Plan", "load_plan"]
+__all__ = ["LIBRARY", "Leg", "Plan", "load_plan", "scaled_missions", "write_missions"]
+
+_TANK = "tank-static"
+"""The built-in scenario whose obstacles are scaled to the vehicle."""
+
+_SHARE = 0.02  # waves and drift as a share of the surge thrust, so that seeds differ and an unstable loop shows
+_OWN = {"sideslip": (0.75, 1.0, 1.5), "foresight": (0.8, 1.0, 1.4)}  # factors of the sweep on gains of law `steered`
+_SHARED = {"lookahead": (0.7, 1.0, 1.4), "k_v": (0.8, 1.0, 1.2)}
+
+
+def scaled_missions(vehicle: Vehicle) -> tuple[tuple[Scenario, ...], Gains, Derivation | None]:
+    """Return three missions scaled to a vehicle, the gains for them, and their derivation.
+
+    The missions are a straight path, two legs with a corner of 90°, and the obstacles of `tank-static`. They have waves
+    and drift of 2 % of the surge thrust. The cruise speed is 35 % of the top speed, or the largest at which derived
+    gains have the required disk margin.
+
+    Example:
+        >>> from surctl.marine.study import scaled_missions
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> missions, gains, _ = scaled_missions(load_vehicle("girona500"))
+        >>> [mission.name for mission in missions], gains.name
+        (['straight-girona500', 'two-legs-girona500', 'tank-static-girona500'], 'derived')
+    """
+    own = law_source(default_law(vehicle)).gains
+    speed = default_cruise(vehicle)
+    gains, derivation = gains_for(None, vehicle, cruise=speed, own=own)
+    if derivation is not None and not derivation.reached and derivation.bearable > 0:
+        speed = derivation.bearable
+        gains, derivation = gains_for(None, vehicle, cruise=speed, own=own)
+    size = mission_size(vehicle, gains, cruise=speed)
+    missions = (
+        straight_mission(vehicle, cruise=speed, size=size),
+        two_leg_mission(vehicle, cruise=speed, size=size),
+        scaled_scenario(load_scenario(_TANK), vehicle, cruise=speed, size=size),
+    )
+    return tuple(disturbed(mission, vehicle, share=_SHARE) for mission in missions), gains, derivation
+
+
+def write_missions(missions: Sequence[Scenario], folder: Path) -> tuple[Scenario, ...]:
+    """Write missions that no file contains as scenario files, and return them with the names of their files."""
+    written = []
+    for mission in missions:
+        path = folder / f"{file_name(mission.name)}.toml"
+        if not mission.source:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_file(path, toml_text(scenario_table(mission)))
+        written.append(mission if mission.source else replace(mission, source=str(path)))
+    return tuple(written)
+
+
+def _scaled_axes(gains: Gains) -> tuple[Axis, ...]:
+    """Return the axes of the sweep: factors about derived gains.
+
+    For law `steered`, they are gains that plan turns and do not change the margins of the loop.
+    """
+    factors = _OWN if "sideslip" in gains.own else _SHARED
+    return tuple(
+        Axis(name, tuple(float(f"{factor * gains[name]:.3g}") for factor in row)) for name, row in factors.items()
+    )
+
 
 LIBRARY = Path(__file__).parent / "library"
 
 _CRUISE = "cruise_m_per_s"
 _SCALED_SEEDS = (0, 1)
-Seed = Annotated[int, Field(ge=0)]
+_Seed = Annotated[int, Field(ge=0)]
 
 
 class _Run(Strict):
@@ -41,7 +120,7 @@ class _Axis(Strict):
 
 class _Sweep(Strict):
     axes: tuple[_Axis, ...] = Field(min_length=1)
-    seeds: tuple[Seed, ...] = Field((0,), min_length=1)
+    seeds: tuple[_Seed, ...] = Field((0,), min_length=1)
 
 
 class _StudyFile(Strict):
@@ -52,7 +131,7 @@ class _StudyFile(Strict):
     gains: str | None = None
     law: str | None = None
     guidance: Guidance = "los"
-    seed: Seed = 0
+    seed: _Seed = 0
     runs: tuple[_Run, ...] = Field(min_length=1)
     sweep: _Sweep | None = None
     cruise_m_per_s: tuple[float, ...] | None = None
@@ -252,7 +331,7 @@ def _about_vehicle(vehicle: Vehicle, word: str) -> Plan:
         "los",
         0,
         tuple(_leg(mission, vehicle, lenient=True) for mission in missions),
-        scaled_axes(gains),
+        _scaled_axes(gains),
         _SCALED_SEEDS,
         None,
         tuple(goal for goal in load_goals() if goal.kind == "hard"),  # the others have lengths and times of the tank

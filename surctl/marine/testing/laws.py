@@ -14,8 +14,7 @@ from surctl.marine.simulation import law_numbers, load_scenario
 from surctl.marine.vehicle import load_vehicle
 from surctl.system import NONFINITE
 from surctl.system.controller import lost_entry
-from surctl.testing.finding import CheckFailed
-from surctl.testing.ranges import checked_count, checked_type
+from surctl.testing.ranges import CheckFailed, checked_count, checked_type
 
 __all__ = ["LawReport", "check_law"]
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir.stored_numbers import stored_numbers
+from surctl.ir.cache import stored_numbers
 from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
 from surctl.marine.tuning.hashed import HashedVehicle
 from surctl.marine.tuning.inner_search import searched_inner

@@ -18,7 +18,7 @@ from surctl.marine.simulation.batch.traces import law_input, trace_batch
 from surctl.marine.tuning.goals import Goal
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import OperatingPoint, law_loop, steady_motion
-from surctl.marine.verification.operating_point import operating_point, steadiest
+from surctl.marine.verification.law_loop import operating_point, steadiest
 from surctl.own_code import is_own
 from surctl.system import LinearLoop
 

@@ -3,11 +3,10 @@
 from typing import TYPE_CHECKING
 
 from surctl.lazy import load_at_first_use
-from surctl.tasks.kinematics import jacobian, planar_rotation
+from surctl.tasks.task import jacobian, planar_rotation
 
 if TYPE_CHECKING:
     from surctl.marine.vehicle.attainable import Attainable, attainable
-    from surctl.marine.vehicle.buoyancy import GRAVITY, WATER, floating_depth, missing_buoyancy
     from surctl.marine.vehicle.dynamics import (
         PLANT_DISTURBANCE,
         PLANT_PARAMETERS,
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
         plant_layout,
         plant_parameters,
         plant_state,
+        plant_thrust_limit,
         steady_speed,
         trim_thrust,
     )
@@ -31,15 +31,18 @@ if TYPE_CHECKING:
         swap_pose,
     )
     from surctl.marine.vehicle.gazebo import gazebo_vehicle
-    from surctl.marine.vehicle.geometry import sphere
-    from surctl.marine.vehicle.identification.consistency import velocity_notes
-    from surctl.marine.vehicle.identification.fitted import CONSTANT_FORCE, FITTED
-    from surctl.marine.vehicle.identification.held_out import HELD_OUT, held_out, held_out_windows
-    from surctl.marine.vehicle.identification.identify import identify
+    from surctl.marine.vehicle.geometry import GRAVITY, WATER, floating_depth, missing_buoyancy, sphere
+    from surctl.marine.vehicle.identification.identify import (
+        HELD_OUT,
+        Identified,
+        held_out,
+        held_out_windows,
+        identify,
+        velocity_notes,
+    )
+    from surctl.marine.vehicle.identification.model import CONSTANT_FORCE, FITTED
     from surctl.marine.vehicle.identification.prediction import Prediction, predict, predict_with
-    from surctl.marine.vehicle.identification.result import Identified
-    from surctl.marine.vehicle.iosystem import plant_system
-    from surctl.marine.vehicle.linearise import linearise, plant_jacobians
+    from surctl.marine.vehicle.linearise import linearise, plant_jacobians, plant_system
     from surctl.marine.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
     from surctl.marine.vehicle.motion_log import (
         LOG_MOTION,
@@ -49,12 +52,10 @@ if TYPE_CHECKING:
         in_sequence,
         read_motion_log,
     )
-    from surctl.marine.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle
+    from surctl.marine.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle, write_vehicle
     from surctl.marine.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
-    from surctl.marine.vehicle.thrust_limit import plant_thrust_limit
     from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits
     from surctl.marine.vehicle.thrusters import DEFAULT_ORDER, Actuators, Fin, Swivel, Thruster
-    from surctl.marine.vehicle.vehicle_file import write_vehicle
 
 __all__ = [
     "CONSTANT_FORCE",
@@ -132,27 +133,20 @@ load_at_first_use(
     __name__,
     {
         "attainable": "Attainable attainable",
-        "buoyancy": "GRAVITY WATER floating_depth missing_buoyancy",
         "dynamics": "PLANT_DISTURBANCE PLANT_PARAMETERS PLANT_STATE Plant build_plant check_equation_3 plant_layout"
-        " plant_parameters plant_state steady_speed trim_thrust",
-        "frames": "FRAME_TEXT FRAMES Frame check_frame heading_velocity swap_body swap_pose",
+        " plant_parameters plant_state plant_thrust_limit steady_speed trim_thrust",
+        "frames": "FRAMES FRAME_TEXT Frame check_frame heading_velocity swap_body swap_pose",
         "gazebo": "gazebo_vehicle",
-        "geometry": "sphere",
-        "identification.consistency": "velocity_notes",
-        "identification.fitted": "CONSTANT_FORCE FITTED",
-        "identification.held_out": "HELD_OUT held_out held_out_windows",
-        "identification.identify": "identify",
+        "geometry": "GRAVITY WATER floating_depth missing_buoyancy sphere",
+        "identification.identify": "HELD_OUT Identified held_out held_out_windows identify velocity_notes",
+        "identification.model": "CONSTANT_FORCE FITTED",
         "identification.prediction": "Prediction predict predict_with",
-        "identification.result": "Identified",
-        "iosystem": "plant_system",
-        "linearise": "linearise plant_jacobians",
+        "linearise": "linearise plant_jacobians plant_system",
         "logs.read": "read_mapped_log read_recording topic_lines",
         "motion_log": "LOG_MOTION LOG_THRUST LOG_TILT MotionLog in_sequence read_motion_log",
-        "parameters": "LIBRARY Parameter Vehicle load_vehicle",
+        "parameters": "LIBRARY Parameter Vehicle load_vehicle write_vehicle",
         "specs": "PARAMETERS TERMS ParameterSpec PlantForm parameter_spec",
-        "thrust_limit": "plant_thrust_limit",
         "thruster_file": "axis_ends axis_limits",
         "thrusters": "DEFAULT_ORDER Actuators Fin Swivel Thruster",
-        "vehicle_file": "write_vehicle",
     },
 )

@@ -7,10 +7,17 @@ equations; Fossen 2021, equation 6.44). Each form is a function of its own, so e
 
 Added mass is part of the inertia matrix that the model inverts. A model that instead feeds back the added-mass force
 from a delayed acceleration diverges if the added mass exceeds the dry mass, as the added mass of this robot does.
+
+The velocity of the plant stays that of the heading frame (x ahead and y to the left, both horizontal, z up), because
+laws, sensors and metrics are about that frame; roll φ, pitch θ and the angular velocities p, q of the hull follow as
+four more states. The forces are computed in the frame of the hull: Kirchhoff's equations with the momenta M ν (Fossen
+2021, equation 6.44), drag, and the restoring forces (section 4.1). The rotation from the hull to the heading frame is
+R_y(θ) R_x(φ). With y to the left, a positive pitch lowers the bow. Roll and pitch must stay below 90°.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -18,12 +25,13 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import NotApplicable
+from surctl.errors import InputError, NotApplicable, nearest
 from surctl.ir import Layout, Port
 from surctl.marine.vehicle.parameters import Vehicle
 from surctl.marine.vehicle.specs import PlantForm
-from surctl.marine.vehicle.tilt import TILT_STATE, hull_load, tilted_rate
-from surctl.tasks.kinematics import jacobian, planar_rotation
+from surctl.tasks import ThrustLimit
+from surctl.tasks.rows import checked_column
+from surctl.tasks.task import Expression, jacobian, planar_rotation
 
 __all__ = [
     "PLANT_DISTURBANCE",
@@ -35,9 +43,81 @@ __all__ = [
     "plant_layout",
     "plant_parameters",
     "plant_state",
+    "plant_thrust_limit",
     "steady_speed",
     "trim_thrust",
 ]
+
+_TILT_STATE = Layout((Port("tilt", (4,), "rad, rad/s", "roll, pitch, and angular velocities p, q of the hull"),))
+"""Further states of a vehicle that rolls and pitches."""
+
+_LINEAR, _ANGULAR = [0, 1, 2], [4, 5, 3]  # places of (u, v, w) and (p, q, r) in a velocity (u, v, w, r, p, q)
+
+
+def _to_heading(roll: ca.SX, pitch: ca.SX) -> ca.SX:
+    """Return the matrix R_y(θ) R_x(φ), 3×3, that rotates vectors from the frame of the hull to the heading frame."""
+    c, s = ca.cos(roll), ca.sin(roll)
+    about_x = ca.vertcat(ca.horzcat(1, 0, 0), ca.horzcat(0, c, -s), ca.horzcat(0, s, c))
+    c, s = ca.cos(pitch), ca.sin(pitch)
+    about_y = ca.vertcat(ca.horzcat(c, 0, s), ca.horzcat(0, 1, 0), ca.horzcat(-s, 0, c))
+    return about_y @ about_x
+
+
+def _hull_load(
+    nu: ca.SX, momentum: ca.SX, thrust: ca.SX, outer: ca.SX, rotation: ca.SX, terms: Mapping[str, ca.SX]
+) -> ca.SX:
+    """Return the load M ν̇ (6,) [N, N m] on the hull without its drag, in the order of ν = (u, v, w, r, p, q).
+
+    All vectors but `outer` are in the frame of the hull.
+
+    Args:
+        nu: velocity through the water (6,).
+        momentum: M ν (6,).
+        thrust: surge, sway and heave force and yaw moment (4,).
+        outer: force (3,) and moment about the vertical (1,) on the hull, in the heading frame.
+        rotation: result of `_to_heading`.
+        terms: the optional terms by name.
+    """
+    linear, angular = momentum[_LINEAR], momentum[_ANGULAR]
+    velocity, turning = nu[_LINEAR], nu[_ANGULAR]
+    up = rotation[2, :].T  # the vertical
+    weight, buoyancy = terms["weight"], terms["buoyancy"]
+    force = thrust[:3] + rotation.T @ outer[:3] + (buoyancy - weight) * up - ca.cross(turning, linear)
+    moment = ca.cross(buoyancy * _point(terms, "b") - weight * _point(terms, "g"), up) + outer[3] * up
+    moment += ca.cross(_point(terms, "t"), thrust[:3]) - ca.cross(turning, angular) - ca.cross(velocity, linear)
+    return ca.vertcat(force, moment[2] + thrust[3], moment[:2])
+
+
+def _point(terms: Mapping[str, ca.SX], letter: str) -> ca.SX:
+    return ca.vertcat(*(terms.get(f"{axis}{letter}", ca.SX(0)) for axis in "xyz"))
+
+
+def _tilted_rate(
+    nu: ca.SX, tilt: ca.SX, current: ca.SX, acceleration: Callable[[ca.SX, ca.SX], ca.SX]
+) -> tuple[ca.SX, ca.SX]:
+    """Return ν̇ (4,) of the heading frame and the rate (4,) of `_TILT_STATE`.
+
+    Args:
+        nu: velocity over ground (u, v, w, r) in the heading frame.
+        tilt: roll, pitch, p, q.
+        current: current (3,) in the heading frame; it is constant in the world and irrotational.
+        acceleration: function of the velocity through the water (6,) in the frame of the hull, and of the result of
+            `_to_heading`; it returns the rate (6,) of that velocity.
+    """
+    roll, pitch, p, q = (tilt[k] for k in range(4))
+    rotation, yaw = _to_heading(roll, pitch), nu[3]
+    r = (yaw * ca.cos(pitch) - q * ca.sin(roll)) / ca.cos(roll)
+    turning = ca.vertcat(p, q, r)
+    roll_rate, pitch_rate = p + yaw * ca.sin(pitch), q * ca.cos(roll) - r * ca.sin(roll)
+    velocity = rotation.T @ (nu[:3] - current)
+    rates = acceleration(ca.vertcat(velocity, r, p, q), rotation)
+    # the rate in the world, seen from the heading frame, which turns at the yaw rate about the vertical
+    linear = rotation @ (rates[:3] + ca.cross(turning, velocity)) - yaw * ca.vertcat(-nu[1], nu[0], 0)
+    spin = rates[5] * ca.sin(roll) + q * ca.cos(roll) * roll_rate
+    spin += rates[3] * ca.cos(roll) - r * ca.sin(roll) * roll_rate
+    angular = spin / ca.cos(pitch) + yaw * ca.sin(pitch) / ca.cos(pitch) * pitch_rate
+    return ca.vertcat(linear, angular), ca.vertcat(roll_rate, pitch_rate, rates[4:])
+
 
 PLANT_STATE = Layout(
     (
@@ -81,14 +161,14 @@ def plant_layout(form: PlantForm = PAPER) -> Layout:
 
 
 def plant_state(form: PlantForm = PAPER) -> Layout:
-    """Return the layout of the plant's state: `PLANT_STATE`, followed by `TILT_STATE` if the vehicle rolls and pitches.
+    """Return the layout of the plant's state: `PLANT_STATE`, and `_TILT_STATE` if the vehicle rolls and pitches.
 
     Example:
         >>> from surctl.marine.vehicle import PlantForm, plant_state
         >>> plant_state().size, plant_state(PlantForm(("mpp", "mqq", "weight", "buoyancy"))).size
         (12, 16)
     """
-    return Layout((*PLANT_STATE.ports, *TILT_STATE.ports)) if form.tilts else PLANT_STATE
+    return Layout((*PLANT_STATE.ports, *_TILT_STATE.ports)) if form.tilts else PLANT_STATE
 
 
 def plant_parameters(vehicle: Vehicle) -> NDArray[np.float64]:
@@ -122,7 +202,7 @@ def _terms(p: dict[str, ca.SX], form: PlantForm) -> dict[str, ca.SX]:
 def _drag(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     # D(ν)ν (4,), or (6,) with roll and pitch [N, N m], for the velocity ν through the water
     terms = _terms(p, form)
-    drag = ca.vertcat(damping_force(nu[:4], p), ca.SX.zeros(nu.numel() - 4))
+    drag = ca.vertcat(_damping_force(nu[:4], p), ca.SX.zeros(nu.numel() - 4))
     for axis, by, name in form.drag():
         drag[axis] += terms[name] * (nu[by[0]] if len(by) == 1 else ca.fabs(nu[by[0]]) * nu[by[1]])
     return drag
@@ -141,7 +221,7 @@ def _load(nu: ca.SX, p: dict[str, ca.SX], form: PlantForm) -> ca.SX:
     # C(ν)ν + D(ν)ν (4,) [N, N m] for the velocity ν through the water, without roll and pitch
     drag = _drag(nu, p, form)
     if not form.inertia():
-        return coriolis_force(nu, p) + drag
+        return _coriolis_force(nu, p) + drag
     momentum = _inertia(p, form) @ nu
     turning = nu[0] * momentum[1] - nu[1] * momentum[0]
     return ca.vertcat(-nu[3] * momentum[1], nu[3] * momentum[0], 0, turning) + drag
@@ -170,18 +250,18 @@ def _tilted(
     terms, inertia = _terms(p, form), _inertia(p, form)
 
     def acceleration(through: ca.SX, rotation: ca.SX) -> ca.SX:
-        load = hull_load(through, inertia @ through, thrust, outer, rotation, terms) - _drag(through, p, form)
+        load = _hull_load(through, inertia @ through, thrust, outer, rotation, terms) - _drag(through, p, form)
         return _acceleration(load, p, form)
 
-    return tilted_rate(nu, tilt, current, acceleration)
+    return _tilted_rate(nu, tilt, current, acceleration)
 
 
-def damping_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
+def _damping_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
     """Return the drag D(ν)ν (4,) of equation (3): the sum of linear and quadratic drag on each axis [N, N m]."""
     return p["linear_drag"] * nu + p["quadratic_drag"] * nu * ca.fabs(nu)
 
 
-def coriolis_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
+def _coriolis_force(nu: ca.SX, p: dict[str, ca.SX]) -> ca.SX:
     """Return the Coriolis term C(ν)ν (4,) of a diagonal M: (−m22 v r, m11 u r, 0, (m22 − m11) u v) [N, N m]."""
     m = p["mass"]
     return ca.vertcat(-m[1] * nu[1] * nu[3], m[0] * nu[0] * nu[3], 0, (m[1] - m[0]) * nu[0] * nu[1])
@@ -252,7 +332,7 @@ def _plant(form: PlantForm) -> Plant:
         load = thrust + force + _constant(parameters, form) - _load(nu_r, parameters, form)
         rate = ca.vertcat(jacobian(psi) @ nu, _acceleration(load, parameters, form) + current_rate, thrust_rate)
     else:  # in the order of equation (3), so that the results of the paper's plant keep their bits
-        load = thrust + force - coriolis_force(nu_r, parameters) - damping_force(nu_r, parameters)
+        load = thrust + force - _coriolis_force(nu_r, parameters) - _damping_force(nu_r, parameters)
         rate = ca.vertcat(jacobian(psi) @ nu, load / parameters["mass"] + current_rate, thrust_rate)
 
     names = ["x", "tau_command", "d", "p"]
@@ -311,7 +391,7 @@ def trim_function(form: PlantForm = PAPER) -> ca.Function:
 
 @cache
 def trim_tilt(form: PlantForm) -> ca.Function:
-    """Return a CasADi function of (ν, p) that computes `TILT_STATE` of the trimmed motion with that velocity."""
+    """Return a CasADi function of (ν, p) that computes `_TILT_STATE` of the trimmed motion with that velocity."""
     arguments = ca.MX.sym("nu", 4), ca.MX.sym("p", plant_layout(form).size)
     return ca.Function("tilt", list(arguments), [_trim(form)(*arguments)[1]])
 
@@ -348,3 +428,52 @@ def steady_speed(force: float, linear: float, quadratic: float) -> float:
     if quadratic == 0:
         return force / linear if linear > 0 else float("inf")
     return float((-linear + np.sqrt(linear**2 + 4 * quadratic * force)) / (2 * quadratic))
+
+
+_NEEDED = ("mass", "linear_drag", "quadratic_drag", "thrust_limit")
+
+
+def plant_thrust_limit(
+    nu: Expression,
+    parameters: Mapping[str, Expression],
+    *,
+    dt: Expression,
+    water: Expression = (0.0, 0.0, 0.0),
+    force: Expression = (0.0, 0.0, 0.0, 0.0),
+    name: str = "thrust",
+) -> ThrustLimit:
+    """Return the thrust limit for the Coriolis and drag forces of the vehicle model.
+
+    Args:
+        nu: (4,) present velocity over ground in the body frame {B} [m/s, rad/s].
+        parameters: `mass`, `linear_drag`, `quadratic_drag` and `thrust_limit`, each (4,), as numbers or SX; see
+            `PLANT_PARAMETERS`. Other parameters are ignored.
+        dt: time in which the vehicle is to reach v [s].
+        water: (3,) velocity of the water in {B} [m/s], that is, the current rotated from the earth frame to {B}.
+            Forces depend on the velocity relative to the water, and the water's velocity rotates in {B} at the
+            negative yaw rate.
+        force: (4,) known force on the vehicle in {B} [N, N m].
+        name: name of the limit.
+
+    Raises:
+        InputError: a parameter is missing, or `ThrustLimit` rejects a value.
+
+    Example:
+        >>> from surctl.marine.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
+        >>> numbers = PLANT_PARAMETERS.unpack(plant_parameters(load_vehicle("sur400")))
+        >>> limit = plant_thrust_limit([0.1, 0, 0, 0], numbers, dt=0.05)
+        >>> [row.name for row in limit.rows()]
+        ['thrust.Fu', 'thrust.Fv', 'thrust.Fw', 'thrust.Fr']
+    """
+    for key in _NEEDED:
+        if key not in parameters:
+            raise InputError("is missing", key=f"limit {name}: {key}", remedy=nearest(key, parameters))
+    p = {key: checked_column(name, key, parameters[key], 4, finite=True) for key in _NEEDED}
+    velocity = checked_column(name, "nu", nu, 4, finite=True)
+    current = checked_column(name, "water", water, 3, finite=True)
+    relative = velocity - ca.vertcat(current, 0)
+    turning = ca.vertcat(velocity[3] * current[1], -velocity[3] * current[0], 0, 0)
+    load = _coriolis_force(relative, p) + _damping_force(relative, p) - p["mass"] * turning
+    load -= checked_column(name, "force", force, 4, finite=True)
+    most = p["thrust_limit"]
+    return ThrustLimit(velocity, p["mass"], load=load, lower=-most, upper=most, dt=dt, name=name)

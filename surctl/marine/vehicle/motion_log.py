@@ -71,7 +71,7 @@ class MotionLog:
     def __post_init__(self) -> None:
         if len(self.time) < _LEAST:
             raise InputError(f"has {len(self.time)} rows", file=self.source, remedy=f"give at least {_LEAST}")
-        check_increasing(self.time, "t_s", lambda row: self.source and f"{self.source}, row {row + 1}")
+        _check_increasing(self.time, "t_s", lambda row: self.source and f"{self.source}, row {row + 1}")
         if not np.isfinite(self.thrust).all():
             row, column = np.argwhere(~np.isfinite(self.thrust))[0]
             raise InputError(
@@ -126,7 +126,7 @@ def read_motion_log(path: Path, *, frame: Frame | str | None = None) -> MotionLo
         row = int(np.flatnonzero(~np.isfinite(time))[0])
         key = (columns["t_s"] or ("t_s", ""))[0]
         raise InputError("is not a time", file=table.at(row), key=key, remedy="fill it in or remove the row")
-    check_increasing(time, (columns["t_s"] or ("t_s", ""))[0], table.at)
+    _check_increasing(time, (columns["t_s"] or ("t_s", ""))[0], table.at)
     tilts = any(columns[c] is not None for c in LOG_TILT)
     motion = np.column_stack([_numbers(table, c, columns) for c in (*LOG_MOTION, *(LOG_TILT if tilts else ()))])
     heading = motion[:, 3]
@@ -170,7 +170,7 @@ def in_sequence(logs: Sequence[MotionLog]) -> MotionLog:
     )
 
 
-def check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], str]) -> None:
+def _check_increasing(time: NDArray[np.float64], key: str, at: Callable[[int], str]) -> None:
     """Check that times (n,) increase from row to row.
 
     Args:

@@ -45,7 +45,7 @@ ORDERS: Mapping[str, tuple[int, ...]] = {
 DEFAULT_ORDER = ("yaw", "force", "effort")
 """The order of allocation that a vehicle file without `[allocation]` has."""
 
-SIDES = 8
+_SIDES = 8
 """Number of sides of the polygon that replaces a full disc of forces; it loses at most 7.6 % of the force."""
 
 _FULL = 2 * pi
@@ -128,7 +128,7 @@ class Thruster:
             return np.array([[-self.reverse], [self.forward]])
         low, high = self.swivel.range
         full = isclose(high - low, _FULL, abs_tol=_SAME)
-        count = max(1, ceil((high - low) / _FULL * SIDES - _SAME))
+        count = max(1, ceil((high - low) / _FULL * _SIDES - _SAME))
         angles = low + (high - low) * np.arange(count + (not full)) / count
         arc = self.forward * np.array([[cos(a), sin(a)] for a in angles])
         return arc if full else np.vstack([[0.0, 0.0], arc])

@@ -8,12 +8,17 @@ if TYPE_CHECKING:
     from surctl.marine.verification.avoidance_claims import settling_intrusion
     from surctl.marine.verification.cascade import CASCADE_GAINS, Cascade, build_cascade
     from surctl.marine.verification.cascade_margins import closed_loop_poles, loop_margins, worst_margins
-    from surctl.marine.verification.law_corners import LawCorners, law_corners
-    from surctl.marine.verification.law_loop import LawLoop, law_loop
+    from surctl.marine.verification.law_loop import (
+        LawCorners,
+        LawLoop,
+        OperatingPoint,
+        law_corners,
+        law_loop,
+        steady_motion,
+    )
     from surctl.marine.verification.library import applicable_claims, claims
     from surctl.marine.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
     from surctl.marine.verification.locus import Locus, sweep_locus
-    from surctl.marine.verification.operating_point import OperatingPoint, steady_motion
     from surctl.marine.verification.sonar_margins import SonarMargins, sonar_margins
     from surctl.marine.verification.speeds import (
         OverSpeeds,
@@ -63,12 +68,10 @@ load_at_first_use(
         "avoidance_claims": "settling_intrusion",
         "cascade": "CASCADE_GAINS Cascade build_cascade",
         "cascade_margins": "closed_loop_poles loop_margins worst_margins",
-        "law_corners": "LawCorners law_corners",
-        "law_loop": "LawLoop law_loop",
+        "law_loop": "LawCorners LawLoop OperatingPoint law_corners law_loop steady_motion",
         "library": "applicable_claims claims",
         "linear_table": "LINEAR_METRICS LINEAR_PARAMETERS linear_table",
         "locus": "Locus sweep_locus",
-        "operating_point": "OperatingPoint steady_motion",
         "sonar_margins": "SonarMargins sonar_margins",
         "speeds": "OverSpeeds check_held cruise_speeds over_speeds speeds_text worst_place worst_text",
     },

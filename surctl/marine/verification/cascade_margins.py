@@ -13,7 +13,7 @@ from surctl.marine.verification.linear.corners import corners
 from surctl.verification.loops import crossings_of
 from surctl.verification.margins import LoopMargins, margins_from
 
-__all__ = ["closed_loop_poles", "least_margins", "loop_margins", "worst_margins"]
+__all__ = ["closed_loop_poles", "loop_margins", "worst_margins"]
 
 
 def loop_margins(
@@ -88,10 +88,10 @@ def worst_margins(
     """
     tried = corners(vehicle, uncertainty).vehicles
     margins = [loop_margins(corner, gains, cruise=cruise, dt=dt, model=vehicle) for corner in tried]
-    return least_margins(margins)
+    return _least_margins(margins)
 
 
-def least_margins(margins: Sequence[tuple[LoopMargins, ...]]) -> tuple[LoopMargins, ...]:
+def _least_margins(margins: Sequence[tuple[LoopMargins, ...]]) -> tuple[LoopMargins, ...]:
     """Return, for each loop, the least value of every margin over several vehicles."""
     return tuple(_least(same) for same in zip(*margins, strict=True))
 

@@ -31,7 +31,7 @@ class Locus(Plotted):
             values.
     """
 
-    PLOT = "surctl.marine.report.locus:plot_locus"
+    PLOT = "surctl.marine.report.margin_plots:plot_locus"
 
     parameter: str
     values: NDArray[np.float64]

@@ -25,10 +25,10 @@ from surctl.errors import InputError, nearest
 from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.rates import heading_loop
 
-__all__ = ["CRUISE_PLANES", "HEADING_PLANES", "STEERED_PLANES", "Portrait", "planes_of", "portrait"]
+__all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait"]
 
 Array = NDArray[np.float64]
-Rates = Callable[[Array], Array]
+_Rates = Callable[[Array], Array]
 """A function that returns the rates ξ̇ (n, k) of the states ξ (n, k)."""
 
 CRUISE_PLANES: Mapping[str, tuple[int, int]] = {"along": (0, 2), "across": (1, 3), "place": (0, 1)}
@@ -39,7 +39,7 @@ HEADING_PLANES: Mapping[str, tuple[int, int]] = {
 }  # fmt: skip
 """Planes of two states, with all other deviations 0: x_e, y_e or ψ with its own rate, and y_e with ψ."""
 
-STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering": (0, 1)}
+_STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering": (0, 1)}
 """Planes of two states of a craft without sway force, with all other states 0: ψ with its rate, and y_e with ψ."""
 
 _SHARE = 0.85  # mean over the heading of the quadratic drag along the path, as a share; it gives the steady cruise
@@ -80,9 +80,9 @@ class _Loop:
     """Data of a portrait: P of V = ξᵀPξ, rates ξ̇ of the vehicle shown, and rates ξ̇ of all vehicles tried."""
 
     P: Array
-    shown: Rates
+    shown: _Rates
     whose: str
-    tried: Iterator[Rates]
+    tried: Iterator[_Rates]
     levels: tuple[float, ...]
     lagged: bool
 
@@ -96,7 +96,7 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
     if document.get("kind") == "heading":
         return HEADING_PLANES
     if document.get("kind") == "steering":
-        return STEERED_PLANES
+        return _STEERED_PLANES
     if document.get("kind") == "turning" or (
         document.get("kind") == "region" and document["claim"].get("system") == "cruise"
     ):
@@ -148,7 +148,7 @@ def _cruise(document: Mapping[str, Any]) -> _Loop:
     claim, proof = document["claim"], document["proof"]
     law = claim["law"]
 
-    def rates(boat: Boat, psi: float) -> Rates:
+    def rates(boat: _Boat, psi: float) -> _Rates:
         return lambda xi: _rate(claim, boat, _state(claim, boat, xi), psi)
 
     nominal = (law["mass_kg"], (law["linear_drag"],) * 2, (law["quadratic_drag"],) * 2)
@@ -165,7 +165,7 @@ def _cruise(document: Mapping[str, Any]) -> _Loop:
 def _turning(document: Mapping[str, Any]) -> _Loop:
     claim, proof = read_claim(document["claim"]), document["proof"]
 
-    def rates(boat: Sequence[Sequence[float]], psi: float, r: float) -> Rates:
+    def rates(boat: Sequence[Sequence[float]], psi: float, r: float) -> _Rates:
         linear, quadratic = (float(np.mean(pair)) - 1 for pair in boat[1:])
         omega = proof["trim"][0] * linear + proof["trim"][1] * quadratic
 
@@ -198,7 +198,7 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
 def _steering(document: Mapping[str, Any]) -> _Loop:
     claim = read_steering(document["claim"])
 
-    def rates(mass: float, drag: float, u: float) -> Rates:
+    def rates(mass: float, drag: float, u: float) -> _Rates:
         def rate(xi: Array) -> Array:
             n = len(xi)
             craft = {"mass": np.full((n, 4), mass), "drag": np.full((n, 8), drag), "u": np.full(n, u)}
@@ -226,7 +226,7 @@ def _heading(document: Mapping[str, Any]) -> _Loop:
     )  # fmt: skip
     loop = heading_loop(claim)
 
-    def rates(share: Sequence[float]) -> Rates:
+    def rates(share: Sequence[float]) -> _Rates:
         return lambda xi: loop(xi, np.tile(share, (len(xi), 1)))[0]
 
     varying = sum(not key.startswith("heave") for key in ranges)
@@ -241,11 +241,11 @@ def _heading(document: Mapping[str, Any]) -> _Loop:
     )
 
 
-Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
+_Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
 """The mass, the linear drag of surge and sway, and the quadratic drag of surge and sway."""
 
 
-def _boats(claim: Mapping[str, Any]) -> list[Boat]:
+def _boats(claim: Mapping[str, Any]) -> list[_Boat]:
     """Return corner values of mass and drag; the drag of surge and sway is equal or has the largest difference."""
     vehicle = claim["vehicle"]
     ratio = (2 + vehicle["asymmetry"]) / (2 - vehicle["asymmetry"]) if vehicle["asymmetry"] < 2 else np.inf
@@ -257,7 +257,7 @@ def _boats(claim: Mapping[str, Any]) -> list[Boat]:
     return list(product(vehicle["mass_kg"], pairs("linear_drag"), pairs("quadratic_drag")))
 
 
-def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
+def _state(claim: Mapping[str, Any], boat: _Boat, xi: Array) -> Array:
     """Convert deviations from the steady cruise to states (x_e, y_e, U_x, U_y).
 
     If the true drag differs from the model, the vehicle in steady cruise has an offset from its target.
@@ -272,7 +272,7 @@ def _state(claim: Mapping[str, Any], boat: Boat, xi: Array) -> Array:
     return state
 
 
-def _rate(claim: Mapping[str, Any], boat: Boat, state: Array, psi: float) -> Array:
+def _rate(claim: Mapping[str, Any], boat: _Boat, state: Array, psi: float) -> Array:
     # rates (n, 4) of (x_e, y_e, U_x, U_y); ψ is relative to the path
     law, limit = claim["law"], claim["vehicle"]["thrust_n"]
     mass, linear, quadratic = boat

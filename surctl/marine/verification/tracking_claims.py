@@ -20,7 +20,6 @@ __all__ = [
     "cap_limit",
     "m_norm_corrected",
     "m_norm_printed",
-    "regional_rate",
     "v1_corrected",
     "v1_printed",
     "v1_speed_cap",
@@ -125,7 +124,7 @@ def v1_printed(setting: Setting) -> Claim:
     )
 
 
-def regional_rate(setting: Setting, half: float) -> float:
+def _regional_rate(setting: Setting, half: float) -> float:
     """Return c > 0 [1/s] such that V̇1 ≤ −c‖e‖² on the box |e_i| ≤ half, for the law with surge clipped at 0.
 
     e is the tracking error, and V1 the Lyapunov function of the paper's equation (11).
@@ -149,7 +148,7 @@ def v1_corrected(setting: Setting) -> Claim:
     The rate of decrease depends on the size of the box.
     """
     loop, half = _loop(setting, repaired=True), _half(setting)
-    c = regional_rate(setting, half)
+    c = _regional_rate(setting, half)
     return Claim(
         name="v1-corrected",
         statement=f"V̇1 ≤ −{c:.3g} ‖e‖² for |e_i| ≤ {half:g} m, with U_h = max(0, ·) and no speed cap",

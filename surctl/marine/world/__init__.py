@@ -1,8 +1,7 @@
 """Geometry for sensing and simulation: planar shapes, distances to shapes, nearest points in cones, upright solids."""
 
 from surctl.marine.world.echoes import box_edges, in_view, nearest_echo, nearest_facing
-from surctl.marine.world.prism import WHOLE, Heights, Prism
-from surctl.marine.world.shapes import Box, Disc, Shape, Vector2, Wall, site_walls
+from surctl.marine.world.shapes import WHOLE, Box, Disc, Heights, Prism, Shape, Vector2, Wall, site_walls
 
 __all__ = [
     "WHOLE",

@@ -10,6 +10,10 @@ and reduces the distance. So the foot point p and the hits of the two edge rays 
 other part of K hides this echo.
 
 If only surfaces that face the apex reflect, `echoes.nearest_echo` casts rays along the `outlook` of every shape.
+
+The z axis points up, so z is negative below the water surface. A prism is the product of a planar set and an interval
+of z. So the squared distance of a point to a prism is the sum of the squared distances to the planar set and to the
+interval. The clearance of a sphere is the distance of its centre minus its radius.
 """
 
 from __future__ import annotations
@@ -17,7 +21,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from math import cos, hypot, inf, isfinite, pi, sin, sqrt
+from math import cos, hypot, inf, isfinite, isinf, isnan, pi, sin, sqrt
 from typing import TypeAlias
 
 import numpy as np
@@ -25,7 +29,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["Box", "Disc", "Shape", "Vector2", "Wall", "site_walls"]
+__all__ = ["WHOLE", "Box", "Disc", "Heights", "Prism", "Shape", "Vector2", "Wall", "site_walls"]
 
 Vector2: TypeAlias = Sequence[float] | NDArray[np.float64]
 """Two numbers, (x, y) in {E}; shapes store them as a tuple of floats."""
@@ -339,3 +343,64 @@ def _positive(key: str, value: float) -> float:
     if not (isfinite(value) and value > 0):
         raise InputError("must be greater than 0", key=key, value=value, remedy="give m")
     return float(value)
+
+
+@dataclass(frozen=True)
+class Heights:
+    """The interval of z [m] that a body occupies; an infinite end lies beyond the floor or the water surface.
+
+    Attributes:
+        bottom, top: z of the lower and the upper end [m], bottom < top.
+    """
+
+    bottom: float = -inf
+    top: float = inf
+
+    def __post_init__(self) -> None:
+        """Check the values; raise an InputError that names an invalid value."""
+        if isnan(self.bottom) or isnan(self.top) or self.bottom >= self.top:
+            raise InputError(
+                f"is not below the top, {self.top:g}",
+                key="bottom",
+                value=self.bottom,
+                remedy="z is up: write z of both ends (negative below the surface), with the lower one as bottom",
+            )
+
+    @property
+    def whole(self) -> bool:
+        """Whether the body occupies the whole water column."""
+        return isinf(self.bottom) and isinf(self.top)
+
+    def gap(self, z: float) -> float:
+        """Return the signed vertical distance [m] from z to the interval, negative if z lies inside the interval."""
+        return max(self.bottom - z, z - self.top)
+
+    def crosses(self, z: float, distance: float) -> bool:
+        """Return whether any part of the interval lies less than `distance` [m] above or below z."""
+        return self.gap(z) < distance
+
+    def shares(self, other: Heights) -> bool:
+        """Return whether the intervals of two bodies have a depth in common."""
+        return self.bottom < other.top and other.bottom < self.top
+
+
+WHOLE = Heights()
+"""The whole water column."""
+
+
+@dataclass(frozen=True)
+class Prism:
+    """An upright solid with the horizontal section `base` at every depth of `heights`."""
+
+    base: Shape
+    heights: Heights = WHOLE
+
+    def distance(self, x: float, y: float, z: float) -> float:
+        """Return the signed distance [m] of a point in {E} to the prism; negative if the point lies inside."""
+        across = self.base.foot(x, y)[0]
+        if self.heights.whole:
+            return across
+        along = self.heights.gap(z)
+        if across <= 0.0 or along <= 0.0:
+            return max(across, along)
+        return hypot(across, along)

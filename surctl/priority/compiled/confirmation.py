@@ -22,8 +22,7 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Routine, Step, lower_named
 from surctl.priority.compiled.decomposition import decompose
 from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
-from surctl.priority.compiled.sweep import HUGE
-from surctl.priority.compiled.tangent import largest
+from surctl.priority.compiled.sweep import HUGE, largest
 from surctl.priority.optimality import LOSS, ROUNDING
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.solver.dual_step import OPTIMAL, Space

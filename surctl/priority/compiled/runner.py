@@ -223,7 +223,7 @@ def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None
 
         def run() -> None:
             for array, value in zip(outputs, replay(routine, *inputs), strict=True):
-                array[:] = cast(Array, value)
+                array[:] = cast("Array", value)
 
         return inputs, outputs, run, False
     return list(workspace.inputs), list(workspace.outputs), workspace.run, True

@@ -1,23 +1,46 @@
-"""The NSB law, equation (16) of the paper, as compiled projections, and a check that all inputs are finite."""
+"""The NSB law, equation (16) of the paper, as compiled projections, and a check that all inputs are finite.
+
+At the minimiser v of ½‖J v − x‖² subject to the constraint rows, the negative gradient Jᵀ(x − J v) is a combination of
+the normals of the active rows. So its projection on the directions in which v may move is 0, and the Lagrange
+multipliers of this projection are the multipliers of the least-squares problem. A nonzero projection measures how far v
+is from optimal. In the code, the negative gradient is called the pull.
+"""
 
 from __future__ import annotations
 
 import casadi as ca
 
-from surctl.ir import Call, Loop, Program, Step, lower
+from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled.decomposition import decompose
 from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
+from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.settings import Settings
-from surctl.priority.solver.precision import LONGEST
+from surctl.priority.solver.dual_step import OPTIMAL, Space
+from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.kernel import kernel, row_by_row
+from surctl.priority.solver.precision import FLOAT64, LONGEST, Precision
 from surctl.priority.symbolic import projection
 
-__all__ = ["HUGE", "gate", "into", "project", "sweep", "swept"]
+__all__ = [
+    "HUGE",
+    "gate",
+    "holding",
+    "holding_row",
+    "into",
+    "largest",
+    "longer_row",
+    "merged",
+    "opened_row",
+    "reduced_row",
+    "sweep",
+    "swept",
+]
 
 HUGE = 1e300
 """Numbers larger than this count as infinite."""
 
 
-def project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
+def _project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
     """Return the velocity nearest to w (n, 1) among those that meet the level best; w itself if w meets the level.
 
     With damping, the formula is that of `symbolic.projection`. Without damping, linearly dependent or contradicting
@@ -38,7 +61,7 @@ def sweep(shape: StackShape, *, damping: float, highest: int = 0) -> Program:
     start = ca.SX.sym("w", shape.n)
     w = start
     for level in reversed(levels[highest:]):
-        w = project(w, level, damping=damping)
+        w = _project(w, level, damping=damping)
     return lower(ca.Function("sweep", [start, *flat], [ca.densify(w)]))
 
 
@@ -78,3 +101,139 @@ def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
         inside = ca.if_else(above <= high[i], above, high[i])
         moved.append(ca.if_else(ca.fabs(inside) <= HUGE, inside, 0))
     return ca.vertcat(*moved)
+
+
+_FLAT = 1e-12  # if N leaves less than this of a row of length 1, the row does not bound y
+
+
+def opened_row(n: int) -> Program:
+    """Return a program that scales a row to length 1, moves its bounds outwards if soft, and makes the row hard.
+
+    The program takes the row, the amount `opening` by which soft bounds move, and a velocity v. It also widens the
+    bounds so that v satisfies the row exactly.
+    """
+    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
+    length = ca.sqrt(ca.sumsqr(row[:n]))
+    a = row[: n + 2] * (1 / ca.if_else(length <= ZERO_ROW, 1, length))
+    value, widening = ca.dot(a[:n], v), row[n + 2] * opening
+    low, high = a[n] - widening, a[n + 1] + widening
+    low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
+    return lower(ca.Function("opened_row", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
+
+
+def holding_row(n: int) -> Program:
+    """Return a program that widens the bounds of a row so that the velocity v satisfies the row exactly."""
+    row, v = ca.SX.sym("row", n + 3), ca.SX.sym("v", n)
+    value = ca.dot(row[:n], v)
+    bounds = [ca.fmin(row[n], value), ca.fmax(row[n + 1], value)]
+    return lower(ca.Function("holding_row", [row, v], [ca.vertcat(row[:n], *bounds, row[n + 2])]))
+
+
+def reduced_row(n: int) -> Program:
+    """Return a program that converts a row of length 1 on v + N y to a constraint row on y.
+
+    The program takes the row, v and N, and widens the bounds so that y = 0 satisfies the new row.
+    """
+    row, v, N = ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("N", n * n)
+    a, value = as_matrix(N, n) @ row[:n], ca.dot(row[:n], v)
+    flat = ca.sqrt(ca.sumsqr(a)) <= _FLAT
+    low, high = ca.fmin(row[n] - value, 0), ca.fmax(row[n + 1] - value, 0)
+    outputs = ca.vertcat(ca.if_else(flat, 0, a), ca.if_else(flat, -HUGE, low), ca.if_else(flat, HUGE, high), 0)
+    return lower(ca.Function("reduced_row", [row, v, N], [ca.densify(outputs)]))
+
+
+def longer_row(n: int, more: int) -> Program:
+    """Return a program that appends `more` variables with coefficient 0 to a constraint row."""
+    row = ca.SX.sym("row", n + 3)
+    return lower(ca.Function("longer_row", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(more), row[n:]))]))
+
+
+def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
+    """Return the routine that finds the constraint rows which limit a task at the velocity v, and their multipliers.
+
+    Inputs: rows (m·(n + 3),), the constraint rows; opening (1,), the amount by which the bounds of soft rows are moved
+    outwards; v (n,); pull (n,), the negative gradient of the task at v; Z (n·n,), projector on the free directions.
+    Outputs: numbers (n,), signed numbers, from 1, of the rows that limit the task (+ at the upper bound, 0 for an
+    unused entry); multipliers (n,), for rows of length 1; rest (n,), the part of the pull in the range of Z that is not
+    a combination of the normals; count (1,), number of iterations.
+    """
+    space = Space(n, n, precision=precision)
+    steps = (
+        Call(_unit_pull(n, precision), ("pull",), ("base", "size", "go")),
+        Loop(_touching(n, precision), m, (), ("cone",), sliced=("rows",), fixed=("opening", "v")),
+        Call(
+            row_by_row(kernel(space, m), m, precision),
+            ("cone", "base", "go", "Z"),
+            ("point", "active", "weights", "end", "count"),
+        ),
+        Call(
+            _scaled(n),
+            ("point", "active", "weights", "end", "size", "pull"),
+            ("numbers", "multipliers", "rest"),
+        ),
+    )
+    inputs = (("rows", m * (n + 3)), ("opening", 1), ("v", n), ("pull", n), ("Z", n * n))
+    return Routine("holding", inputs, steps, ("numbers", "multipliers", "rest", "count"))
+
+
+def largest(vector: ca.SX) -> ca.SX:
+    """Return the largest absolute entry of the vector."""
+    size = ca.SX(0)
+    for i in range(vector.numel()):
+        size = ca.fmax(size, ca.fabs(vector[i]))
+    return size
+
+
+def _unit_pull(n: int, precision: Precision) -> Program:
+    pull = ca.SX.sym("pull", n)
+    size = largest(pull)
+    none = ca.logic_not(size > precision.priced)
+    unit = pull * ca.if_else(none, 0, 1 / ca.if_else(none, 1, size))
+    return lower(ca.Function("unit_pull", [pull], [ca.vertcat(unit, 0), ca.if_else(none, 0, size), none]))
+
+
+def _touching(n: int, precision: Precision) -> Program:
+    """Return a program for a row's bounds on a direction of motion from v: 0 if v is at the bound, else infinite."""
+    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
+    length = ca.sqrt(ca.sumsqr(row[:n]))
+    inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
+    value, margin = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - precision.feasibility * (1 + largest(v))
+    below = ca.if_else(value <= row[n] * inverse - margin, 0, -HUGE)
+    above = ca.if_else(value >= row[n + 1] * inverse + margin, 0, HUGE)
+    return lower(ca.Function("touching", [row, opening, v], [ca.vertcat(row[:n] * inverse, below, above, 0)]))
+
+
+def _scaled(n: int) -> Program:
+    # if the solver failed, the rest is the whole pull
+    point, active, weights = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("weights", n)
+    end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
+    good = ca.eq(end, OPTIMAL)
+    outputs = [
+        ca.if_else(good, active, 0),
+        ca.if_else(good, weights * size, 0),
+        ca.if_else(good, point[:n] * size, pull),
+    ]
+    return lower(
+        ca.Function("scaled_weights", [point, active, weights, end, size, pull], list(map(ca.densify, outputs)))
+    )
+
+
+def merged(n: int) -> Program:
+    """Return a program that joins two lists of active constraint rows, with numbers (n,) and multipliers (n,) each.
+
+    A constraint row of the second list is left out if the first list contains this row or has no unused entry.
+    """
+    numbers, multipliers = ca.SX.sym("numbers", n), ca.SX.sym("multipliers", n)
+    more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)
+    slots, amounts = ca.vertsplit(numbers), ca.vertsplit(multipliers)
+    for k in range(n):
+        waits = more[k] != 0
+        for j in range(n):
+            waits = ca.logic_and(waits, ca.fabs(numbers[j]) != ca.fabs(more[k]))
+        for j in range(n):
+            takes = ca.logic_and(waits, ca.eq(slots[j], 0))
+            waits = ca.logic_and(waits, ca.logic_not(takes))
+            slots[j], amounts[j] = ca.if_else(takes, more[k], slots[j]), ca.if_else(takes, further[k], amounts[j])
+    return lower(
+        ca.Function("merged", [numbers, multipliers, more, further], [ca.vertcat(*slots), ca.vertcat(*amounts)])
+    )

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, TypeAlias
 
-from surctl.priority.diagnosis.region import Pose
+from surctl.priority.diagnosis.region import Pose, pose_text
 
-__all__ = ["Equality", "LevelReport", "Met", "Pair", "PairKind", "Residual", "Singularity", "Symptom", "Verdict"]
+__all__ = [
+    "Diagnosis",
+    "Equality",
+    "LevelReport",
+    "Met",
+    "Pair",
+    "PairKind",
+    "Residual",
+    "Singularity",
+    "Symptom",
+    "Verdict",
+]
 
 Verdict: TypeAlias = Literal["everywhere", "on all samples", "differs"]
 """everywhere: NSB equals strict priority for every pose and parameter, shown on the expressions. on all samples: no
@@ -142,3 +154,149 @@ class LevelReport:
     def dependent(self) -> int:
         """Return how many directions of the task lie in the row space of the tasks above it at every sample."""
         return self.rank - self.gained
+
+
+def _say_equality(equality: Equality, *, levels: int, samples: int) -> str:
+    """Return the sentence on whether NSB equals strict priority."""
+    if levels == 1:
+        return "With one task, NSB equals strict priority."
+    if equality.verdict == "everywhere":
+        return "NSB equals strict priority everywhere: all commutators vanish as expressions."
+    if equality.where is None:
+        return (
+            f"NSB equals strict priority on all {samples} samples (largest commutator {equality.largest:.1g}), "
+            "which is not a proof."
+        )
+    at = pose_text(equality.where)
+    return f"NSB differs from strict priority at `{equality.task}`: commutator {equality.largest:.2g} at {at}."
+
+
+def _say_pair(pair: Pair) -> str:
+    """Return the sentence on how two tasks affect each other."""
+    both = f"`{pair.first}` and `{pair.second}`"
+    if pair.smallest is None or pair.largest is None or pair.where is None:
+        return f"{both} are never active together."
+    at = pose_text(pair.where)
+    equal = "" if pair.equal == "differs" else ", and NSB treats these two as strict priority does"
+    if pair.kind == "orthogonal":
+        where = "everywhere" if pair.structural else "on all samples"
+        return f"{both} are orthogonal {where}: neither disturbs the other."
+    if pair.kind == "dependent everywhere":
+        return f"{both} share {_directions(pair.shared)} at every sample{equal}."
+    if pair.kind == "dependent somewhere":
+        return (
+            f"{both} nearly share a direction at some poses: angle between {_degrees(pair.smallest)} and "
+            f"{_degrees(pair.largest)}, smallest at {at}."
+        )
+    return (
+        f"{both} are coupled: angle between {_degrees(pair.smallest)} and {_degrees(pair.largest)}, "
+        f"smallest at {at}{equal}."
+    )
+
+
+def _say_singularity(singularity: Singularity) -> str:
+    """Return the sentence on where a level loses rank, and why."""
+    at = pose_text(singularity.poses[0])
+    more = f" ({len(singularity.poses) - 1} more poses found)" if len(singularity.poses) > 1 else ""
+    if singularity.kind == "algorithmic":
+        cause = "".join(f", where `{name}` is singular itself" for name in singularity.also_singular[:1])
+        return (
+            f"`{singularity.task}` loses a direction to the tasks above it{cause} (algorithmic singularity, sine "
+            f"{singularity.value:.2g}): the velocity of strict priority is unbounded near {at}{more}."
+        )
+    reason = (
+        f"a step of {singularity.value:.2g} [m or rad] may reverse a row of its Jacobian"
+        if singularity.symptom == "turning"
+        else f"its Jacobian loses rank (smallest singular value {singularity.value:.2g} of its usual size)"
+    )
+    return f"`{singularity.task}` is singular by itself (kinematic singularity): {reason} near {at}{more}."
+
+
+def _say_level(level: LevelReport) -> str:
+    """Return the sentence on whether a level is met, and if not, why."""
+    name = f"`{level.task}`"
+    if level.met == "by both laws":
+        text = f"{name} is met by both laws at all samples"
+    elif level.met == "by strict priority only":
+        text = f"{name} is met by strict priority only: NSB leaves {_residual(level.nsb, level.unit)}"
+    else:
+        text = (
+            f"{name} cannot be met: strict priority leaves {_residual(level.strict, level.unit)}, "
+            f"NSB leaves {_residual(level.nsb, level.unit)}"
+        )
+    return text + _why(level) + "."
+
+
+def _why(level: LevelReport) -> str:
+    if level.rank == 0:
+        return "; it is inactive at all samples"
+    whole = _directions(level.rank)
+    dependent = f"; it shares {level.dependent} of its {whole} with tasks above it" if level.dependent else ""
+    spent = f"; the tasks above it leave no freedom at {level.exhausted:.0%} of the samples" if level.exhausted else ""
+    return dependent + spent
+
+
+def _residual(residual: Residual, unit: str) -> str:
+    named = f" {unit}" if unit else ""
+    return (
+        f"{residual.median:.2g}{named} (median) and at most {residual.largest:.2g}{named}, "
+        f"at {pose_text(residual.where)}"
+    )
+
+
+def _directions(count: int) -> str:
+    return "1 direction" if count == 1 else f"{count} directions"
+
+
+def _degrees(angle: float) -> str:
+    return f"{math.degrees(angle):.3g}°"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """All findings on a task stack over a region of poses; `explain` (or `str`) returns the findings as sentences.
+
+    Attributes:
+        tasks: names of the tasks, highest priority first.
+        region: (lower, upper) bounds of every variable by name [m, m, m, rad, then the unit of each parameter].
+        samples: number of samples.
+        seed: seed of the samples.
+        threshold: number below which a pose counts as singular; see `diagnose`.
+        equality, pairs, singularities, levels: the findings of each kind.
+    """
+
+    tasks: tuple[str, ...]
+    region: Mapping[str, tuple[float, float]]
+    samples: int
+    seed: int
+    threshold: float
+    equality: Equality
+    pairs: tuple[Pair, ...]
+    singularities: tuple[Singularity, ...]
+    levels: tuple[LevelReport, ...]
+
+    def explain(self) -> str:
+        """Return all findings as text, one sentence per line, and a last line on how the numbers were computed."""
+        lines = [_say_equality(self.equality, levels=len(self.tasks), samples=self.samples)]
+        lines += [_say_pair(pair) for pair in self.pairs]
+        lines += [_say_singularity(singularity) for singularity in self.singularities]
+        lines += [_say_level(level) for level in self.levels]
+        lines.append(
+            f"These results rest on {self.samples} samples (seed {self.seed}) and local searches from the worst "
+            "samples, so the diagnosis can miss poses."
+        )
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        """Return the text of `explain`."""
+        return self.explain()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the diagnosis as dictionaries and lists for JSON; every number is finite."""
+        return {name: _plain(value) for name, value in asdict(self).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(entry) for key, entry in value.items()}
+    return [_plain(entry) for entry in value] if isinstance(value, tuple) else value

@@ -17,15 +17,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import casadi as ca
 
-from surctl.ir import Block, Call, Program, Routine, lower
-from surctl.priority.solver.elimination import as_matrix
-from surctl.priority.solver.elimination_loops import LOOPED
-from surctl.priority.solver.planar import planar
+from surctl.ir import Block, Call, Gather, Loop, Program, Routine, lower
+from surctl.priority.solver.elimination import LOOPED, as_matrix
 from surctl.priority.solver.precision import FLOAT64, Precision
-from surctl.priority.solver.slot_loops import against_slots
 
 __all__ = [
     "OPTIMAL",
@@ -41,6 +39,129 @@ __all__ = [
     "threshold",
     "which",
 ]
+
+
+class _Planar(NamedTuple):
+    """Relation of the normal of the entering row, which becomes active, to the normals of the active rows.
+
+    Attributes:
+        apart: component of the entering normal outside the span of the active normals, times the length of the first
+            active normal.
+        first: squared length of the first active normal.
+        r: coefficients of the entering normal as a combination of the active normals, 0 for an unused entry. ratios:
+            multipliers divided by r.
+        full: (2,), displacement of the unknowns that satisfies the entering row, for a violation of 1. rate: (2,),
+            component of the entering normal outside the span of the active normals.
+        whole: change of the multiplier in this displacement, for a violation of 1.
+    """
+
+    apart: ca.SX
+    first: ca.SX
+    r: list[ca.SX]
+    ratios: list[ca.SX]
+    full: ca.SX
+    rate: ca.SX
+    whole: ca.SX
+
+
+def _planar(normals: list[ca.SX], numbers: list[ca.SX], multipliers: list[ca.SX], entering: ca.SX) -> _Planar:
+    """Compute the step for at most two active rows; unused entries of the lists have number 0 and are last.
+
+    A perpendicular vector replaces a missing normal. All divisions that depend on the entering row can run in parallel.
+    """
+    one, two = numbers[0] != 0, numbers[1] != 0
+    first = ca.if_else(one, normals[0], _across(-entering))
+    second = ca.if_else(two, normals[1], _across(first))
+    area, apart, along = _cross(first, second), _cross(first, entering), _cross(entering, second)
+    inverse, per_miss, per_rate = _inverse(area), _inverse(apart), _inverse(along)
+    squared = first[0] * first[0] + first[1] * first[1]
+    beside = apart * inverse
+    return _Planar(
+        apart=apart,
+        first=squared,
+        r=[ca.if_else(one, along * inverse, 0), ca.if_else(two, beside, 0)],
+        ratios=[multipliers[0] * area * per_rate, multipliers[1] * area * per_miss],
+        full=per_miss * second,
+        rate=beside * second,
+        whole=per_miss * (per_miss * squared),
+    )
+
+
+def _inverse(x: ca.SX) -> ca.SX:
+    return 1 / ca.if_else(ca.eq(x, 0), 1, x)
+
+
+def _cross(a: ca.SX, b: ca.SX) -> ca.SX:
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def _across(a: ca.SX) -> ca.SX:
+    """Return the vector (2,) rotated by 90° counter-clockwise."""
+    return ca.vertcat(-a[1], a[0])
+
+
+def _against_slots(d: int) -> Routine:
+    """Return the routine that splits a normal into a combination of the active normals and the rest.
+
+    Inputs: normals (d·d,), numbers (d,), as in `iteration`; normal (d,). Outputs: rest (d,), the part of the normal
+    outside the span of the active normals; r (d,), the coefficients of the combination, 0 for an empty slot.
+    """
+    zeros = [ca.densify(ca.SX.zeros(size)) for size in (d * d, d, d)]
+    a, b = ca.SX.sym("a", d), ca.SX.sym("b", d)
+    steps = (
+        Call(lower(ca.Function("no_slots", [], zeros)), (), ("Q_none", "inverse_none", "none")),
+        Loop(
+            _column(d), d, ("Q_none", "inverse_none"), ("Q", "inverse", "R"), sliced=("normals", "numbers"), index=True
+        ),
+        Loop(_outside(d), d, ("normal",), ("rough", "part"), sliced=("Q", "inverse")),
+        Loop(_outside(d), d, ("rough",), ("rest", "more"), sliced=("Q", "inverse")),
+        Call(lower(ca.Function("inside", [a, b], [a + b])), ("part", "more"), ("inside",)),
+        Loop(_back(d), d, ("inside",), ("r",), fixed=("R",), index=True),
+    )  # fmt: skip
+    return Routine(f"against_{d}", (("normals", d * d), ("numbers", d), ("normal", d)), steps, ("rest", "r"))
+
+
+def _outside(d: int) -> Program:
+    """Return a program that subtracts from a vector its component along q and returns its factor; inverse is 1/‖q‖²."""
+    vector, q, inverse = ca.SX.sym("vector", d), ca.SX.sym("q", d), ca.SX.sym("inverse")
+    part = ca.dot(q, vector) * inverse
+    return lower(ca.Function("outside_slot", [vector, q, inverse], [vector - part * q, part]))
+
+
+def _column(d: int) -> Routine:
+    """Return the routine for column number `turn` of Q and R; columns of Q that are not yet computed are 0."""
+    q, number, turn = ca.SX.sym("q", d), ca.SX.sym("number"), ca.SX.sym("turn")
+    used = number != 0
+    inverse = ca.if_else(used, 1 / ca.if_else(used, ca.dot(q, q), 1), 0)
+    at, old, old_inverse = ca.SX.sym("at"), ca.SX.sym("old", d), ca.SX.sym("old_inverse")
+    new, new_inverse, here = ca.SX.sym("new", d), ca.SX.sym("new_inverse"), ca.eq(at, turn)
+    placed = [ca.if_else(here, new, old), ca.if_else(here, new_inverse, old_inverse)]
+    place = lower(ca.Function("place_slot", [at, old, old_inverse, turn, new, new_inverse], placed))
+    steps = (
+        Loop(_outside(d), d, ("column",), ("q", "R"), sliced=("Q", "inverse")),
+        Call(lower(ca.Function("inverse_square", [q, number], [inverse])), ("q", "number"), ("q_inverse",)),
+        Loop(
+            place, d, (), ("Q_next", "inverse_next"), sliced=("Q", "inverse"), fixed=("turn", "q", "q_inverse"),
+            index=True,
+        ),
+    )  # fmt: skip
+    inputs = (("turn", 1), ("Q", d * d), ("inverse", d), ("column", d), ("number", 1))
+    return Routine(f"slot_column_{d}", inputs, steps, ("Q_next", "inverse_next", "R"))
+
+
+def _back(d: int) -> Routine:
+    """Return the routine for one step of the back substitution R r = inside, from the last column to the first."""
+    turn, r, column = ca.SX.sym("turn"), ca.SX.sym("r", d), ca.SX.sym("column", d)
+    index = lower(ca.Function("from_the_end", [turn], [d - 1 - turn]))
+    entry = sum((ca.if_else(ca.eq(turn, d - 1 - i), r[i], 0) for i in range(d)), ca.SX(0))
+    reduced = lower(ca.Function("back", [turn, r, column], [r - column * entry]))
+    steps = (
+        Call(index, ("turn",), ("at",)),
+        Gather("R", "at", d, "column"),
+        Call(reduced, ("turn", "r", "column"), ("r_next",)),
+    )
+    return Routine(f"back_{d}", (("turn", 1), ("r", d), ("R", d * d)), steps, ("r_next",))
+
 
 OPTIMAL, STUCK, SKIPPED = 1, 2, 3
 """Reasons to stop: all rows are satisfied; no point satisfies the rows; the search was skipped."""
@@ -244,7 +365,7 @@ class _Place:
     @staticmethod
     def of(slots: _Slots, entering: _Entering, precision: Precision) -> _Place:
         if len(slots.normals) == 2:
-            at = planar(slots.normals, slots.numbers, slots.multipliers, entering.normal)
+            at = _planar(slots.normals, slots.numbers, slots.multipliers, entering.normal)
             outside = at.apart * at.apart > precision.parallel * at.first
             missed = entering.missed
             return _Place(outside, missed * at.whole, missed * at.full, at.rate, at.r, at.ratios)
@@ -346,7 +467,7 @@ def iteration(space: Space) -> Block:
     names, results = tuple(key for key, _ in ports), tuple(f"{key}_next" for key in keys[:7])
     steps = (
         Call(lower(begin), names[7:], ("normal",)),
-        Call(against_slots(d), ("normals", "numbers", "normal"), ("rest", "r")),
+        Call(_against_slots(d), ("normals", "numbers", "normal"), ("rest", "r")),
         Call(end, (*names, "normal", "rest", "r"), results),
     )
     return Routine(f"iteration_{d}", ports, steps, results)

@@ -13,12 +13,15 @@ import casadi as ca
 
 from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK
-from surctl.priority.solver.elimination import as_matrix, eliminate, flat, pseudo_inverse
-from surctl.priority.solver.elimination_loops import (
+from surctl.priority.solver.elimination import (
     LOOPED,
+    as_matrix,
     corrected,
+    eliminate,
     elimination,
+    flat,
     product,
+    pseudo_inverse,
     pseudo_inverse_of,
     split_basis,
 )

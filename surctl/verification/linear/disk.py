@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.ir.stored_numbers import stored_numbers
+from surctl.ir.cache import stored_numbers
 from surctl.verification.linear.open_loop import OpenLoop
 from surctl.verification.linear.parts import distinct, independent
 

@@ -10,11 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.diagnosis.angles import outside_sines, projector_above
-from surctl.priority.diagnosis.commutator import directions
-from surctl.priority.diagnosis.field import build_field
+from surctl.priority.diagnosis.field import (
+    build_field,
+    commuting_levels,
+    directions,
+    orthogonal_pairs,
+    outside_sines,
+    projector_above,
+)
 from surctl.priority.diagnosis.region import Region
-from surctl.priority.diagnosis.structure import commuting_levels, orthogonal_pairs
 from surctl.tasks import Stack
 
 __all__ = ["Coupling", "comparison_converges", "couplings"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
+from surctl.priority.diagnosis.field import world_jacobians
 from surctl.priority.diagnosis.region import Region
-from surctl.priority.diagnosis.structure import world_jacobians
 from surctl.tasks import SetTask, Stack, Task
 
 __all__ = ["gains_are_equal", "gram_is_constant", "names_in"]

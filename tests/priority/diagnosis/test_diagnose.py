@@ -11,10 +11,8 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.priority import Level, build_problem, nsb
-from surctl.priority.diagnosis.commutator import commutator_norms
-from surctl.priority.diagnosis.diagnose import diagnose
-from surctl.priority.diagnosis.outcomes import strict_velocities
-from surctl.priority.diagnosis.structure import commuting_levels, orthogonal_pairs
+from surctl.priority.diagnosis.diagnose import diagnose, strict_velocities
+from surctl.priority.diagnosis.field import commutator_norms, commuting_levels, orthogonal_pairs
 from surctl.tasks import (
     Stack,
     Task,

@@ -6,11 +6,9 @@ import pytest
 
 from surctl.ir import replay
 from surctl.priority import LevelShape, priority_step, solve
-from surctl.priority.compiled.decomposition import decompose
-from surctl.priority.compiled.decomposition_loops import attainable
+from surctl.priority.compiled.decomposition import attainable, decompose
 from surctl.priority.problem import Level, Row, build_problem
-from surctl.priority.solver.elimination import eliminate, pseudo_inverse
-from surctl.priority.solver.elimination_loops import elimination, pseudo_inverse_of
+from surctl.priority.solver.elimination import eliminate, elimination, pseudo_inverse, pseudo_inverse_of
 from surctl.priority.solver.precision import FLOAT64
 
 

@@ -5,7 +5,7 @@ import pytest
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.braking import BrakingClaim, braking_claim_named
-from surctl.marine.verification.braking.distance import distance_table
+from surctl.marine.verification.braking.proof import distance_table
 from tests.oracles.braking_episodes import rule_of, run_episodes
 
 

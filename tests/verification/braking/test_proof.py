@@ -21,7 +21,7 @@ from surctl.marine.verification.braking import (
     law_numbers,
     prove_braking,
 )
-from surctl.marine.verification.braking.distance import distance_table, encounter, figures, largest_obstacle
+from surctl.marine.verification.braking.proof import distance_table, encounter, figures, largest_obstacle
 from tests.oracles.braking_episodes import run_episodes
 
 KEPT = Path(__file__).parents[2] / "certcheck"

@@ -17,7 +17,7 @@ from surctl.marine.verification.region import (
     region_statement,
     turning_claim,
 )
-from surctl.marine.verification.region.next_step import implies
+from surctl.marine.verification.region.library import implies
 
 ROV = load_vehicle("bluerov2-heavy")
 GAINS = derived_gains(ROV, cruise=0.17)

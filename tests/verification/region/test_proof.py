@@ -30,7 +30,7 @@ from surctl.marine.verification.region import (
     turning_claim,
 )
 from surctl.marine.verification.region.loop import force_gain, steady_cruise
-from surctl.marine.verification.region.ratio import level_ratios
+from surctl.marine.verification.region.rates import level_ratios
 from surctl.marine.verification.region.turning_loop import steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import violated, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis

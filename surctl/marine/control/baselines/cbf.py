@@ -23,7 +23,7 @@ from surctl.marine.control.decision import Decision
 from surctl.marine.vehicle import planar_rotation
 from surctl.tasks import HalfPlane
 
-__all__ = ["ALPHA", "FAN", "cbf_law", "nearest_velocity"]
+__all__ = ["ALPHA", "cbf_law", "nearest_velocity"]
 
 ALPHA = 0.2
 """Barrier gain α [1/s] (tuned between 0.03 and 1)."""
@@ -31,7 +31,7 @@ ALPHA = 0.2
 EXTRA = 0.02
 """Distance [m] that is added to the margin, because the velocity lags behind the command (tuned between 0 and 0.15)."""
 
-FAN = 24
+_FAN = 24
 """Number of courses that the law tries at full speed, besides zero velocity, if the constraints are infeasible."""
 
 _ROUNDING = 1e-9  # [m/s] tolerance of a constraint for rounding errors
@@ -89,7 +89,7 @@ def nearest_velocity(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], *, cap
 
 
 def _least_bad(desired: ca.SX, rows: Sequence[tuple[ca.SX, ca.SX]], cap: ca.SX) -> ca.SX:
-    angles = [2 * pi * k / FAN for k in range(FAN)]
+    angles = [2 * pi * k / _FAN for k in range(_FAN)]
     table = tabulated(rows, 3)
 
     def judged(best: ca.SX, least: ca.SX, candidate: ca.SX) -> list[ca.SX]:

@@ -26,21 +26,71 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.marine.sensing.calibration.noise_shape import NoiseShape, noise_shape
-from surctl.marine.sensing.calibration.straight_line import fit_line, studentised_residuals
 
-__all__ = [
-    "LEAST_DISTANCES",
-    "LEAST_ROWS",
-    "LEAST_ROWS_OF_SLOPE",
-    "OUTLIER_RULE",
-    "Calibration",
-    "Estimate",
-    "calibrate",
-]
+__all__ = ["LEAST_ROWS", "LEAST_ROWS_OF_SLOPE", "OUTLIER_RULE", "Calibration", "Estimate", "calibrate"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _StraightLine:
+    """The least-squares fit y = beta[0] + beta[1]·x to points whose relative standard deviations are known.
+
+    Attributes:
+        beta: (2,) intercept beta[0] and slope beta[1] of the fitted line.
+        beta_sd: (2,) standard error of the intercept, and of the slope.
+        residuals: (n,) residuals y − line.
+        scaled: (n,) residual of each point divided by its relative sd.
+        leverage: (n,) diagonal of the hat matrix.
+        sd: estimated sd of a point with relative sd 1, with n − 2 degrees of freedom.
+    """
+
+    beta: NDArray[np.float64]
+    beta_sd: NDArray[np.float64]
+    residuals: NDArray[np.float64]
+    scaled: NDArray[np.float64]
+    leverage: NDArray[np.float64]
+    sd: float
+
+
+def _fit_line(x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64]) -> _StraightLine:
+    """Fit a line to n > 2 points (x, y) by weighted least squares; not all x are equal.
+
+    The residual of each point is divided by the point's relative standard deviation `relative` (n,) > 0.
+    """
+    columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
+    q, r = np.linalg.qr(columns)
+    error = (y - x) / relative  # from slope 1, which is typical of sensors: avoids loss of digits
+    beta = np.linalg.solve(r, q.T @ error)
+    scaled = error - columns @ beta
+    sd = sqrt(float(scaled @ scaled) / (len(x) - 2))
+    inverse = np.linalg.inv(r)
+    return _StraightLine(
+        beta=beta + np.array([0.0, 1.0]),
+        beta_sd=sd * np.sqrt((inverse**2).sum(axis=1)),
+        residuals=scaled * relative,
+        scaled=scaled,
+        leverage=(q**2).sum(axis=1),
+        sd=sd,
+    )
+
+
+def _studentised_residuals(line: _StraightLine) -> NDArray[np.float64]:
+    """Return the residuals (n,), each divided by its sd as estimated from the other points.
+
+    These are the externally studentised residuals (Cook and Weisberg 1982).
+
+    If the other points have no noise, a studentised residual is very large but finite. The function requires n > 3.
+    """
+    n = len(line.scaled)
+    free = np.maximum(1.0 - line.leverage, 1e-12)
+    others = np.maximum((n - 2) * line.sd**2 - line.scaled**2 / free, 0.0) / (n - 3)
+    floor = (1e-9 * line.sd) ** 2
+    residuals: NDArray[np.float64] = line.scaled / np.sqrt(np.maximum(others, floor) * free)
+    return residuals
+
 
 LEAST_ROWS = 6
 """Smallest number of rows for a calibration: with fewer rows, the sd is uncertain by more than a factor of 3."""
-LEAST_DISTANCES = 3
+_LEAST_DISTANCES = 3
 """Smallest number of distinct true distances for a calibration: two do not show whether the line is bent or noisy."""
 LEAST_ROWS_OF_SLOPE = 12
 """Smallest number of rows for a fit of the noise slope: with fewer rows, the test detects almost nothing."""
@@ -183,7 +233,7 @@ def calibrate(true: ArrayLike, measured: ArrayLike) -> Calibration:
     """Fit bias, scale and noise to true and measured distances (n,) [m], given in any order.
 
     Raises:
-        InputError: if there are fewer readings than `LEAST_ROWS` or fewer distinct distances than `LEAST_DISTANCES`, or
+        InputError: if there are fewer than `LEAST_ROWS` readings or `_LEAST_DISTANCES` distances, or
             if a number is negative or not finite; or if the 95 % interval of the scale reaches down to 0, as of a stuck
             sensor. InputError is also raised if the median ratio of measured to true distance lies outside 1/3 to 3,
             because then the units may differ; a ratio that suggests a sensor for air used in water, or the reverse, is
@@ -247,7 +297,7 @@ class _Fit:
 def _fitted(x: NDArray[np.float64], y: NDArray[np.float64]) -> _Fit:
     # the line and the noise of readings sorted by ascending true distance
     n = len(x)
-    plain = fit_line(x, y, np.ones(n))
+    plain = _fit_line(x, y, np.ones(n))
     if plain.sd <= _EXACT * float(x.max()):
         bias, scale = (_around(v, 0.0, n - 2) for v in plain.beta)
         return _Fit(
@@ -298,19 +348,19 @@ def _without_outliers(
 
 
 def _enough(x: NDArray[np.float64]) -> bool:
-    return len(x) >= LEAST_ROWS and len(np.unique(x)) >= LEAST_DISTANCES
+    return len(x) >= LEAST_ROWS and len(np.unique(x)) >= _LEAST_DISTANCES
 
 
 def _studentised(
     x: NDArray[np.float64], y: NDArray[np.float64], relative: NDArray[np.float64], inlier: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     # residuals (n,) about the line through the inliers, each divided by its sd as estimated from the others
-    line = fit_line(x[inlier], y[inlier], relative[inlier])
+    line = _fit_line(x[inlier], y[inlier], relative[inlier])
     residual = (y - (line.beta[0] + line.beta[1] * x)) / relative
     if line.sd <= _EXACT * float(x.max()):  # no noise: only outliers deviate, by far
         return np.asarray(np.where(inlier, 0.0, residual / (_EXACT * float(x.max()))))
     result = np.empty(len(x))
-    result[inlier] = studentised_residuals(line)
+    result[inlier] = _studentised_residuals(line)
     columns = np.column_stack([np.ones_like(x), x]) / relative[:, None]
     covariance = np.linalg.inv(columns[inlier].T @ columns[inlier])
     spread = line.sd * np.sqrt(1.0 + np.einsum("ni,ij,nj->n", columns, covariance, columns))
@@ -353,11 +403,11 @@ def _check(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     if len(x) < LEAST_ROWS:
         raise InputError(f"{len(x)} complete rows are too few", key="rows", remedy=f"give at least {LEAST_ROWS}")
     distinct = len(np.unique(x))
-    if distinct < LEAST_DISTANCES:
+    if distinct < _LEAST_DISTANCES:
         raise InputError(
             f"{distinct} distinct true distance{'s' * (distinct > 1)} are too few",
             key="rows",
-            remedy=f"measure at {LEAST_DISTANCES} or more distances",
+            remedy=f"measure at {_LEAST_DISTANCES} or more distances",
         )
     ratio = float(np.median(y) / np.median(x)) if np.median(x) > 0 else 1.0
     if not (1 / 3 <= ratio <= 3 or _other_medium(ratio)):

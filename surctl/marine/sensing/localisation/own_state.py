@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from math import exp, isfinite
+from math import exp, isfinite, pi
 from typing import Generic, NamedTuple, TypeVar
 
 import casadi as ca
@@ -29,11 +29,136 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Port
-from surctl.marine.sensing.localisation.delivery import whole_steps
-from surctl.marine.sensing.localisation.design import ahead, growth, steady_covariance, transition, white, yaw_gains
-from surctl.marine.sensing.localisation.motion import believed_acceleration, from_upper, wrapped
+from surctl.marine.sensing.localisation.base_station import whole_steps
 
-__all__ = ["BELIEVED_AFTER", "LONGEST_AGE", "LONGEST_LATENCY", "UNKNOWN_SD", "OwnEstimate", "OwnStateFilter"]
+__all__ = [
+    "BELIEVED_AFTER",
+    "LONGEST_AGE",
+    "LONGEST_LATENCY",
+    "UNKNOWN_SD",
+    "OwnEstimate",
+    "OwnStateFilter",
+    "ahead",
+    "growth",
+    "steady_covariance",
+    "transition",
+    "white",
+    "yaw_gains",
+]
+
+_LEAST_MASS = 1e-6  # [kg]
+
+
+def _believed_acceleration(
+    psi: ca.SX, velocity: ca.SX, rate: ca.SX, thrust: ca.SX, model: Mapping[str, ca.SX], dt: float
+) -> tuple[ca.SX, ca.SX]:
+    """Return the mean acceleration (3,) in {E} [m/s²] and yaw acceleration [rad/s²] over a step.
+
+    The accelerations are those of the vehicle model, equation (3) of the paper.
+
+    The integration step is linearly implicit: it uses the drag at the middle of the step, so it is stable for any drag.
+    For accelerations in {E}, the Coriolis force vanishes except for the part that the difference m22 − m11 of the
+    masses in sway and surge causes: (m22 − m11)(v r, u r, 0, −u v) in {B}.
+    """
+    c, s = ca.cos(psi), ca.sin(psi)
+    nu = ca.vertcat(c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], velocity[2], rate)
+    linear, quadratic = model["linear_drag"], model["quadratic_drag"]
+    mass = ca.fmax(model["mass"], _LEAST_MASS)
+    uneven = (mass[1] - mass[0]) * ca.vertcat(nu[1] * rate, nu[0] * rate, 0, -nu[0] * nu[1])
+    load = thrust + uneven - linear * nu - quadratic * nu * ca.fabs(nu)
+    a = load / (mass + 0.5 * dt * (linear + 2 * quadratic * ca.fabs(nu)))
+    return ca.vertcat(c * a[0] - s * a[1], s * a[0] + c * a[1], a[2]), a[3]
+
+
+def _from_upper(upper: ca.SX) -> ca.SX:
+    """Return a covariance (3, 3) from the 6 numbers of its upper triangle."""
+    a, b, c, d, e, f = (upper[k] for k in range(6))
+    return ca.vertcat(ca.horzcat(a, b, c), ca.horzcat(b, d, e), ca.horzcat(c, e, f))
+
+
+def _wrapped(angle: ca.SX) -> ca.SX:
+    """Return the angle [rad] wrapped to (−π, π]."""
+    turn = 2.0 * pi
+    once = angle + turn * ca.floor((pi - angle) / turn)
+    return once - turn * (once > pi) + turn * (once <= -pi)
+
+
+Matrix = NDArray[np.float64]
+
+_RECURSION_STEPS = 4000  # steps; the slowest error decays within a few hundred
+
+
+def transition(dt: float, disturbance_time: float) -> Matrix:
+    """Return the transition matrix Φ (3, 3) over a step dt [s] for one axis of {E}.
+
+    The states are position, velocity and disturbance acceleration along the axis.
+
+    The disturbance is constant within a step and decays from step to step with the time constant `disturbance_time`
+    [s] (first-order Gauss-Markov process).
+    """
+    return np.array([[1.0, dt, 0.5 * dt * dt], [0.0, 1.0, dt], [0.0, 0.0, exp(-dt / disturbance_time)]])
+
+
+def white(dt: float, size: float) -> Matrix:
+    """Return the covariance (3, 3) that white acceleration noise [m/s^1.5] adds to the states of one axis in a step."""
+    return size**2 * np.array([[dt**3 / 3, dt**2 / 2, 0.0], [dt**2 / 2, dt, 0.0], [0.0, 0.0, 0.0]])
+
+
+def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, disturbance_time: float) -> Matrix:
+    """Return the process-noise covariance Q (3, 3) of one axis for one step.
+
+    Q is the sum of two parts: white acceleration noise [m/s^1.5], and the noise that keeps the standard deviation of
+    the disturbance acceleration [m/s²] constant.
+    """
+    fresh = disturbance_sd**2 * (1.0 - exp(-2.0 * dt / disturbance_time))
+    return white(dt, acceleration_noise) + np.diag([0.0, 0.0, fresh])
+
+
+def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
+    """Return the transition matrix Φ and the process-noise covariance Q over a number `steps` of steps."""
+    whole, grown = np.eye(len(step)), np.zeros_like(step)
+    for _ in range(steps):
+        whole, grown = step @ whole, step @ grown @ step.T + noise
+    return whole, grown
+
+
+def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every: int) -> Matrix:
+    """Return the steady covariance (3, 3) of the estimate just after a fix, with one fix per `every` steps.
+
+    The function iterates the Riccati recursion.
+    """
+    whole, grown = ahead(step, noise, every)
+    P = np.diag([fix_variance, 1.0, noise[2, 2] / (1.0 - step[2, 2] ** 2)])
+    for _ in range(_RECURSION_STEPS):
+        before = P
+        P = whole @ P @ whole.T + grown
+        P = P - np.outer(P[:, 0], P[0, :]) / (P[0, 0] + fix_variance)
+        if np.array_equal(P, before):  # no further step changes it
+            break
+    return P
+
+
+def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: float) -> Matrix:
+    """Return the steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate.
+
+    Args:
+        dt: time between two measurements [s].
+        yaw_sd: standard deviation of measured yaw [rad].
+        rate_sd: standard deviation of measured yaw rate [rad/s].
+        acceleration_noise: white noise [rad/s^1.5] that represents the unmodelled yaw acceleration.
+    """
+    F, Q = np.array([[1.0, dt], [0.0, 1.0]]), white(dt, acceleration_noise)[:2, :2]
+    R = np.diag([yaw_sd**2, rate_sd**2])
+    P, K = R.copy(), np.zeros((2, 2))
+    for _ in range(_RECURSION_STEPS):
+        before = P
+        P = F @ P @ F.T + Q
+        K = P @ np.linalg.inv(P + R)
+        P = P - K @ P
+        if np.array_equal(P, before):
+            break
+    return K
+
 
 T = TypeVar("T")
 
@@ -225,7 +350,7 @@ class OwnStateFilter:
         accelerations = old.get("accelerations", ca.SX.zeros(0, 3))
 
         _, velocity = self._now(old["position"], old["velocity"], old["disturbance"], accelerations)
-        acceleration, turning = believed_acceleration(
+        acceleration, turning = _believed_acceleration(
             psi + 0.5 * self.dt * rate, velocity, rate, mean_thrust, model, self.dt
         )
         known = ca.vertcat(acceleration.T, accelerations)
@@ -233,10 +358,10 @@ class OwnStateFilter:
         accelerations = known[:-1, :]
 
         after = rate + self.dt * turning
-        innovation = ca.vertcat(wrapped(yaw - psi - 0.5 * self.dt * (rate + after)), yaw_rate - after)
+        innovation = ca.vertcat(_wrapped(yaw - psi - 0.5 * self.dt * (rate + after)), yaw_rate - after)
         turn = ca.vertcat(psi + 0.5 * self.dt * (rate + after), after) + ca.DM(self.yaw_gains) @ innovation
         turn = ca.if_else(begun, turn, ca.vertcat(yaw, yaw_rate))
-        turn = ca.vertcat(wrapped(turn[0]), turn[1])
+        turn = ca.vertcat(_wrapped(turn[0]), turn[1])
 
         position, velocity = self._now(here["position"], here["velocity"], here["disturbance"], accelerations)
         c, s = ca.cos(turn[0]), ca.sin(turn[0])
@@ -274,7 +399,7 @@ class OwnStateFilter:
         position, velocity, disturbance = self._moved(
             old["position"], old["velocity"], old["disturbance"], acceleration
         )
-        P = self._grown(from_upper(old["covariance"]), acceleration)
+        P = self._grown(_from_upper(old["covariance"]), acceleration)
         error = fix - position
         inside = ca.sumsqr(error) <= self.gate**2 * (P[0, 0] + variance)
         accepted = ca.logic_and(fresh, ca.logic_and(known, inside))
@@ -312,7 +437,7 @@ class OwnStateFilter:
 
     def _spread(self, covariance: ca.SX, accelerations: ca.SX) -> ca.SX:
         # present standard deviations (2,) of position [m] and velocity [m/s]
-        P = from_upper(covariance)
+        P = _from_upper(covariance)
         for k in reversed(range(self.late)):
             P = self._grown(P, accelerations[k, :].T)
         spread: ca.SX = ca.sqrt(ca.fmax(ca.vertcat(P[0, 0], P[1, 1]), 0.0))

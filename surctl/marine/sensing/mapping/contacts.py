@@ -17,7 +17,7 @@ import casadi as ca
 from surctl.errors import InputError
 from surctl.ir import Port, fold
 from surctl.marine.sensing.sonar.array import SonarArray
-from surctl.marine.sensing.sonar.cones import disc_range, turned, wall_range
+from surctl.marine.sensing.sonar.solids import disc_range, turned, wall_range
 
 __all__ = ["ContactMemory", "Contacts", "expected_range", "sonar_contacts"]
 

@@ -8,24 +8,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.marine.sensing.mapping.directions import (
-    BENT,
-    BESIDE,
-    DIRECTIONS,
-    MOVED,
-    NEAR,
-    PROTECTED,
-    WIDEST,
-    WIDEST_FREE,
-)
 from surctl.marine.sensing.mapping.firing import (
     _INSIDE,
     _INSIDE_MORE,
     _OF_A_MARK,
     _OF_THE_UNKNOWN,
+    BENT,
+    BESIDE,
     BLIND,
+    DIRECTIONS,
+    MOVED,
+    NEAR,
+    PROTECTED,
     READING,
     RING,
+    WIDEST,
+    WIDEST_FREE,
 )
 from surctl.marine.sensing.mapping.local_map import LocalMap
 from surctl.marine.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK

@@ -17,7 +17,6 @@ from math import cos, pi, sin
 import casadi as ca
 
 from surctl.ir import Program, lower_named
-from surctl.marine.sensing.mapping.directions import includes, level
 from surctl.marine.sensing.mapping.firing import (
     AXIS,
     BLIND,
@@ -28,6 +27,8 @@ from surctl.marine.sensing.mapping.firing import (
     cell_line,
     direction,
     in_front,
+    includes,
+    level,
     limit_values,
     named_limits,
     nearby,
@@ -39,7 +40,7 @@ __all__ = ["BASE", "BEAM", "NONE", "MapPrograms"]
 
 BASE, BEAM = 4, 3
 """Number of values in the base of a column or row, and in the beam of a column or row for one firing."""
-BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
+_BOUNDS = 5  # per firing, for the columns or rows of a block: most along, least, most across, least, most squared range
 
 _AT_A_WALL = 2  # cells beside a wall where unknown cells are ignored: a larger object also extends into the third cell
 _SLACK = 1e-3  # cells; a wall may be this far from a grid line
@@ -90,7 +91,7 @@ class MapPrograms:
     @cached_property
     def bounds_size(self) -> int:
         """Number of extreme values that `bounds` returns for a block's columns or rows."""
-        return 1 + BOUNDS * self.slots
+        return 1 + _BOUNDS * self.slots
 
     def corner(self) -> Program:
         """Program that computes the window's lowest cell.
@@ -206,8 +207,8 @@ class MapPrograms:
         for every cell of the block, despite rounding. Every condition is false for NaN, so a block with NaN is not
         skipped.
         """
-        at = 1 + BOUNDS * s
-        along, low, high, least, most = (row[at + k] + column[at + k] for k in range(BOUNDS))
+        at = 1 + _BOUNDS * s
+        along, low, high, least, most = (row[at + k] + column[at + k] for k in range(_BOUNDS))
         across = ca.fmax(ca.fmax(low, -high), 0)
         deepest = along * limit["sine"] - across * limit["cosine"]
         arc = ca.logic_or(least > limit["far"], most < limit["near"])

@@ -21,9 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, each
-from surctl.marine.sensing.ranging.elementwise import NUMBERS, SYMBOLS
 from surctl.marine.sensing.ranging.rules import range_step
-from surctl.marine.sensing.ranging.scene import MOST_REPEATS, Rules, StepInputs, others
+from surctl.marine.sensing.ranging.scene import MOST_REPEATS, NUMBERS, SYMBOLS, Rules, StepInputs, others
 from surctl.marine.sensing.sonar.array import SonarArray
 
 __all__ = ["RangeTracker", "Ranging"]

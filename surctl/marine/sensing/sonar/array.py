@@ -8,14 +8,94 @@ water, longer than the time ΔT between two firings.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import acos, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin
+from math import acos, asin, atan2, ceil, cos, degrees, hypot, inf, isfinite, pi, remainder, sin, sqrt
+from typing import Literal, TypeAlias, get_args
 
-from surctl.errors import InputError
-from surctl.marine.sensing.sonar.mounting import inside_hull, open_cones
-from surctl.marine.sensing.sonar.sound import Medium, speed_of_sound
+from surctl.errors import InputError, nearest
 from surctl.marine.world import Vector2
 
-__all__ = ["SonarArray"]
+__all__ = ["Medium", "SonarArray", "open_cones", "speed_of_sound"]
+
+Medium: TypeAlias = Literal["water", "air"]
+
+_MARCZAK = (1.402385e3, 5.038813, -5.799136e-2, 3.287156e-4, -1.398845e-6, 2.787860e-9)
+_RANGE = {"water": (0.0, 95.0), "air": (-20.0, 50.0)}  # °C; for air a design choice: temperatures of a test site
+
+
+def speed_of_sound(temperature: float, medium: Medium = "water") -> float:
+    """Return the speed of sound [m/s] at a temperature [°C] and atmospheric pressure.
+
+    For pure water: Marczak 1997, "Water as a standard in the measurements of speed of sound in liquids", J. Acoust.
+    Soc. Am. 102, 2776 (0 to 95 °C, within 0.02 m/s). For dry, ideal air: 331.3·sqrt(1 + T/273.15) (−20 to 50 °C).
+
+    Raises:
+        InputError: if the medium is unknown, or the temperature is outside the range of the formula.
+
+    Example:
+        >>> from surctl.marine.sensing import speed_of_sound
+        >>> round(speed_of_sound(20.0), 2), round(speed_of_sound(20.0, "air"), 2)
+        (1482.38, 343.21)
+    """
+    if medium not in get_args(Medium):
+        raise InputError("is not known", key="medium", value=medium, remedy=nearest(str(medium), get_args(Medium)))
+    low, high = _RANGE[medium]
+    if not low <= temperature <= high:
+        raise InputError(
+            f"lies outside the range of the formula for {medium}",
+            key="temperature",
+            value=temperature,
+            remedy=f"give {low:g} to {high:g} °C",
+        )
+    if medium == "air":
+        return 331.3 * sqrt(1.0 + temperature / 273.15)
+    speed = 0.0
+    for factor in reversed(_MARCZAK):
+        speed = speed * temperature + factor
+    return speed
+
+
+_SLIVER = 1e-6  # rad; an opening narrower than twice this value is ignored
+_ON_HULL = 1e-9  # m; an apex up to this far inside the hull counts as on it
+
+
+def _inside_hull(mount: tuple[float, float], hull_radius: float) -> bool:
+    """Return whether an apex (x, y) in {B} [m] lies strictly inside the hull."""
+    return hypot(*mount) < hull_radius - _ON_HULL
+
+
+def open_cones(
+    mount: tuple[float, float], azimuth: float, *, half_angle: float, hull_radius: float
+) -> tuple[tuple[float, float], ...]:
+    """Return the parts of a beam that the hull does not hide, from right to left.
+
+    Each part is given as (offset from the beam's axis, half angle) [rad].
+
+    Seen from an apex at distance ρ from the centre, the hull (a disc of radius R) hides the bearings within asin(R/ρ)
+    of the centre's bearing. Seen from an apex on the hull, the hull hides the half-plane behind the apex. No object can
+    lie between apex and hull. The result is the whole beam, one part of the beam, two parts (one on each side of the
+    hull), or empty.
+
+    Args:
+        mount: (2,) apex in {B} [m], not inside the hull.
+        azimuth: direction of the beam's axis in {B} [rad].
+        half_angle: half the opening angle of the beam [rad], below π/2.
+        hull_radius: radius R of the hull [m]; a hull of radius 0 hides nothing.
+    """
+    distance = hypot(*mount)
+    if hull_radius <= 0.0:
+        return ((0.0, half_angle),)
+    hidden = asin(min(1.0, hull_radius / distance))
+    centre = atan2(-mount[1], -mount[0]) - azimuth
+    centre -= 2.0 * pi * round(centre / (2.0 * pi))
+    parts = [(-half_angle, half_angle)]
+    for turn in (-2.0 * pi, 0.0, 2.0 * pi):
+        low, high = centre + turn - hidden, centre + turn + hidden
+        cut = [piece for a, b in parts for piece in ((a, min(b, low)), (max(a, high), b))]
+        parts = [(a, b) for a, b in cut if b - a > 2.0 * _SLIVER]
+    if parts == [(-half_angle, half_angle)]:
+        return ((0.0, half_angle),)
+    return tuple((0.5 * (a + b), 0.5 * (b - a)) for a, b in parts)
+
 
 _SLACK = 1e-9  # s
 
@@ -274,7 +354,7 @@ def _check_mounts(array: SonarArray) -> None:
     )
     for i, mount in enumerate(array.mounts):
         _require(
-            not inside_hull(mount, array.hull_radius),
+            not _inside_hull(mount, array.hull_radius),
             f"sensor {i} lies inside the hull of radius {array.hull_radius:g} m",
             key="mounts",
             value=mount,

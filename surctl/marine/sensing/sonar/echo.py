@@ -10,8 +10,7 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.marine.sensing.sonar.array import SonarArray
-from surctl.marine.sensing.sonar.cones import turned
-from surctl.marine.sensing.sonar.solids import Cone, Solid
+from surctl.marine.sensing.sonar.solids import Cone, Solid, turned
 
 __all__ = ["Beam", "beam_of", "echo_range", "echo_samples", "looks_of"]
 

@@ -1,40 +1,153 @@
-"""Faults of a sonar, and the samples that arrive from a firing when a fault acts on it.
+"""One firing of a sonar and its faults: in NumPy for a single run, and as symbols for compiled loops.
 
 A fault is scheduled for a sensor, a start time and a duration (`Fault`), or it is random with a probability per firing
 (`FaultChances`). At most one fault acts on a firing: the first scheduled fault that is active, otherwise the random
 fault.
+
+The model omits the water surface and the vertical opening of a beam: cones are planar at the robot's depth. The caller
+selects the obstacles that a beam meets at the robot's depth; in the closed loop, `simulation.column` selects these
+obstacles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import floor, inf
-from typing import Annotated, Literal, TypeAlias, get_args
+from math import floor, inf, isfinite
+from typing import Annotated, Literal, NamedTuple, TypeAlias, get_args
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from surctl.errors import InputError
 from surctl.files import Strict
+from surctl.ir import Port
 from surctl.marine.sensing.sonar.array import SonarArray
-from surctl.marine.sensing.sonar.firing import firing_samples
+from surctl.marine.sensing.sonar.echo import echo_samples
+from surctl.marine.world import Shape, Vector2, nearest_echo
 
 __all__ = [
     "FAULT_KINDS",
     "LONGEST_DELAY",
+    "SLOT",
+    "Arrival",
     "Fault",
     "FaultChances",
     "FaultKind",
     "FaultState",
     "check_faults",
-    "delay_firings",
-    "fault_end",
+    "fault_ports",
+    "fault_slots",
     "fault_state",
     "faulty",
+    "faulty_samples",
+    "fire",
+    "firing_samples",
+    "true_range",
 ]
+
+
+def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
+    """Return the distance [m] from a sensor's apex to the nearest reflecting point in its cones; inf if none exists.
+
+    Args:
+        array: the sonar array.
+        sensor: index of the sensor.
+        position: (2,) centre of the robot in {E} [m].
+        heading: ψ [rad].
+        shapes: all reflecting shapes of the scene, at their present positions.
+
+    Raises:
+        InputError: if the sensor does not exist, or the position or heading is not finite.
+
+    Example:
+        >>> from surctl.marine.sensing import SonarArray, true_range
+        >>> from surctl.marine.world import Disc
+        >>> pipe = Disc((3.0, 1.0), 0.2)
+        >>> place = {"position": (1.0, 1.0), "heading": 0.0}
+        >>> [true_range(SonarArray(), sensor, shapes=[pipe], **place) for sensor in (0, 2)]  # ahead, astern
+        [1.53, inf]
+    """
+    x, y, axis = array.apex(sensor, position=position, heading=heading)
+    if not isfinite(x + y):
+        raise InputError("position and heading must be finite", key="position", value=(x, y, heading))
+    scene, limit = list(shapes), array.incidence_limit
+    return min(
+        nearest_echo(scene, (x, y), axis + offset, half_angle=half, incidence_limit=limit)
+        for offset, half in array.cones[sensor]
+    )
+
+
+def fire(
+    array: SonarArray,
+    sensor: int,
+    *,
+    position: Vector2,
+    heading: float,
+    shapes: Iterable[Shape],
+    noise: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the raw samples (samples,) [m] of one firing in a scene of shapes.
+
+    Args:
+        array: the sonar array.
+        sensor: index of the sensor.
+        position: (2,) centre of the robot in {E} [m].
+        heading: ψ [rad].
+        shapes: all reflecting shapes of the scene, at their present positions.
+        noise: (samples,) standard normal numbers.
+
+    Raises:
+        InputError: if `true_range` raises InputError, or `noise` does not have the shape (samples,).
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.sensing import SonarArray, fire
+        >>> from surctl.noise import NoiseStream
+        >>> from surctl.marine.world import Disc
+        >>> noise, pipe = NoiseStream(0).normals(6)[:5], Disc((3.0, 1.0), 0.2)
+        >>> fire(SonarArray(), 0, position=(1.0, 1.0), heading=0.0, shapes=[pipe], noise=noise).round(3).tolist()
+        [1.518, 1.553, 1.535, 1.518, 1.5]
+    """
+    return firing_samples(
+        array, true_range(array, sensor, position=position, heading=heading, shapes=shapes), noise=noise
+    )
+
+
+def firing_samples(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the raw samples (samples,) [m] of a firing whose echo comes from `distance`, in order of time.
+
+    Each sample is scale · distance + bias + noise, limited to [lowest, maximum] and rounded to the nearest conversion
+    step (for example, the minimum of 0.2 m gives the nearest code, 0.194 m). Without an echo within the maximum, every
+    sample is the maximum.
+
+    Args:
+        array: the sonar array.
+        distance: true range [m]; inf if there is no echo.
+        noise: (samples,) standard normal numbers.
+
+    Raises:
+        InputError: if `noise` does not have the shape (samples,).
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.sensing import SonarArray, firing_samples
+        >>> array, exact = SonarArray(), np.zeros(5)
+        >>> [firing_samples(array, distance, noise=exact)[0].round(3).tolist() for distance in (0.05, 1.53, np.inf)]
+        [0.194, 1.535, 4.5]
+    """
+    if np.shape(noise) != (array.samples,):
+        raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({array.samples},)")
+    if distance > array.maximum:
+        return np.full(array.samples, array.maximum)
+    reading = np.clip(array.scale * distance + array.bias + array.noise_sd * noise, array.lowest, array.maximum)
+    top = array.top_code
+    codes: NDArray[np.float64] = np.floor(reading * top / array.maximum + 0.5)
+    return codes * array.maximum / top
+
 
 FaultKind: TypeAlias = Literal[
     "dropout", "dead", "stuck", "zero", "maximum", "spike", "second_echo", "crosstalk", "delay"
@@ -43,7 +156,7 @@ FAULT_KINDS: tuple[FaultKind, ...] = get_args(FaultKind)
 LONGEST_DELAY = 8
 """Largest delay of a fault, in firings of its sensor."""
 
-SLACK = 1e-6
+_SLACK = 1e-6
 """Tolerance [s] for the start and end of a fault, because times are rounded sums of control periods."""
 
 Positive = Annotated[float, Field(gt=0)]
@@ -164,7 +277,7 @@ def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChanc
             raise InputError("no such sensor", key=f"faults.{k}.sensor", value=fault.sensor, remedy=remedy)
         if fault.kind == "crosstalk" and array.size == 1:
             raise InputError("crosstalk needs at least two sensors", key=f"faults.{k}.kind", value=fault.kind)
-        if delay_firings(array, fault) > LONGEST_DELAY:
+        if _delay_firings(array, fault) > LONGEST_DELAY:
             raise InputError(
                 f"is longer than {LONGEST_DELAY} cycles of {array.cycle:g} s",
                 key=f"faults.{k}.delay_s",
@@ -173,12 +286,12 @@ def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChanc
             )
 
 
-def delay_firings(array: SonarArray, fault: Fault) -> int:
+def _delay_firings(array: SonarArray, fault: Fault) -> int:
     """Return the delay of a fault as a number m of firings of its sensor; 0 if the fault is not a delay."""
     return 0 if fault.delay_s is None else max(1, floor(fault.delay_s / array.cycle + 0.5 + 1e-9))
 
 
-def fault_end(array: SonarArray, fault: Fault) -> float:
+def _fault_end(array: SonarArray, fault: Fault) -> float:
     """Return the time at which a fault ends [s]; inf if the fault never ends."""
     if fault.duration_s is None:
         return fault.start_s + array.cycle if fault.kind == "spike" else inf
@@ -247,8 +360,8 @@ def faulty(
     elif kind == "crosstalk":
         samples = state.last[array.order[array.order.index(sensor) - 1]]
     elif kind == "delay" and active is not None:
-        m = delay_firings(array, active)
-        began = time - m * array.cycle >= active.start_s - SLACK
+        m = _delay_firings(array, active)
+        began = time - m * array.cycle >= active.start_s - _SLACK
         samples = state.history[sensor, m - 1] if began else None
     last, history = state.last.copy(), state.history.copy()
     history[sensor] = np.vstack((own, history[sensor, :-1]))
@@ -258,10 +371,186 @@ def faulty(
 
 
 def _acts(array: SonarArray, fault: Fault, time: float) -> bool:
-    return fault.start_s - SLACK <= time < fault_end(array, fault) - SLACK
+    return fault.start_s - _SLACK <= time < _fault_end(array, fault) - _SLACK
 
 
 def _spike(array: SonarArray, uniform: float) -> float:
     # from the lowest reading to the maximum, rounded to a conversion step
     value, top = array.lowest + uniform * (array.maximum - array.lowest), array.top_code
     return floor(value * top / array.maximum + 0.5) * array.maximum / top
+
+
+SLOT = 5
+"""Number of values that describe one fault: code of kind (0: none), sensor, start [s], end [s], delay [firings]."""
+
+_NEVER = 1e30  # s
+
+
+class Arrival(NamedTuple):
+    """The result of `faulty_samples`, as CasADi SX expressions."""
+
+    samples: ca.SX
+    """(samples, 1) samples of the firing [m]; if none arrive, the samples that arrived last from the sensor."""
+    arrived: ca.SX
+    """1 if samples arrive, else 0."""
+    state: dict[str, ca.SX]
+    """Next state: value of each entry, by name."""
+
+
+def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArray[np.float64]:
+    """Return the faults as an array (count, SLOT), one fault per row in the given order; unused rows are 0.
+
+    Raises:
+        InputError: if there are more than `count` faults, or a fault is impossible for the array.
+
+    Example:
+        >>> from surctl.marine.sensing import Fault, SonarArray, fault_slots
+        >>> fault = Fault(sensor=1, kind="dropout", start_s=2.0, duration_s=0.5)
+        >>> fault_slots(SonarArray(), [fault], 2).tolist()  # kind, sensor, start, end, delay
+        [[1.0, 1.0, 2.0, 2.5, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
+    """
+    if len(faults) > count:
+        raise InputError(
+            f"{len(faults)} are given, but at most {count} are possible", key="faults", remedy="give fewer"
+        )
+    check_faults(array, faults)
+    slots = np.zeros((count, SLOT))
+    for k, fault in enumerate(faults):
+        end = min(_fault_end(array, fault), _NEVER)
+        slots[k] = _code(fault.kind), fault.sensor, fault.start_s, end, _delay_firings(array, fault)
+    return slots
+
+
+def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[Port, ...]:
+    """Return the entries (name, shape, initial value) of the fault state.
+
+    The state consists of the samples that arrived last from each sensor and, with `delays`, of earlier samples. Each
+    row of the earlier samples holds the samples of the last `LONGEST_DELAY` firings of one sensor, newest firing first.
+
+    Example:
+        >>> from surctl.marine.sensing import SonarArray, fault_ports
+        >>> [(port.name, port.shape) for port in fault_ports(SonarArray(), delays=True)]  # 5 samples of 8 firings
+        [('last', (4, 5)), ('history', (4, 40))]
+    """
+    n, samples, far = array.size, array.samples, array.maximum
+    last = Port(f"{prefix}last", (n, samples), "m", "samples that arrived last from each sonar", far)
+    if not delays:
+        return (last,)
+    meaning = "fault-free samples of each sonar's last firings, newest first"
+    return (last, Port(f"{prefix}history", (n, LONGEST_DELAY * samples), "m", meaning, far))
+
+
+def faulty_samples(
+    array: SonarArray,
+    state: Mapping[str, ca.SX],
+    sensor: ca.SX,
+    *,
+    time: ca.SX,
+    distance: ca.SX,
+    noise: ca.SX,
+    slots: ca.SX,
+    chances: ca.SX,
+    uniforms: ca.SX,
+    delays: bool,
+    prefix: str = "",
+) -> Arrival:
+    """Return the samples that arrive from one firing, and the next fault state; see `faulty`.
+
+    Args:
+        array: the sonar array.
+        state: value of each entry of `fault_ports`, by name.
+        sensor: index of the sensor that fires.
+        time: time of the firing [s].
+        distance: range to the nearest reflecting point [m], from `echo_range`.
+        noise: (samples, 1) standard normal numbers.
+        slots: (k, SLOT) scheduled faults from `fault_slots`; k may be 0.
+        chances: (6, 1) probabilities of random faults, from `FaultChances.numbers`.
+        uniforms: (2, 1) uniform numbers in (0, 1): the first selects the random fault, the second gives the value of a
+            spike.
+        delays: whether the state holds the samples of earlier firings; if not, no scheduled fault may be a delay.
+        prefix: prefix of the names of the state's entries.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Layout
+        >>> from surctl.marine.sensing import Fault, SonarArray, fault_ports, fault_slots, faulty_samples
+        >>> array, time = SonarArray(samples=1), ca.SX.sym("time")
+        >>> layout = Layout(fault_ports(array, delays=False))
+        >>> slots = ca.SX(fault_slots(array, [Fault(sensor=0, kind="zero", start_s=1.0)], 1))
+        >>> random = {"noise": ca.SX(0.0), "chances": ca.SX.zeros(6), "uniforms": ca.SX([0.5, 0.5])}
+        >>> flat, state = layout.symbols()
+        >>> one = {"distance": ca.SX(1.0), "slots": slots, "delays": False}
+        >>> arrival = faulty_samples(array, state, ca.SX(0), time=time, **one, **random)
+        >>> samples = ca.Function("samples", [flat, time], [arrival.samples])
+        >>> samples(layout.pack(), 0.5), samples(layout.pack(), 1.5)
+        (DM(1.00588), DM(0))
+    """
+    own = echo_samples(array, distance, noise=noise)
+    last = state[f"{prefix}last"]
+    kind, late, start = _active_fault(slots, sensor, time)
+    kind = ca.if_else(kind > 0, kind, _struck(chances, uniforms[0]))
+    before = [array.order[array.order.index(i) - 1] for i in range(array.size)]
+    mine = _row(sensor, [last[i, :].T for i in range(array.size)])
+    choices: dict[FaultKind, ca.SX | float] = {
+        "stuck": mine,
+        "zero": 0.0,
+        "maximum": array.maximum,
+        "spike": _spike_symbols(array, uniforms[1]),
+        "second_echo": echo_samples(array, 2.0 * distance, noise=noise),
+        "crosstalk": _row(sensor, [last[i, :].T for i in before]),
+    }
+    samples = own
+    for name, value in choices.items():
+        samples = ca.if_else(kind == _code(name), value, samples)
+    lost = ca.logic_or(kind == _code("dropout"), kind == _code("dead"))
+    after = {}
+    if delays:
+        rows = [state[f"{prefix}history"][i, :].T for i in range(array.size)]
+        delayed = kind == _code("delay")
+        waiting = time - late * array.cycle < start - _SLACK
+        lost = ca.logic_or(lost, ca.logic_and(delayed, waiting))
+        history = _row(sensor, rows)
+        old = [history[k * array.samples : (k + 1) * array.samples] for k in range(LONGEST_DELAY)]
+        samples = ca.if_else(delayed, _row(late - 1, old), samples)
+        shifted = ca.vertcat(own, history[: -array.samples])
+        after[f"{prefix}history"] = ca.vertcat(*(ca.if_else(sensor == i, shifted, row).T for i, row in enumerate(rows)))
+    samples = ca.if_else(lost, mine, samples)
+    after[f"{prefix}last"] = ca.vertcat(*(ca.if_else(sensor == i, samples.T, last[i, :]) for i in range(array.size)))
+    return Arrival(samples, ca.logic_not(lost), after)
+
+
+def _active_fault(slots: ca.SX, sensor: ca.SX, time: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    # code, delay and start; code 0 if no fault is active
+    kind, late, start = ca.SX(0), ca.SX(0), ca.SX(0)
+    for k in reversed(range(slots.shape[0])):
+        code, whose, begin, end, firings = (slots[k, j] for j in range(SLOT))
+        acts = ca.logic_and(whose == sensor, ca.logic_and(time >= begin - _SLACK, time < end - _SLACK))
+        kind, late, start = (ca.if_else(acts, new, old) for new, old in ((code, kind), (firings, late), (begin, start)))
+    return kind, late, start
+
+
+def _struck(chances: ca.SX, uniform: ca.SX) -> ca.SX:
+    # code 0 if no fault occurs
+    passed, code, below = ca.SX(0), ca.SX(0), ca.SX(0)
+    for k, kind in enumerate(FaultChances.kinds()):
+        passed = passed + chances[k]
+        now = uniform < passed
+        code = ca.if_else(ca.logic_and(now, ca.logic_not(below)), _code(kind), code)
+        below = now
+    return code
+
+
+def _spike_symbols(array: SonarArray, uniform: ca.SX) -> ca.SX:
+    value, top = array.lowest + uniform * (array.maximum - array.lowest), float(array.top_code)
+    return ca.floor(value * top / array.maximum + 0.5) * array.maximum / top
+
+
+def _row(index: ca.SX, rows: Sequence[ca.SX]) -> ca.SX:
+    selected = rows[0]
+    for k, row in enumerate(rows[1:], 1):
+        selected = ca.if_else(index == k, row, selected)
+    return selected
+
+
+def _code(kind: FaultKind) -> int:
+    return 1 + FAULT_KINDS.index(kind)

@@ -2,25 +2,91 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError, ToolMissing, nearest
-from surctl.ir import Batch, SlowerEngine, compile_batch_source, to_casadi, warn_slower
-from surctl.marine.simulation.batch.bodies import ABSENT
+from surctl.errors import InputError, SurctlError, ToolMissing, nearest
+from surctl.ir import (
+    Batch,
+    SlowerEngine,
+    batch_source,
+    cached_bytes,
+    compile_batch_source,
+    fused,
+    source_digest,
+    to_casadi,
+    warn_slower,
+    without_libm,
+)
+from surctl.marine.control.build import LAW_SOURCES
 from surctl.marine.simulation.batch.case import Case, check_values
-from surctl.marine.simulation.batch.counting import VARIATIONS
+from surctl.marine.simulation.batch.listening import VARIATIONS
 from surctl.marine.simulation.batch.loop import Loop, Structure, build_loop
 from surctl.marine.simulation.batch.pack import Packed, pack, structure_of
-from surctl.marine.simulation.batch.stored import stored_loop
+from surctl.marine.simulation.batch.structure import ABSENT
 from surctl.marine.simulation.metrics import METRICS, STOPS
+from surctl.own_code import is_own
 
-__all__ = ["ENGINES", "BatchResult", "Engine", "SlowerEngine", "broadcast", "compiled_loop", "simulate_batch"]
+__all__ = [
+    "ENGINES",
+    "BatchResult",
+    "Engine",
+    "SlowerEngine",
+    "StoredLoop",
+    "broadcast",
+    "compiled_loop",
+    "simulate_batch",
+    "stored_loop",
+]
+
+_SOURCES = (
+    *LAW_SOURCES,
+    *(f"surctl.{name}" for name in ("files", "own_code", "units")),
+    *(f"surctl.marine.{name}" for name in ("allocation", "simulation", "world")),
+)
+"""Packages whose source code determines the instruction list of a closed loop."""
+
+
+class StoredLoop(NamedTuple):
+    """A closed loop for many runs.
+
+    Attributes:
+        digest: digest of the loop's step.
+        source: C text that `compile_batch_source` compiles.
+    """
+
+    digest: str
+    source: str
+
+
+@cache
+def stored_loop(structure: Structure) -> StoredLoop:
+    """Return the digest and the C text of a loop, from the cache on disk if a process with this source code stored it.
+
+    A loop with a law of the user's own is built again in every process, because the modules that its file imports may
+    have changed. So is a loop with thrusters, whose numbers have no exact text.
+    """
+    if is_own(structure.law) or structure.actuators is not None:
+        return _built(structure)
+    try:
+        sources = source_digest(*_SOURCES)
+    except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached loop
+        return _built(structure)
+    key = hashlib.sha256(f"{sources}\0{structure!r}".encode()).hexdigest()
+    stored = cached_bytes(key, ".loop", lambda: "\n".join(_built(structure)).encode())
+    return StoredLoop(*stored.decode().split("\n", 1))
+
+
+def _built(structure: Structure) -> StoredLoop:
+    step = build_loop(structure).step
+    return StoredLoop(step.digest(), batch_source(fused(without_libm(step))))
+
 
 Engine = Literal["auto", "c", "vm"]
 ENGINES: tuple[Engine, ...] = get_args(Engine)

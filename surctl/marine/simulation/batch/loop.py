@@ -29,16 +29,12 @@ from surctl.ir import (
 )
 from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
-from surctl.marine.simulation.batch.bodies import ABSENT, Body, body_at, body_size
-from surctl.marine.simulation.batch.counting import SUMS, counted, path_square, path_tangent
-from surctl.marine.simulation.batch.driving import driven
-from surctl.marine.simulation.batch.listening import Listening, flat, slots
-from surctl.marine.simulation.batch.mission import Mission
-from surctl.marine.simulation.batch.structure import Structure
+from surctl.marine.simulation.batch.listening import SUMS, Listening, counted, flat, path_square, path_tangent, slots
+from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_at, body_size, driven
 from surctl.marine.simulation.column import LONGEST
 from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
+from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.sensors import FIRING
-from surctl.marine.simulation.stepping import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 from surctl.noise import NOISE_STATE
 

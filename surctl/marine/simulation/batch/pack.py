@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from surctl.marine.allocation import working_flags
 from surctl.marine.control import WORKING
 from surctl.marine.sensing import FaultChances, echo_keys, echo_number, fault_slots
-from surctl.marine.simulation.batch.bodies import NO_END, body_columns, kind_of
 from surctl.marine.simulation.batch.case import Case, case_parameters
 from surctl.marine.simulation.batch.loop import Loop, Structure
-from surctl.marine.simulation.batch.mission import capacity_for, mission_table
+from surctl.marine.simulation.batch.structure import NO_END, body_columns, capacity_for, kind_of, mission_table
 from surctl.marine.simulation.numbers import VISITED, law_numbers
 from surctl.marine.simulation.scenario import check_spacing
 from surctl.marine.simulation.world import WorldDraw, draw_world

@@ -1,18 +1,341 @@
-"""The loop structure: the part of a simulation setup that is fixed in the compiled loop."""
+"""The loop structure: the part of a simulation setup that is fixed in the compiled loop.
+
+The parameters of a run contain the mission's table. Each control step copies from it the rows around the target point
+and the rows around the robot, so the time of a step does not depend on the number of waypoints.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
 
-from surctl.marine.control import CONTACT_SLOTS, Barrier, Movers
-from surctl.marine.guidance import AvoidanceForm, Guidance
-from surctl.marine.sensing import Equipment, Surfaces
-from surctl.marine.simulation.batch.bodies import BodyKind
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.ir import Call, Gather, Layout, Port, Program, Step, lower_named
+from surctl.marine.control import ARC_LENGTHS, CONTACT_SLOTS, Barrier, Law, Movers
+from surctl.marine.guidance import (
+    AHEAD,
+    ROW,
+    SKIPS,
+    AvoidanceForm,
+    Guidance,
+    Path,
+    follow_on,
+    window_next,
+    window_values,
+)
+from surctl.marine.sensing import Equipment, Solid, SolidBox, SolidDisc, Surfaces
+from surctl.marine.simulation.column import BAND, FOOTPRINT, LONGEST
+from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
-from surctl.marine.vehicle import Actuators, PlantForm
+from surctl.marine.simulation.thruster_faults import fin_excess
+from surctl.marine.vehicle import Actuators, PlantForm, plant_state
 from surctl.priority import Mode
 
-__all__ = ["Structure"]
+__all__ = [
+    "ABSENT",
+    "NO_END",
+    "Body",
+    "BodyKind",
+    "Mission",
+    "Structure",
+    "body_at",
+    "body_columns",
+    "body_size",
+    "capacity_for",
+    "driven",
+    "kind_of",
+    "mission_table",
+]
+
+_LEAST = 16  # waypoints: paths of similar length use the same compiled loop
+_AROUND = SKIPS + 4  # rows around the robot: from the waypoint before its segment on
+
+
+def capacity_for(path: Path) -> int:
+    """Return the number of waypoints in the parameters of a run: a power of two if the path is fed, else 0."""
+    if not path.fed:
+        return 0
+    return max(_LEAST, 1 << (len(path.waypoints) - 1).bit_length())
+
+
+def mission_table(path: Path, capacity: int, *, visits: bool) -> NDArray[np.float64]:
+    """Return `Path.table` with `capacity` rows (capacity, 5); the last waypoint fills the remaining rows."""
+    table = path.table(visits=visits)
+    return table[np.minimum(np.arange(capacity), len(table) - 1)]
+
+
+class Mission:
+    """The steps of a compiled loop that feed the law, and the expressions for the robot's progress.
+
+    Args:
+        law: the law of the loop.
+        capacity: number of waypoints in the parameters, see `capacity_for`.
+        rises: whether the path changes its depth.
+    """
+
+    def __init__(self, law: Law, capacity: int, *, rises: bool) -> None:
+        self.law, self.capacity, self.rises = law, capacity, rises
+
+    @staticmethod
+    def state() -> Port:
+        """Return the state that a run needs for the law's window: the number of the first waypoint in it."""
+        return Port("first", (1,), "1", "number of the first waypoint in a row in the law's window", 1.0)
+
+    def parameters(self, before: Layout) -> tuple[Port, ...]:
+        """Return the entries that the mission adds to the parameters of a run, after the entries `before`."""
+        return (
+            Port("alignment", (-before.size % ROW,), "1", "not used: the table begins at a whole number of rows"),
+            Port("mission", (self.capacity, ROW), "m, m/s, 1", "one waypoint per row, see Path.table"),
+        )
+
+    @property
+    def around(self) -> tuple[str, ...]:
+        """Names of the rows around the robot, which the end of the control step reads."""
+        return tuple(f"around{k}" for k in range(_AROUND))
+
+    @property
+    def _window(self) -> tuple[str, ...]:
+        return ("start", *(f"row{k}" for k in range(AHEAD + 1)), "end")
+
+    def steps(self, state: Layout, parameters: Layout) -> tuple[Step, ...]:
+        """Return the steps that read state `s` and parameters `w` and write `x`, `p`, `first_next` and the rows."""
+        names = (*self._window, *self.around)
+        return (
+            Call(self._places(state, parameters), ("s", "w"), tuple(f"at_{name}" for name in names)),
+            *(Gather("w", f"at_{name}", ROW, name) for name in names),
+            Call(self._feed(state, parameters), ("s", "w", *self._window), ("x", "p", "first_next")),
+        )
+
+    def _places(self, state: Layout, parameters: Layout) -> Program:
+        # numbers of the pieces of w
+        s, old = state.symbols("s")
+        w, known = parameters.symbols("w")
+        base = parameters.slice("mission").start // ROW
+        numbers = [ca.SX(0), *(old["first"] + k for k in range(AHEAD + 1)), known["legs"]]
+        numbers += [old["leg"] - 1 + k for k in range(_AROUND)]
+        names = (*self._window, *self.around)
+        places = {
+            f"at_{name}": base + ca.fmin(ca.fmax(number, 0), known["legs"])
+            for name, number in zip(names, numbers, strict=True)
+        }
+        return lower_named("places", {"s": s, "w": w}, places)
+
+    def _feed(self, state: Layout, parameters: Layout) -> Program:
+        law = self.law
+        s, old = state.symbols("s")
+        w, known = parameters.symbols("w")
+        rows = {name: ca.SX.sym(name, ROW) for name in self._window}
+        x = law.state.split(old["law"])
+        table = ca.vertcat(*(rows[f"row{k}"].T for k in range(AHEAD + 1)))
+        last = ca.fmax(1, known["legs"] - AHEAD)
+        first, shift = window_next(old["first"], x["progress"], table, rows["start"][:2], last)
+        moved = first > old["first"]
+        ahead = ca.if_else(moved, table[1:, :], table[:-1, :])
+        window = ca.vertcat(rows["start"].T, ahead, rows["end"].T)
+        x |= {name: x[name] + shift for name in ARC_LENGTHS if name in law.state}
+        depth, cruise, visit = window_values(
+            window, x["progress"], depth=known["depth"], cruise=known["cruise"], visit=known["visit"]
+        )
+        fed = {"waypoints": window[:, :2], "depth": depth, "cruise": cruise, "visit": visit}
+        p = law.gains.join({port.name: fed.get(port.name, known[port.name]) for port in law.gains})
+        outputs = {"x": law.state.join(x), "p": p, "first_next": first}
+        return lower_named("feed", {"s": s, "w": w, **rows}, outputs)
+
+    def progress(
+        self, old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], rows: Mapping[str, ca.SX]
+    ) -> tuple[dict[str, ca.SX], ca.SX, ca.SX, ca.SX]:
+        """Return the robot's progress as expressions: state of `follow_on`, segments near it, its own, z of the path.
+
+        Args:
+            old: state of the run.
+            w: parameters of the run.
+            rows: the rows around the robot by name.
+
+        Returns:
+            Next state of `follow_on`; waypoints around the robot (k, 2) [m]; number of its segment among them; z [m].
+        """
+        table = ca.vertcat(*(rows[name].T for name in self.around))
+        following, moved = follow_on(old, table[1 : SKIPS + 3, :], w["legs"], old["plant"][:2], visit=w["visited"])
+        a, b = table[1, :], table[2, :]
+        for k in range(1, SKIPS + 1):
+            a, b = ca.if_else(moved == k, table[k + 1, :], a), ca.if_else(moved == k, table[k + 2, :], b)
+        length = ca.sqrt(ca.sumsqr(b[:2] - a[:2]))
+        rise = a[2] + (b[2] - a[2]) * (following["along"] / ca.fmax(length, 1e-12))
+        return following, table[:, :2], 1 + moved, w["depth"] + rise
+
+
+Columns: TypeAlias = NDArray[np.float64]
+BodyKind = Literal["box", "disc", "drifting box", "drifting disc", "mover"]
+
+ABSENT = 1e30  # [m] clearance of an absent obstacle
+NO_END = 1e6  # [m] height of an end beyond the floor or the surface
+
+
+@dataclass(frozen=True)
+class Body:
+    """An obstacle at one instant, as CasADi expressions.
+
+    Attributes:
+        centre: (2, 1) centre of the obstacle in the earth frame {E} [m].
+        size: (2, 1) edge lengths of a box, or (1, 1) radius of a disc [m].
+        velocity: (2, 1) velocity of the obstacle in {E} [m/s].
+        present: 1 if the obstacle is in the water, 0 after its removal.
+        moving: whether the base station (an external sensor for moving obstacles) tracks the obstacle.
+        heights: (2, 1) z of the obstacle's bottom and top [m]; None if it fills the whole water column.
+    """
+
+    centre: ca.SX
+    size: ca.SX
+    velocity: ca.SX
+    present: ca.SX
+    moving: bool
+    heights: ca.SX | None = None
+
+    @property
+    def boxed(self) -> bool:
+        """Whether the obstacle is a box."""
+        return bool(self.size.numel() == 2)
+
+    def clearance(self, position: ca.SX) -> ca.SX:
+        """Return the signed distance [m] from a point to the obstacle's surface.
+
+        If the obstacle is absent, the distance is the constant `ABSENT`.
+
+        A point (2, 1) gives the planar distance; a point (3, 1) gives the distance in 3D if the obstacle has `heights`.
+        """
+        distance = self._planar(position[:2])
+        if self.heights is not None and position.numel() == 3:
+            along = self._gap(position[2])
+            apart = ca.sqrt(ca.fmax(distance, 0) ** 2 + ca.fmax(along, 0) ** 2)
+            distance = ca.if_else(apart > 0, apart, ca.fmax(distance, along))
+        return ca.if_else(self.present, distance, ABSENT)
+
+    def beside(self, z: ca.SX, hull: ca.SX) -> Body:
+        """Return a copy of the obstacle, present only if a hull of radius `hull` [m] at height z [m] can touch it."""
+        if self.heights is None:
+            return self
+        return replace(self, present=ca.logic_and(self.present, self._gap(z) < hull + BAND))
+
+    def over_and_under(self, place: ca.SX, hull: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the free water [m] above and below a hull at `place` up to the obstacle.
+
+        Both values are limited to the constant `LONGEST`.
+        """
+        if self.heights is None:
+            return ca.SX(LONGEST), ca.SX(LONGEST)
+        bottom, top, z = self.heights[0], self.heights[1], place[2]
+        near = ca.logic_and(self.present, self._planar(place[:2]) < hull + FOOTPRINT)
+        above = ca.if_else(ca.logic_and(near, bottom > z), bottom - z - hull, LONGEST)
+        below = ca.if_else(ca.logic_and(near, top < z), z - hull - top, LONGEST)
+        return above, below
+
+    def _gap(self, z: ca.SX) -> ca.SX:
+        assert self.heights is not None
+        return ca.fmax(self.heights[0] - z, z - self.heights[1])
+
+    def _planar(self, position: ca.SX) -> ca.SX:
+        offset = position - self.centre
+        if self.boxed:
+            beyond = ca.fabs(offset) - 0.5 * self.size
+            outside = ca.sqrt(ca.sumsqr(ca.fmax(beyond, 0)))
+            distance = ca.if_else(outside > 0, outside, ca.fmax(beyond[0], beyond[1]))
+        else:
+            distance = ca.sqrt(ca.sumsqr(offset)) - self.size
+        return distance
+
+    def contact(self, position: ca.SX) -> ca.SX:
+        """Return the obstacle as input of the law: a row (1, 6) with x, y, radius, vx, vy, and 1 if it is present.
+
+        For a box, the row holds the box's point nearest to `position`, with radius 0.
+        """
+        if self.boxed:
+            half = 0.5 * self.size
+            point = self.centre + ca.fmin(ca.fmax(position - self.centre, -half), half)
+            radius = ca.SX(0)
+        else:
+            point, radius = self.centre, self.size
+        row = ca.vertcat(point, radius, self.velocity, 1)
+        return ca.if_else(self.present, row, ca.SX.zeros(6)).T
+
+    @property
+    def solid(self) -> Solid:
+        """The surface of the obstacle, which reflects the sonar pulses."""
+        if self.boxed:
+            return SolidBox(self.centre, self.size, present=self.present)
+        return SolidDisc(self.centre, self.size, present=self.present)
+
+
+def kind_of(obstacle: Obstacle, *, drifting: bool) -> BodyKind:
+    """Return the kind (shape and motion) of the obstacle; the kind cannot change after the loop is compiled."""
+    if obstacle.shape == "moving":
+        return "mover"
+    if obstacle.shape == "box":
+        return "drifting box" if drifting else "box"
+    return "drifting disc" if drifting else "disc"
+
+
+def body_size(kind: BodyKind) -> int:
+    """Return the number of parameters that describe an obstacle of this kind."""
+    return {"box": 4, "disc": 3, "drifting box": 8, "drifting disc": 7, "mover": 8}[kind]
+
+
+def body_at(kind: BodyKind, numbers: ca.SX, time: ca.SX) -> Body:
+    """Return the obstacle at a time [s], computed from the parameter values that `body_columns` returns."""
+    start = numbers[:2]
+    if kind == "mover":
+        direction, distance, speed, stays = numbers[3:5], numbers[5], numbers[6], numbers[7]
+        there = speed * time >= distance
+        velocity = ca.if_else(there, 0, speed) * direction
+        where = start + ca.fmin(speed * time, distance) * direction
+        return Body(where, numbers[2], velocity, ca.logic_or(ca.logic_not(there), stays), moving=True)
+    shape = 2 if kind.endswith("box") else 1
+    size, drift = numbers[2 : 2 + shape], numbers[2 + shape :]
+    if not kind.startswith("drifting"):
+        return Body(start, size, ca.SX.zeros(2), ca.SX(1), moving=False)
+    angle = drift[2] * time + drift[3]
+    return Body(start + ca.sin(angle) * drift[:2], size, drift[2] * ca.cos(angle) * drift[:2], ca.SX(1), moving=False)
+
+
+def body_columns(
+    obstacle: Obstacle,
+    kind: BodyKind,
+    *,
+    number: Callable[[str], Columns],
+    values: Mapping[str, Columns],
+    hull: Columns,
+    direction: Columns,
+    phase: Columns,
+) -> list[Columns]:
+    """Return the obstacle parameters that `body_at` needs for n runs: one array (n,) per parameter, or a scalar.
+
+    Args:
+        obstacle: the obstacle of the scenario.
+        kind: kind of the obstacle, from `kind_of`.
+        number: function that returns the values of an obstacle parameter; its argument is the last part of the
+            parameter's name.
+        values: values of the changed parameters, by full name of the parameter; the names show whether the radius was
+            changed.
+        hull: (n,) hull radius [m]; a moving obstacle without a stated radius takes this radius.
+        direction: (n, 2) unit vector along the obstacle's drift (a sinusoidal motion).
+        phase: (n,) phase of the drift [rad].
+    """
+    x, y = number("x"), number("y")
+    if kind == "mover":
+        own = obstacle.radius_m is not None or f"obstacle.{obstacle.name}.radius" in values
+        displacement = np.stack(np.broadcast_arrays(number("to_x") - x, number("to_y") - y))
+        distance = np.hypot(*displacement)
+        unit = displacement / np.where(distance > 0, distance, 1.0)
+        stays = np.asarray(float(not obstacle.removed))
+        return [x, y, number("radius") if own else hull, unit[0], unit[1], distance, number("speed"), stays]
+    size = [number("size_x"), number("size_y")] if kind.endswith("box") else [number("radius")]
+    if not kind.startswith("drifting"):
+        return [x, y, *size]
+    rate, amplitude = 2 * np.pi / number("drift_period"), number("drift")
+    return [x, y, *size, amplitude * direction[:, 0], amplitude * direction[:, 1], rate, phase]
 
 
 @dataclass(frozen=True)
@@ -85,3 +408,26 @@ class Structure:
     def contacts(self) -> int:
         """Number of obstacle points that the law receives."""
         return min(CONTACT_SLOTS, self.movers if self.sensing == "sonar" else len(self.bodies))
+
+
+def driven(structure: Structure, law: Law, parameters: Layout) -> Program:
+    """Return the program from a run's parameters and the law's command to the thrust, with the errors of the scenario.
+
+    With fins, the state of the plant and the law's telemetry are inputs too: a fin gives the force of its deflection at
+    the speed through the water, as in `Thrusters.achieved`.
+    """
+    w, known = parameters.symbols("w")
+    tau, inputs = ca.SX.sym("tau", 4), dict[str, ca.SX]()
+    delivered = tau
+    if structure.actuators is not None and structure.actuators.fins:
+        sizes = {"plant": plant_state(structure.form).size, "telemetry": law.outputs.size - 4}
+        inputs = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        forces, commands = (
+            inputs["telemetry"][law.telemetry_slice(name)] for name in ("thruster_force", "thruster_command")
+        )
+        psi = inputs["plant"][3]
+        along = ca.dot(ca.vertcat(ca.cos(psi), ca.sin(psi)), known["current"])
+        speed = ca.fmax(inputs["plant"][4] - along, 0)
+        delivered += fin_excess(structure.actuators, forces, commands, speed * speed)
+    thrust = delivered * known["thrust_gain"] + known["thrust_bias"]
+    return lower_named("drive", {"w": w, "tau": tau, **inputs}, {"thrust": thrust})

@@ -1,15 +1,25 @@
 """Monte Carlo campaigns: many random runs of a scenario, and their statistics."""
 
-from surctl.marine.simulation.campaign.assumptions import assumptions
-from surctl.marine.simulation.campaign.campaign import CHUNK, FASTEST, Campaign, run_campaign
-from surctl.marine.simulation.campaign.draws import MonteCarlo, draw_plant
-from surctl.marine.simulation.campaign.folder import CampaignFolder
-from surctl.marine.simulation.campaign.plan import Plan, SampledRun
-from surctl.marine.simulation.campaign.replay import Replay, load_replay
-from surctl.marine.simulation.campaign.share import Share
-from surctl.marine.simulation.campaign.summary import Summary, summarise
-from surctl.marine.simulation.campaign.table import RunTable
-from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, RandomWorlds, random_world, world_template
+from surctl.marine.simulation.campaign.campaign import (
+    CHUNK,
+    FASTEST,
+    Campaign,
+    CampaignFolder,
+    Replay,
+    load_replay,
+    run_campaign,
+)
+from surctl.marine.simulation.campaign.summary import RunTable, Share, Summary, assumptions, summarise
+from surctl.marine.simulation.campaign.worlds import (
+    WORLDS_VEHICLE,
+    MonteCarlo,
+    Plan,
+    RandomWorlds,
+    SampledRun,
+    draw_plant,
+    random_world,
+    world_template,
+)
 
 __all__ = [
     "CHUNK",

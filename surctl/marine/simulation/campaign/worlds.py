@@ -5,21 +5,215 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
-from surctl.marine.simulation.campaign.draws import draw_plant
-from surctl.marine.simulation.campaign.plan import SampledRun, SeededPlan
+from surctl.marine.simulation.batch import Case
 from surctl.marine.simulation.fit import findings
+from surctl.marine.simulation.loop import simulate
 from surctl.marine.simulation.motion import closest
 from surctl.marine.simulation.obstacle import Obstacle
+from surctl.marine.simulation.run import Run
 from surctl.marine.simulation.scenario import Scenario, scenario_from_table
+from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["FASTEST_MOVER", "SLOWEST", "WORLDS_VEHICLE", "RandomWorlds", "random_world", "world_template"]
+__all__ = [
+    "WORLDS_VEHICLE",
+    "MonteCarlo",
+    "Plan",
+    "RandomWorlds",
+    "SampledRun",
+    "SeededPlan",
+    "draw_plant",
+    "random_world",
+    "world_template",
+]
+
+Columns = Mapping[str, NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class SampledRun:
+    """One random run of a campaign.
+
+    Attributes:
+        case: the setup with the scenario of this run; its vehicle is the law's model unless `case.model` is set.
+        seed: seed of all random choices except those in `draw`.
+        draw: parameters in which the simulated vehicle differs from the vehicle of `case`, by name, in the units of the
+            vehicle file.
+    """
+
+    case: Case
+    seed: int = 0
+    draw: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+
+    def simulate(self) -> Run:
+        """Simulate the run with `simulate`, that is, without compiled code.
+
+        Raises:
+            InputError: the hull starts inside an obstacle, or a drawn number is outside the range in the vehicle file.
+        """
+        case = self.case
+        return simulate(
+            case.scenario,
+            case.vehicle.with_values(self.draw),
+            gains=case.gains,
+            law=case.build(),
+            sensing=case.sensing,
+            seed=self.seed,
+            model=case.model or case.vehicle,
+        )
+
+
+@dataclass(frozen=True)
+class SeededPlan:
+    """Base class of all plans that draw every run from a seed; run k has the seed `first` + k.
+
+    Attributes:
+        case: the setup whose loop is compiled; the runs differ from this setup only in the drawn values.
+        first: seed of the first run, at least 0.
+    """
+
+    case: Case
+    first: int = 0
+
+    @property
+    def name(self) -> str:
+        """Name of the scenario."""
+        return self.case.scenario.name
+
+    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
+        """Return the seeds of `count` runs, see `Plan.seeds`."""
+        return np.arange(self.first + first, self.first + first + count)
+
+
+class Plan(Protocol):
+    """Interface of a plan, which generates the runs of a campaign; run number k depends only on k."""
+
+    @property
+    def name(self) -> str:
+        """Name of the campaign."""
+
+    @property
+    def case(self) -> Case:
+        """The setup whose loop is compiled; every run is this setup with different parameter values."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters that the plan draws at random."""
+
+    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
+        """Return the seeds (count,) of the runs from number `first` on."""
+
+    def values(self, first: int, count: int) -> Columns:
+        """Return the drawn values (count,) of the runs from number `first` on, by parameter name."""
+
+    def run(self, k: int) -> SampledRun:
+        """Return run number k as a single run, which can be simulated without compiled code."""
+
+    def settings(self) -> Mapping[str, object]:
+        """Return the settings, besides the setup, that the runs depend on, as plain data."""
+
+
+def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
+    """Draw vehicle parameters uniformly within their stated ranges; other parameters keep their values."""
+    rng = np.random.default_rng([seed, 3])
+    ranges = {name: p.range for name, p in vehicle.parameters.items() if p.range is not None}
+    return {name: float(rng.uniform(*ends)) for name, ends in ranges.items()}
+
+
+@dataclass(frozen=True)
+class MonteCarlo(SeededPlan):
+    """Runs of a scenario with random plants, obstacles and seeds, see `Uncertainty`.
+
+    Raises:
+        InputError: an obstacle of the largest possible size covers the start.
+    """
+
+    def __post_init__(self) -> None:
+        """Check that every possible draw can be simulated."""
+        u = self.case.scenario.uncertainty
+        grown = [_scaled(o, self.case.vehicle, 1 + u.obstacle_size, 1.0) for o in self.case.scenario.obstacles]
+        try:
+            build_world(replace(self.case.scenario, obstacles=tuple(grown)), self.case.vehicle, seed=self.first)
+        except InputError as error:
+            raise InputError(
+                f"makes the scenario impossible at the largest obstacle size: {error.problem}",
+                file=self.case.scenario.source or self.case.scenario.name,
+                key="uncertainty.obstacle_size",
+                value=u.obstacle_size,
+                remedy="lower it",
+            ) from None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the drawn parameters, see `Plan.names`."""
+        return tuple(self._row(0))
+
+    def values(self, first: int, count: int) -> Mapping[str, NDArray[np.float64]]:
+        """Return the drawn values of `count` runs, see `Plan.values`."""
+        rows = [self._row(k) for k in range(first, first + count)]
+        return {name: np.array([row[name] for row in rows]) for name in (rows[0] if rows else ())}
+
+    def run(self, k: int) -> SampledRun:
+        """Return run number k, see `Plan.run`."""
+        scenario = replace(self.case.scenario, obstacles=tuple(self._obstacles(k)))
+        return SampledRun(replace(self.case, scenario=scenario), self.first + k, self._plant(k))
+
+    def settings(self) -> Mapping[str, object]:
+        """Return the settings of the random draws, see `Plan.settings`."""
+        return {"first seed": self.first, "draws": "plant and obstacles"}
+
+    def _plant(self, k: int) -> dict[str, float]:
+        if not self.case.scenario.uncertainty.vehicle:
+            return {}
+        return draw_plant(self.case.vehicle, seed=self.first + k)
+
+    def _obstacles(self, k: int) -> list[Obstacle]:
+        # every obstacle uses two random numbers, whatever its shape
+        scenario, rng = self.case.scenario, np.random.default_rng([self.first + k, 4])
+        u, shares = scenario.uncertainty, rng.uniform(-1, 1, (len(scenario.obstacles), 2)).tolist()
+        if not (u.obstacle_size or u.obstacle_speed):
+            return list(scenario.obstacles)
+        return [
+            _scaled(o, self.case.vehicle, 1 + u.obstacle_size * size, 1 + u.obstacle_speed * speed)
+            for o, (size, speed) in zip(scenario.obstacles, shares, strict=True)
+        ]
+
+    def _row(self, k: int) -> dict[str, float]:
+        row = {f"plant.{name}": value for name, value in self._plant(k).items()}
+        return row | _obstacle_values(self._obstacles(k))
+
+
+def _scaled(obstacle: Obstacle, vehicle: Vehicle, size: float, speed: float) -> Obstacle:
+    # a moving obstacle without a radius has the radius of the hull
+    changes: dict[str, object] = {}
+    if obstacle.size_m is not None:
+        changes["size_m"] = (obstacle.size_m[0] * size, obstacle.size_m[1] * size)
+    else:
+        changes["radius_m"] = (obstacle.radius_m or vehicle["radius"]) * size
+    if obstacle.speed_m_per_s is not None:
+        changes["speed_m_per_s"] = obstacle.speed_m_per_s * speed
+    return obstacle.model_copy(update=changes)
+
+
+def _obstacle_values(obstacles: Sequence[Obstacle]) -> dict[str, float]:
+    """Return the sizes and speeds of the drawn obstacles by parameter name."""
+    values: dict[str, float] = {}
+    for o in obstacles:
+        if o.size_m is not None:
+            values |= {f"obstacle.{o.name}.size_x": o.size_m[0], f"obstacle.{o.name}.size_y": o.size_m[1]}
+        elif o.radius_m is not None:
+            values[f"obstacle.{o.name}.radius"] = o.radius_m
+        if o.speed_m_per_s is not None:
+            values[f"obstacle.{o.name}.speed"] = o.speed_m_per_s
+    return values
+
 
 LENGTH, WIDTH = 10.0, 5.0  # [m] size of the tank
 START, TARGET = (0.5, 2.5), (9.5, 2.5)
@@ -27,10 +221,10 @@ START, TARGET = (0.5, 2.5), (9.5, 2.5)
 WORLDS_VEHICLE = "sur540-flooded"
 """Default vehicle in random worlds."""
 
-FASTEST_MOVER = 0.15
+_FASTEST_MOVER = 0.15
 """Largest speed of a moving obstacle [m/s]."""
 
-SLOWEST = 0.03
+_SLOWEST = 0.03
 """Smallest speed of a moving obstacle [m/s] (*chosen*)."""
 
 _BOXES, _CYLINDERS, _MOVERS = 2, 2, 4
@@ -66,7 +260,7 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     movers = (count + int(rng.integers(0, 2))) // 2
     still = count - movers
     for _ in range(_TRIES):
-        table = world_table(f"world-{seed}", vehicle, _still(rng, still))
+        table = _world_table(f"world-{seed}", vehicle, _still(rng, still))
         world = _feasible(table, vehicle)
         if world is None:
             continue
@@ -80,7 +274,7 @@ def random_world(vehicle: Vehicle, *, seed: int) -> Scenario:
     raise SurctlError(f"{vehicle.name} fits no random world of seed {seed}")
 
 
-def world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _world_table(name: str, vehicle: Vehicle, obstacles: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the content of a scenario file (a TOML table) that describes the tank with the given obstacles."""
     return {
         "kind": "scenario",
@@ -109,7 +303,7 @@ def world_template(vehicle: Vehicle) -> Scenario:
         {"name": f"mover-{k + 1}", "shape": "moving", "radius_m": 1.0, "to_m": (1.0, 1.0), "speed_m_per_s": 0.1}
         for k in range(_MOVERS)
     ]
-    empty = scenario_from_table(world_table("random-worlds", vehicle, []), source="")
+    empty = scenario_from_table(_world_table("random-worlds", vehicle, []), source="")
     return replace(empty, obstacles=tuple(Obstacle.model_validate({**b, "centre_m": (5.0, 2.5)}) for b in bodies))
 
 
@@ -213,7 +407,7 @@ def _moving(rng: np.random.Generator, count: int, scenario: Scenario, vehicle: V
             radius = round(float(rng.uniform(*_BALLS)), 3)
             inside = (radius, LENGTH - radius), (radius, WIDTH - radius)
             start, end = ([round(float(rng.uniform(*ends)), 3) for ends in inside] for _ in range(2))
-            speed = round(float(rng.uniform(SLOWEST, FASTEST_MOVER)), 4)
+            speed = round(float(rng.uniform(_SLOWEST, _FASTEST_MOVER)), 4)
             away = radius + vehicle["radius"] + _NEAR
             if hypot(start[0] - START[0], start[1] - START[1]) < away:
                 continue

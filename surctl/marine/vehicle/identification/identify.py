@@ -6,15 +6,16 @@ noise therefore does not bias the estimated masses and drag, as it would if meas
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.vehicle.identification.consistency import velocity_notes
-from surctl.marine.vehicle.identification.excitation import (
+from surctl.marine.vehicle.identification.intervals import (
+    Spread,
     at_rest,
     drift_note,
     few_thrusts,
@@ -22,19 +23,187 @@ from surctl.marine.vehicle.identification.excitation import (
     measured_forces,
     notes_of,
     slow_residuals,
+    spread_of,
 )
-from surctl.marine.vehicle.identification.fitted import MASS_OF, OFFSETS, axes_of
-from surctl.marine.vehicle.identification.intervals import Spread, spread_of
-from surctl.marine.vehicle.identification.model import Model, drift_sections_of, sections_of
-from surctl.marine.vehicle.identification.outliers import outliers, without_outliers
-from surctl.marine.vehicle.identification.result import Identified
-from surctl.marine.vehicle.identification.solve import beginning, minimise, simulable
-from surctl.marine.vehicle.identification.trim import Trial, drift_trial
+from surctl.marine.vehicle.identification.model import (
+    CONSTANT_FORCE,
+    MASS_OF,
+    OFFSETS,
+    Model,
+    axes_of,
+    drift_sections_of,
+    sections_of,
+)
+from surctl.marine.vehicle.identification.prediction import WINDOW, Prediction, Trial, drift_trial, predict
+from surctl.marine.vehicle.identification.solve import beginning, minimise, outliers, simulable, without_outliers
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_THRUST, LOG_TILT, MotionLog
 from surctl.marine.vehicle.parameters import Parameter, Vehicle
 from surctl.marine.vehicle.specs import TERMS, parameter_spec
 
-__all__ = ["identify"]
+__all__ = ["HELD_OUT", "Identified", "held_out", "held_out_windows", "identify", "velocity_notes"]
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """The result of fitting a vehicle to a log.
+
+    Attributes:
+        vehicle: the vehicle with the fitted values. Parameters that the log does not determine have the values of
+            `start`, and the others were fitted again together with them, so that the vehicle is one consistent model.
+            The range of an identified parameter is its 95 % interval.
+        start: the vehicle whose parameters are the initial values of the fit.
+        estimates: for every fitted parameter by name, and for the constant force (X0, Y0, Z0, N0), the estimate and
+            half the width of its 95 % interval, with all parameters free. An estimate of drag may be negative.
+        identified: names of the parameters whose 95 % interval is sufficiently narrow, without those held.
+        held: names of the parameters that have the value of `start` in `vehicle`; a constant force that `start` does
+            not have is 0.
+        drifting: names of the constant forces that change in the log; `vehicle` has their mean.
+        zeroed: names of the drag parameters that are 0 in `vehicle` because their estimates are negative.
+        directions: the combinations of parameters that the log does not determine, one text each.
+        noise: standard deviation of the residuals, by column of the log.
+        notes: what is wrong with the model or the log.
+        sections: number of parts of the log that were fitted, each with its own initial state.
+    """
+
+    vehicle: Vehicle
+    start: Vehicle
+    estimates: Mapping[str, tuple[float, float]]
+    identified: tuple[str, ...]
+    held: tuple[str, ...]
+    drifting: tuple[str, ...]
+    zeroed: tuple[str, ...]
+    directions: tuple[str, ...]
+    noise: Mapping[str, float]
+    notes: tuple[str, ...]
+    sections: int
+
+    @property
+    def constant_force(self) -> NDArray[np.float64]:
+        """Constant force (4,) on the vehicle along its axes [N] and constant yaw moment [N m]."""
+        return np.array([self.fitted_value(k) for k in CONSTANT_FORCE])
+
+    @property
+    def refusal(self) -> str:
+        """Why the fit has no physical meaning, with the remedy; empty if it has one."""
+        below = [
+            f"{key} = {value:.3g} ± {half:.2g} {spec.unit}"
+            for key, (value, half) in self.estimates.items()
+            if (spec := parameter_spec(key)) is not None and not spec.signed and value + half < 0
+        ]
+        remedy = "check the signs and scales of thrust and motion"
+        return f"the log contradicts the model: {', '.join(below)} would be below 0; {remedy}" if below else ""
+
+    def fitted_value(self, name: str) -> float:
+        """Return the value of a parameter in the vehicle; 0 for a constant force that it does not have."""
+        return self.vehicle[name] if name in self.vehicle.parameters else 0.0
+
+    def start_value(self, name: str) -> float:
+        """Return the value of a parameter in `start`; 0 for a constant force that it does not have."""
+        return self.start[name] if name in self.start.parameters else 0.0
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a parameter."""
+        spec = parameter_spec(name)
+        return spec.unit if spec is not None else ""
+
+
+_SPAN, _SPAN_ROWS = 2.0, 10  # displacements are compared over this [s], or this many rows, whichever is longer
+_GAP, _GAP_FACTOR = 0.5, 5.0  # displacements across a gap, longer than this [s] and than these periods, do not count
+_AGREES = 0.3  # largest difference, relative to the displacement, that counts as agreement
+_CLOSE, _FAR_CLOSER = 0.05, 0.2  # a difference above the first one is reported if a change reduces it to this share
+_HELPS = 0.5  # of a larger difference, a change is named if it reduces the difference to this share
+_ABOVE = 6.0  # standard deviations of the pose's noise that a displacement must have
+_DEGREES = 180 / np.pi
+_LEAST = 20  # displacements
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def velocity_notes(log: MotionLog) -> tuple[str, ...]:
+    """Return one text for each velocity that does not follow from the pose, with the change that would make it follow.
+
+    The displacement over some seconds is compared with the integral of the velocity, turned by the heading. A wrong
+    frame, sign or unit in the map of a log makes them differ, and so do a velocity through the water in a current, and
+    clocks that differ.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.vehicle import MotionLog, velocity_notes
+        >>> t, motion = 0.1 * np.arange(200), np.zeros((200, 8))
+        >>> motion[:, 3], motion[:, 7] = 0.2 * t, -0.2  # the yaw rate has the wrong sign
+        >>> velocity_notes(MotionLog(t, motion, np.zeros((200, 4)), "log.csv"))[0].partition(":")[0]
+        'r_rad_per_s does not follow from psi_rad'
+    """
+    notes = []
+    motion = log.motion
+    x, y, z, psi, u, v, w, r = motion[:, :8].T
+    flat = _compared(
+        log,
+        x + 1j * y,
+        (u + 1j * v) * np.exp(1j * psi),
+        (
+            ('velocities of the world frame (frame = "world")', u + 1j * v),
+            ('velocities of the world frame (frame = "world")', -v + 1j * u),  # north and east, converted as if u, v
+            ("the other sign of v", (u - 1j * v) * np.exp(1j * psi)),
+            ("the other sign of the heading", (u + 1j * v) * np.exp(-1j * psi)),
+            ("the other sign of the heading", (u + 1j * v) * -np.exp(-1j * psi)),  # the same in a log of frame ned
+            ("the heading times 57.3 (radians, read as degrees)", (u + 1j * v) * np.exp(1j * _DEGREES * psi)),
+            ("the heading divided by 57.3 (degrees, read as radians)", (u + 1j * v) * np.exp(1j * psi / _DEGREES)),
+        ),
+    )
+    if flat:
+        notes.append(f"u_m_per_s, v_m_per_s do not follow from x_m, y_m, psi_rad: {flat}")
+    for pose, rate, names in ((z, w, ("z_m", "w_m_per_s")), (psi, r, ("psi_rad", "r_rad_per_s"))):
+        text = _compared(log, pose.astype(complex), rate.astype(complex), ())
+        if text:
+            notes.append(f"{names[1]} does not follow from {names[0]}: {text}")
+    return tuple(notes)
+
+
+def _compared(log: MotionLog, pose: Complex, velocity: Complex, others: Sequence[tuple[str, Complex]]) -> str:
+    """Return how far a velocity is from the pose, and which other velocity or factor is closer; "" if it agrees."""
+    moved, first = _displacements(log, pose, velocity)
+    if len(moved) < _LEAST:
+        return ""
+    size, difference = max(_rms(moved), _rms(first)), _rms(moved - first)
+    bends = np.abs(np.diff(pose[np.isfinite(pose)], 2))
+    noise = float(np.median(bends)) / np.sqrt(2.0) if len(bends) else 0.0  # jumps between runs do not count
+    if difference <= _CLOSE * size or size <= _ABOVE * noise:
+        return ""
+    square = float(np.sum(np.abs(first) ** 2))
+    factor = complex(np.vdot(first, moved)) / square if square > 0 else 1.0
+    turned = f"{np.degrees(np.angle(factor)):.0f} deg more heading and " if others else ""
+    named = f"{turned}the factor {abs(factor) if others else factor.real:.3g}"
+    candidates = [(_rms(moved - factor * first), named)]
+    candidates += [(_rms(np.subtract(*_displacements(log, pose, other))), name) for name, other in others]
+    closest, best = min(candidates)
+    if difference <= _AGREES * size and closest > _FAR_CLOSER * difference:
+        return ""
+    said = f"the displacements differ by {difference:.2g} of {size:.2g}"
+    if closest > _HELPS * difference:
+        return f"{said}; check frames, signs, units and clocks, or expect a current"
+    return f"{said}, with {best} by {closest:.2g}; correct the map or the columns"
+
+
+def _displacements(log: MotionLog, pose: Complex, velocity: Complex) -> tuple[Complex, Complex]:
+    # displacements over the span, and integrals of the velocity over it, within the parts without a gap
+    period = float(np.median(np.diff(log.time)))
+    rows = max(int(np.ceil(_SPAN / period)), _SPAN_ROWS)
+    known = np.isfinite(pose) & np.isfinite(velocity)
+    time, place, rate = log.time[known], pose[known], velocity[known]
+    if len(time) <= rows:
+        return np.zeros(0, dtype=complex), np.zeros(0, dtype=complex)
+    step = np.diff(time)
+    integral = np.concatenate([[0], np.cumsum(step * (rate[1:] + rate[:-1]) / 2)])
+    cuts = np.concatenate([[0], np.cumsum(step > max(_GAP, _GAP_FACTOR * period))])
+    whole = cuts[rows:] == cuts[:-rows]
+    return (place[rows:] - place[:-rows])[whole], (integral[rows:] - integral[:-rows])[whole]
+
+
+def _rms(values: NDArray[np.number]) -> float:
+    return float(np.sqrt(np.mean(np.abs(values) ** 2))) if len(values) else 0.0
+
 
 _NARROW = 0.5  # largest ratio of half-interval to value of an identified parameter
 _SMALL_FORCE = 0.1  # share of the thrust limit below which a constant force counts as small
@@ -42,8 +211,6 @@ _ROUNDS = 5  # largest number of alternations between fit and noise estimate
 _STEADY, _ROUGH = 0.02, 1e-3  # relative change of the noise that ends them; of the cost that ends each fit
 _MOST_TILT = np.radians(85.0)  # roll and pitch; at 90° the heading has no meaning
 _REFITS = 6  # largest number of fits with more and more parameters held
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,3 +540,63 @@ def _vehicle(
 def _roughness(values: Array) -> float:
     # sd of the second differences divided by √6: estimate of white noise on a smooth signal
     return max(float(np.std(np.diff(values, 2))) / np.sqrt(6.0), 1e-4) if len(values) > 2 else 1.0
+
+
+HELD_OUT = 0.4
+"""Share of a log, at its end, that is predicted by a fit to the rest."""
+
+
+def held_out(log: MotionLog, start: Vehicle, *, share: float = HELD_OUT, window: float = WINDOW) -> Prediction | None:
+    """Predict the last part of a log with a vehicle that is fitted to the part before; None if the log is too short.
+
+    Args:
+        log: the log.
+        start: vehicle with the initial values of the fit.
+        share: share of the time that is predicted.
+        window: length of the windows [s].
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.vehicle import MotionLog, held_out, load_vehicle
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
+        >>> held_out(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat) is None
+        True
+    """
+    predictions = held_out_windows(log, start, [window], share=share)
+    return predictions[0] if predictions else None
+
+
+def held_out_windows(
+    log: MotionLog, start: Vehicle, windows: Sequence[float], *, share: float = HELD_OUT
+) -> tuple[Prediction, ...]:
+    """Predict the last part of a log over windows of several lengths with one fit to the part before.
+
+    Lengths for which the log has no window are omitted.
+
+    Args:
+        log: the log.
+        start: vehicle with the initial values of the fit.
+        windows: lengths of the windows [s].
+        share: share of the time that is predicted.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.vehicle import MotionLog, held_out_windows, load_vehicle
+        >>> boat, t = load_vehicle("sur400"), 0.1 * np.arange(60)
+        >>> held_out_windows(MotionLog(t, np.zeros((60, 8)), np.zeros((60, 4))), boat, [1.0, 5.0])
+        ()
+    """
+    cut = int(np.searchsorted(log.time, log.time[0] + (1.0 - share) * (log.time[-1] - log.time[0])))
+    results = []
+    try:
+        parts = [
+            MotionLog(log.time[rows], log.motion[rows], log.thrust[rows], log.source)
+            for rows in (slice(0, cut), slice(cut, len(log.time)))
+        ]
+        fitted = identify(parts[0], start, name=start.name).vehicle
+    except InputError:  # one part is too short, or has no motion
+        return ()
+    for window in windows:
+        with suppress(InputError):  # no part of the log is so long
+            results.append(predict(parts[1], fitted, window=window))
+    return tuple(results)

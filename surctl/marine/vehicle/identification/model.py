@@ -8,24 +8,225 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.vehicle.dynamics import plant_parameters, plant_state
-from surctl.marine.vehicle.identification.fitted import (
-    CONSTANT_FORCE,
-    masses_of,
-    names_of,
-    scale_of,
-    with_all_constants,
-)
-from surctl.marine.vehicle.identification.rates import places, stepper
+from surctl.marine.vehicle.dynamics import PLANT_DISTURBANCE, build_plant, plant_layout, plant_parameters, plant_state
 from surctl.marine.vehicle.motion_log import LOG_MOTION, LOG_TILT, MotionLog
-from surctl.marine.vehicle.parameters import Vehicle
+from surctl.marine.vehicle.parameters import Parameter, Vehicle
+from surctl.marine.vehicle.specs import AXES, TERMS, PlantForm
 
-__all__ = ["LONGEST", "Model", "Section", "drift_sections_of", "sections_of"]
+__all__ = [
+    "AXIS_OF",
+    "CENTRE",
+    "CONSTANT_FORCE",
+    "FITTED",
+    "LONGEST",
+    "MASS_OF",
+    "OFFSETS",
+    "Model",
+    "Repeated",
+    "Section",
+    "Slope",
+    "axes_of",
+    "drift_sections_of",
+    "names_of",
+    "sections_of",
+    "stepper",
+    "with_all_constants",
+]
+
+FITTED = (
+    "m11", "m22", "m33", "m44", "Xu", "Yv", "Zw", "Nr", "Xuu", "Yvv", "Zww", "Nrr", "thrust_lag",
+)  # fmt: skip
+"""Parameters of equation (3) that can be identified from a log."""
+
+Array = NDArray[np.float64]
+
+
+class Repeated:
+    """A CasADi function evaluated for many columns, as a chain or each column alone; arrays have one row per column."""
+
+    def __init__(self, function: ca.Function, *, chain: bool) -> None:
+        self._function, self._chain = function, chain
+        self._built: dict[int, ca.Function] = {}
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Return the results for arguments with one row per column."""
+        count = len(arguments[-1])
+        if count not in self._built:
+            if len(self._built) > 8:
+                self._built.clear()
+            self._built[count] = (self._function.mapaccum if self._chain else self._function.map)(count)
+        function = self._built[count]
+        held = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+        results = [np.empty((count, function.nnz_out(k) // count)) for k in range(function.n_out())]
+        buffer, evaluate = function.buffer()
+        for k, argument in enumerate(held):
+            buffer.set_arg(k, memoryview(argument))  # type: ignore[call-arg, arg-type]  # the stubs lack this form
+        for k, result in enumerate(results):
+            buffer.set_res(k, memoryview(result))  # type: ignore[call-arg, arg-type]  # likewise
+        evaluate()
+        return results
+
+
+class Slope:
+    """The derivatives of the rate by the state x and by the parameters p, of which CasADi computes the nonzeros."""
+
+    def __init__(self, inputs: list[ca.SX], slopes: list[ca.SX]) -> None:
+        self._places = [(slope.sparsity().row(), slope.sparsity().get_col()) for slope in slopes]
+        self._widths = [slope.shape[1] for slope in slopes]
+        nonzeros = [slope[slope.sparsity().find()] for slope in slopes]
+        both = ca.SX.sym("all", inputs[2].numel() + inputs[3].numel())
+        split = ca.vertsplit(both, [0, inputs[2].numel(), both.numel()])
+        alone = ca.Function("alone", inputs, nonzeros)
+        whole = ca.Function("slope", [*inputs[:2], both], list(alone(*inputs[:2], *split)), {"cse": True})
+        self._nonzeros = Repeated(whole, chain=False)
+
+    def __call__(self, x: Array, thrust: Array, p: Array) -> tuple[Array, Array]:
+        """Return the derivatives by x (m, s, s) and by p (m, s, k) at m states."""
+        over_x, over_p = (np.zeros((len(x), x.shape[1], width)) for width in self._widths)
+        for full, flat, (rows, columns) in zip(
+            (over_x, over_p), self._nonzeros(x, thrust, p), self._places, strict=True
+        ):
+            full[:, rows, columns] = flat
+        return over_x, over_p
+
+
+def _places(form: PlantForm, names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Return the places of the fitted parameters in the plant's parameter vector, and the places of all others."""
+    layout = plant_layout(form)
+    at = {k: layout.slice("thrust_lag").start for k in ("thrust_lag",)}
+    for port, keys in (("mass", FITTED[:4]), ("linear_drag", FITTED[4:8]), ("quadratic_drag", FITTED[8:12])):
+        at |= {k: layout.slice(port).start + j for j, k in enumerate(keys)}
+    at |= {k: layout.slice("terms").start + j for j, k in enumerate(form.terms)}
+    fitted = [at[k] for k in names]
+    return fitted, [k for k in range(layout.size) if k not in fitted]
+
+
+@cache
+def stepper(form: PlantForm, names: tuple[str, ...]) -> tuple[Repeated, Slope]:
+    """Return one integration step (RK4) of the plant in still water, and the slopes of the rate.
+
+    The step has the arguments of a chain: the state x (s,), a flag and a new initial state (s,), which replaces x if
+    the flag is 1, thrust (4,), p and dt; it returns the next state. The vector p holds the parameters `names`, then the
+    other entries of the plant's parameter vector. The slopes are those by x and by the parameters `names`.
+    """
+    fitted, others = _places(form, names)
+    order = plant_state(form).size
+    x, thrust, dt = ca.SX.sym("x", order), ca.SX.sym("thrust", 4), ca.SX.sym("dt")
+    p, known = ca.SX.sym("p", len(fitted)), ca.SX.sym("known", len(others))
+    entries = dict(zip((*fitted, *others), (*ca.vertsplit(p), *ca.vertsplit(known)), strict=True))
+    plant = ca.vertcat(*(entries[k] for k in range(len(entries))))
+    ode = build_plant(form).ode
+
+    def rate(state: ca.SX) -> ca.SX:
+        return ode(state, thrust, ca.DM.zeros(PLANT_DISTURBANCE.size), plant)
+
+    k1 = rate(x)
+    k2 = rate(x + dt / 2 * k1)
+    k3 = rate(x + dt / 2 * k2)
+    k4 = rate(x + dt * k3)
+    after = ca.Function("after", [x, thrust, p, known, dt], [x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)], {"cse": True})
+    flag, begin = ca.SX.sym("flag"), ca.SX.sym("begin", order)
+    chosen = ca.if_else(flag > 0, begin, x)
+    both = ca.vertcat(p, known)
+    inputs = [x, flag, begin, thrust, ca.SX.sym("all", both.numel()), dt]
+    step = ca.Function(
+        "step",
+        inputs,
+        [after(chosen, thrust, *ca.vertsplit(inputs[4], [0, len(fitted), both.numel()]), dt)],
+        {"cse": True},
+    )
+    return Repeated(step, chain=True), Slope([x, thrust, p, known], [ca.jacobian(rate(x), x), ca.jacobian(rate(x), p)])
+
+
+CONSTANT_FORCE = ("X0", "Y0", "Z0", "N0")
+"""Constant force on the vehicle along its own axes [N] and constant yaw moment [N m]: net buoyancy, trim, a tether."""
+
+CENTRE = ("xg", "yg", "zg")
+"""Centre of gravity of a vehicle that rolls and pitches. Weight, buoyancy and centre of buoyancy are not fitted: a log
+shows only the moment of both forces, i.e. the distance of the two centres, and the net buoyancy, which is Z0."""
+
+OFFSETS = (*CONSTANT_FORCE, *CENTRE)
+"""Parameters that may be 0 and are then no term of the vehicle."""
+
+_MASSES = dict(zip("uvwrpq", (*FITTED[:4], "mpp", "mqq"), strict=True))
+_OF_LETTER = _MASSES | dict(zip("XYZNKM", _MASSES.values(), strict=True)) | dict(zip("1234", FITTED[:4], strict=True))
+
+MASS_OF = dict(zip(FITTED[4:12], 2 * FITTED[:4], strict=True)) | {
+    "Kp": "mpp", "Kpp": "mpp", "Mq": "mqq", "Mqq": "mqq",
+}  # fmt: skip
+"""The mass on the axis of each drag parameter that acts against its own axis."""
+
+AXIS_OF = dict(zip(_MASSES.values(), AXES, strict=True))
+"""The name of the axis of each mass."""
+
+_COUPLING = 0.1  # scale of a coupling whose start value is 0, as a share of the parameters on the axes
+_CENTRE = 0.2  # scale of a distance from the origin, as a share of the radius of the hull
+
+
+def _offsets(vehicle: Vehicle) -> tuple[str, ...]:
+    return OFFSETS if vehicle.form.tilts else CONSTANT_FORCE
+
+
+def with_all_constants(vehicle: Vehicle) -> Vehicle:
+    """Return the vehicle with all offsets as terms; those that it does not have are 0."""
+    zeros = {k: Parameter(0.0, TERMS[k].unit, None, "") for k in _offsets(vehicle)}
+    parameters = zeros | dict(vehicle.parameters)
+    order = [k for k in (*vehicle.parameters, *zeros) if k in parameters]
+    return replace(vehicle, parameters={k: parameters[k] for k in dict.fromkeys(order)})
+
+
+def names_of(vehicle: Vehicle) -> tuple[str, ...]:
+    """Return the names of all parameters of a vehicle that are fitted: equation (3), couplings, offsets.
+
+    A vehicle without thrust lag keeps a lag of 0.
+    """
+    couplings = [k for k in vehicle.form.terms if TERMS[k].table in ("inertia", "drag")]
+    lagged = vehicle["thrust_lag"] > 0
+    return (*(k for k in FITTED if k != "thrust_lag" or lagged), *couplings, *_offsets(vehicle))
+
+
+def _masses_of(vehicle: Vehicle) -> tuple[str, ...]:
+    """Return the names of the masses and moments of inertia on the axes of a vehicle: four, or six if it tilts."""
+    return tuple(_MASSES.values())[: 6 if vehicle.form.tilts else 4]
+
+
+def axes_of(name: str) -> frozenset[str]:
+    """Return the names of the masses on the axes whose motion a mass, drag or coupling needs; none for other names."""
+    if name in OFFSETS or name == "thrust_lag":
+        return frozenset()
+    return frozenset(_OF_LETTER[c] for c in name.removeprefix("m"))
+
+
+def _scale_of(vehicle: Vehicle, name: str, thrust: Array) -> float:
+    """Return the size of a change of a parameter, in its SI unit.
+
+    Args:
+        vehicle: the start vehicle with all offsets.
+        name: the parameter.
+        thrust: (4,) largest thrust on each axis.
+    """
+    value = abs(vehicle[name])
+    if name in CONSTANT_FORCE:
+        return float(thrust[CONSTANT_FORCE.index(name)])
+    if name in CENTRE:
+        return max(value, _CENTRE * vehicle["radius"])
+    if value > 0:
+        return value
+    if name[0] == "m":
+        one, other = (_OF_LETTER[c] for c in name[1:])
+        of_axes = np.sqrt(vehicle[one] * vehicle[other])
+    else:  # a drag whose start value is 0 is scaled by the quadratic drag of its axis, or its linear drag
+        mass = _OF_LETTER[name[0]]
+        of_axes = max(abs(vehicle[k]) for k, axis in MASS_OF.items() if axis == mass and k in vehicle.parameters)
+    return max(_COUPLING * float(of_axes), 1e-3)
+
 
 LONGEST = 60.0
 """Longest section [s]."""
@@ -42,8 +243,6 @@ _LEAST_ROWS = 20  # rows of a section
 _DRIFT = 0.2  # prior standard deviation of a drifting constant force, as a share of the largest thrust
 _HEADING, _THRUST = 3, slice(8, 12)  # places in the state
 _AT_ONCE = 60_000  # integration steps whose sensitivities are in memory at the same time
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +344,7 @@ class Model:
     def __init__(self, log: MotionLog, start: Vehicle, sections: tuple[Section, ...], *, drift: bool = False) -> None:
         self.log, self.sections, self.drift = log, sections, drift
         whole = with_all_constants(start)
-        self.names, self.masses = names_of(whole), masses_of(whole)
+        self.names, self.masses = names_of(whole), _masses_of(whole)
         layout = plant_state(whole.form)
         self.order = layout.size
         self.local = self.order + (8 if drift else 0)  # entries of θ for each section
@@ -156,12 +355,12 @@ class Model:
         self.thrust = np.abs(start.thrust_range).max(axis=0)
         self.thrust[self.thrust == 0.0] = 1.0
         self.start = np.array([whole[k] for k in self.names])
-        self.scale = np.array([scale_of(whole, k, self.thrust) for k in self.names])
+        self.scale = np.array([_scale_of(whole, k, self.thrust) for k in self.names])
         self.present = np.isfinite(self.motion)
         self._couplings = [(i, j, self.names.index(k)) for i, j, k in whole.form.inertia() if i != j]
         self._step, self._slope = stepper(whole.form, self.names)
         flat = plant_parameters(_unlimited(whole))
-        self._known = flat[places(whole.form, self.names)[1]]
+        self._known = flat[_places(whole.form, self.names)[1]]
         # masses are positive; an estimate of a drag may be negative, otherwise its interval would be wrong
         self.low = np.full(len(self.names), -np.inf)
         self.low[[self.names.index(k) for k in self.masses]] = -0.95

@@ -2,33 +2,279 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Collection, Iterator
+import struct
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import replace
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
-from surctl.errors import InputError
-from surctl.marine.vehicle.logs.ardupilot import read_ardupilot
-from surctl.marine.vehicle.logs.joining import joined
-from surctl.marine.vehicle.logs.log_map import LogMap, load_log_map
-from surctl.marine.vehicle.logs.recording import Reader, Recording
-from surctl.marine.vehicle.logs.ros import read_bag, read_mcap
-from surctl.marine.vehicle.logs.tables import read_table
-from surctl.marine.vehicle.logs.ulog import read_ulog
+import numpy as np
+
+from surctl.errors import InputError, nearest
+from surctl.marine.vehicle.logs.joining import LogMap, joined, load_log_map
+from surctl.marine.vehicle.logs.recording import (
+    Reader,
+    Recording,
+    Rows,
+    Stream,
+    bare_names,
+    flattened,
+    matches,
+    optional_module,
+    recording_of,
+    topic_of,
+)
 from surctl.marine.vehicle.motion_log import MotionLog
-from surctl.recorded import shown
+from surctl.recorded import Recorded, read_recorded, read_unnamed, shown
+from surctl.units import in_unit
 
 __all__ = ["READERS", "read_mapped_log", "read_recording", "topic_lines"]
 
+_NO_MOTION = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
+
+
+def _read_ardupilot(path: Path, topics: Collection[str] | None) -> Recording:
+    """Read messages by type, such as ATT or RCOU; further instances of a type have names such as XKF1[1].
+
+    In a telemetry log, types that several systems or components sent have names such as ATTITUDE@1.1. The time is that
+    of the autopilot (TimeUS) in a dataflash log, and the time of reception in a telemetry log.
+
+    Raises:
+        InputError: pymavlink is not installed, or the file is not such a log.
+    """
+    mavutil = optional_module("pymavlink.mavutil", path=path, extra="ardupilot")
+    rows: dict[Stream, Rows] = {}
+    kinds = bare_names(topics)
+    bad = 0
+    try:
+        log = mavutil.mavlink_connection(str(path), notimestamps=False)
+        while (message := log.recv_match(type=kinds and [*kinds, "BAD_DATA"])) is not None:
+            kind = message.get_type()
+            bad += kind == "BAD_DATA"
+            if kind == "BAD_DATA" or kind in _NO_MOTION:
+                continue
+            values = message.to_dict()
+            values.pop("mavpackettype", None)
+            time = values["TimeUS"] * 1e-6 if "TimeUS" in values else float(message._timestamp)
+            rows.setdefault(_stream(message, values), Rows()).append(time, flattened(values))
+        log.close()
+    except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
+        raise InputError(
+            f"cannot be read as a log of ArduPilot ({error})", file=shown(path), remedy="give a .BIN or .tlog file"
+        ) from None
+    notes = [f"{bad} parts of {path.name} are no messages: not used"] if bad else []
+    return recording_of(path, {stream: one.topic() for stream, one in rows.items()}, notes)
+
+
+def _stream(message: Any, values: dict[str, Any]) -> Stream:
+    # messages of MAVLink have the field of the instance and the sender themselves, those of a dataflash log in a format
+    logged = getattr(message, "fmt", None)
+    instance_field = getattr(message if logged is None else logged, "instance_field", None)
+    instance = None if instance_field is None else values[instance_field]
+    source = f"{message.get_srcSystem()}.{message.get_srcComponent()}" if logged is None else ""
+    return Stream(message.get_type(), instance, source)
+
+
+def _read_bag(path: Path, topics: Collection[str] | None) -> Recording:
+    """Read a bag of ROS 1, or of ROS 2 in a folder with metadata.yaml (a file inside it may be named).
+
+    The time is that of the recorder. Custom messages need their definitions in the bag. A topic that several nodes
+    published, or that has several types, has names such as `/odom@/filter`.
+
+    Raises:
+        InputError: rosbags is not installed, or the bag cannot be read.
+    """
+    highlevel = optional_module("rosbags.highlevel", path=path, extra="ros")
+    typesys = optional_module("rosbags.typesys", path=path, extra="ros")
+    bag = path
+    if path.suffix.lower() == ".db3":
+        bag = path.parent
+        if not (bag / "metadata.yaml").is_file():
+            raise InputError(
+                "has no metadata.yaml beside it",
+                file=shown(path),
+                remedy="give the folder of the bag: ros2 bag reindex",
+            )
+    rows: dict[Stream, Rows] = {}
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    try:
+        with highlevel.AnyReader([bag], default_typestore=store) as reader:
+            chosen = [c for c in reader.connections if matches(c.topic, topics)]
+            types = {(c.topic, c.msgtype) for c in reader.connections}
+            several = {name for name in {c.topic for c in chosen} if sum(topic == name for topic, _ in types) > 1}
+            for connection, stamp, raw in reader.messages(connections=chosen) if chosen else ():
+                message = reader.deserialize(raw, connection.msgtype)
+                node = getattr(connection.ext, "callerid", None) or ""
+                source = f"{node}:{connection.msgtype}" if connection.topic in several else node
+                rows.setdefault(Stream(connection.topic, None, source), Rows()).append(stamp * 1e-9, flattened(message))
+    except Exception as error:  # rosbags passes on errors of its own and of every library that it reads with
+        raise InputError(
+            f"cannot be read as a bag ({_line(error)})", file=shown(path), remedy="check it with: ros2 bag info"
+        ) from None
+    return recording_of(path, {stream: one.topic() for stream, one in rows.items()})
+
+
+def _read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
+    """Read an MCAP file with messages in JSON, ROS 1 or ROS 2 (CDR); the time is that of the recorder.
+
+    A topic with several channels has names such as `/odom@3`, with the number of the channel.
+
+    Raises:
+        InputError: a package is not installed, the file cannot be read, or its messages have another encoding.
+    """
+    reader_of = optional_module("mcap.reader", path=path, extra="ros").make_reader
+    rows: dict[Stream, Rows] = {}
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    try:
+        with path.open("rb") as file:
+            for schema, channel, message in reader_of(file).iter_messages(log_time_order=False):
+                if not matches(channel.topic, topics):
+                    continue
+                if channel.id not in decoders:
+                    decoders[channel.id] = _decoder(path, schema, channel)
+                decoded = decoders[channel.id](message.data)
+                stream = Stream(channel.topic, None, str(channel.id))
+                rows.setdefault(stream, Rows()).append(message.log_time * 1e-9, flattened(decoded))
+    except InputError:
+        raise
+    except Exception as error:  # mcap raises errors of its decompressors too
+        raise InputError(
+            f"cannot be read as an MCAP file ({_line(error)})", file=shown(path), remedy="check it with: mcap doctor"
+        ) from None
+    return recording_of(path, {stream: one.topic() for stream, one in rows.items()})
+
+
+def _decoder(path: Path, schema: Any, channel: Any) -> Callable[[bytes], Any]:
+    encoding = channel.message_encoding
+    if encoding == "json":
+        return json.loads
+    if encoding not in ("cdr", "ros1") or schema is None:
+        raise InputError(
+            f"has the encoding {encoding!r}",
+            file=shown(path),
+            key=channel.topic,
+            remedy="give messages in JSON, ROS 1 or ROS 2 (CDR)",
+        )
+    typesys = optional_module("rosbags.typesys", path=path, extra="ros")
+    store = typesys.get_typestore(typesys.Stores.EMPTY)
+    store.register(typesys.get_types_from_msg(schema.data.decode(), schema.name))
+    name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
+    if encoding == "cdr":
+        return lambda raw: store.deserialize_cdr(raw, name)
+    return lambda raw: store.deserialize_ros1(raw, name)
+
+
+def _line(error: Exception) -> str:
+    with suppress(ValueError, UnicodeError):
+        return " ".join(str(error).split())[:200] or type(error).__name__
+    return type(error).__name__
+
+
+def _read_table(
+    path: Path, *, time: str, unit: str, columns: Sequence[str] | None = None, skip_lines: int = 0, map_name: str = ""
+) -> Recording:
+    """Read the numeric columns of a table as the fields of one topic with an empty name.
+
+    Args:
+        path: a file .csv, .mat or .nc; with `columns`, a text file of numbers without a header.
+        time: column of the time.
+        unit: unit of the time.
+        columns: names of the columns of a file without a header.
+        skip_lines: lines above its numbers.
+        map_name: file that names the time, for errors; default: the table.
+
+    Raises:
+        InputError: the file cannot be read, the time is missing or not a number, or its unit is unknown.
+    """
+    table = read_recorded(path) if columns is None else read_unnamed(path, columns, skip=skip_lines)
+    if time not in table.columns:
+        raise InputError(
+            f"is not a column of {table.name}",
+            file=map_name or table.name,
+            key="log.time",
+            value=time,
+            remedy=nearest(time, table.columns),
+        )
+    seconds = table.numbers(time) * in_unit(1.0, unit, "s")
+    fields = {name: column for name in table.columns if name != time and (column := _numbers(table, name)) is not None}
+    known = np.isfinite(seconds)
+    if np.count_nonzero(known) == 1:
+        raise InputError("has only one row with a time", file=table.name, key=time, remedy="give a longer log")
+    if not known.any():
+        raise InputError(
+            f"has no timestamps in {table.name}",
+            file=map_name or table.name,
+            key="log.time",
+            value=time,
+            remedy="name the column of the time",
+        )
+    return Recording(table.name, {"": topic_of(seconds[known], {k: v[known] for k, v in fields.items()})})
+
+
+def _numbers(table: Recorded, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
+    # texts, such as the state of a mission, are no field
+    try:
+        return table.numbers(name)
+    except InputError:
+        return None
+
+
+_HEADER = 16  # bytes
+
+
+def _read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
+    """Read topics by name; further instances of a topic have names such as `sensor_gyro[1]`.
+
+    The time is that of the autopilot (`timestamp`).
+
+    Raises:
+        InputError: pyulog is not installed, or the file is not such a log.
+    """
+    pyulog = optional_module("pyulog", path=path, extra="px4")
+    try:
+        raw = path.read_bytes()
+        with path.open("rb") as file:
+            log = pyulog.ULog(file, bare_names(topics))
+    except Exception as error:  # pyulog raises errors of struct and of types, and Exception itself
+        raise InputError(f"cannot be read as a ULog ({error})", file=shown(path), remedy="give a .ulg file") from None
+    streams = {}
+    for data in log.data_list:
+        if matches(data.name, topics):
+            fields = {k: np.asarray(v, dtype=float) for k, v in data.data.items() if k != "timestamp"}
+            source = str(data.msg_id) if Stream(data.name, data.multi_id) in streams else ""
+            time = np.asarray(data.data["timestamp"], dtype=float) * 1e-6
+            streams[Stream(data.name, data.multi_id, source)] = topic_of(time, fields)
+    unknown, count = _unknown(raw) if log.file_corruption else (0, 0)
+    notes = [f"{count - unknown} of {count} messages could be read: {path.name} does not say what the others are"]
+    return recording_of(path, streams, notes if unknown else ())
+
+
+def _unknown(raw: bytes) -> tuple[int, int]:
+    """Return the number of data messages that have no subscription, and of all data messages."""
+    at, known, unknown, count = _HEADER, set[bytes](), 0, 0
+    while at + 3 <= len(raw):
+        size, kind = struct.unpack_from("<Hc", raw, at)
+        body = raw[at + 3 : at + 3 + size]
+        if kind == b"A":
+            known.add(body[1:3])
+        elif kind == b"D":
+            count += 1
+            unknown += body[:2] not in known
+        at += 3 + size
+    return unknown, count
+
+
 READERS: dict[str, Reader] = {
-    ".bin": read_ardupilot,
-    ".tlog": read_ardupilot,
-    ".bag": read_bag,
-    ".db3": read_bag,
-    ".mcap": read_mcap,
-    ".ulg": read_ulog,
+    ".bin": _read_ardupilot,
+    ".tlog": _read_ardupilot,
+    ".bag": _read_bag,
+    ".db3": _read_bag,
+    ".mcap": _read_mcap,
+    ".ulg": _read_ulog,
 }
 """Readers by the suffix of the file; a folder is a bag of ROS 2, any other file a table."""
 
@@ -73,7 +319,7 @@ def read_recording(
     """
     if not path.exists():
         raise InputError("no such file", file=shown(path), remedy="check the path")
-    reader = read_bag if path.is_dir() else READERS.get(path.suffix.lower())
+    reader = _read_bag if path.is_dir() else READERS.get(path.suffix.lower())
     if reader is not None:
         with _quiet() as printed:
             recording = reader(path, topics)
@@ -84,9 +330,9 @@ def read_recording(
             raise InputError("has no messages with numbers", file=shown(path), remedy="check the file")
         return recording
     if log_map is None:
-        return read_table(path, time="t_s", unit="s")
+        return _read_table(path, time="t_s", unit="s")
     clock = log_map.log
-    return read_table(
+    return _read_table(
         path,
         time=clock.time,
         unit=clock.time_unit,

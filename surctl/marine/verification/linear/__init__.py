@@ -2,12 +2,19 @@
 
 from surctl.marine.verification.linear.corners import Corners, corners
 from surctl.marine.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
-from surctl.marine.verification.linear.margin_speed import margin_speed
 from surctl.marine.verification.linear.modes import Mode, bearable_speed, cap_above, cap_above_bearable, slowest_mode
-from surctl.marine.verification.linear.places import DISK_PLACES, open_loop
 from surctl.marine.verification.linear.sampled import SampledLimits, largest_period, sampled_limits, sampled_poles
-from surctl.marine.verification.linear.side import LinearSide, Pole, linear_side, worst_linear_side
-from surctl.marine.verification.linear.worst import corner_margin, least_disk
+from surctl.marine.verification.linear.side import (
+    DISK_PLACES,
+    LinearSide,
+    Pole,
+    corner_margin,
+    least_disk,
+    linear_side,
+    margin_speed,
+    open_loop,
+    worst_linear_side,
+)
 
 __all__ = [
     "DISK_PLACES",

@@ -18,8 +18,8 @@ from surctl.errors import InputError, nearest
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import STATE_NAMES, THRUST_NAMES, labelled, state_names
 from surctl.marine.verification.cascade import LOOP_NAMES, Cascade, build_cascade
-from surctl.marine.verification.linear.places import open_loop
 from surctl.marine.verification.linear.sampled import check_delay, open_transition
+from surctl.marine.verification.linear.side import open_loop
 from surctl.verification.loops import state_blocks
 
 __all__ = ["closed_system", "loop_system", "open_system", "sampled_loop_system"]

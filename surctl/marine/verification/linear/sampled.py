@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.ir.stored_numbers import stored_numbers
+from surctl.ir.cache import stored_numbers
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.cascade import Cascade, build_cascade
 from surctl.system.exponential import expm
@@ -39,7 +39,7 @@ _GROWTH = 1.06  # ratio of a tried period to the previous period
 _HALVINGS = 24
 _MOST = 400  # largest delay that is tried, in periods
 _EDGE = 1e-9  # a pole this close to the unit circle counts as lying on the circle
-DELAYS = (0, 1, 2)
+_DELAYS = (0, 1, 2)
 
 _Held = tuple[Array, Array]
 
@@ -65,7 +65,7 @@ class SampledLimits:
 
     def to_dict(self) -> dict[str, Any]:
         """The limits as plain data for JSON."""
-        return {**asdict(self), "largest_period_s": dict(zip(map(str, DELAYS), self.largest_period_s, strict=True))}
+        return {**asdict(self), "largest_period_s": dict(zip(map(str, _DELAYS), self.largest_period_s, strict=True))}
 
 
 def sampled_poles(
@@ -143,7 +143,7 @@ def _sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         if np.max(_radius(undelayed, delay, held(period))) >= 1 - _EDGE:
             break
         borne = delay
-    one, two, three = (_largest(undelayed, delay, held) for delay in DELAYS)
+    one, two, three = (_largest(undelayed, delay, held) for delay in _DELAYS)
     return SampledLimits(period, float(np.max(_radius(undelayed, 1, held(period)))), (one, two, three), borne)
 
 

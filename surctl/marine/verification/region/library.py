@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from surctl.errors import InputError, NotApplicable, nearest
 from surctl.marine.control import Gains
@@ -12,7 +14,6 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.heading_proof import prove_heading
-from surctl.marine.verification.region.next_step import implies, shorter, weaker
 from surctl.marine.verification.region.proof import RegionProof, prove_region
 from surctl.marine.verification.region.statement import RegionStatement
 from surctl.marine.verification.region.steering import SteeringClaim
@@ -20,7 +21,92 @@ from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_proof import prove_turning
 
-__all__ = ["REGION_CLAIMS", "applicable_region", "prove_statement", "refused_regions", "region_statement"]
+__all__ = ["REGION_CLAIMS", "applicable_region", "implies", "prove_statement", "refused_regions", "region_statement"]
+
+_RANGES = frozenset({"mass_factor", "drag_factor"})
+_RANGES_OF_CRUISE = frozenset({"mass", "linear", "quadratic", "lag"})
+_AT_LEAST = frozenset(
+    {"mass_asymmetry", "drag_asymmetry", "asymmetry", "yaw_rate", "rate", "current", "force", "place_error",
+     "velocity_error", "curvature", "heave", "turn_rate", "rest"}
+)  # fmt: skip
+_LABELS = frozenset({"name", "digests"})
+_TRIED = 16  # largest number of start values of the search for a weaker claim
+_CURRENTS = {
+    "current_m_per_s": "a current of at most {:.3g} m/s",
+    "force_n": "a disturbance force of at most {:.3g} N",
+    "yaw_rate_rad_per_s": "a yaw rate of at most {:.3g} rad/s",
+}
+
+
+def implies(strong: RegionClaim | TurningClaim, weak: RegionClaim | TurningClaim) -> bool:
+    """Return whether a proof of one claim about a cruise also proves another one about the same loop.
+
+    The ranges of `strong` contain those of `weak`, its disturbances and its decay rate are at least as large, its
+    thrust is at most as large, and everything else is equal.
+    """
+    if type(strong) is not type(weak):
+        return False
+    ranges = _RANGES | (_RANGES_OF_CRUISE if isinstance(strong, RegionClaim) else frozenset())
+    for key in (field.name for field in fields(strong)):
+        a: Any = getattr(strong, key)
+        b: Any = getattr(weak, key)
+        if key in ranges:
+            good = a[0] <= b[0] and b[1] <= a[1]
+        elif key in _AT_LEAST:
+            good = bool(np.all(np.asarray(a) >= b))
+        elif key == "thrust":
+            good = bool(np.all(np.asarray(a) <= b))
+        else:
+            good = key in _LABELS or a == b
+        if not good:
+            return False
+    return True
+
+
+def _shorter(statement: RegionStatement) -> RegionStatement:
+    """Return the statement with a short search."""
+    return statement.model_copy(update={"attempts": min(statement.attempts, _TRIED)})
+
+
+class _Weaker(NamedTuple):
+    """A weaker claim: what is assumed or demanded instead, in words, the statement, and its speeds [m/s]."""
+
+    words: str
+    statement: RegionStatement
+    cruise: float
+    cap: float
+
+
+def _weaker(statement: RegionStatement, *, cruise: float | None, cap: float | None) -> Iterator[_Weaker]:
+    """Yield weaker claims than a statement about a cruise, each with one assumption changed and a short search."""
+    own = {"cruise_m_per_s", "cap_m_per_s"} & statement.model_fields_set
+    speed = statement.cruise_m_per_s if cruise is None or own else cruise
+    most = statement.cap_m_per_s if cap is None or own else cap
+
+    def changed(words: str, slower: float = 1.0, /, **changes: Any) -> _Weaker:
+        slow = {"cruise_m_per_s": slower * speed, "cap_m_per_s": slower * most} if own else {}
+        one = _shorter(statement).model_copy(update={**changes, **slow})
+        return _Weaker(words, one, slower * speed, slower * most)
+
+    if statement.at_rest:
+        yield changed("without a start at rest", at_rest=False)
+    yield changed(f"at a decay rate of {statement.rate_per_s / 4:.3g}/s", rate_per_s=statement.rate_per_s / 4)
+    if not statement.ranges and statement.share + statement.mass_share * (statement.loop == "turning") > 0:
+        turning = statement.loop == "turning"
+        halves = ("share", "asymmetry", *(("mass_share", "mass_asymmetry") if turning else ()))
+        masses = statement.mass_share if turning else statement.share
+        words = f"with masses off by up to {masses / 2:.3g} and drag by up to {statement.share / 2:.3g} of their values"
+        yield changed(words, **{key: getattr(statement, key) / 2 for key in halves})
+    for key, words in _CURRENTS.items():
+        value = getattr(statement, key)
+        late = statement.lagged or statement.sampled
+        if value > 0 and (key != "yaw_rate_rad_per_s" or (late and not statement.spinning)):
+            yield changed(f"with {words.format(value / 2)}", **{key: value / 2})
+    for key, words in (("lagged", "without thrust lag"), ("sampled", "with commands that are not held")):
+        if getattr(statement, key):
+            yield changed(words, **{key: False})
+    for share in (0.75, 0.5):
+        yield changed(f"at a cruise speed of {share * speed:.3g} m/s", share)
 
 
 def _entries(*entries: tuple[str, str, dict[str, Any]]) -> Mapping[str, RegionStatement]:
@@ -246,11 +332,11 @@ def prove_statement(
     for other in REGION_CLAIMS.values():
         strong = _claim_or_none(other, vehicle, gains, cruise, cap) if other.loop == statement.loop else None
         if strong is not None and strong.name != claim.name and implies(strong, claim):
-            result = _prove(shorter(other), strong, seed=seed)
+            result = _prove(_shorter(other), strong, seed=seed)
             if result.verdict == "proved":
                 return replace(result, claim=claim, by=strong.name, seconds=proof.seconds + result.seconds)
     tried = []
-    for words, one, slow, most in weaker(statement, cruise=cruise, cap=cap):
+    for words, one, slow, most in _weaker(statement, cruise=cruise, cap=cap):
         result = _prove(one, one.claim(vehicle, gains, cruise=slow, cap=most), seed=seed)
         if result.verdict == "proved":
             return replace(proof, reason=f"{proof.reason}; proved {words}: from {result.offset:.3g} m beside the path")

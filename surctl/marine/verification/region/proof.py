@@ -12,15 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import Checked, check_document, seal
-from surctl.ir.stored_numbers import stored_numbers
+from surctl.ir.cache import stored_numbers
 from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.loop import Steady, offset_slopes, steady_cruise
-from surctl.marine.verification.region.rates import cruise_loop
-from surctl.marine.verification.region.ratio import LevelRatios, level_ratios
-from surctl.marine.verification.region.search import search
+from surctl.marine.verification.region.rates import LevelRatios, cruise_loop, level_ratios
 from surctl.marine.verification.region.steering import SteeringClaim
-from surctl.marine.verification.region.synthesis import Candidate
+from surctl.marine.verification.region.synthesis import Candidate, search
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_certificate import raised, region_of
 from surctl.marine.verification.region.turning_search import turning_search

@@ -7,36 +7,18 @@ constant over a control period.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.verification.region.claim import RegionClaim
-from surctl.marine.verification.region.loop import (
-    Bounds,
-    Gains,
-    Loop,
-    Steady,
-    bounds,
-    force_gain,
-    gains_of,
-    loops,
-)
+from surctl.marine.verification.region.loop import Bounds, Gains, Loop, Steady, bounds, force_gain, gains_of, loops
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
 
-__all__ = [
-    "Candidate",
-    "Proposal",
-    "Start",
-    "finished",
-    "levels_of",
-    "multipliers_of",
-    "proposed",
-    "synthesise",
-    "widened",
-]
+__all__ = ["Candidate", "Proposal", "finished", "search"]
 
 Array = NDArray[np.float64]
 
@@ -48,7 +30,7 @@ _FREE = 3  # number of free multipliers, those of w_1, w_2, w_3; those of w_5, w
 
 
 @dataclass(frozen=True)
-class Start:
+class _Start:
     """Start values of the synthesis for the region V ≤ 1.
 
     `x` and `y` are the largest |x| and |y| [m], `share` is the least thrust share φ, `floor` the level of the innermost
@@ -94,12 +76,12 @@ class Proposal:
         return float(1 / np.sqrt(self.P[1, 1]))
 
 
-def levels_of(floor: float, count: int) -> tuple[float, ...]:
+def _levels_of(floor: float, count: int) -> tuple[float, ...]:
     """Return levels from the floor to 1 in a geometric sequence."""
     return tuple(float(f"{level:.6g}") for level in np.geomspace(floor, 1.0, count + 1))
 
 
-def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
+def _structured(at: Bounds, loop: Loop) -> dict[int, Array]:
     """Return the derivatives ∂M/∂λ_j (N, N) for j = 1, 2, 3, 5 and 6; for j = 5 and 6 the term in P is omitted."""
     size, total, q = len(loop.A), len(loop.A) + loop.B.shape[1], len(loop.desired)
     start = {j: size + q * k for k, j in enumerate(loop.wind)}
@@ -121,7 +103,7 @@ def structured(at: Bounds, loop: Loop) -> dict[int, Array]:
     return derivatives
 
 
-def held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
+def _held(claim: RegionClaim, at: Bounds, loop: Loop) -> Array:
     """Return the derivative ∂M/∂ρ (N, N) with respect to the weight ρ of held commands.
 
     M contains ρ in two terms: h |ḟ|², where h is the control period and ḟ the rate of the commanded force, and the
@@ -155,7 +137,7 @@ def lyapunov(loop: Loop, P: Array, growth: float) -> Array:
     return whole
 
 
-def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tuple[Array, float] | None:
+def _multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tuple[Array, float] | None:
     """Return the multipliers λ (5,) of a shell with the largest reserve in the decay rate, and this reserve [1/s].
 
     The inequalities are scaled so that P becomes the identity. The result is None if the solver finds no solution.
@@ -167,12 +149,12 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tup
         change, inner = np.eye(total), np.zeros((total, total))
         change[:size, :size] = np.linalg.inv(np.linalg.cholesky(own)).T  # changeᵀ P change = I
         inner[:size, :size] = own
-        derivatives = structured(at, loop)
+        derivatives = _structured(at, loop)
         derivatives[5] = derivatives[5] + at.held**2 * inner
         derivatives[6] = derivatives[6] + at.disturbance**2 * inner
         parts = [derivatives[j] for j in _WINDS] + [inner]
         pair = matrices.setdefault(total, ([], []))
-        pair[0].append(-change.T @ (lyapunov(loop, P, claim.rate) + hold * held(claim, at, loop)) @ change)
+        pair[0].append(-change.T @ (lyapunov(loop, P, claim.rate) + hold * _held(claim, at, loop)) @ change)
         pair[1].append(np.array([-change.T @ part @ change for part in parts]))
     positive: Inequality = (np.zeros((5, 1, 1)), np.eye(6)[:5, :, None, None])
     bounded: Inequality = (np.full((5, 1, 1), 1e6), -np.eye(6)[:5, :, None, None])
@@ -180,7 +162,7 @@ def multipliers_of(claim: RegionClaim, at: Bounds, P: Array, hold: float) -> tup
     return None if x is None else (np.maximum(x[:5], 0), float(x[5]))
 
 
-def shape(
+def _shape(
     claim: RegionClaim, steady: Steady, gains: Gains, shells: list[Bounds], growth: Array, *, spread: float
 ) -> tuple[Array, float] | None:
     """Return P with the least entry P_yy, and the weight ρ; None if the inequalities have no solution.
@@ -195,14 +177,14 @@ def shape(
     matrices: dict[int, tuple[list[Array], list[Array]]] = {}
     for k, at in enumerate(shells):
         for loop in loops(claim, at):
-            derivatives = structured(at, loop)
+            derivatives = _structured(at, loop)
             total = len(loop.A) + loop.B.shape[1]
             slopes = np.zeros((unknowns, total, total))
             rate = claim.rate + growth[k].sum()
             slopes[:count] = -lyapunov(loop, basis, rate)
             for j in range(_FREE):
                 slopes[count + _FREE * k + j] = -derivatives[_WINDS[j]]
-            slopes[-1] = -held(claim, at, loop)
+            slopes[-1] = -_held(claim, at, loop)
             fixed = growth[k, 0] / at.held**2 * derivatives[5]
             if 6 in loop.wind:
                 fixed = fixed + growth[k, 1] / at.disturbance**2 * derivatives[6]
@@ -252,11 +234,11 @@ def _pairs_of(claim: RegionClaim, gains: Gains, at: Bounds) -> list[Array]:
     return rows
 
 
-def synthesise(
-    claim: RegionClaim, steady: Steady, start: Start, *, shells: int = 5, rounds: int = 3, spread: float = _SPREAD
+def _synthesise(
+    claim: RegionClaim, steady: Steady, start: _Start, *, shells: int = 5, rounds: int = 3, spread: float = _SPREAD
 ) -> Candidate | None:
     """Return a candidate that the checker should accept; None if the search from `start` fails."""
-    levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
+    levels, gains = _levels_of(start.floor, shells), _first_gains(claim, start)
     growth = np.full((shells, 2), start.growth)
     best: Candidate | None = None
     for _ in range(rounds):
@@ -276,9 +258,9 @@ def synthesise(
     return best
 
 
-def proposed(claim: RegionClaim, steady: Steady, start: Start, *, shells: int) -> Proposal | None:
-    """Return P and ρ after the first half of a `synthesise` round: they give the offset at a third of the time."""
-    levels, gains = levels_of(start.floor, shells), _first_gains(claim, start)
+def _proposed(claim: RegionClaim, steady: Steady, start: _Start, *, shells: int) -> Proposal | None:
+    """Return P and ρ after the first half of a `_synthesise` round: they give the offset at a third of the time."""
+    levels, gains = _levels_of(start.floor, shells), _first_gains(claim, start)
     shaped = _shaped(claim, steady, gains, levels, np.full((shells, 2), start.growth), _SPREAD)
     return None if shaped is None else Proposal(*shaped, gains, levels)
 
@@ -288,7 +270,7 @@ def finished(claim: RegionClaim, steady: Steady, proposal: Proposal) -> Candidat
     return _finished(claim, steady, proposal.P, proposal.hold, proposal.gains, proposal.levels)[0]
 
 
-def _first_gains(claim: RegionClaim, start: Start) -> Gains:
+def _first_gains(claim: RegionClaim, start: _Start) -> Gains:
     velocity_gain = claim.model[0] * claim.gains["k_v"]
     return Gains(start.x, start.y, start.velocity, 0.2, 0.3 * velocity_gain, 0.3 * velocity_gain, start.share)
 
@@ -300,10 +282,10 @@ def _shaped(
     known = [one for one in shells if one is not None]
     if len(known) < len(shells):
         return None
-    return shape(claim, steady, gains, known, growth, spread=spread)
+    return _shape(claim, steady, gains, known, growth, spread=spread)
 
 
-def widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
+def _widened(claim: RegionClaim, steady: Steady, P: Array, levels: tuple[float, ...]) -> Candidate | None:
     """Return the candidate for P and levels in continuous time; None if a shell has no valid multipliers."""
     extent = np.sqrt(np.diag(np.linalg.inv(P)))
     velocity_gain = claim.model[0] * claim.gains["k_v"]
@@ -330,7 +312,7 @@ def _finished(
         at = bounds(claim, steady, fitted, low, high)
         if at is None:
             return None, fitted, None
-        result = multipliers_of(claim, at, P, hold)
+        result = _multipliers_of(claim, at, P, hold)
         if result is None:
             return None, fitted, None
         factor, left = result
@@ -338,3 +320,104 @@ def _finished(
         factors.append(factor)
         growth.append([max(factor[3] * at.held**2, 1e-3), max(factor[4] * at.disturbance**2, 1e-3)])
     return Candidate(P, levels, np.array(factors), hold) if fine else None, fitted, np.array(growth)
+
+
+_STARTS = tuple(product((0.5, 1.0, 0.3), (0.02, 0.06), (0.28, 0.15, 0.08), (0.1, 0.3, 0.7)))
+_COARSE, _FINE = 2, 6  # number of shells in a coarse and in a fine proof
+_INVARIANT_FLOOR = 0.95  # floor of a region that is invariant but has almost no decay
+
+
+def search(claim: RegionClaim, steady: Steady, *, attempts: int, seed: int) -> Iterator[Candidate]:
+    """Yield candidates from `attempts` start values, the largest region first; equal seeds give equal candidates.
+
+    In a current, the candidate that keeps the vehicle closest to the path comes first; `attempts` and `seed` then have
+    no effect.
+    """
+    if claim.current:
+        yield from _holding(claim, steady)
+        return
+    candidates: list[Candidate] = []
+    passed_over: list[Proposal] = []
+    draw = np.random.default_rng(seed)
+    cruise, cap, ahead = claim.cruise, claim.cap, claim.gains["lookahead"]
+    wide = ahead * np.sqrt(max((cap / (cruise + steady.omega[1])) ** 2 - 1, 1e-6))
+    best: tuple[float, _Start] | None = None
+    refining = False
+
+    def attempt(start: _Start) -> None:
+        nonlocal best
+        proposal = _proposed(claim, steady, start, shells=_COARSE)
+        if proposal is None:
+            return
+        if refining and best is not None and proposal.offset <= best[0]:
+            passed_over.append(proposal)  # it cannot be the best candidate: find its multipliers only if needed
+            return
+        candidate = finished(claim, steady, proposal)
+        if candidate is None:
+            return
+        candidates.append(candidate)
+        if best is None or candidate.offset > best[0]:
+            best = candidate.offset, start
+
+    for share, growth, far, floor in _STARTS:  # infeasible starts fail early
+        attempt(_Start(far * cruise / claim.gains["k1"], 0.46 * wide, share, floor, growth))
+        if len(candidates) >= max(attempts // 3, 1):
+            break
+    refining = True
+    for _ in range(attempts - len(candidates)):
+        if best is None:
+            break
+        base = best[1]
+        factors = np.exp(draw.normal(scale=(0.2, 0.15, 0.15, 0.3, 0.3)))
+        attempt(
+            replace(
+                base,
+                x=base.x * factors[0],
+                y=min(base.y * factors[1], 0.98 * wide),
+                share=min(base.share * factors[2], 1.0),
+                floor=min(base.floor * factors[3], 0.8),
+                growth=base.growth * factors[4],
+            )
+        )
+    if best is not None:
+        for share in (8, 4, 2, 1):  # a lower floor ends nearer to the path, for a slightly smaller offset
+            fine = _synthesise(claim, steady, replace(best[1], floor=best[1].floor / share), shells=_FINE, rounds=4)
+            if fine is not None and fine.offset > 0.95 * best[0]:
+                yield fine
+    yield from islice(_largest(claim, steady, [*candidates, *passed_over]), 5)
+
+
+def _largest(claim: RegionClaim, steady: Steady, candidates: list[Candidate | Proposal]) -> Iterator[Candidate]:
+    for one in sorted(candidates, key=lambda one: -one.offset):
+        candidate = finished(claim, steady, one) if isinstance(one, Proposal) else one
+        if candidate is not None:
+            yield candidate
+
+
+def _holding(claim: RegionClaim, steady: Steady) -> Iterator[Candidate]:
+    """Yield regions that keep the vehicle close to the path in a current, in order of rising distance.
+
+    The function first computes the matrix P of the smallest invariant region, which is a few times as large as the
+    static deflection by the force error. Then the function tries larger regions with this P.
+    """
+    velocity_gain = claim.model[0] * claim.gains["k_v"]
+    x, y = (
+        steady.total / (velocity_gain * claim.gains["k1"]),
+        steady.total * claim.gains["lookahead"] / (velocity_gain * claim.cruise),
+    )
+    regions: list[tuple[float, Candidate]] = []
+    for wide, far, growth in product((2.0, 2.3, 2.8), (2.3, 2.6, 3.0), (0.08, 0.1)):
+        close = _synthesise(
+            claim, steady, _Start(far * x, wide * y, 1.0, _INVARIANT_FLOOR, growth, 0.05), shells=1, rounds=2
+        )
+        if close is None:
+            continue
+        along, across = np.sqrt(np.diag(np.linalg.inv(close.P))[:2] * _INVARIANT_FLOOR)
+        away = max(map(abs, steady.omega)) / claim.gains["k1"]
+        extent = np.ceil(100 * max(along + away, across + steady.aside))  # of extents in the same cm, the widest region
+        for level in (2.0, 3.0, 4.0, 6.0, 9.0):
+            wider = _widened(claim, steady, close.P / level, _levels_of(_INVARIANT_FLOOR / level, _FINE))
+            if wider is None:
+                break
+            regions.append((float(extent - wider.offset), wider))
+    yield from (one for _, one in sorted(regions, key=lambda pair: pair[0]))

@@ -22,10 +22,10 @@ __all__ = ["TurningClaim", "turning_claim"]
 
 Pair = tuple[float, float]
 
-HEAVE: Pair = (0.1, 0.1)
+_HEAVE: Pair = (0.1, 0.1)
 """Largest heave velocity [m/s] (the law commands no more) and heave acceleration [m/s²] that the claims assume."""
 
-TURN_RATE = 1.0
+_TURN_RATE = 1.0
 """Largest yaw acceleration [rad/s²] that the claims assume."""
 
 
@@ -76,8 +76,8 @@ class TurningClaim:
     rest: bool = False
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
     terms: Mapping[str, float] = field(default_factory=dict)
-    heave: Pair = HEAVE
-    turn_rate: float = TURN_RATE
+    heave: Pair = _HEAVE
+    turn_rate: float = _TURN_RATE
     curvature: float = 0.0
     current: float = 0.0
     lag: float = 0.0

@@ -17,11 +17,66 @@ from numpy.typing import NDArray
 from surctl.certcheck.turning_terms import other_forces
 from surctl.marine.verification.region.turning import TurningClaim
 from surctl.marine.verification.region.turning_behind import Behind, behind_of
-from surctl.marine.verification.region.turning_water import best_flow, flow_error, least_error
 
 __all__ = ["Cruise", "Vertices", "corner_factors", "steady_turning", "vertices"]
 
 Array = NDArray[np.float64]
+
+
+def _least_error(rows: Array, sides: Array) -> Array:
+    """Return x (k,) that minimises the largest |rows x + sides|, with six decimals."""
+    from scipy.optimize import linprog
+
+    ones, count = np.ones((len(rows), 1)), rows.shape[1]
+    solution = linprog(
+        [0] * count + [1], A_ub=np.vstack([np.hstack([rows, -ones]), np.hstack([-rows, -ones])]),
+        b_ub=np.concatenate([-sides, sides]), bounds=[(None, None)] * (count + 1),
+    )  # fmt: skip
+    return np.asarray(np.round(solution.x[:count], 6))
+
+
+def _sizes(claim: TurningClaim, n: Array, factors: Array, moved: Array | float) -> tuple[Array, Array]:
+    """Return α (2, n, 2) and β (2, k, n, 2) of each axis [N s/m] at the ends of the secant slopes."""
+    v, mass, square = claim.cruise, np.array(claim.mass), np.array(claim.quadratic)
+
+    def slopes(speed: Array, change: Array | float) -> Array:
+        return np.stack([np.maximum(0.828 * speed, 2 * speed - change), 2 * speed + change])
+
+    law = mass * claim.gains["k_v"] + claim.linear + square * slopes(v * n, moved)
+    drag = factors[:, 0, None] * claim.linear + factors[:, 1, None] * square * slopes(v * n, claim.current)[:, None]
+    return law, drag
+
+
+def _best_flow(claim: TurningClaim, n: Array, factors: Array, means: Array) -> Array:
+    """Return the coefficients (3, 2) of the gains of the current with the least error at the worst heading.
+
+    Args:
+        claim: the claim.
+        n: |cosine| (n, 2) between the path and each axis of the body.
+        factors: vertices (k, 2, 2) of the factors of linear and quadratic drag of both axes.
+        means: 1 and the mean factors − 1 (k, 3) at the vertices.
+    """
+    law, drag = _sizes(claim, n, factors, 0.0)
+    flow = np.zeros((3, 2))
+    for k, along in enumerate((n, np.sqrt(np.maximum(1 - n**2, 0)))):
+        weight = along / claim.mass
+        rows = (weight * law[0])[None, None, ..., None] * means[None, :, None, None]
+        rows = np.broadcast_to(rows, (*drag.shape, 3))
+        flow[:, k] = _least_error(rows.reshape(-1, 3), -(weight * drag).reshape(-1))
+    return flow
+
+
+def _flow_error(claim: TurningClaim, n: Array, factors: Array, gains: Array, omega: tuple[float, float]) -> Array:
+    """Return the largest error (n, 2) [N] on each axis by the current for the gains (k, 2) at the vertices."""
+    moved = claim.current * np.abs(gains).max() + 2 * max(map(abs, omega))
+    law, drag = _sizes(claim, n, factors, moved)
+    across = np.sqrt(np.maximum(1 - n**2, 0))
+    left = [
+        np.abs(drag[:, None] - law[None, :, None] * gains[:, k, None, None]).max(axis=(0, 1)) * side
+        for k, side in enumerate((n, across))
+    ]
+    return np.asarray(claim.current * np.hypot(*left).max(axis=0))
+
 
 _TURNING = np.kron(np.eye(2), [[0.0, -1.0], [1.0, 0.0]])
 
@@ -196,7 +251,7 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     means = np.stack([f.mean(axis=1) - 1, g.mean(axis=1) - 1], 1)  # (k, 2)
     if slopes is None:
         rows = (means[:, None, None, :] * own[None, :, :, None] / np.array(claim.mass)[:, None]).reshape(-1, 2)
-        first, second = least_error(rows, (missing / claim.mass).reshape(-1))
+        first, second = _least_error(rows, (missing / claim.mass).reshape(-1))
         slopes = float(first), float(second)
     omegas = means @ slopes
     lack = (
@@ -208,8 +263,8 @@ def steady_turning(claim: TurningClaim, *, cells: int, slopes: tuple[float, floa
     if claim.current:
         full = np.hstack([np.ones((len(means), 1)), means])
         if not claim.behind:
-            flow = best_flow(claim, n, np.stack([f, g], 1), full)
-        lack = lack + flow_error(claim, n, np.stack([f, g], 1), full @ flow, omega)
+            flow = _best_flow(claim, n, np.stack([f, g], 1), full)
+        lack = lack + _flow_error(claim, n, np.stack([f, g], 1), full @ flow, omega)
         along, across = np.abs(full @ flow).max(axis=0) * claim.current
     else:
         along = across = 0.0

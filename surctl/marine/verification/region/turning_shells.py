@@ -102,7 +102,7 @@ def transformed(P: Array, at: Vertices, chosen: Numbers | list[int]) -> tuple[Ar
     return half, side @ side.swapaxes(-1, -2)
 
 
-def best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess: float) -> tuple[float, float]:
+def _best_growth(P: Array, phases: list[Vertices], rate: float, low: float, guess: float) -> tuple[float, float]:
     """Return the growth η [1/s] that nearly minimises the largest eigenvalue at the vertices, and this eigenvalue.
 
     `phases` are the vertices of each form that decides. The matrices that matter at one η are those that matter close
@@ -139,7 +139,7 @@ def fitted(claim: TurningClaim, cruise: Cruise, P: Array, guess: float) -> Turni
 
     def shell(low: float, high: float, growth: float) -> tuple[float, float]:
         at = vertices(claim, cruise, covariance, high)
-        return (growth, np.inf) if at is None else best_growth(P, at.phases(), claim.rate, low, growth)
+        return (growth, np.inf) if at is None else _best_growth(P, at.phases(), claim.rate, low, growth)
 
     def holds(high: float) -> bool:
         return shell(high * _RATIO, high, guess)[1] <= -_MARGIN

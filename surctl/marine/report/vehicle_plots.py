@@ -1,4 +1,4 @@
-"""Plot of the forces that the thrusters of a vehicle can produce."""
+"""Plots of a vehicle: predictions of an identified model against a log, and the forces that the thrusters reach."""
 
 from __future__ import annotations
 
@@ -7,16 +7,98 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.marine.allocation import working_flags
-from surctl.marine.vehicle import Actuators, Vehicle, attainable
+from surctl.marine.vehicle import LOG_MOTION, Actuators, Prediction, Vehicle, attainable
 from surctl.marine.vehicle.linearise import command_range
-from surctl.report.pictures import save_figure
-from surctl.report.theme import CYCLE, INK, dress, legend_below, new_axes
+from surctl.report.theme import (
+    AVOIDING,
+    CYCLE,
+    INK,
+    MUTED,
+    ROBOT,
+    dress,
+    head,
+    legend_below,
+    new_axes,
+    new_figure,
+    save_figure,
+)
 
-__all__ = ["plot_attainable", "save_attainable"]
+__all__ = ["plot_attainable", "plot_prediction", "save_attainable", "save_prediction"]
+
+_LABELS = dict(
+    zip(LOG_MOTION, ("x [m]", "y [m]", "z [m]", "ψ [rad]", "u [m/s]", "v [m/s]", "w [m/s]", "r [rad/s]"), strict=True)
+)
+_MOST_ROWS = 6000  # rows of a log that a plot shows; more would merge
+
+
+def plot_prediction(prediction: Prediction, *, title: str = "Prediction") -> Figure:
+    """Plot each measured velocity, its prediction in every window, and the velocity held; poses if none is measured.
+
+    Args:
+        prediction: the result of `surctl.marine.vehicle.predict` or `held_out`.
+        title: title of the figure.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.report import plot_prediction
+        >>> from surctl.marine.vehicle import MotionLog, load_vehicle, predict
+        >>> motion = np.full((200, 8), np.nan)
+        >>> motion[:, 4] = 0.3
+        >>> log = MotionLog(0.1 * np.arange(200), motion, np.full((200, 4), 0.1))
+        >>> [ax.get_ylabel() for ax in plot_prediction(predict(log, load_vehicle("sur400"))).axes]
+        ['u [m/s]']
+    """
+    columns = [c for c in LOG_MOTION[4:] if c in prediction.model] or [c for c in LOG_MOTION if c in prediction.model]
+    figure = new_figure(9.8, 1.0 + 1.9 * len(columns))
+    head(figure, f"{title}: {prediction.windows} windows of {prediction.window:g} s")
+    axes = figure.subplots(len(columns), 1, sharex=True, squeeze=False).ravel()
+    rows = slice(0, _MOST_ROWS)
+    time = _broken(prediction.time, prediction.starts)[rows]
+    for ax, column in zip(axes, columns, strict=True):
+        k = LOG_MOTION.index(column)
+        ax.plot(prediction.time[rows], prediction.measured[rows, k], ".", ms=2.0, color=MUTED, label="measured")
+        held = _broken(prediction.held[:, k], prediction.starts)[rows]
+        predicted = _broken(prediction.predicted[:, k], prediction.starts)[rows]
+        ax.plot(time, held, "--", lw=1.1, color=AVOIDING, label="last velocity held")
+        ax.plot(time, predicted, lw=1.4, color=ROBOT, label="model")
+        text = f"RMS error: model {prediction.model[column]:.3g}, last velocity held {prediction.hold[column]:.3g}"
+        dress(ax, title=text, y=_LABELS[column])
+    axes[-1].set_xlabel("time [s]", fontsize=9.5, color=INK)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8.5, frameon=False)
+    return figure
+
+
+def save_prediction(prediction: Prediction, path: Path | str, *, title: str = "Prediction") -> Path:
+    """Write the plot of a prediction as a PNG; return its path.
+
+    Raises:
+        InputError: the folder cannot be written.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.marine.report import save_prediction
+        >>> from surctl.marine.vehicle import MotionLog, load_vehicle, predict
+        >>> motion = np.full((200, 8), np.nan)
+        >>> motion[:, 4] = 0.3
+        >>> log = MotionLog(0.1 * np.arange(200), motion, np.full((200, 4), 0.1))
+        >>> print(save_prediction(predict(log, load_vehicle("sur400")), "held-out.png"))
+        held-out.png
+    """
+    path = Path(path)
+    return save_figure(plot_prediction(prediction, title=title), path.parent, (path.stem,))
+
+
+def _broken(values: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.float64]:
+    # NaN before each window, so that no line joins two windows
+    return np.insert(values, starts[1:], np.nan)
+
 
 _SHARES = (0.0, 0.4, 0.8)  # yaw moments as shares of the largest one
 
@@ -42,7 +124,7 @@ def plot_attainable(vehicle: Vehicle, ax: Axes | None = None, *, failed: Sequenc
         >>> ax.get_xlabel(), [text.get_text() for text in ax.get_legend().get_texts()][0]
         ('surge force F_u [N]', 'yaw moment 0 N m')
     """
-    actuators = thrusters_of(vehicle)
+    actuators = _thrusters_of(vehicle)
     if vehicle["Fv_max"] == 0:
         return _plot_turning(vehicle, ax, failed)
     working = working_flags(actuators, failed)
@@ -68,7 +150,7 @@ def plot_attainable(vehicle: Vehicle, ax: Axes | None = None, *, failed: Sequenc
 
 
 def _plot_turning(vehicle: Vehicle, ax: Axes | None, failed: Sequence[str]) -> Axes:
-    actuators = thrusters_of(vehicle)
+    actuators = _thrusters_of(vehicle)
     lost = f", without {', '.join(failed)}" if failed else ""
     title = f"{vehicle.name}: attainable forces{lost}"
     ax = dress(ax or new_axes(5.4, 5.8), title=title, x="surge force F_u [N]", y="yaw moment F_r [N m]")
@@ -99,7 +181,7 @@ def save_attainable(vehicle: Vehicle, folder: Path | str, *, failed: Sequence[st
     return save_figure(figure, folder, (vehicle.name, "thrusters", *(f"without-{name}" for name in failed)))
 
 
-def thrusters_of(vehicle: Vehicle) -> Actuators:
+def _thrusters_of(vehicle: Vehicle) -> Actuators:
     """Return the thrusters of a vehicle; InputError if its file describes none."""
     if vehicle.actuators is None:
         raise InputError(

@@ -1,1 +1,0 @@
-"""Replay of recorded sonar readings through the range tracker of the control law."""
