@@ -19,7 +19,7 @@ The gains are chosen by a design of experiments on the compiled loop (`analysis/
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, Protocol
