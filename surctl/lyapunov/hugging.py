@@ -10,7 +10,7 @@ from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.rays import directions, extent
 from surctl.verification.formula import Node
 
-__all__ = ["hugged"]
+__all__ = ["bounded", "hugged"]
 
 Array = NDArray[np.float64]
 
@@ -58,10 +58,9 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
         "fun": lambda at: level - float(read(at)),
         "jac": lambda at: -np.asarray(slope(at)).reshape(-1),
     }
-    bounds = {}
-    for k, state in enumerate(d.states):
-        ends = []
-        for sign in (-1.0, 1.0):
+    reach = np.zeros((2, n))
+    for k in range(n):
+        for side, sign in enumerate((-1.0, 1.0)):
             start = points[:, np.argmax(sign * points[k])]
             toward = -sign * np.eye(n)[k]
             farthest = minimize(
@@ -69,10 +68,18 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
                 constraints=[inner], bounds=edge.T, method="SLSQP",
             )  # fmt: skip
             far = max(sign * start[k], sign * farthest.x[k] if farthest.success else 0.0)
-            away = far * scales[k] * (_WIDE if d.discrete else _MARGIN)
-            grid = 2.0 ** (np.floor(np.log2(max(away, 1e-300))) + 1 - _BITS)
-            ends.append(float(state.equilibrium + sign * np.ceil(away / grid) * grid))
-        low, high = max(ends[0], state.lower), min(ends[1], state.upper)
+            reach[side, k] = far * scales[k]
+    return bounded(d, reach)
+
+
+def bounded(dynamics: Dynamics, reach: Array) -> Dynamics:
+    """Return the dynamics with bounds just outside x* − reach[0] and x* + reach[1] (2, n); no bound is widened."""
+    away = reach * (_WIDE if dynamics.discrete else _MARGIN)
+    grid = 2.0 ** (np.floor(np.log2(np.maximum(away, 1e-300))) + 1 - _BITS)
+    ends = dynamics.equilibrium + np.array([[-1.0], [1.0]]) * np.ceil(away / grid) * grid
+    bounds = {}
+    for state, low, high in zip(dynamics.states, *ends.tolist(), strict=True):
+        low, high = max(low, state.lower), min(high, state.upper)
         if low < state.equilibrium < high:
             bounds[state.name] = (low, high)
-    return d.on(bounds)
+    return dynamics.on(bounds)
