@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 Poly = dict[tuple[int, ...], Fraction]
 """A polynomial of degree at most 1 in each slope: coefficients by the sorted indices of the slopes in a term."""
 
-_PIECES = 48  # parts of a range on which a secant slope is enclosed
+_PIECES, _HALVED = 24, 4  # parts of a range on each side of x* for a secant slope; halvings of the part next to x*
 _FEW = 6  # slopes of a row whose vertices are tried for its support
 _NARROW = Fraction(1, 2**33)  # a slope with a smaller relative width counts as a number with an error
 _MOST_TERMS = 4096  # of a polynomial
@@ -188,7 +188,7 @@ class Rows:
         if 0 <= self.base[at] != at:
             function, inner = self._function(at), self.range[self.base[at]]
             hull: Interval | None = None
-            for piece in _pieces(inner):
+            for piece in _pieces(inner, self.rest[self.base[at]]):
                 value = function(piece, 0)[0]
                 hull = value if hull is None else _hull(hull, value)
             own = _common(own, hull)
@@ -414,7 +414,7 @@ class Rows:
         c = self.rest[base]
         value = function(c, 0)[0]
         total: Interval | None = None
-        for piece in _pieces(self.range[base]):
+        for piece in _pieces(self.range[base], c):
             go_on()
             slope = _secant_on(function, piece, c, value)
             total = slope if total is None else _hull(total, slope)
@@ -483,13 +483,18 @@ def up(x: Fraction) -> float:
     return float(np.nextafter(float(x), np.inf)) if x else 0.0
 
 
-def _pieces(ends: Interval) -> list[Interval]:
-    """Return intervals that cover an interval."""
+def _pieces(ends: Interval, c: Interval) -> list[Interval]:
+    """Return intervals that cover an interval; they are shorter near c, where the mean value theorem decides."""
     low, high = (_fraction(end) for end in ends)
     if low == high:
         return [ends]
-    cuts = [ends[0], *(rational(low + (high - low) * k / _PIECES)[0] for k in range(1, _PIECES)), ends[1]]
-    return list(pairwise(cuts))
+    middle = min(max(sum(map(_fraction, c)) / 2, low), high)
+    steps = [Fraction(1, _PIECES * 2**k) for k in range(_HALVED, 0, -1)] + [
+        Fraction(k, _PIECES) for k in range(1, _PIECES)
+    ]
+    below = [middle - (middle - low) * step for step in reversed(steps)]
+    inside = [x for x in [*below, middle, *(middle + (high - middle) * step for step in steps)] if low < x < high]
+    return list(pairwise([ends[0], *(rational(x)[0] for x in dict.fromkeys(inside)), ends[1]]))
 
 
 def _secant_on(

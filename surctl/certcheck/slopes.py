@@ -163,6 +163,8 @@ def _is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     if len(used) > _MOST_SLOPES:
         raise Rejected(f"the slope rule needs {len(used)} slopes, more than {_MOST_SLOPES}")
     terms = sorted({term for row in whole for entry in row for term in entry.poly})
+    if not terms:
+        return False
     # scale by powers of 2, which is exact, so that the diagonal is about 1
     half = []
     for k in range(size):
@@ -182,7 +184,7 @@ def _is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     largest = np.array([np.prod(np.abs(ends[term]).max(axis=1)) for term in members])
     # rounding of the numbers, of the products of slopes, and of the sums
     size_of = np.einsum("t,tij->ij", largest, np.abs(numbers))
-    error += size_of * ((len(terms) + max(map(len, terms), default=0) + 8) * _UNIT)
+    error += size_of * ((len(terms) + max(map(len, terms)) + 8) * _UNIT)
     trace = float(np.trace(size_of))
     # Rump: if the factorisation of A − shift·I succeeds in floating-point numbers, A is positive semidefinite; with
     # twice the shift, it is positive definite
@@ -191,7 +193,7 @@ def _is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     for chosen in _vertices(len(used)):
         go_on()
         slopes = np.where(chosen, ends[:, 1], ends[:, 0])  # (vertices, slopes)
-        products = np.array([slopes[:, term].prod(axis=1) for term in members]).reshape(len(terms), -1)
+        products = np.array([slopes[:, term].prod(axis=1) for term in members])
         matrices = np.tensordot(products.T, numbers, axes=1) - shift * np.eye(size)
         try:
             factors = np.linalg.cholesky(matrices)

@@ -38,12 +38,17 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
         >>> hugged(cubic, parse("x^2", x), 0.25).box.round(2).tolist()
         [[-0.51], [0.51]]
     """
-    from scipy.optimize import minimize
-
     d, n = dynamics, len(dynamics.states)
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     z = ca.SX.sym("z", n)
     value = d.compiled(function)(ca.DM(d.equilibrium) + ca.DM(scales) * z, d.corners()[:, 0])
+    hessian = ca.hessian(value, z)[0]
+    if hessian.is_constant() and np.all(np.linalg.eigvalsh(matrix := np.asarray(ca.DM(hessian)) / 2) > 0):
+        # a quadratic form about the equilibrium
+        far = np.sqrt(level * np.diag(np.linalg.inv(matrix))) * scales
+        return bounded(d, np.array([far, far]))
+    from scipy.optimize import minimize
+
     read = ca.Function("value", [z], [value])
     slope = ca.Function("slope", [z], [ca.gradient(value, z)])
     edge = (d.box - d.equilibrium) / scales

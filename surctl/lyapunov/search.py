@@ -33,9 +33,10 @@ _SEARCH = 0.3  # share of the time for the search of functions
 _GAIN = 1.01  # least ratio of a region to the one that is proved, for which its proof is tried
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
-_SLOPES, _PROOF = 0.1, 0.2  # shares of the time for the search of a function by the slope rule, and for its proofs
-_SAFE = (1.0, 0.98, 0.9, 0.7)  # levels that are tried, relative to the proposed one
+_SLOPES, _PROOF = 0.08, 0.2  # shares of the time for the search of a function by the slope rule, and for its proofs
+_SAFE = (0.98, 0.92, 0.8, 0.6)  # levels that are tried, relative to the proposed one
 _FEW, _MANY = 3, 8  # states, and states and parameters, up to which other rules may prove larger regions
+_SOME = 6  # states up to which the least level with a counterexample is searched after a proof by the slope rule
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class StabilityResult:
         reason: why the verdict is not `proved`, in one sentence; empty if it is.
         decision: the decision on the claim with the largest proved region, or on the last claim that was tried; None if
             there is none.
-        falsified: the least level of the function for which a counterexample was found; None without a function.
+        falsified: the least level of the function for which a counterexample was found; None if it was not searched.
         label: how the function was found.
         volume: estimated volume of the region relative to the box.
         seconds: duration [s].
@@ -74,14 +75,16 @@ class StabilityResult:
 
     @property
     def ratio(self) -> float:
-        """The proved level relative to the least level with a counterexample; 0 if no level is proved."""
+        """The proved level relative to the least level with a counterexample; 0 if one of them is not known."""
         if self.verdict != "proved" or self.claim is None or self.falsified is None:
             return 0.0
         return self.claim.level / self.falsified.level
 
     def line(self) -> str:
         """Return verdict, and size of the region or reason, as one line of text."""
-        about = f"{self.volume:.0%} of the box, level {self.ratio:.2f} of the least with a counterexample"
+        about = f"{self.volume:.0%} of the box"
+        if self.falsified is not None:
+            about += f", level {self.ratio:.2f} of the least with a counterexample"
         return f"{self.verdict}: {self.reason or about}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -239,7 +242,8 @@ def _by_slopes(
         trial = prove_by_slopes(claim, time_limit=until - time.process_time())
         _say(progress, f"{candidate.label}: level {level:.4g} {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
-            bound = least_level(d, candidate.function, rate, seed=seed)
+            # only figures of a page: for many states, the search takes longer than the proof
+            bound = least_level(d, candidate.function, rate, seed=seed) if len(d.states) <= _SOME else None
             volume = candidate.volume * level ** (len(d.states) / 2)
             return StabilityResult("proved", "", trial, bound, candidate.label, volume, 0.0)
         if time.process_time() > until:

@@ -30,12 +30,13 @@ Bits = NDArray[np.bool_]
 
 _MOST, _MOST_STATES = 17, 20  # slopes of a matrix; states
 _SLOW, _FASTER = 0.02, 1.02  # decay rate relative to that of the linearisation, and to the demanded one
-_NEGLIGIBLE, _DIGITS = 1e-9, 7  # coefficients of V: what is left out, and digits after the first
+_NEGLIGIBLE, _DIGITS = 1e-5, 6  # coefficients of V: what is left out, and digits after the first
 _STARTS, _TURNS, _SWEEPS = 8, 8, 2  # random starts of the search for vertices; its turns; sweeps over all slopes
 _HALVINGS, _ROUNDS, _CUTS = 6, 24, 8
 _WORST = 6  # vertices that a cut adds
 _STRETCH, _LEAST_STRETCH = 1.2, 1.03  # by which the extents that decide slopes may grow in a round
 _GROWTH = 1.01  # least growth of the mean extent of the region in a round
+_INSIDE = 1e-4  # by which the region stays inside the box, relative to it
 _SPARE = 1e-3  # of the rate, so that the checker's wider ranges do not matter
 
 
@@ -138,7 +139,7 @@ class _Shapes:
 
 def _largest_level(shapes: _Shapes, p: Array) -> float:
     """Return a level up to which the slope rule shows that V = ξ' P ξ decreases in the box; 0 if there is none."""
-    top = float((shapes.scales**2 / np.diag(np.linalg.inv(p))).min()) * (1 - 1e-9)
+    top = float((shapes.scales**2 / np.diag(np.linalg.inv(p))).min()) * (1 - _INSIDE)
     if shapes.holds(p, top):
         return top
     low, high = 0.0, 1.0
@@ -169,10 +170,11 @@ def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, s
         return None
     apart = [variable(s.name) - number(s.rest) if s.rest else variable(s.name) for s in d.states]
     size = np.sqrt(np.diag(p))
+    p = np.where(np.abs(p) > _NEGLIGIBLE * np.outer(size, size), p, 0.0)
     total: Node | None = None
     for i in range(n):
         for j in range(i + 1):
-            if abs(p[i, j]) > _NEGLIGIBLE * size[i] * size[j]:
+            if p[i, j]:
                 factor = number(Fraction(f"{p[i, j] * (1 if i == j else 2):.{_DIGITS}e}"))
                 term = factor * (power(apart[i], 2) if i == j else apart[j] * apart[i])
                 total = term if total is None else total + term
@@ -225,7 +227,7 @@ def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Ar
     size = np.diag(shapes.scales)
     family.numbers = np.linalg.inv(size) @ family.numbers @ size
     basis = symmetric_basis(n)
-    rows = [*np.eye(n) / (1 - 1e-9)]
+    rows = [*np.eye(n) / (1 - _INSIDE)]
     for row in [*np.eye(n), *(row for _, rows in embedding.inner for row in rows)]:
         most = float(row @ cover @ row)
         if most > 0:
