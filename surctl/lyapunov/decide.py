@@ -38,6 +38,7 @@ _FIRST = 0.6  # share of the remaining time for a choice of bounds that is not t
 _FLAT = 1e-3  # least ratio of a bound near the equilibrium to the same bound far from it
 _FAR = 0.1  # least r² far from the equilibrium, relative to the largest in the region
 _SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio that are tried as factor of a lower bound
+_SLOPES = 0.3  # share of the time for the slope rule, if it is the first one
 _SIMPLE = 1.0  # largest processor time of a proof of an inequality that should take milliseconds [s]
 _HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality, and for one that is not the last
 _STEP, _NEAR = 1e-3, (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the box: second differences; samples on lines
@@ -133,7 +134,7 @@ def prove_motion(
     """Prove a claim as `decide_motion`, without a search for counterexamples, with at most `most` choices of bounds."""
     began, worked = time.perf_counter(), time.process_time()
     quick = not isinstance(claim, Safety) and has_branches(claim.dynamics)
-    if quick and (decision := prove_by_slopes(claim, time_limit=time_limit)).verdict == "proved":
+    if quick and (decision := prove_by_slopes(claim, time_limit=_SLOPES * time_limit)).verdict == "proved":
         return decision
     reason, refused = "", math.inf
     attempts = list(_attempts(claim))[:most]
