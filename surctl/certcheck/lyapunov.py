@@ -114,8 +114,8 @@ def _bound(
     document: Mapping[str, Any], motion: Motion, function: str, change: str, inside: Sequence[str]
 ) -> list[Obligation]:
     claim = document["claim"]
-    record(document, _FRAME, "the certificate")
     _gains(claim, motion)
+    record(document, _FRAME, "the certificate")
     driving = "0" + "".join(f" + {decimal_text(gain)}*{name}^2" for name, gain in claim["gains"].items())
     right = f"-({_rate(claim['rate'], motion)}*(({function}) - {decimal_text(claim['inner'])})) + ({driving})"
     needed = motion.stays(inside) if motion.discrete else _faces(motion, decimal_text(claim["level"]), function)

@@ -112,8 +112,8 @@ class Embedding:
         base = self._base[node]
         if base is not None and base is not node:
             values = self._along(node, np.linspace(*self._range[base], _POINTS))
-            at = self._along(node, np.array(self._rest[base]))
-            own, rest = _common(own, (values.min(), values.max())), _common(rest, (at.min(), at.max()))
+            still = self._along(node, np.array(self._rest[base]))
+            own, rest = _common(own, (values.min(), values.max())), _common(rest, (still.min(), still.max()))
         elif base is node:
             reach = self._support(self._row(node))
             own = _common(own, (rest[0] - reach, rest[1] + reach))
