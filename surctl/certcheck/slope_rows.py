@@ -100,8 +100,8 @@ class Rows:
         self._values: dict[tuple[str, int], Number] = {}
         self._numeric: dict[int, bool] = {}
         self.box = self._variables(box)
-        given = ExpressionTable(names)
-        self.roots = self._rewritten(given, [given.read(text) for text in rates])
+        source = ExpressionTable(names)
+        self.roots = self._rewritten(source, [source.read(text) for text in rates])
         self.rows = [self.row(root) for root in self.roots]
 
     def _variables(self, box: Box) -> list[tuple[Interval, Interval]]:
@@ -126,11 +126,11 @@ class Rows:
 
     # ---- the expressions
 
-    def _rewritten(self, given: ExpressionTable, roots: Sequence[int]) -> list[int]:
+    def _rewritten(self, source: ExpressionTable, roots: Sequence[int]) -> list[int]:
         new: dict[int, int] = {}
-        for at in given.needed(roots):
+        for at in source.needed(roots):
             go_on()
-            entry = given.entries[at]
+            entry = source.entries[at]
             new[at] = self._put(entry.op, tuple(new[a] for a in entry.args), entry.value)
         return [new[root] for root in roots]
 
@@ -463,9 +463,9 @@ def _hull(a: Interval, b: Interval) -> Interval:
     return least(a, b)[0], greatest(a, b)[1]
 
 
-def _around(a: Interval, reach: float) -> Interval:
-    """Return the numbers that differ from one in the interval by at most `reach`."""
-    end = rational(Fraction(reach))[1]
+def _around(a: Interval, extent: float) -> Interval:
+    """Return the numbers that differ from one in the interval by at most `extent`."""
+    end = rational(Fraction(extent))[1]
     return libmp.mpi_add(a, (libmp.mpf_neg(end), end), BITS)
 
 
@@ -488,7 +488,7 @@ def _pieces(ends: Interval, c: Interval) -> list[Interval]:
     low, high = (_fraction(end) for end in ends)
     if low == high:
         return [ends]
-    middle = min(max(sum(map(_fraction, c)) / 2, low), high)
+    middle = min(max((_fraction(c[0]) + _fraction(c[1])) / 2, low), high)
     steps = [Fraction(1, _PIECES * 2**k) for k in range(_HALVED, 0, -1)] + [
         Fraction(k, _PIECES) for k in range(1, _PIECES)
     ]

@@ -63,7 +63,7 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
         "fun": lambda at: level - float(read(at)),
         "jac": lambda at: -np.asarray(slope(at)).reshape(-1),
     }
-    reach = np.zeros((2, n))
+    extents = np.zeros((2, n))
     for k in range(n):
         for side, sign in enumerate((-1.0, 1.0)):
             start = points[:, np.argmax(sign * points[k])]
@@ -73,13 +73,13 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
                 constraints=[inner], bounds=edge.T, method="SLSQP",
             )  # fmt: skip
             far = max(sign * start[k], sign * farthest.x[k] if farthest.success else 0.0)
-            reach[side, k] = far * scales[k]
-    return bounded(d, reach)
+            extents[side, k] = far * scales[k]
+    return bounded(d, extents)
 
 
-def bounded(dynamics: Dynamics, reach: Array) -> Dynamics:
-    """Return the dynamics with bounds just outside x* − reach[0] and x* + reach[1] (2, n); no bound is widened."""
-    away = reach * (_WIDE if dynamics.discrete else _MARGIN)
+def bounded(dynamics: Dynamics, extents: Array) -> Dynamics:
+    """Return the dynamics with bounds just outside x* − extents[0] and x* + extents[1] (2, n); no bound is widened."""
+    away = extents * (_WIDE if dynamics.discrete else _MARGIN)
     grid = 2.0 ** (np.floor(np.log2(np.maximum(away, 1e-300))) + 1 - _BITS)
     ends = dynamics.equilibrium + np.array([[-1.0], [1.0]]) * np.ceil(away / grid) * grid
     bounds = {}

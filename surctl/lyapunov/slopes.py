@@ -103,9 +103,9 @@ class Embedding:
             d = self.dynamics
             if node.name in self.names:
                 k = self.names.index(node.name)
-                at, reach = float(d.equilibrium[k]), float(np.sqrt(self.cover[k, k]))
+                at, extent = float(d.equilibrium[k]), float(np.sqrt(self.cover[k, k]))
                 low, high = d.box[:, k]
-                return (max(low, at - reach), min(high, at + reach)), (at, at)
+                return (max(low, at - extent), min(high, at + extent)), (at, at)
             k = [w.name for w in d.parameters].index(node.name)
             return (d.ranges[0, k], d.ranges[1, k]), (d.ranges[0, k], d.ranges[1, k])
         own, rest = (_interval(node, [known[a] for a in node.args]) for known in (self._range, self._rest))
@@ -115,8 +115,8 @@ class Embedding:
             still = self._along(node, np.array(self._rest[base]))
             own, rest = _common(own, (values.min(), values.max())), _common(rest, (still.min(), still.max()))
         elif base is node:
-            reach = self._support(self._row(node))
-            own = _common(own, (rest[0] - reach, rest[1] + reach))
+            extent = self._support(self._row(node))
+            own = _common(own, (rest[0] - extent, rest[1] + extent))
         if not np.all(np.isfinite((*own, *rest))):
             raise UnsupportedOperation("an expression that is not finite on the region", key="slopes")
         return own, rest
