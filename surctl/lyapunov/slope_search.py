@@ -187,7 +187,7 @@ def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, s
 def _slope_function(dynamics: Dynamics, matrices: Array, rate: float, until: float) -> Array | None:
     """Return P (n, n) of a large region V < 1 that the slope rule is likely to prove; None if none is found."""
     shapes = _Shapes(dynamics, rate)
-    p = common_quadratic(matrices, shapes.scales, discrete=dynamics.discrete)
+    p = common_quadratic(matrices, shapes.scales.tolist(), discrete=dynamics.discrete)
     level = 0.0 if p is None else _largest_level(shapes, p)
     if p is None or not level > 0:
         return None
