@@ -397,6 +397,13 @@ def test_the_study_of_what_the_checker_accepts() -> None:
     assert rows["bound"][3].strip("| ") == "50 of 50", "the evidence does where the claim is true"
 
 
+def test_the_study_of_the_slope_rule() -> None:
+    done = run(ANALYSIS / "46_slope_rule" / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    [(_, claims, accepted)] = [row[:3] for row in table(done.stdout) if row[0] == "all"]
+    assert int(claims) >= 8 and accepted.strip(" |") == "0"
+
+
 def test_the_study_of_what_the_checker_needs() -> None:
     done = run(ANALYSIS / "24_checker_fuzz" / "run.py", "--resources", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -44,7 +44,7 @@ _FIRST = "the first operation of a table has no operands, so it is a number or a
 EQUIVALENT = {
     "expressions: ExpressionTable.total: return all(self._is_total(self.entries[at]) for at in self.needed(roots)) -> "
     "return all(self._is_total(self.entries[at]) for at in [*(self.needed(roots))][1:])": _FIRST,
-    "motion: Motion._continuous: table.needed(roots) -> [*(table.needed(roots))][1:]": _FIRST,
+    "motion: Motion.require_continuous: table.needed(roots) -> [*(table.needed(roots))][1:]": _FIRST,
     "identity: Exact._reduced: atom = max(squared, key=lambda k: (len(k), k)) -> "
     "atom = min(squared, key=lambda k: (len(k), k))": "each square is replaced, in whichever order",
 }

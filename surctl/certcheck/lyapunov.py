@@ -17,6 +17,9 @@ exceed level; in discrete time with rate 1, one step may lead to the bound, whic
 not be positive.
 
 The change of V (`change`) is compared with the one that the checker computes from the dynamics.
+
+A certificate whose V is a quadratic form about the equilibrium may state `slopes` in the place of all these proofs;
+then `surctl.certcheck.slopes` decides.
 """
 
 from __future__ import annotations
@@ -26,8 +29,10 @@ from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import listed, number
 from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion, rest_of
+from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
 
 __all__ = ["check"]
 
@@ -43,6 +48,9 @@ def check(document: Mapping[str, Any]) -> None:
     claim = document["claim"]
     motion = read_motion(claim)
     function = claim["function"]
+    if "slopes" in document:
+        _check_slopes(document, motion)
+        return
     change = motion.verify_change(function, document["change"])
     inside = [f"({function}) - {decimal_text(claim['level'])}"]
     if claim["property"] == "stability":
@@ -52,6 +60,33 @@ def check(document: Mapping[str, Any]) -> None:
     else:
         raise Rejected(f"the property {claim['property']!r} is not known")
     check_all(needed, document["proofs"], motion.normal)
+
+
+def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
+    """Raise Rejected unless the slope rule proves the claim; the region must lie in the box."""
+    claim = document["claim"]
+    record(document, _FRAME - {"change", "proofs"} | {"slopes"}, "the certificate")
+    record(document["slopes"], set(), "slopes")
+    level, rate = Fraction(repr(number(claim["level"]))), Fraction(0)
+    if claim["rate"] is not None:
+        _rate(claim["rate"], motion)
+        rate = Fraction(repr(claim["rate"]))
+    gains, constant = dict[str, Fraction](), Fraction(0)
+    if claim["property"] == "stability":
+        record(claim, _MOTION | {"equilibrium"}, "claim")
+        centre = [rest_of(value)[1] for value in _equilibrium(motion, claim["equilibrium"])]
+    elif claim["property"] == "bound":
+        gains, constant = _gains(claim, motion), rate * Fraction(repr(number(claim["inner"])))
+        centre = [Fraction(0)] * len(motion.states)
+    else:
+        raise Rejected(f"the property {claim['property']!r} is not known")
+    p = quadratic_form(motion.states, claim["function"], centre)
+    require_in_box(p, centre, level, motion.state_box)
+    if not motion.discrete:
+        table = ExpressionTable(motion.names)
+        motion.require_continuous(table, [table.read(text) for text in motion.rates], "the dynamics contain")
+    needed = Decrease(p, centre, level, rate, gains, constant)
+    check_decrease(motion.names, motion.box, motion.rates, needed, discrete=motion.discrete)
 
 
 def _stability(
@@ -79,23 +114,30 @@ def _bound(
     document: Mapping[str, Any], motion: Motion, function: str, change: str, inside: Sequence[str]
 ) -> list[Obligation]:
     claim = document["claim"]
-    record(claim, _MOTION | {"inner", "gains"}, "claim")
+    _gains(claim, motion)
     record(document, _FRAME, "the certificate")
+    driving = "0" + "".join(f" + {decimal_text(gain)}*{name}^2" for name, gain in claim["gains"].items())
+    right = f"-({_rate(claim['rate'], motion)}*(({function}) - {decimal_text(claim['inner'])})) + ({driving})"
+    needed = motion.stays(inside) if motion.discrete else _faces(motion, decimal_text(claim["level"]), function)
+    return [*needed, _decrease(motion, function, change, right, inside)]
+
+
+def _gains(claim: Mapping[str, Any], motion: Motion) -> dict[str, Fraction]:
+    """Return the gain of each disturbance; raise Rejected unless V ends below the level."""
+    record(claim, _MOTION | {"inner", "gains"}, "claim")
     rate, inner, level = (Fraction(repr(number(claim[key]))) for key in ("rate", "inner", "level"))
     ranges = dict(zip(motion.names, motion.box, strict=True))
-    driving, most = "0", Fraction(0)
+    gains, most = dict[str, Fraction](), Fraction(0)
     for name, gain in claim["gains"].items():
         if name not in ranges or name in motion.states or number(gain) < 0:
             raise Rejected("a gain is negative, or does not belong to a parameter")
-        driving += f" + {decimal_text(gain)}*{name}^2"
-        most += Fraction(repr(number(gain))) * max(Fraction(repr(end)) ** 2 for end in ranges[name])
+        gains[name] = Fraction(repr(gain))
+        most += gains[name] * max(Fraction(repr(end)) ** 2 for end in ranges[name])
     if not inner + most / rate <= level:
         raise Rejected("the bound exceeds the level")
     if motion.discrete and rate == 1 and inner + most == level:
         raise Rejected("V may reach the level in one step")
-    right = f"-({_rate(claim['rate'], motion)}*(({function}) - {decimal_text(claim['inner'])})) + ({driving})"
-    needed = motion.stays(inside) if motion.discrete else _faces(motion, decimal_text(claim["level"]), function)
-    return [*needed, _decrease(motion, function, change, right, inside)]
+    return gains
 
 
 def _decrease(motion: Motion, function: str, change: str, right: str, inside: Sequence[str]) -> Obligation:
@@ -114,14 +156,20 @@ def _faces(motion: Motion, level: str, function: str) -> list[Obligation]:
 
 
 def _distance(motion: Motion, equilibrium: object, scales: Sequence[object]) -> str:
-    if not isinstance(equilibrium, dict) or set(equilibrium) != set(motion.states):
-        raise Rejected("the equilibrium does not name every state once")
+    rest = _equilibrium(motion, equilibrium)
     if len(scales) != len(motion.states) or any(number(scale) <= 0 for scale in scales):
         raise Rejected("the scales are not one positive number for each state")
     return " + ".join(
-        f"(({name} - {rest_of(equilibrium[name])[0]})/{decimal_text(scale)})^2"
-        for name, scale in zip(motion.states, scales, strict=True)
+        f"(({name} - {rest_of(value)[0]})/{decimal_text(scale)})^2"
+        for name, value, scale in zip(motion.states, rest, scales, strict=True)
     )
+
+
+def _equilibrium(motion: Motion, stated: object) -> list[object]:
+    """Return the stated coordinates of the equilibrium, in the order of the states."""
+    if not isinstance(stated, dict) or set(stated) != set(motion.states):
+        raise Rejected("the equilibrium does not name every state once")
+    return [stated[name] for name in motion.states]
 
 
 def _power(distance: str, stated: object) -> str:

@@ -104,7 +104,7 @@ class Motion:
         rates = [table.read(text) for text in self.rates]
         if not self.discrete:
             # the solutions of rates that jump are not those of an ordinary differential equation
-            self._continuous(table, rates, "the dynamics contain")
+            self.require_continuous(table, rates, "the dynamics contain")
         own = composed(table, root, dict(enumerate(rates))) if self.discrete else along(table, root, rates)
         self._defined(table, [*rates, own])
         if own != claimed and (not self.normal.equal(claimed, lambda e: e.of(own)) or self.normal.assumed):
@@ -132,7 +132,7 @@ class Motion:
                 cut = low / 2 + high / 2
                 waiting += [[*box[:k], (low, cut), *box[k + 1 :]], [*box[:k], (cut, high), *box[k + 1 :]]]
 
-    def _continuous(self, table: ExpressionTable, roots: Sequence[int], what: str) -> None:
+    def require_continuous(self, table: ExpressionTable, roots: Sequence[int], what: str) -> None:
         """Raise Rejected if the expressions may jump in the box."""
         wide = [span(*ends) for ends in self.box]
         for at in table.needed(roots):
@@ -155,7 +155,7 @@ class Motion:
         """
         if self.discrete:  # in continuous time, the function has a derivative
             table = self.normal.expressions
-            self._continuous(table, [table.read(function)], "the function contains")
+            self.require_continuous(table, [table.read(function)], "the function contains")
         at = [rest_of(point[name])[1] for name in self.states]
         if not all(
             Fraction(repr(low)) < x < Fraction(repr(high)) for x, (low, high) in zip(at, self.box, strict=False)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck import check_document, seal
+from surctl.certcheck import PATIENCE, check_document, seal
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics
@@ -25,10 +25,10 @@ from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.doubtful import undefined_at
 from surctl.verification.falsifier import search, sobol
-from surctl.verification.formula import ordered, text_of, values_of
+from surctl.verification.formula import BRANCHING, ordered, text_of, values_of
 from surctl.verification.proving import prove_cases
 
-__all__ = ["Decision", "decide_motion", "prove_motion"]
+__all__ = ["Decision", "decide_motion", "has_branches", "prove_by_slopes", "prove_motion"]
 
 Array = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ _FIRST = 0.6  # share of the remaining time for a choice of bounds that is not t
 _FLAT = 1e-3  # least ratio of a bound near the equilibrium to the same bound far from it
 _FAR = 0.1  # least r² far from the equilibrium, relative to the largest in the region
 _SHARES_TRIED = (1e-3, 0.3, 1e-6, 1e-9)  # shares of the least sampled ratio that are tried as factor of a lower bound
+_SLOPES = 0.3  # share of the time for the slope rule, if it is the first one
 _SIMPLE = 1.0  # largest processor time of a proof of an inequality that should take milliseconds [s]
 _HARD, _EASY = 0.7, 0.5  # shares of the remaining time for the first inequality, and for one that is not the last
 _STEP, _NEAR = 1e-3, (1.0, 0.3, 0.1, 0.03, 0.01, 0.003)  # of the box: second differences; samples on lines
@@ -67,6 +68,15 @@ class Decision:
     counterexample: Mapping[str, float]
     seconds: float
     vacuous: str = ""
+
+    @property
+    def rule(self) -> str:
+        """By what the claim is proved, in words; empty unless it is proved."""
+        if "slopes" in self.document:
+            return "secant slopes: a matrix inequality at every vertex of their ranges"
+        cases = [case for proof in self.document.get("proofs", []) for case in proof]
+        squares = ["squares" in case for case in cases]
+        return " and ".join(["interval boxes"] * (not all(squares)) + ["sums of squares"] * any(squares))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verdict as plain data for JSON."""
@@ -123,6 +133,9 @@ def prove_motion(
 ) -> Decision:
     """Prove a claim as `decide_motion`, without a search for counterexamples, with at most `most` choices of bounds."""
     began, worked = time.perf_counter(), time.process_time()
+    quick = not isinstance(claim, Safety) and has_branches(claim.dynamics)
+    if quick and (decision := prove_by_slopes(claim, time_limit=_SLOPES * time_limit)).verdict == "proved":
+        return decision
     reason, refused = "", math.inf
     attempts = list(_attempts(claim))[:most]
     if not attempts:
@@ -151,7 +164,31 @@ def prove_motion(
             if checked.accepted:
                 return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
             reason, proofs = f"the checker rejects the proof: {checked.reason}", {}
+    if not quick and not isinstance(claim, Safety) and (rest := time_limit - (time.process_time() - worked)) > 0:
+        decision = prove_by_slopes(claim, time_limit=rest)
+        if decision.verdict == "proved":
+            return replace(decision, seconds=time.perf_counter() - began)
     return Decision(claim, "unknown", {}, reason, {}, time.perf_counter() - began)
+
+
+def has_branches(dynamics: Dynamics) -> bool:
+    """Return whether the rates contain limits or other cases, which multiply the work of other rules than slopes."""
+    return any(node.op in BRANCHING for node in ordered(*dynamics.rates))
+
+
+def prove_by_slopes(claim: Stability | Bound, *, time_limit: float) -> Decision:
+    """Prove a claim by the slope rule of the checker, which needs nothing but a quadratic V.
+
+    Args:
+        claim: the claim.
+        time_limit: limit of the processor time [s].
+    """
+    began = time.perf_counter()
+    document = seal(claim.kind, claim.plain(), {"slopes": {}})
+    checked = check_document(document, time_limit=min(time_limit, PATIENCE))
+    if checked.accepted:
+        return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
+    return Decision(claim, "unknown", {}, checked.reason, {}, time.perf_counter() - began)
 
 
 def _simply(inequality: Inequality, left: float) -> list[Any] | None:

@@ -10,7 +10,7 @@ from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.rays import directions, extent
 from surctl.verification.formula import Node
 
-__all__ = ["hugged"]
+__all__ = ["bounded", "hugged"]
 
 Array = NDArray[np.float64]
 
@@ -38,12 +38,17 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
         >>> hugged(cubic, parse("x^2", x), 0.25).box.round(2).tolist()
         [[-0.51], [0.51]]
     """
-    from scipy.optimize import minimize
-
     d, n = dynamics, len(dynamics.states)
     scales = np.maximum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
     z = ca.SX.sym("z", n)
     value = d.compiled(function)(ca.DM(d.equilibrium) + ca.DM(scales) * z, d.corners()[:, 0])
+    hessian = ca.hessian(value, z)[0]
+    if hessian.is_constant() and np.all(np.linalg.eigvalsh(matrix := np.asarray(ca.DM(hessian)) / 2) > 0):
+        # a quadratic form about the equilibrium
+        far = np.sqrt(level * np.diag(np.linalg.inv(matrix))) * scales
+        return bounded(d, np.array([far, far]))
+    from scipy.optimize import minimize
+
     read = ca.Function("value", [z], [value])
     slope = ca.Function("slope", [z], [ca.gradient(value, z)])
     edge = (d.box - d.equilibrium) / scales
@@ -58,10 +63,9 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
         "fun": lambda at: 1 - float(read(at)) / level,  # V in any unit: tolerances of the search are absolute
         "jac": lambda at: -np.asarray(slope(at)).reshape(-1) / level,
     }
-    bounds = {}
-    for k, state in enumerate(d.states):
-        ends = []
-        for sign in (-1.0, 1.0):
+    extents = np.zeros((2, n))
+    for k in range(n):
+        for side, sign in enumerate((-1.0, 1.0)):
             start = points[:, np.argmax(sign * points[k])]
             toward = -sign * np.eye(n)[k]
             farthest = minimize(
@@ -69,10 +73,18 @@ def hugged(dynamics: Dynamics, function: Node, level: float) -> Dynamics:
                 constraints=[inner], bounds=edge.T, method="SLSQP",
             )  # fmt: skip
             far = max(sign * start[k], sign * farthest.x[k] if farthest.success else 0.0)
-            away = far * scales[k] * (_WIDE if d.discrete else _MARGIN)
-            grid = 2.0 ** (np.floor(np.log2(max(away, 1e-300))) + 1 - _BITS)
-            ends.append(float(state.equilibrium + sign * np.ceil(away / grid) * grid))
-        low, high = max(ends[0], state.lower), min(ends[1], state.upper)
+            extents[side, k] = far * scales[k]
+    return bounded(d, extents)
+
+
+def bounded(dynamics: Dynamics, extents: Array) -> Dynamics:
+    """Return the dynamics with bounds just outside x* − extents[0] and x* + extents[1] (2, n); no bound is widened."""
+    away = extents * (_WIDE if dynamics.discrete else _MARGIN)
+    grid = 2.0 ** (np.floor(np.log2(np.maximum(away, 1e-300))) + 1 - _BITS)
+    ends = dynamics.equilibrium + np.array([[-1.0], [1.0]]) * np.ceil(away / grid) * grid
+    bounds = {}
+    for state, low, high in zip(dynamics.states, *ends.tolist(), strict=True):
+        low, high = max(low, state.lower), min(high, state.upper)
         if low < state.equilibrium < high:
             bounds[state.name] = (low, high)
-    return d.on(bounds)
+    return dynamics.on(bounds)

@@ -11,13 +11,14 @@ import numpy as np
 
 from surctl.lyapunov.candidates import Candidate, candidates, strict_variants
 from surctl.lyapunov.claims import Stability
-from surctl.lyapunov.decide import Decision, decide_motion, prove_motion
+from surctl.lyapunov.decide import Decision, decide_motion, has_branches, prove_by_slopes, prove_motion
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.hugging import hugged
 from surctl.lyapunov.inward import short
 from surctl.lyapunov.near import Failure, fails_nearby, too_fast
+from surctl.lyapunov.slope_search import slope_candidate
 from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.formula import Node, text_of
 
@@ -32,6 +33,10 @@ _SEARCH = 0.3  # share of the time for the search of functions
 _GAIN = 1.01  # least ratio of a region to the one that is proved, for which its proof is tried
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
+_SLOPES, _PROOF = 0.1, 0.2  # shares of the time for the search of a function by the slope rule, and for its proofs
+_SAFE = (0.98, 0.92, 0.8, 0.6)  # levels that are tried, relative to the proposed one
+_FEW, _MANY = 3, 8  # states, and states and parameters, up to which other rules may prove larger regions
+_SOME = 6  # states up to which the least level with a counterexample is searched after a proof by the slope rule
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +49,7 @@ class StabilityResult:
         reason: why the verdict is not `proved`, in one sentence; empty if it is.
         decision: the decision on the claim with the largest proved region, or on the last claim that was tried; None if
             there is none.
-        falsified: the least level of the function for which a counterexample was found; None without a function.
+        falsified: the least level of the function for which a counterexample was found; None if it was not searched.
         label: how the function was found.
         volume: estimated volume of the region relative to the box.
         seconds: duration [s].
@@ -70,14 +75,16 @@ class StabilityResult:
 
     @property
     def ratio(self) -> float:
-        """The proved level relative to the least level with a counterexample; 0 if no level is proved."""
+        """The proved level relative to the least level with a counterexample; 0 if one of them is not known."""
         if self.verdict != "proved" or self.claim is None or self.falsified is None:
             return 0.0
         return self.claim.level / self.falsified.level
 
     def line(self) -> str:
         """Return verdict, and size of the region or reason, as one line of text."""
-        about = f"{self.volume:.0%} of the box, level {self.ratio:.2f} of the least with a counterexample"
+        about = f"{self.volume:.0%} of the box"
+        if self.falsified is not None:
+            about += f", level {self.ratio:.2f} of the least with a counterexample"
         return f"{self.verdict}: {self.reason or about}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -154,6 +161,14 @@ def find_stability(
             return replace(result, label="given", counterexample=failure.values, instead=instead)
     elif reason := too_fast(d, linear, demanded):
         return _none("refuted", reason, began)
+    slopes: StabilityResult | None = None
+    few = len(d.states) <= _FEW
+    searched = function is None and level is None and linear.verdict == "stable"
+    hard = has_branches(d) or len(d.variables) > _MANY
+    if searched and hard:
+        slopes = _by_slopes(d, linear, demanded, time_limit, seed, progress)
+        if slopes is not None and (first or not few) and rate != "largest":
+            return replace(slopes, seconds=time.perf_counter() - began)
     if function is not None:
         offered: Iterator[Candidate] = iter([Candidate("given", function, 0.0)])
     else:
@@ -170,7 +185,7 @@ def find_stability(
             best = _proved(d, candidate, bound, demanded, level, share, began, seed, progress, start=_SIMPLE, once=True)
             if best.verdict == "proved":
                 return replace(best, seconds=time.perf_counter() - began)
-    if not trials:
+    if not trials and slopes is None:
         reason = "no polynomial decreases at all samples close to the equilibrium"
         if linear.verdict == "marginal":
             reason = f"{linear.reason}, which decides nothing, and {reason}"
@@ -194,14 +209,46 @@ def find_stability(
             best = result
     assert best is not None
     rest = until - time.process_time()
-    if best.verdict == "unknown" and level is None and rest > 0:
+    if best.verdict == "unknown" and level is None and rest > 0 and slopes is None:
         result = _proved(d, *simplest, demanded, level, rest, began, seed, progress, start=_EASY, once=first)
         best = result if result.verdict == "proved" else best
+    rest = until - time.process_time()
+    if best.verdict == "unknown" and searched and not hard and rest > 0:
+        slopes = _by_slopes(d, linear, demanded, rest, seed, progress)
+    if slopes is not None and (best.verdict == "unknown" or slopes.volume > best.volume):
+        best = slopes
     if function is not None and best.verdict == "unknown" and linear.verdict == "marginal":
         best = replace(best, reason=f"{best.reason}; {linear.reason}")
     if rate == "largest" and best.verdict == "proved":
         best = _with_rate(best, max(until - time.process_time(), _LARGEST * time_limit), seed, progress)
     return replace(best, seconds=time.perf_counter() - began)
+
+
+def _by_slopes(
+    d: Dynamics,
+    linear: Linear,
+    rate: float | None,
+    seconds: float,
+    seed: int,
+    progress: Callable[[str], None] | None,
+) -> StabilityResult | None:
+    """Return a region that the slope rule proves; None if it proves none."""
+    candidate = slope_candidate(d, linear, rate, seconds=_SLOPES * seconds)
+    if candidate is None:
+        return None
+    until = time.process_time() + _PROOF * seconds
+    for level in _SAFE:
+        claim = Stability(hugged(d, candidate.function, level), candidate.function, level, rate)
+        trial = prove_by_slopes(claim, time_limit=until - time.process_time())
+        _say(progress, f"{candidate.label}: level {level:.4g} {trial.verdict} {trial.reason}")
+        if trial.verdict == "proved":
+            # only figures of a page: for many states, the search takes longer than the proof
+            bound = least_level(d, candidate.function, rate, seed=seed) if len(d.states) <= _SOME else None
+            volume = candidate.volume * level ** (len(d.states) / 2)
+            return StabilityResult("proved", "", trial, bound, candidate.label, volume, 0.0)
+        if time.process_time() > until:
+            break
+    return None
 
 
 def _failure(d: Dynamics, function: Node, rate: float | None, linear: Linear) -> Failure | None:

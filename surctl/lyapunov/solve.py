@@ -96,6 +96,8 @@ class Solution:
         if self.falsified is not None and self.verdict == "proved" and self.level is not None:
             share = self.level / self.falsified
             lines.append(f"  level {self.level:g} is {100 * share:.1f} % of the least level with a counterexample")
+        if decision.rule and self.verdict == "proved":
+            lines.append(f"  proved by {decision.rule}")
         if self.limits:
             lines.append(f"  {self.limits}")
         return [*lines, *([f"  {self.reason}"] if self.reason else []), *then]
@@ -126,6 +128,7 @@ class Solution:
             "counterexample": dict(self.counterexample) or None,
             "instead": self.instead or None,
             "vacuous": self.vacuous or None,
+            "rule": self.decision.rule or None if self.decision is not None else None,
             "equilibrium": {s.name: s.equilibrium for s in self.problem.dynamics.states},
             "level": claim.get("level"),
             "rate": claim.get("rate"),

@@ -183,6 +183,7 @@ def test_the_first_function_is_not_tried_again_at_a_level_that_was_not_proved(mo
         return replace(prove_motion(claim, **asked), verdict="unknown", document={})
 
     monkeypatch.setattr("surctl.lyapunov.search.prove_motion", unproved)
+    monkeypatch.setattr("surctl.lyapunov.search.slope_candidate", lambda *_, **__: None)
     outcome = find_stability(dynamics({"x": (-2.0, 2.0)}, ["-x + x^3"]), degree=2, first=True, time_limit=30.0)
     assert outcome.verdict == "unknown"
     assert outcome.falsified is not None

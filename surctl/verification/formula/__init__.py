@@ -1,7 +1,7 @@
 """The claim grammar: conversion between text, expression trees with exact numbers, and CasADi expressions."""
 
 from surctl.verification.formula.derivative import derivative, substitute
-from surctl.verification.formula.node import Node, number, ordered, power, rebuilt, variable
+from surctl.verification.formula.node import BRANCHING, Node, number, ordered, power, rebuilt, variable
 from surctl.verification.formula.numeric import values_of
 from surctl.verification.formula.parser import FUNCTIONS, IDENTIFIER, is_name, parse, parse_relation
 from surctl.verification.formula.reader import from_casadi
@@ -10,6 +10,7 @@ from surctl.verification.formula.symbolic import to_casadi
 from surctl.verification.formula.text import reads_back, text_of
 
 __all__ = [
+    "BRANCHING",
     "FUNCTIONS",
     "IDENTIFIER",
     "Node",

@@ -1,0 +1,515 @@
+"""Rows of slopes: every expression of dynamics as its value at x* plus a row times the distance from x*.
+
+With ξ = x − x*, an expression is e(x, w) = e(x*, w) + r(θ)·ξ on {V ≤ level}, where the row r is a polynomial in slopes
+θ, of degree at most 1 in each of them. A slope is a parameter, a secant slope of a function of one variable, the value
+of a factor, or the value of an expression at x*; interval arithmetic encloses its range on {V ≤ level}. A slope that
+occurs twice in a product is replaced there by an independent copy, which only adds cases. Parameters that are
+disturbances are linear variables beside ξ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise, product
+from typing import Any
+
+import numpy as np
+from mpmath import libmp
+from numpy.typing import NDArray
+
+from surctl.certcheck.angles import BITS
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.enclosure import (
+    Interval,
+    Undefined,
+    above,
+    enclose,
+    greatest,
+    least,
+    minus,
+    mul,
+    over,
+    plus,
+    rational,
+    span,
+)
+from surctl.certcheck.expressions import ExpressionTable
+from surctl.certcheck.identity import Exact
+from surctl.certcheck.inequality import Box
+from surctl.certcheck.patience import go_on
+from surctl.certcheck.region_exact import Matrix, inverse
+
+__all__ = ["Number", "Rows", "up"]
+
+Array = NDArray[np.float64]
+Poly = dict[tuple[int, ...], Fraction]
+"""A polynomial of degree at most 1 in each slope: coefficients by the sorted indices of the slopes in a term."""
+
+_PIECES, _HALVED = 24, 4  # parts of a range on each side of x* for a secant slope; halvings of the part next to x*
+_FEW = 6  # slopes of a row whose vertices are tried for its support
+_NARROW = Fraction(1, 2**33)  # a slope with a smaller relative width counts as a number with an error
+_MOST_TERMS = 4096  # of a polynomial
+_DIGITS = 26  # bits of the ends of a slope's range
+_LINEAR = ("add", "sub", "neg")
+_ZERO = (libmp.fzero, libmp.fzero)
+
+
+@dataclass(frozen=True)
+class Number:
+    """A polynomial in the slopes with an error bound."""
+
+    poly: Poly
+    error: Fraction = Fraction(0)
+
+
+class Rows:
+    """The rows of the dynamics on {V ≤ level}.
+
+    Nodes are those of an own table without divisions by states and without atan2, min and max of two expressions; all
+    lists are indexed by the position of the node.
+
+    Attributes:
+        rows: row of each rate or successor, a list of polynomials for the places in `linear`.
+        slopes: range of each slope.
+        linear: positions in `names` of the states and of the disturbances.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        box: Box,
+        rates: Sequence[str],
+        p: Matrix,
+        centre: Sequence[Fraction],
+        level: Fraction,
+        disturbances: Sequence[str] = (),
+    ) -> None:
+        self.names, self.centre = tuple(names), centre
+        self.states = len(rates)
+        self.linear = [*range(self.states), *(k for k, name in enumerate(names) if name in disturbances)]
+        self._inner = np.array([[float(x) for x in row] for row in inverse(p)])
+        self._radius = float(np.sqrt(up(level))) * (1 + 1e-12)
+        self.table = ExpressionTable(names)
+        self.range: dict[int, Interval] = {}  # of each node on the region
+        self.rest: dict[int, Interval] = {}  # of each node at x*, without disturbances
+        self.base: dict[int, int] = {}  # node of which it is a function of one variable; −1 if it has no state
+        self.slopes: list[tuple[Fraction, Fraction]] = []
+        self._rows: dict[int, list[Number]] = {}
+        self._values: dict[tuple[str, int], Number] = {}
+        self._numeric: dict[int, bool] = {}
+        self.box = self._variables(box)
+        source = ExpressionTable(names)
+        self.roots = self._rewritten(source, [source.read(text) for text in rates])
+        self.rows = [self.row(root) for root in self.roots]
+
+    def _variables(self, box: Box) -> list[tuple[Interval, Interval]]:
+        """Return ranges on the region, and values at x*, of all variables."""
+        ends = []
+        for k, own in enumerate(span(*bounds) for bounds in box):
+            if k < self.states:
+                at = rational(self.centre[k])
+                ends.append((_common(own, _around(at, self._ellipsoid(np.eye(self.states)[k]))), at))
+            elif k in self.linear:
+                ends.append((_hull(own, _ZERO), _ZERO))
+            else:
+                ends.append((own, own))
+        return ends
+
+    def _ellipsoid(self, row: Array) -> float:
+        """Return an upper bound on |row · ξ| where V ≤ level; the row is rounded to doubles."""
+        most = float(row @ self._inner @ row)
+        size = float(np.abs(row) @ np.abs(self._inner) @ np.abs(row))
+        # the rounding errors of n² + 2n products and of their factors are below 1e-12 of their sizes
+        return float(np.sqrt(max(most, 0.0) + 1e-12 * size) * self._radius) * (1 + 1e-12)
+
+    # ---- the expressions
+
+    def _rewritten(self, source: ExpressionTable, roots: Sequence[int]) -> list[int]:
+        new: dict[int, int] = {}
+        for at in source.needed(roots):
+            go_on()
+            entry = source.entries[at]
+            new[at] = self._put(entry.op, tuple(new[a] for a in entry.args), entry.value)
+        return [new[root] for root in roots]
+
+    def _put(self, op: str, args: tuple[int, ...], value: Fraction = Fraction(0)) -> int:
+        """Return the node of an operation, written without operations that the rule does not have."""
+        free = [a for a in args if self.base[a] >= 0]
+        alone = len({self.base[a] for a in free}) == 1 and all(
+            self.base[a] >= 0 or self._numeric[a] for a in args
+        )  # a function of one variable
+        if op in ("min", "max", "abs", "select") and (chosen := self._decided(op, args)) is not None:
+            return chosen
+        if free and not alone:
+            if op == "div" and self.base[args[1]] >= 0:
+                return self._put("mul", (args[0], self._put("pow", (args[1],), Fraction(-1))))
+            if op in ("min", "max"):
+                apart = self._put("sub", (args[1], args[0]))
+                return self._put("add", (args[0], self._put(op, (self._put("num", ()), apart))))
+            if op == "atan2":
+                if not above(self.range[args[1]]):
+                    raise Rejected("the slope rule needs a positive second operand of atan2")
+                return self._put("atan", (self._put("div", args),))
+            if op not in (*_LINEAR, "mul", "div"):
+                raise Rejected(f"the slope rule does not cover {op} of several variables")
+        at = self.table.put(op, *args, value=value)
+        if at not in self.range:
+            self._numeric[at] = op in ("num", "pi") or (op != "var" and all(self._numeric[a] for a in args))
+            if not free:
+                self.base[at] = at if op == "var" and value.numerator in self.linear else -1
+            else:
+                self.base[at] = self.base[free[0]] if alone else at
+            self.range[at], self.rest[at] = self._ranges(at)
+        return at
+
+    def _decided(self, op: str, args: tuple[int, ...]) -> int | None:
+        """Return the operand that the function takes on the whole region and at x*; None if it is not decided."""
+        whole = [_hull(self.range[a], self.rest[a]) for a in args]
+        if op == "abs":
+            if libmp.mpf_ge(whole[0][0], libmp.fzero):
+                return args[0]
+            return self._put("neg", args) if libmp.mpf_le(whole[0][1], libmp.fzero) else None
+        first, second = (args[1], args[0]) if op == "max" else args[-2:]
+        if libmp.mpf_le(whole[0][1], whole[1][0]):
+            return first
+        return second if libmp.mpf_gt(whole[0][0], whole[1][1]) else None
+
+    def _ranges(self, at: int) -> tuple[Interval, Interval]:
+        entry = self.table.entries[at]
+        if entry.op == "var":
+            return self.box[entry.value.numerator]
+        small = ExpressionTable([str(k) for k in range(len(entry.args))])
+        root = small.put(entry.op, *(small.put("var", value=k) for k in range(len(entry.args))), value=entry.value)
+        own, rest = (
+            enclose(small, [root], [known[a] for a in entry.args])[0].value for known in (self.range, self.rest)
+        )
+        if 0 <= self.base[at] != at:
+            function, inner = self._function(at), self.range[self.base[at]]
+            hull: Interval | None = None
+            for piece in _pieces(inner, self.rest[self.base[at]]):
+                value = function(piece, 0)[0]
+                hull = value if hull is None else _hull(hull, value)
+            own = _common(own, hull)
+            rest = _common(rest, function(self.rest[self.base[at]], 0)[0])
+        elif self.base[at] == at:
+            own = _common(own, _around(rest, self._support(self.row(at))))
+        return own, rest
+
+    def _support(self, row: list[Number]) -> float:
+        """Return an upper bound on |row · (ξ, w)|."""
+        used = sorted({k for entry in row for term in entry.poly for k in term})
+        n, total = self.states, 0.0
+        for k, entry in enumerate(row):
+            size = self.size(entry) if k >= n or len(used) > _FEW else entry.error
+            total += up(size) * self._extent(k)
+        if len(used) > _FEW:
+            return total * (1 + 1e-12)
+        most = 0.0
+        for ends in product(*(self.slopes[k] for k in used)):
+            value = dict(zip(used, ends, strict=True))
+            numbers = [float(_evaluated(entry.poly, value)) for entry in row[:n]]
+            most = max(most, self._ellipsoid(np.array(numbers)))
+        return (most + total) * (1 + 1e-12)
+
+    def _extent(self, k: int) -> float:
+        """Return an upper bound on |ξ_k|, or on the disturbance of this place."""
+        own, rest = self.box[self.linear[k]]
+        apart = libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)
+        return up(_fraction(apart[1]))
+
+    # ---- rows and values as polynomials in the slopes
+
+    def row(self, at: int) -> list[Number]:
+        """Return r with e(x, p) = e(x*, p) + r·(ξ, w) on the region, for the node e."""
+        if at not in self._rows:
+            go_on()
+            self._rows[at] = self._row(at)
+        return self._rows[at]
+
+    def _row(self, at: int) -> list[Number]:
+        entry, base = self.table.entries[at], self.base[at]
+        args = entry.args
+        if base < 0:
+            return [Number({})] * len(self.linear)
+        if base != at:
+            return self._scaled(self._slope(self._secant(at)), self.row(base))
+        match entry.op:
+            case "var":
+                own = entry.value.numerator
+                return [Number({(): Fraction(1)} if k == own else {}) for k in self.linear]
+            case "neg":
+                return self._scaled(Number({(): Fraction(-1)}), self.row(args[0]))
+            case "add" | "sub":
+                sign = Fraction(1 if entry.op == "add" else -1)
+                second = self._scaled(Number({(): sign}), self.row(args[1]))
+                return [self.plus(a, b) for a, b in zip(self.row(args[0]), second, strict=True)]
+            case "div":
+                return self._scaled(self._inverse(args[1]), self.row(args[0]))
+            case "mul":
+                a, b = args
+                if self.base[a] < 0 or self.base[b] < 0:
+                    a, b = (a, b) if self.base[a] < 0 else (b, a)
+                    return self._scaled(self._value(a), self.row(b))
+                a, b = self._ordered(a, b)
+                # a b − a* b* = a (b − b*) + b* (a − a*)
+                first = self._scaled(self._factor(a), self.row(b))
+                second = self._scaled(self._value(b), self.row(a))
+                return [self.plus(x, y) for x, y in zip(first, second, strict=True)]
+        raise Rejected(f"the slope rule does not cover {entry.op}")
+
+    def _ordered(self, a: int, b: int) -> tuple[int, int]:
+        """Return two factors so that the first one, whose value becomes a slope, is the better one."""
+        zero = [self.rest[k] == _ZERO for k in (a, b)]
+
+        def cost(one: int, other: int) -> float:
+            low, high = self.range[one]
+            return up(_fraction(high) - _fraction(low)) * self._support(self.row(other))
+
+        swap = zero[0] and not zero[1] if zero[0] != zero[1] else cost(a, b) > cost(b, a)
+        return (b, a) if swap else (a, b)
+
+    def _value(self, at: int) -> Number:
+        """Return the value of a node at x*, without disturbances, as a polynomial in parameters, or as a slope."""
+        key = "value", at
+        if key not in self._values:
+            self._values[key] = self._exact_value(at) or self._slope(self.rest[at])
+        return self._values[key]
+
+    def _factor(self, at: int) -> Number:
+        """Return the value of a node on the region as a slope, the same one in all products."""
+        key = "factor", at
+        if key not in self._values:
+            self._values[key] = self._slope(self.range[at])
+        return self._values[key]
+
+    def _exact_value(self, at: int) -> Number | None:
+        entry, narrow = self.table.entries[at], self.rest[at]
+        if entry.op == "num":
+            return Number({(): entry.value} if entry.value else {})
+        if narrow[0] == narrow[1]:
+            number = _fraction(narrow[0])
+            return Number({(): number} if number else {})
+        if self._numeric[at]:
+            return None
+        args = entry.args
+        match entry.op:
+            case "var" if self.base[at] < 0:
+                return self._slope(narrow)
+            case "var":
+                centre = self.centre[entry.value.numerator]
+                return Number({(): centre})
+            case "neg":
+                return self.times(Number({(): Fraction(-1)}), self._value(args[0]))
+            case "add":
+                return self.plus(self._value(args[0]), self._value(args[1]))
+            case "sub":
+                return self.plus(self._value(args[0]), self.times(Number({(): Fraction(-1)}), self._value(args[1])))
+            case "mul":
+                a, b = (self._value(a) for a in args)
+                if {k for t in a.poly for k in t} & {k for t in b.poly for k in t}:
+                    return None
+                return self.times(a, b)
+            case "div" if self._numeric[args[1]]:
+                return self.times(self._value(args[0]), self._inverse(args[1]))
+        return None
+
+    def _inverse(self, at: int) -> Number:
+        """Return 1/e of a node without states."""
+        key = "inverse", at
+        if key not in self._values:
+            entry = self.table.entries[at]
+            if entry.op == "num" and entry.value:
+                self._values[key] = Number({(): 1 / entry.value})
+            else:
+                ends = over(rational(Fraction(1)), self.rest[at])
+                self._values[key] = self._slope(ends)
+        return self._values[key]
+
+    def _slope(self, ends: Interval) -> Number:
+        """Return a new slope with this range, or a number with an error if the range is narrow."""
+        low, high = (_fraction(end) for end in ends)
+        middle, half = (low + high) / 2, (high - low) / 2
+        if half <= _NARROW * abs(middle):
+            return Number({(): middle} if middle else {}, half)
+        self.slopes.append(_rounded(ends))
+        return Number({(len(self.slopes) - 1,): Fraction(1)})
+
+    # ---- arithmetic of polynomials
+
+    def size(self, a: Number) -> Fraction:
+        """Return an upper bound on |a|."""
+        total = a.error
+        for term, number in a.poly.items():
+            size = abs(number)
+            for k in term:
+                size *= max(abs(end) for end in self.slopes[k])
+            total += size
+        return total
+
+    def plus(self, a: Number, b: Number) -> Number:
+        """Return a + b."""
+        if not b.poly and not b.error:
+            return a
+        poly = dict(a.poly)
+        for term, number in b.poly.items():
+            total = poly.get(term, Fraction(0)) + number
+            if total:
+                poly[term] = total
+            else:
+                del poly[term]
+        return Number(poly, a.error + b.error)
+
+    def _scaled(self, factor: Number, row: list[Number]) -> list[Number]:
+        # one copy of a slope that occurs twice serves the whole row
+        copies: dict[int, int] = {}
+        return [self.times(factor, entry, copies) for entry in row]
+
+    def times(self, a: Number, b: Number, copies: dict[int, int] | None = None) -> Number:
+        """Return a b; a slope of both is replaced by a copy, which is also that of other products with `copies`."""
+        if not (a.poly or a.error) or not (b.poly or b.error):
+            return Number({})
+        copies = {} if copies is None else copies
+        error = a.error * self.size(b) + (self.size(a) - a.error) * b.error
+        poly: Poly = {}
+        for s, x in a.poly.items():
+            for t, y in b.poly.items():
+                term = list(t)
+                for k in s:
+                    if k in t and k not in copies:
+                        copies[k] = self._copy(k)
+                    term.append(copies[k] if k in t else k)
+                key = tuple(sorted(term))
+                poly[key] = poly.get(key, Fraction(0)) + x * y
+        if len(poly) > _MOST_TERMS:
+            raise Rejected("the slope rule needs too many terms")
+        return Number({key: number for key, number in poly.items() if number}, error)
+
+    def _copy(self, k: int) -> int:
+        self.slopes.append(self.slopes[k])
+        return len(self.slopes) - 1
+
+    # ---- functions of one variable
+
+    def _function(self, at: int) -> Callable[[Interval, int], tuple[Interval, Interval]]:
+        """Return value and slope of the node `at` as a function of its base."""
+        small, base = ExpressionTable(["t"]), self.base[at]
+        new = {base: small.put("var", value=0)}
+        for k in self.table.needed([at]):
+            entry = self.table.entries[k]
+            if k not in new and all(a in new for a in entry.args) and entry.op != "var":
+                new[k] = small.put(entry.op, *(new[a] for a in entry.args), value=entry.value)
+        root = new[at]
+
+        def function(t: Interval, order: int) -> tuple[Interval, Interval]:
+            [jet] = enclose(small, [root], [t], order=order)
+            return jet.value, (jet.slope[0] or _ZERO) if jet.slope else _ZERO
+
+        return function
+
+    def _secant(self, at: int) -> Interval:
+        """Return the range of (g(t) − g(c))/(t − c), for t in the range of the base and c its value at x*."""
+        function, base = self._function(at), self.base[at]
+        c = self.rest[base]
+        value = function(c, 0)[0]
+        total: Interval | None = None
+        for piece in _pieces(self.range[base], c):
+            go_on()
+            slope = _secant_on(function, piece, c, value)
+            total = slope if total is None else _hull(total, slope)
+        return total
+
+    def resting(self, k: int, moved: Fraction) -> Number:
+        """Return f_k(x*, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
+        table, small = self.table, ExpressionTable(self.names)
+        new: dict[int, int] = {}
+        for at in table.needed([self.roots[k]]):
+            entry = table.entries[at]
+            if entry.op == "var" and entry.value.numerator in self.linear:
+                place = entry.value.numerator
+                new[at] = small.put("num", value=self.centre[place] if place < self.states else 0)
+            elif self.rest[at] == _ZERO:  # decides a branch
+                new[at] = small.put("num")
+            else:
+                new[at] = small.put(entry.op, *(new[a] for a in entry.args), value=entry.value)
+        exactly = Exact(small)
+        apart = small.put("sub", new[self.roots[k]], small.put("num", value=moved))
+        if not exactly.of(apart)[0] and not exactly.assumed:
+            return Number({})
+        return self._slope(plus(self.rest[self.roots[k]], rational(-moved)))
+
+
+def _fraction(x: Any) -> Fraction:
+    """Return one of mpmath's raw numbers as a fraction."""
+    if x in (libmp.finf, libmp.fninf, libmp.fnan):
+        raise Undefined("an unbounded slope")
+    sign, man, exp, _ = x
+    return Fraction(-int(man) if sign else int(man)) * Fraction(2) ** int(exp)
+
+
+def _rounded(a: Interval) -> tuple[Fraction, Fraction]:
+    """Return an interval around `a` whose ends have few digits."""
+    low, high = libmp.mpf_pos(a[0], _DIGITS, "f"), libmp.mpf_pos(a[1], _DIGITS, "c")
+    return _fraction(low), _fraction(high)
+
+
+def _common(a: Interval, b: Interval) -> Interval:
+    """Return the intersection of two intervals, both of which contain the same number."""
+    return greatest(a, b)[0], least(a, b)[1]
+
+
+def _hull(a: Interval, b: Interval) -> Interval:
+    return least(a, b)[0], greatest(a, b)[1]
+
+
+def _around(a: Interval, extent: float) -> Interval:
+    """Return the numbers that differ from one in the interval by at most `extent`."""
+    end = rational(Fraction(extent))[1]
+    return libmp.mpi_add(a, (libmp.mpf_neg(end), end), BITS)
+
+
+def _evaluated(poly: Poly, value: Mapping[int, Fraction]) -> Fraction:
+    total = Fraction(0)
+    for term, number in poly.items():
+        for k in term:
+            number *= value[k]
+        total += number
+    return total
+
+
+def up(x: Fraction) -> float:
+    """Return a double that is at least x ≥ 0."""
+    return float(np.nextafter(float(x), np.inf)) if x else 0.0
+
+
+def _pieces(ends: Interval, c: Interval) -> list[Interval]:
+    """Return intervals that cover an interval; they are shorter near c, where the mean value theorem decides."""
+    low, high = (_fraction(end) for end in ends)
+    if low == high:
+        return [ends]
+    middle = min(max((_fraction(c[0]) + _fraction(c[1])) / 2, low), high)
+    steps = [Fraction(1, _PIECES * 2**k) for k in range(_HALVED, 0, -1)] + [
+        Fraction(k, _PIECES) for k in range(1, _PIECES)
+    ]
+    below = [middle - (middle - low) * step for step in reversed(steps)]
+    inside = [x for x in [*below, middle, *(middle + (high - middle) * step for step in steps)] if low < x < high]
+    return list(pairwise([ends[0], *(rational(x)[0] for x in dict.fromkeys(inside)), ends[1]]))
+
+
+def _secant_on(
+    function: Callable[[Interval, int], tuple[Interval, Interval]], piece: Interval, c: Interval, value: Interval
+) -> Interval:
+    """Return the range of (g(t) − g(c))/(t − c) for t in `piece`."""
+    between = function(_hull(piece, c), 1)[1]  # the mean value theorem
+    apart = libmp.mpi_sub(piece, c, BITS)
+    if not (above(apart) or libmp.mpf_lt(apart[1], libmp.fzero)):
+        return between
+    at, own = function(piece, 1)
+    secant = _common(between, over(plus(at, minus(value)), apart))
+    # s' = (g' − s)/(t − c), and s(t) = s(m) + s'(τ)(t − m)
+    bend = over(plus(own, minus(secant)), apart)
+    low, high = (_fraction(end) for end in piece)
+    middle = rational((low + high) / 2)
+    first = over(plus(function(middle, 0)[0], minus(value)), libmp.mpi_sub(middle, c, BITS))
+    return _common(secant, plus(first, mul(bend, libmp.mpi_sub(piece, middle, BITS))))

@@ -1,0 +1,277 @@
+"""Search of quadratic Lyapunov functions by the slope rule: V and level of a large region, proposed by cutting planes.
+
+A matrix inequality must hold at every vertex of the ranges of the slopes. The vertices where it is closest to failing
+are found by alternating between the worst state for a vertex and the worst vertex for a state; the checker tests all.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import UnsupportedOperation
+from surctl.lyapunov.candidates import Candidate
+from surctl.lyapunov.dynamics import Dynamics
+from surctl.lyapunov.equilibrium import Linear, common_quadratic
+from surctl.lyapunov.near import slowest
+from surctl.lyapunov.slopes import Embedding
+from surctl.verification.conic import minimise, symmetric_basis
+from surctl.verification.formula import Node, number, power, variable
+
+__all__ = ["slope_candidate"]
+
+Array = NDArray[np.float64]
+Bits = NDArray[np.bool_]
+
+_MOST, _MOST_STATES = 17, 20  # slopes of a matrix; states
+_SLOW, _FASTER = 0.02, 1.02  # decay rate relative to that of the linearisation, and to the demanded one
+_NEGLIGIBLE, _DIGITS = 1e-5, 6  # coefficients of V: what is left out, and digits after the first
+_STARTS, _TURNS, _SWEEPS = 8, 8, 2  # random starts of the search for vertices; its turns; sweeps over all slopes
+_HALVINGS, _ROUNDS, _CUTS = 6, 24, 8
+_WORST = 6  # vertices that a cut adds
+_STRETCH, _LEAST_STRETCH = 1.2, 1.03  # by which the extents that decide slopes may grow in a round
+_GROWTH = 1.01  # least growth of the mean extent of the region in a round
+_INSIDE = 1e-4  # by which the region stays inside the box, relative to it
+_SPARE = 1e-3  # of the rate, so that the checker's wider ranges do not matter
+
+
+class _Family:
+    """The matrices A(θ) of an embedding; a vertex (K,) says for each slope whether it has its largest value."""
+
+    def __init__(self, embedding: Embedding) -> None:
+        n = len(embedding.rows)
+        terms = sorted({term for row in embedding.rows for entry in row for term in entry})
+        used = sorted({k for term in terms for k in term})
+        if len(used) > _MOST:
+            raise UnsupportedOperation(f"{len(used)} slopes", key="slopes")
+        self.numbers = np.zeros((len(terms), n, n))
+        place = {term: t for t, term in enumerate(terms)}
+        for i, row in enumerate(embedding.rows):
+            for j, entry in enumerate(row):
+                for term, x in entry.items():
+                    self.numbers[place[term], i, j] = x
+        self.low, self.high = np.array([embedding.slopes[k] for k in used]).reshape(-1, 2).T
+        self.members = np.array([[k in term for k in used] for term in terms]).reshape(len(terms), len(used))
+
+    def at(self, slopes: Array) -> Array:
+        """Return A(θ) (B, n, n) for slopes (B, K)."""
+        products = np.where(self.members, slopes[:, None, :], 1.0).prod(axis=2)
+        return np.tensordot(products, self.numbers, axes=1)
+
+    def vertices(self, chosen: Bits) -> Array:
+        """Return A(θ) (B, n, n) at vertices (B, K)."""
+        return self.at(np.where(chosen, self.high, self.low))
+
+    def least(self, c: Array, chosen: Bits) -> Bits:
+        """Return vertices (B, K) where Σ_t c_t Π θ is small, for coefficients (B, T), by changes of one slope."""
+        chosen = chosen.copy()
+        for _ in range(_SWEEPS):
+            for k in range(len(self.low)):
+                own = np.flatnonzero(self.members[:, k])
+                others = self.members[own].copy()
+                others[:, k] = False
+                slopes = np.where(chosen, self.high, self.low)
+                rest = np.where(others, slopes[:, None, :], 1.0).prod(axis=2)
+                chosen[:, k] = (c[:, own] * rest).sum(axis=1) < 0
+        return chosen
+
+
+@dataclass
+class _Shapes:
+    """What a quadratic form must satisfy at the matrices of a family."""
+
+    dynamics: Dynamics
+    rate: float
+    scales: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        d = self.dynamics
+        self.scales = np.minimum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+
+    def losses(self, a: Array, p: Array) -> Array:
+        """Return the matrices (B, n, n) that must be positive definite."""
+        if not self.dynamics.discrete:
+            pulled = p @ a
+            return -(pulled + pulled.swapaxes(-1, -2)) - self.rate * p
+        return (1 - self.rate) * p - a.swapaxes(-1, -2) @ p @ a
+
+    def worst(self, family: _Family, p: Array) -> tuple[Array, Bits]:
+        """Return the least eigenvalues (B,) relative to P, and the vertices (B, K) that have them, the worst first."""
+        n, count = len(p), len(family.low)
+        root = np.linalg.inv(np.linalg.cholesky(p))
+
+        def spectrum(a: Array) -> tuple[Array, Array]:
+            values, vectors = np.linalg.eigh(root @ self.losses(a, p) @ root.T)
+            return values, root.T @ vectors
+
+        def toward(x: Array, a: Array, chosen: Bits) -> Bits:
+            moved = x if not self.dynamics.discrete else np.einsum("bij,bj->bi", a, x)
+            return family.least(-np.einsum("bi,tij,bj->bt", moved @ p, family.numbers, x), chosen)
+
+        middle = family.at((family.low + family.high)[None] / 2)
+        x = spectrum(middle)[1][0].T
+        chosen = toward(x, np.repeat(middle, n, axis=0), np.zeros((n, count), dtype=bool))
+        random = np.random.default_rng(0).random((_STARTS, count)) < 0.5
+        chosen = np.unique(np.vstack([chosen, random]), axis=0)
+        for _ in range(_TURNS):
+            a = family.vertices(chosen)
+            further = np.unique(toward(spectrum(a)[1][:, :, 0], a, chosen), axis=0)
+            if np.array_equal(further, chosen):
+                break
+            chosen = further
+        least = spectrum(family.vertices(chosen))[0][:, 0]
+        order = np.argsort(least)
+        return least[order], chosen[order]
+
+    def holds(self, p: Array, level: float) -> bool:
+        """Return whether no vertex is known at which the matrix inequality fails on {V ≤ level}."""
+        try:
+            family = _Family(Embedding(self.dynamics, p, level))
+            return bool(self.worst(family, p)[0][0] > 0)
+        except (UnsupportedOperation, np.linalg.LinAlgError):
+            return False
+
+
+def _largest_level(shapes: _Shapes, p: Array) -> float:
+    """Return a level up to which the slope rule shows that V = ξ' P ξ decreases in the box; 0 if there is none."""
+    top = float((shapes.scales**2 / np.diag(np.linalg.inv(p))).min()) * (1 - _INSIDE)
+    if shapes.holds(p, top):
+        return top
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2 if low else high / 4
+        low, high = (middle, high) if shapes.holds(p, middle * top) else (low, middle)
+    return low * top
+
+
+def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, seconds: float) -> Candidate | None:
+    """Return a quadratic V with a large region V < 1 that the slope rule is likely to prove; None if none is found.
+
+    Args:
+        dynamics: the dynamics, with their equilibrium.
+        linear: the stable linearisation.
+        rate: demanded decay rate of V; None means any decrease.
+        seconds: limit of the processor time [s].
+    """
+    d, n = dynamics, len(dynamics.states)
+    if n > _MOST_STATES:
+        return None
+    demanded = max(_FASTER * (rate or 0.0), _SLOW * slowest(d, linear)[1])
+    try:
+        p = _slope_function(d, linear.matrices, demanded, time.process_time() + seconds)
+    except (UnsupportedOperation, np.linalg.LinAlgError):
+        return None
+    if p is None:
+        return None
+    apart = [variable(s.name) - number(s.rest) if s.rest else variable(s.name) for s in d.states]
+    size = np.sqrt(np.diag(p))
+    p = np.where(np.abs(p) > _NEGLIGIBLE * np.outer(size, size), p, 0.0)
+    total: Node | None = None
+    for i in range(n):
+        for j in range(i + 1):
+            if p[i, j]:
+                factor = number(Fraction(f"{p[i, j] * (1 if i == j else 2):.{_DIGITS}e}"))
+                term = factor * (power(apart[i], 2) if i == j else apart[j] * apart[i])
+                total = term if total is None else total + term
+    assert total is not None
+    ball = np.pi ** (n / 2) / math.gamma(n / 2 + 1)
+    volume = ball / np.sqrt(np.linalg.det(p * np.outer(*[d.box[1] - d.box[0]] * 2)))
+    return Candidate("quadratic by the slope rule", total, float(volume))
+
+
+def _slope_function(dynamics: Dynamics, matrices: Array, rate: float, until: float) -> Array | None:
+    """Return P (n, n) of a large region V < 1 that the slope rule is likely to prove; None if none is found."""
+    shapes = _Shapes(dynamics, rate)
+    p = common_quadratic(matrices, shapes.scales.tolist(), discrete=dynamics.discrete)
+    level = 0.0 if p is None else _largest_level(shapes, p)
+    if p is None or not level > 0:
+        return None
+    best = p / level
+    size, stretch, pool = _extent(best, shapes.scales), _STRETCH, list[Bits]()
+    for _ in range(_ROUNDS):
+        if time.process_time() > until:
+            break
+        trial = _reshaped(shapes, best, stretch, pool)
+        new = 0.0 if trial is None else _extent(trial, shapes.scales)
+        if trial is not None and new > _GROWTH * size and shapes.holds(trial, 1.0):
+            best, size = trial, new
+        else:
+            stretch = 1 + (stretch - 1) / 2
+            if stretch < _LEAST_STRETCH:
+                break
+    return best / _largest_level(shapes, best) if shapes.holds(best, 1.0) else best
+
+
+def _extent(p: Array, scales: Array) -> float:
+    """Return a mean extent of {ξ' P ξ ≤ 1}, relative to the scales."""
+    return float(np.exp(-np.linalg.slogdet(p * np.outer(scales, scales))[1] / 2 / len(scales)))
+
+
+def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Array | None:
+    """Return P of a larger ellipsoid {ξ' P ξ ≤ 1} on which the slopes stay those of p/stretch², if there is one.
+
+    The unknowns are Q = P⁻¹ in scaled states, whose square root of r Q r' is the extent of the ellipsoid along a row r,
+    and W ⪰ Q⁻¹ for the volume. Vertices that decided earlier shapes are in `pool`.
+    """
+    try:
+        embedding = Embedding(shapes.dynamics, p, stretch**2)
+        family = _Family(embedding)
+    except UnsupportedOperation:
+        return None
+    n, cover, discrete = len(p), embedding.cover, shapes.dynamics.discrete
+    size = np.diag(shapes.scales)
+    family.numbers = np.linalg.inv(size) @ family.numbers @ size
+    basis = symmetric_basis(n)
+    rows = [*np.eye(n) / (1 - _INSIDE)]
+    for row in [*np.eye(n), *(row for _, rows in embedding.inner for row in rows)]:
+        most = float(row @ cover @ row)
+        if most > 0:
+            rows.append(row @ size / np.sqrt(most))
+    own, none = size @ p @ size, np.zeros_like(basis)
+    extents = np.einsum("ri,bij,rj->rb", rows, np.concatenate([basis, none]), rows)
+    inner = np.ones((len(rows), 1, 1)), -extents[:, :, None, None]
+    pair = np.block([[np.zeros((n, n)), np.eye(n)], [np.eye(n), np.zeros((n, n))]])[None]
+    volume = pair, np.concatenate([_blocks(basis, none), _blocks(none, basis)])[None]
+    cost = np.tensordot(np.concatenate([none, basis]), np.linalg.inv(own) / n, axes=2)  # gradient of log det P
+    chosen = shapes.worst(family, own)[1][:_WORST]
+    if pool and pool[0].shape[1] == chosen.shape[1]:
+        chosen = np.unique(np.vstack([chosen, pool[0]]), axis=0)
+    rate = shapes.rate * (1 + _SPARE) + 1e-9
+    for _ in range(_CUTS):
+        moved = family.vertices(chosen)[:, None] @ basis[None]  # A Q
+        if discrete:
+            loss = _blocks(np.broadcast_to((1 - rate) * basis, moved.shape), np.broadcast_to(basis, moved.shape))
+            loss[..., n:, :n], loss[..., :n, n:] = moved, moved.swapaxes(-1, -2)
+        else:
+            loss = -(moved + moved.swapaxes(-1, -2)) - rate * basis
+        losses = np.zeros((len(chosen), *loss.shape[2:])), np.concatenate([loss, np.zeros_like(loss)], axis=1)
+        x = minimise(cost, [inner, volume, losses], tolerance=1e-7)
+        if x is None:
+            return None
+        q = np.tensordot(x[: len(basis)], basis, axes=1)
+        if np.linalg.eigvalsh(q)[0] <= 0:
+            return None
+        trial = np.linalg.inv(q)
+        trial = (trial + trial.T) / 2
+        least, worst = shapes.worst(family, trial)
+        if least[0] > -1e-7:
+            break
+        chosen = np.unique(np.vstack([chosen, worst[:_WORST]]), axis=0)
+    else:
+        return None
+    root = np.linalg.cholesky(q)
+    active = np.linalg.eigvalsh(root.T @ shapes.losses(family.vertices(chosen), trial) @ root)[:, 0]
+    pool[:] = [chosen[np.argsort(active)[: 4 * _WORST]]]
+    inverse = np.linalg.inv(size)
+    return np.asarray(inverse @ trial @ inverse)
+
+
+def _blocks(a: Array, b: Array) -> Array:
+    """Return the block-diagonal matrices of two arrays of matrices."""
+    zero = np.zeros_like(a)
+    return np.concatenate([np.concatenate([a, zero], axis=-1), np.concatenate([zero, b], axis=-1)], axis=-2)

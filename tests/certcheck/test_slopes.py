@@ -1,0 +1,345 @@
+"""The slope rule: true decreases are accepted, and whatever is accepted holds at samples of the region."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
+
+from surctl.certcheck import Rejected, check_document, seal
+from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
+from surctl.verification.formula import parse, values_of, variable
+
+TERMS = (
+    "{a}*sin({z})", "{a}*{z}*abs({z})", "max(-{b}, min({b}, {z}))", "{a}*tanh({z})", "{a}*{z}^3", "{a}*{z}*{y}",
+    "{a}*{z}*cos({y})", "{a}*{z}/(1 + {y}^2)", "{a}*{z}*p", "{a}*{z}*p^2", "min({z}, {b}*p + {y})", "{a}*{z}*exp({y})",
+    "{a}*(sqrt(1 + {z}^2) - 1)", "{a}*{z}/p", "{a}*atan({z})", "max({z}, -{b}/p)", "{a}*({z} + {y})^2",
+    "{a}*p*{y}*sin({z})", "{a}*log(1.5 + tanh({z})) - {a}*log(1.5)", "{a}*abs({z} - {b}) - {a}*{b}",
+    "{a}*sin(p)*{z}", "{a}*atan2({z}, 2 + cos({y}))",
+)  # fmt: skip
+P_RANGE, W_RANGE = (0.8, 1.25), (-0.3, 0.3)
+
+
+def exact(x: float) -> Fraction:
+    return Fraction(repr(float(x)))
+
+
+def matrix(p: NDArray[np.float64]) -> list[list[Fraction]]:
+    return [[exact(x) for x in row] for row in p]
+
+
+def decrease(p: NDArray[np.float64], level: float, rate: float, **further: object) -> Decrease:
+    settings = {"centre": [Fraction(0)] * len(p), "gains": {}, "constant": Fraction(0)} | further
+    return Decrease(p=matrix(p), level=exact(level), rate=exact(rate), **settings)  # type: ignore[arg-type]
+
+
+def accepted(
+    names: str,
+    rates: list[str],
+    box: list[tuple[float, float]],
+    needed: Decrease,
+    *,
+    discrete: bool = False,
+) -> bool:
+    try:
+        check_decrease(names.split(), box, rates, needed, discrete=discrete)
+    except Rejected:
+        return False
+    return True
+
+
+def drawn(seed: int) -> tuple[list[str], NDArray[np.float64], bool, bool]:
+    """Return rates of a random stable system, P of its linear part, and whether it is discrete and disturbed."""
+    random = np.random.default_rng(seed)
+    n, discrete = int(random.integers(1, 4)), bool(random.random() < 0.25)
+    names = [f"x{k}" for k in range(n)]
+    a = random.normal(size=(n, n))
+    if discrete:
+        a *= random.uniform(0.3, 0.9) / np.abs(np.linalg.eigvals(a)).max()
+    else:
+        a -= (np.linalg.eigvals(a).real.max() + random.uniform(0.3, 1.5)) * np.eye(n)
+    rates = []
+    for row in a:
+        text = " + ".join(f"({x:.3g})*{name}" for x, name in zip(row, names, strict=True))
+        for _ in range(int(random.integers(0, 3))):
+            mixed = f"({random.normal():.2g}*{random.choice(names)} + {random.normal():.2g}*{random.choice(names)})"
+            z = mixed if random.random() < 0.5 else random.choice(names)
+            term = str(random.choice(TERMS))
+            text += " + " + term.format(
+                a=f"({0.5 * random.normal():.2g})", b=f"{random.uniform(0.2, 2):.2g}", z=z, y=random.choice(names)
+            )
+        rates.append(text + (f" + {0.2 * random.normal():.2g}*w" if random.random() < 0.2 else ""))
+    one = np.eye(n)
+    p = solve_discrete_lyapunov(a.T, one) if discrete else solve_continuous_lyapunov(a.T, -one)
+    rounded = np.array([[float(f"{x:.5g}") for x in row] for row in (p + p.T) / 2])
+    return rates, rounded, discrete, any("*w" in rate for rate in rates)
+
+
+def excess(
+    rates: list[str], p: NDArray[np.float64], level: float, rate: float, gain: float, *, discrete: bool, seed: int
+) -> float:
+    """Return the largest sampled (change of V) − right side on {V ≤ level}, relative to the change."""
+    random, n, count = np.random.default_rng(seed), len(p), 5_000
+    x = random.normal(size=(n, count))
+    x *= np.sqrt(level / np.einsum("in,ij,jn->n", x, p, x)) * np.where(
+        random.random(count) < 0.5, 1, random.random(count)
+    )
+    x = x[:, np.all(np.abs(x) <= 3, axis=0)]
+    ends = random.choice(P_RANGE, x.shape[1])
+    varying = np.where(random.random(x.shape[1]) < 0.4, random.uniform(*P_RANGE, x.shape[1]), ends)
+    w = random.uniform(*W_RANGE, x.shape[1])
+    at = {f"x{k}": row for k, row in enumerate(x)} | {"p": varying, "w": w}
+    f = values_of([parse(text, {name: variable(name) for name in at}) for text in rates], at)
+    v = np.einsum("in,ij,jn->n", x, p, x)
+    change = np.einsum("in,ij,jn->n", f, p, f) - v if discrete else 2 * np.einsum("in,ij,jn->n", x, p, f)
+    return float(((change + rate * v - gain * w**2) / (1 + np.abs(change))).max())
+
+
+def test_what_is_accepted_holds_at_samples() -> None:
+    shown = 0
+    for seed in range(6):
+        rates, p, discrete, disturbed = drawn(seed)
+        names = " ".join([*(f"x{k}" for k in range(len(p))), "p", "w"])
+        box = [(-3.0, 3.0)] * len(p) + [P_RANGE, W_RANGE]
+        top = min(9 / x for x in np.diag(np.linalg.inv(p)))
+        for share in (0.3, 0.01):
+            gains = {"w": Fraction(2)} if disturbed else {}
+            level = float(f"{share * top:.4g}")
+            if accepted(names, rates, box, decrease(p, level, 0.05, gains=gains), discrete=discrete):
+                shown += 1
+                assert excess(rates, p, level, 0.05, 2.0, discrete=discrete, seed=seed) <= 1e-9, (seed, rates, level)
+                break
+    assert shown >= 3  # the rule is of use
+
+
+P2 = np.array([[1.5, 0.5], [0.5, 1.0]])  # of x'' = −x − x'
+WIDE = [(-10.0, 10.0), (-10.0, 10.0)]
+
+
+def test_a_linear_system_is_proved_up_to_its_rate() -> None:
+    # V' = −x² − v² for P2, so the largest rate is 1/λ_max(P2)
+    largest = 1 / float(np.linalg.eigvalsh(P2)[1])
+    rates = ["v", "-x - v"]
+    assert accepted("x v", rates, WIDE, decrease(P2, 1.0, 0.999 * largest))
+    assert not accepted("x v", rates, WIDE, decrease(P2, 1.0, 1.001 * largest))
+
+
+@pytest.mark.parametrize(
+    ("limit", "good"),
+    [(2.0, True), (0.9, True), (0.1, False)],
+)
+def test_a_saturated_command_is_proved_while_the_limit_is_hardly_active(limit: float, good: bool) -> None:
+    assert accepted("x v", ["v", f"max(-{limit}, min({limit}, -x - v))"], WIDE, decrease(P2, 1.0, 0.01)) is good
+
+
+@pytest.mark.parametrize(("reach", "good"), [(1.0, True), (3.0, False)])
+def test_the_region_of_a_cubic_ends_where_the_rate_changes_its_sign(reach: float, good: bool) -> None:
+    # x' = −x + x³/4 decreases for |x| < 2
+    one = np.array([[1.0]])
+    assert accepted("x", ["-x + 0.25*x^3"], [(-9.0, 9.0)], decrease(one, reach**2, 0.01)) is good
+
+
+def test_the_range_of_the_box_limits_the_region() -> None:
+    one = np.array([[1.0]])
+    assert accepted("x", ["-x + 0.25*x^3"], [(-1.0, 1.0)], decrease(one, 9.0, 0.01))  # of {V <= 9} within the box
+
+
+@pytest.mark.parametrize(("upper", "good"), [(0.9, True), (1.1, False)])
+def test_a_parameter_takes_every_value_of_its_range(upper: float, good: bool) -> None:
+    one = np.array([[1.0]])
+    assert accepted("x p", ["-x + p*x"], [(-1.0, 1.0), (-1.0, upper)], decrease(one, 0.5, 0.01)) is good
+
+
+@pytest.mark.parametrize(("rate", "good"), [("-x + p*x*p", True), ("-x + 2*p*x*p", False), ("-x*(1 - p*p*p)", True)])
+def test_a_parameter_that_occurs_twice_is_still_covered(rate: str, good: bool) -> None:
+    one = np.array([[1.0]])
+    assert accepted("x p", [rate], [(-1.0, 1.0), (-0.9, 0.9)], decrease(one, 0.5, 0.01)) is good
+
+
+def test_an_equilibrium_that_moves_with_a_parameter_is_refused() -> None:
+    one = np.array([[1.0]])
+    with pytest.raises(Rejected, match="do not rest at the equilibrium"):
+        check_decrease(["x", "p"], [(-1, 1), (0.1, 0.2)], ["p - x"], decrease(one, 0.5, 0.1), discrete=False)
+    assert accepted("x p", ["(1 + p) - x - (p + 1)"], [(-1.0, 1.0), (0.1, 0.2)], decrease(one, 0.5, 0.1))
+
+
+@pytest.mark.parametrize(("constant", "good"), [(0.0225, True), (0.0025, False)])
+def test_a_constant_disturbance_counts_against_the_constant(constant: float, good: bool) -> None:
+    # 2 x (p − x) <= −x² + p²
+    needed = decrease(np.array([[1.0]]), 0.5, 1.0, constant=Fraction(constant))
+    assert accepted("x p", ["p - x"], [(-1.0, 1.0), (-0.1, 0.1)], needed) is good
+
+
+@pytest.mark.parametrize(("gain", "good"), [(1.001, True), (0.999, False)])
+def test_the_gain_of_a_disturbance(gain: float, good: bool) -> None:
+    # 2 x (w − x) <= −x² + w², which is an equality at x = w
+    needed = decrease(np.array([[1.0]]), 0.5, 1.0, gains={"w": Fraction(gain)})
+    assert accepted("x w", ["w - x"], [(-1.0, 1.0), (0.5, 0.9)], needed) is good
+
+
+@pytest.mark.parametrize(("factor", "good"), [(0.8, True), (-0.8, True), (0.96, False), (-1.2, False)])
+def test_discrete_time(factor: float, good: bool) -> None:
+    # V+ = factor² V <= (1 − 0.1) V
+    one = np.array([[1.0]])
+    assert accepted("x", [f"({factor})*x"], [(-1.0, 1.0)], decrease(one, 0.5, 0.1), discrete=True) is good
+
+
+@pytest.mark.parametrize(
+    "rate", ["-x + log(x)", "-x + sqrt(x) - sqrt(x)", "-x + x/x - 1", "-2*x + select(x, 0, x, -x)"]
+)
+def test_expressions_that_are_not_defined_or_jump_are_refused(rate: str) -> None:
+    assert not accepted("x", [rate], [(-1.0, 1.0)], decrease(np.array([[1.0]]), 0.5, 0.1))
+
+
+def test_the_quadratic_form_is_read_exactly() -> None:
+    assert quadratic_form(["x", "y"], "0.1*x^2 + 0.3*(x - y)^2", [Fraction(0)] * 2) == [
+        [Fraction(4, 10), Fraction(-3, 10)], [Fraction(-3, 10), Fraction(3, 10)],
+    ]  # fmt: skip
+    assert quadratic_form(["x"], "2*(x - 0.5)^2", [Fraction(1, 2)]) == [[Fraction(2)]]
+
+
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [("x^2 + y^4", "quadratic"), ("x^2 + y^2 + 0.1", "about"), ("x^2 + y^2 + x", "about"), ("x^2 - y^2", "positive"),
+     ("x^2", "positive"), ("(x^2 + y^2)/(1 + x^2)", "quadratic"), ("x^2 + y^2 + abs(x)", "about")],
+)  # fmt: skip
+def test_other_functions_are_refused(function: str, message: str) -> None:
+    with pytest.raises(Rejected, match=message):
+        quadratic_form(["x", "y"], function, [Fraction(0)] * 2)
+
+
+def test_at_most_20_states_are_read() -> None:
+    for count in (20, 21):
+        names = [f"x{k}" for k in range(count)]
+        text = " + ".join(f"{name}^2" for name in names)
+        if count == 20:
+            assert quadratic_form(names, text, [Fraction(0)] * count)[19][19] == 1
+        else:
+            with pytest.raises(Rejected, match="more than 20 states"):
+                quadratic_form(names, text, [Fraction(0)] * count)
+
+
+@pytest.mark.parametrize(
+    ("level", "box", "message"),
+    [
+        (1, [(-0.5, 1.5), (-2, 2)], ""), (1, [(-0.49, 1.5), (-2, 2)], "border"), (1, [(-0.5, 1.49), (-2, 2)], "border"),
+        (1, [(-2, 2), (-0.9, 2)], "border"), (1, [(-2, 2), (-2, 0.9)], "border"), (0, [(-2, 2), (-2, 2)], "positive"),
+        (-1, [(-2, 2), (-2, 2)], "positive"), (1, [(0.6, 3), (-2, 2)], "border"), (1, [(3, 6), (-2, 2)], "border"),
+    ],
+)  # fmt: skip
+def test_the_region_lies_in_the_box(level: int, box: list[tuple[float, float]], message: str) -> None:
+    p, centre = [[Fraction(1), Fraction(0)], [Fraction(0), Fraction(1)]], [Fraction(1, 2), Fraction(0)]
+    if not message:
+        require_in_box(p, centre, Fraction(level), box)
+        return
+    with pytest.raises(Rejected, match=message):
+        require_in_box(p, centre, Fraction(level), box)
+
+
+def test_a_function_that_does_not_change_is_no_decrease() -> None:
+    one = np.array([[1.0]])
+    for discrete, rest, less in ((False, "0*x", "-1e-9*x"), (True, "x", "(1 - 1e-9)*x")):
+        assert not accepted("x", [rest], [(-1.0, 1.0)], decrease(one, 0.5, 0.0), discrete=discrete)
+        assert accepted("x", [less], [(-1.0, 1.0)], decrease(one, 0.5, 0.0), discrete=discrete)
+
+
+def test_a_negative_constant_is_refused() -> None:
+    with pytest.raises(Rejected, match="negative"):
+        check_decrease(
+            ["x"], [(-1, 1)], ["-9*x"], decrease(np.eye(1), 0.5, 0.1, constant=Fraction(-1, 100)), discrete=False
+        )
+
+
+@pytest.mark.parametrize(("count", "good"), [(18, True), (19, False)])
+def test_at_most_18_slopes_are_tested(count: int, good: bool) -> None:
+    names = ["x", *(f"p{k}" for k in range(count))]
+    rate = "-x*(20 + " + " + ".join(names[1:]) + ")"
+    box = [(-1.0, 1.0)] * (count + 1)
+    if good:
+        check_decrease(names, box, [rate], decrease(np.eye(1), 0.5, 0.1), discrete=False)
+        assert not accepted(" ".join(names), [rate.replace("20", "18.05")], box, decrease(np.eye(1), 0.5, 0.1))
+        return
+    with pytest.raises(Rejected, match="19 slopes, more than 18"):
+        check_decrease(names, box, [rate], decrease(np.eye(1), 0.5, 0.1), discrete=False)
+
+
+@pytest.mark.parametrize(("digits", "good"), [(16, True), (20, False)])
+def test_the_error_of_a_number_counts(digits: int, good: bool) -> None:
+    # x' = −x/3, so that V decays at the rate 2/3; interval arithmetic has 60 bits
+    needed = replace(decrease(np.eye(1), 0.5, 0.5), rate=Fraction(2, 3) - Fraction(1, 10**digits))
+    box = [(-1.0, 1.0)]
+    assert accepted("x", ["-x + (sin(1/3)/sin(1/3))*x*2/3"], box, needed) is good
+
+
+def document(**changes: object) -> dict[str, object]:
+    """Return a sealed certificate of a limited double integrator."""
+
+    def entry(name: str, end: float) -> dict[str, object]:
+        return {"name": name, "unit": "1", "lower": -end, "upper": end}
+
+    claim: dict[str, object] = {
+        "name": "limited", "time": "continuous", "property": "stability", "about": {},
+        "states": [entry("x", 3.0), entry("v", 3.0)], "parameters": [],
+        "dynamics": {"x": "v", "v": "max(-1, min(1, -x - v))"}, "function": "1.5*x^2 + x*v + v^2",
+        "equilibrium": {"x": 0.0, "v": 0.0}, "level": 1.0, "rate": None,
+    }  # fmt: skip
+    more = {key: value for key, value in changes.items() if key in ("slopes", "proofs")}
+    claim |= {key: value for key, value in changes.items() if key not in more}
+    return seal("lyapunov", claim, {"slopes": {}} | more)
+
+
+def test_a_certificate_by_the_slope_rule_is_accepted() -> None:
+    checked = check_document(document())
+    assert checked.accepted, checked.reason
+    assert "converges to the equilibrium" in checked.proves
+    assert check_document(document(rate=0.01)).accepted
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"level": 9.0}, "border of the box"),
+        ({"level": 5.0}, "does not show the decrease"),
+        ({"rate": 0.9}, "does not show the decrease"),
+        ({"rate": -0.1}, "rate is not positive"),
+        ({"dynamics": {"x": "v", "v": "max(-1, min(1, x - v))"}}, "does not show the decrease"),
+        ({"dynamics": {"x": "v", "v": "select(x, 9, -x - v, x)"}}, "contain select"),
+        ({"function": "1.5*x^2 + 4*x*v + v^2"}, "not positive definite"),
+        ({"equilibrium": {"x": 0.1, "v": 0.0}}, "about the equilibrium"),
+        ({"equilibrium": {"x": 0.0}}, "every state"),
+        ({"slopes": {"cells": {}}}, "slopes"),
+        ({"slopes": []}, "slopes"),
+        ({"proofs": []}, "the certificate"),
+        ({"property": "nothing"}, "not known"),
+        ({"inner": 0.0}, "claim"),
+    ],
+)
+def test_a_changed_certificate_is_rejected(changes: dict[str, object], message: str) -> None:
+    checked = check_document(document(**changes))
+    assert not checked.accepted
+    assert message in checked.reason
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({}, ""), ({"gains": {"w": 0.5}}, "does not show"), ({"inner": 0.9}, "exceeds the level"),
+        ({"inner": -0.1}, "negative"), ({"gains": {"x": 1.0}}, "gain"), ({"rate": None}, "number"),
+        ({"gains": {}}, "do not rest"), ({"gains": {}, "inner": 0.3}, ""), ({"gains": {}, "inner": 0.05}, "not show"),
+    ],
+)  # fmt: skip
+def test_a_bound_by_the_slope_rule(changes: dict[str, object], message: str) -> None:
+    # 2 x (w − x) <= −x² + w²
+    claim: dict[str, object] = {
+        "name": "disturbed", "time": "continuous", "property": "bound", "about": {},
+        "states": [{"name": "x", "unit": "1", "lower": -1.0, "upper": 1.0}],
+        "parameters": [{"name": "w", "unit": "1", "lower": -0.5, "upper": 0.5}],
+        "dynamics": {"x": "w - x"}, "function": "x^2", "level": 0.9, "rate": 0.99, "inner": 0.0, "gains": {"w": 1.01},
+    }  # fmt: skip
+    checked = check_document(seal("lyapunov", claim | changes, {"slopes": {}}))
+    assert checked.accepted is not bool(message), checked.reason
+    assert message in checked.reason
