@@ -133,9 +133,11 @@ def prove_motion(
 ) -> Decision:
     """Prove a claim as `decide_motion`, without a search for counterexamples, with at most `most` choices of bounds."""
     began, worked = time.perf_counter(), time.process_time()
-    quick = not isinstance(claim, Safety) and has_branches(claim.dynamics)
-    if quick and (decision := prove_by_slopes(claim, time_limit=_SLOPES * time_limit)).verdict == "proved":
-        return decision
+    branches = has_branches(claim.dynamics)
+    if branches and not isinstance(claim, Safety):
+        decision = prove_by_slopes(claim, time_limit=_SLOPES * time_limit)
+        if decision.verdict == "proved":
+            return decision
     reason, refused = "", math.inf
     attempts = list(_attempts(claim))[:most]
     if not attempts:
@@ -164,7 +166,7 @@ def prove_motion(
             if checked.accepted:
                 return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)
             reason, proofs = f"the checker rejects the proof: {checked.reason}", {}
-    if not quick and not isinstance(claim, Safety) and (rest := time_limit - (time.process_time() - worked)) > 0:
+    if not (branches or isinstance(claim, Safety)) and (rest := time_limit - (time.process_time() - worked)) > 0:
         decision = prove_by_slopes(claim, time_limit=rest)
         if decision.verdict == "proved":
             return replace(decision, seconds=time.perf_counter() - began)
