@@ -49,14 +49,12 @@ class Identified:
 
     Attributes:
         vehicle: the vehicle with the fitted values. Parameters that the log does not determine have the values of
-            `start`, and the others were fitted again together with them, so that the vehicle is one consistent model.
-            The range of an identified parameter is its 95 % interval.
+            `start`, and the others are fitted again together with them. The range of an identified one is its interval.
         start: the vehicle whose parameters are the initial values of the fit.
         estimates: for every fitted parameter by name, and for the constant force (X0, Y0, Z0, N0), the estimate and
             half the width of its 95 % interval, with all parameters free. An estimate of drag may be negative.
         identified: names of the parameters whose 95 % interval is sufficiently narrow, without those held.
-        held: names of the parameters that have the value of `start` in `vehicle`; a constant force that `start` does
-            not have is 0.
+        held: names of the parameters with the value of `start`; a constant force that `start` does not have is 0.
         drifting: names of the constant forces that change in the log; `vehicle` has their mean.
         zeroed: names of the drag parameters that are 0 in `vehicle` because their estimates are negative.
         directions: the combinations of parameters that the log does not determine, one text each.
