@@ -339,8 +339,8 @@ def _functions(system: System) -> dict[str, ca.Function]:
     x, b, d, p, q, c = _block_symbols(system)
     y, r = ca.SX.sym("y", system.measurements.size), ca.SX.sym("r", system.references.size)
     mean = ca.SX(0, 1)
-    seen, _ = system.sensed(x, b, mean, d=d, p=p, q=q)
-    measure = ca.Function("measure", [x, d, p, b, q], [system.held(plant.measurement(x, d, p), seen), seen])
+    behind, _ = system.sensed(x, b, mean, d=d, p=p, q=q)
+    measure = ca.Function("measure", [x, d, p, b, q], [system.held(plant.measurement(x, d, p), behind), behind])
     inputs = ca.Function("inputs", [y, r], [system.inputs_of(y, r)])
     f, driven, _ = system.driven(c, x, b, mean, d=d, p=p, q=q)
     drive = ca.Function("drive", [c, x, d, p, b, q], [f, driven])
@@ -350,8 +350,8 @@ def _functions(system: System) -> dict[str, ca.Function]:
     R, D = ca.MX.sym("r", system.references.size), ca.MX.sym("d", plant.disturbances.size)
     sensed, memory = measure(X, D, P, B, Q)
     command, after = law(Z, inputs(sensed, R), G)[:2]
-    _, kept = drive(command, X, D, P, memory, Q)
-    error = ca.vertcat(rate(X, command, D, P, memory, Q), after - Z, kept - B)
+    _, carried = drive(command, X, D, P, memory, Q)
+    error = ca.vertcat(rate(X, command, D, P, memory, Q), after - Z, carried - B)
     point = ca.vertcat(X, Z, B)
     results = [error, ca.jacobian(error, point), command, ca.jacobian(command, point)]
     Y = ca.MX.sym("y", system.measurements.size)

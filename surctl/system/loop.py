@@ -246,10 +246,10 @@ class System:
 
     def held(self, y: ca.SX, memory: ca.SX) -> ca.SX:
         """Return the flat measured outputs behind the sensors, from the plant's and the memory of all blocks."""
-        seen, parts = self.plant.measurements.split(y), self.blocks.memory.split(memory)
+        behind, parts = self.plant.measurements.split(y), self.blocks.memory.split(memory)
         for block in self.blocks.sensors:
-            seen |= {port.name: parts[f"{block.name}.{port.name}"] for port in block.outputs}
-        return self.measurements.join(seen)
+            behind |= {port.name: parts[f"{block.name}.{port.name}"] for port in block.outputs}
+        return self.measurements.join(behind)
 
     def sensed(
         self,
@@ -292,8 +292,8 @@ class System:
         """
         signals = self.plant.measurements.split(self.plant.measurement(x, d, p)) if self.blocks.actuators else {}
         signals |= self.commands.split(command)
-        seen, memory, noise = self.blocks.sampled("actuators", instant, signals, memory, noise, q, count)
-        return self.plant.inputs.join({port.name: seen[port.name] for port in self.plant.inputs}), memory, noise
+        behind, memory, noise = self.blocks.sampled("actuators", instant, signals, memory, noise, q, count)
+        return self.plant.inputs.join({port.name: behind[port.name] for port in self.plant.inputs}), memory, noise
 
     @cached_property
     def signals(self) -> ca.Function:

@@ -162,14 +162,17 @@ def loop_step(system: System) -> Block:
     before = lower_named("measure", {"s": s, "w": w}, inputs)
     sizes = (system.commands.size, controller.state.size, 1, system.telemetry.size)
     outputs = {name: ca.SX.sym(name, n) for name, n in zip(("tau", "x_next", "status", "k"), sizes, strict=True)}
-    kept = {"memory": ca.SX.sym("memory", state.port("memory").size), "noise": ca.SX.sym("noise", system.blocks.noise)}
+    carried = {
+        "memory": ca.SX.sym("memory", state.port("memory").size),
+        "noise": ca.SX.sym("noise", system.blocks.noise),
+    }
     with Recording() as recording:
         moved, memory, noise = moved_state(
-            system, now["plant"], outputs["tau"], constants, t, count=now["count"], **kept
+            system, now["plant"], outputs["tau"], constants, t, count=now["count"], **carried
         )
         costs, stops = system.evaluated(
             x=now["plant"], f=outputs["tau"], d=constants["disturbance"], r=constants["reference"],
-            p=constants["plant"], g=constants["gains"], k=outputs["k"], t=t, b=kept["memory"],
+            p=constants["plant"], g=constants["gains"], k=outputs["k"], t=t, b=carried["memory"],
         )  # fmt: skip
         ended = ca.SX(0)
         for k in range(stops.numel(), 0, -1):
@@ -188,11 +191,11 @@ def loop_step(system: System) -> Block:
                 "sums": _summed(system, now["sums"], costs, t, stays),
             }
         )
-        move = recording.block("move", {"s": s, "w": w, **outputs, **kept}, {"s_next": after})
+        move = recording.block("move", {"s": s, "w": w, **outputs, **carried}, {"s_next": after})
     steps = (
-        Call(before, ("s", "w"), ("x", "u", "p", *kept)),
+        Call(before, ("s", "w"), ("x", "u", "p", *carried)),
         Call(controller.block, ("x", "u", "p"), tuple(outputs)),
-        Call(move, ("s", "w", *outputs, *kept), ("s_next",)),
+        Call(move, ("s", "w", *outputs, *carried), ("s_next",)),
     )
     return Routine("period", (("s", state.size), ("w", parameters.size)), steps, ("s_next",))
 

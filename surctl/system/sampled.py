@@ -55,13 +55,13 @@ class Sampled:
         >>> camera = Sampled(
         ...     "camera", period=0.02,
         ...     inputs=Layout((Port("position", (1,), "m", "of the cart"),)),
-        ...     outputs=Layout((Port("seen", (1,), "m", "position in the picture"),)),
+        ...     outputs=Layout((Port("sighted", (1,), "m", "position in the picture"),)),
         ...     parameters=Layout((Port("deviation", (1,), "m", "standard deviation", 0.01),)),
         ...     normal=Layout((Port("noise", (1,), "1", "of the picture"),)),
-        ...     step=lambda x, u, p, w: {"seen": u["position"] + p["deviation"] * w["noise"]},
+        ...     step=lambda x, u, p, w: {"sighted": u["position"] + p["deviation"] * w["noise"]},
         ... )
         >>> [port.name for port in camera.memory]
-        ['seen']
+        ['sighted']
     """
 
     name: str
@@ -252,23 +252,23 @@ class Blocks:
             parameters: parameters of all blocks, flat.
             count: number of the control period.
         """
-        seen, parts, numbers = dict(signals), self.memory.split(memory), self.parameters.split(parameters)
+        behind, parts, numbers = dict(signals), self.memory.split(memory), self.parameters.split(parameters)
         for block in self.sensors if side == "sensors" else self.actuators:
             own = {port.name: f"{block.name}.{port.name}" for port in block.memory}
             samples, periods = self._rates[block.name]
             if instant % (self.instants // samples) == 0 and (periods == 1 or instant == 0):
                 old = block.memory.join({name: parts[key] for name, key in own.items()})
-                normal, uniform, noise = _drawn(block, noise)
+                normal, uniform, noise = _random(block, noise)
                 p = block.parameters.join({q.name: numbers[f"{block.name}.{q.name}"] for q in block.parameters})
-                new = block.sample(old, block.inputs.join(seen), p, normal, uniform)
+                new = block.sample(old, block.inputs.join(behind), p, normal, uniform)
                 if periods > 1:
                     new = ca.if_else(_remainder(count, periods) == 0, new, old)
                 parts |= {own[name]: part for name, part in block.memory.split(new).items()}
-            seen |= {port.name: parts[own[port.name]] for port in block.outputs}
-        return seen, self.memory.join(parts), noise
+            behind |= {port.name: parts[own[port.name]] for port in block.outputs}
+        return behind, self.memory.join(parts), noise
 
 
-def _drawn(block: Sampled, noise: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def _random(block: Sampled, noise: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     normals, uniforms = block.normal.size, block.uniform.size
     if noise.numel() == 0:
         return ca.SX.zeros(normals), 0.5 * ca.SX.ones(uniforms), noise

@@ -21,8 +21,8 @@ def independent(coupled: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 def distinct(*matrices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return where each distinct one of k tuples of matrices (k, …) occurs first, and which of these each equals."""
     rows = np.concatenate([m.reshape(len(m), -1) for m in matrices], axis=1) + 0.0  # no negative zeros
-    seen: dict[bytes, int] = {}
-    first, which = np.unique([seen.setdefault(row.tobytes(), k) for k, row in enumerate(rows)], return_inverse=True)
+    known: dict[bytes, int] = {}
+    first, which = np.unique([known.setdefault(row.tobytes(), k) for k, row in enumerate(rows)], return_inverse=True)
     return first, which
 
 
