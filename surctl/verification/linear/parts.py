@@ -28,21 +28,21 @@ def distinct(*matrices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[
 
 def eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.complex128]:
     """Return the eigenvalues (k, n) of k matrices (k, n, n), in no order."""
-    found = np.empty(matrices.shape[:2], dtype=complex)
+    values = np.empty(matrices.shape[:2], dtype=complex)
     for group in independent((matrices != 0).any(axis=0)):
         block = matrices[:, group[:, None], group]
         first, which = distinct(block)
-        found[:, group] = np.linalg.eigvals(block[first])[which]
-    return found
+        values[:, group] = np.linalg.eigvals(block[first])[which]
+    return values
 
 
 def blockwise(
     function: Callable[[NDArray[np.float64]], NDArray[np.float64]], matrices: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return a matrix function, such as the exponential, of k matrices (k, n, n) from those of their blocks."""
-    found = np.zeros_like(matrices)
+    values = np.zeros_like(matrices)
     for group in independent((matrices != 0).any(axis=0)):
         block = matrices[:, group[:, None], group]
         first, which = distinct(block)
-        found[:, group[:, None], group] = function(block[first])[which]
-    return found
+        values[:, group[:, None], group] = function(block[first])[which]
+    return values
