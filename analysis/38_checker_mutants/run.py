@@ -122,7 +122,7 @@ def _replace(old: Any, new: Any, module: str) -> None:
 def _function(value: Any) -> Any:
     """Return the function below a cache, a property or a method."""
     for name in ("__wrapped__", "__func__", "fget"):
-        if not isinstance(value, FunctionType) and isinstance(getattr(value, name, None), FunctionType):
+        if isinstance(getattr(value, name, None), FunctionType):  # a context manager is a function around another
             return getattr(value, name)
     return value
 
