@@ -24,7 +24,8 @@ def vectors(pair: Pair, file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     scale = 50.0 * gains["lookahead"][0]
     low, high = claim["vehicle"]["speed_m_per_s"] if steered else gains["cruise"][0] * np.array([0.5, 1.0])
     speed = rng.uniform(low, high, COUNT)
-    y = 0.0 if braking else 0.3 * gains["lookahead"][0] * rng.uniform(-1, 1, COUNT)
+    aside = claim["motion"]["offset_m"] if steered else 0.3 * gains["lookahead"][0]
+    y = 0.0 if braking else aside * rng.uniform(-1, 1, COUNT)
     psi = rng.uniform(-0.3, 0.3, COUNT) + (0 if steered else rng.uniform(-3, 3, COUNT))
     ahead = scale + (-0.5 if braking else 0.1 * rng.uniform(-1, 1, COUNT))
     c, s = np.cos(psi), np.sin(psi)
