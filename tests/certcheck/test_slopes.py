@@ -187,7 +187,7 @@ def test_units_do_not_change_the_verdict(digits: int, level: int, good: bool) ->
 @pytest.mark.parametrize(
     ("factor", "power", "good"),
     [("1e40", (800.0, 801.0), True), ("1e150", (800.0, 801.0), False),
-     ("1.3e23", (744.1, 744.1001), True), ("1.87e23", (744.1, 744.1001), False)],
+     ("1.3e23", (744.1, 744.1001), True), ("1.87e23", (744.1, 744.1001), False), ("-1e-300", (1.0, 1000.0), True)],
 )  # fmt: skip
 def test_a_slope_that_no_double_represents_is_not_rounded(factor: str, power: tuple[float, float], good: bool) -> None:
     # exp(-744.1) lies between two doubles that differ by a factor of 2
