@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from surctl.certcheck import Rejected, check_document, patience, seal
-from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
+from surctl.certcheck.slopes import Decrease, _vertices, check_decrease, quadratic_form, require_in_box
 from surctl.verification.formula import parse, values_of, variable
 
 TERMS = (
@@ -193,6 +193,13 @@ def test_a_slope_that_no_double_represents_is_not_rounded(factor: str, power: tu
     # exp(-744.1) lies between two doubles that differ by a factor of 2
     box = [(-1.0, 1.0), power, (1e300, 1.0001e300)]
     assert accepted("x p q", [f"-x + {factor}*q*exp(-p)*x"], box, decrease(np.eye(1), 0.5, 0.0)) is good
+
+
+@pytest.mark.parametrize(("count", "together"), [(0, 5), (3, 3), (4, 16), (2, 100), (5, 1)])
+def test_the_parts_of_the_vertices_are_complete_and_small(count: int, together: int) -> None:
+    parts = list(_vertices(count, together))
+    assert {len(part) for part in parts} == {min(together, 2**count)}
+    assert len({tuple(row) for part in parts for row in part.tolist()}) == 2**count
 
 
 def test_a_factorisation_with_nan_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
