@@ -41,7 +41,7 @@ from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix, inverse
 
-__all__ = ["Number", "Rows", "up"]
+__all__ = ["Number", "Rows", "magnitude", "up"]
 
 Array = NDArray[np.float64]
 Poly = dict[tuple[int, ...], Fraction]
@@ -52,7 +52,7 @@ _FEW = 6  # slopes of a row whose vertices are tried for its support
 _NARROW = Fraction(1, 2**33)  # a slope with a smaller relative width counts as a number with an error
 _MOST_TERMS = 4096  # of a polynomial
 _DIGITS = 26  # bits of the ends of a slope's range
-_LINEAR = ("add", "sub", "neg")
+_MOST_EXPONENT = 20_000  # of 2, in an end of a range
 _ZERO = (libmp.fzero, libmp.fzero)
 
 
@@ -89,8 +89,13 @@ class Rows:
         self.names, self.centre = tuple(names), centre
         self.states = len(rates)
         self.linear = [*range(self.states), *(k for k, name in enumerate(names) if name in disturbances)]
-        self._inner = np.array([[float(x) for x in row] for row in inverse(p)])
-        self._radius = float(np.sqrt(up(level))) * (1 + 1e-12)
+        # powers of 2 scale the doubles to about 1, so that none is rounded to 0 or overflows
+        cover = inverse(p)
+        self._unit = [Fraction(2) ** (magnitude(row[k]) // 2) for k, row in enumerate(cover)]
+        scaled = [[cover[i][j] / (s * t) for j, t in enumerate(self._unit)] for i, s in enumerate(self._unit)]
+        self._inner = np.array([[float(x) for x in row] for row in scaled])
+        unit = Fraction(2) ** (magnitude(level) // 2)
+        self._radius = Fraction(float(np.sqrt(up(level / unit**2))) * (1 + 1e-12)) * unit
         self.table = ExpressionTable(names)
         self.range: dict[int, Interval] = {}  # of each node on the region
         self.rest: dict[int, Interval] = {}  # of each node at x*, without disturbances
@@ -110,19 +115,25 @@ class Rows:
         for k, own in enumerate(span(*bounds) for bounds in box):
             if k < self.states:
                 at = rational(self.centre[k])
-                ends.append((_common(own, _around(at, self._ellipsoid(np.eye(self.states)[k]))), at))
+                extent = self._ellipsoid([Fraction(j == k) for j in range(self.states)])
+                ends.append((_common(own, _around(at, extent)), at))
             elif k in self.linear:
                 ends.append((_hull(own, _ZERO), _ZERO))
             else:
                 ends.append((own, own))
         return ends
 
-    def _ellipsoid(self, row: Array) -> float:
-        """Return an upper bound on |row · ξ| where V ≤ level; the row is rounded to doubles."""
-        most = float(row @ self._inner @ row)
-        size = float(np.abs(row) @ np.abs(self._inner) @ np.abs(row))
+    def _ellipsoid(self, row: list[Fraction]) -> Fraction:
+        """Return an upper bound on |row · ξ| where V ≤ level."""
+        scaled = [x * unit for x, unit in zip(row, self._unit, strict=True)]
+        if not any(scaled):
+            return Fraction(0)
+        unit = Fraction(2) ** magnitude(max(map(abs, scaled)))
+        own = np.array([float(x / unit) for x in scaled])
+        most = float(own @ self._inner @ own)
+        size = float(np.abs(own) @ np.abs(self._inner) @ np.abs(own))
         # the rounding errors of n² + 2n products and of their factors are below 1e-12 of their sizes
-        return float(np.sqrt(max(most, 0.0) + 1e-12 * size) * self._radius) * (1 + 1e-12)
+        return Fraction(float(np.sqrt(max(most, 0.0) + 1e-12 * size)) * (1 + 1e-12)) * unit * self._radius
 
     # ---- the expressions
 
@@ -152,8 +163,6 @@ class Rows:
                 if not above(self.range[args[1]]):
                     raise Rejected("the slope rule needs a positive second operand of atan2")
                 return self._put("atan", (self._put("div", args),))
-            if op not in (*_LINEAR, "mul", "div"):
-                raise Rejected(f"the slope rule does not cover {op} of several variables")
         at = self.table.put(op, *args, value=value)
         if at not in self.range:
             self._numeric[at] = op in ("num", "pi") or (op != "var" and all(self._numeric[a] for a in args))
@@ -197,27 +206,26 @@ class Rows:
             own = _common(own, _around(rest, self._support(self.row(at))))
         return own, rest
 
-    def _support(self, row: list[Number]) -> float:
+    def _support(self, row: list[Number]) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
         used = sorted({k for entry in row for term in entry.poly for k in term})
-        n, total = self.states, 0.0
+        n, total = self.states, Fraction(0)
         for k, entry in enumerate(row):
             size = self.size(entry) if k >= n or len(used) > _FEW else entry.error
-            total += up(size) * self._extent(k)
+            total += size * self._extent(k)
         if len(used) > _FEW:
-            return total * (1 + 1e-12)
-        most = 0.0
+            return total
+        most = Fraction(0)
         for ends in product(*(self.slopes[k] for k in used)):
             value = dict(zip(used, ends, strict=True))
-            numbers = [float(_evaluated(entry.poly, value)) for entry in row[:n]]
-            most = max(most, self._ellipsoid(np.array(numbers)))
-        return (most + total) * (1 + 1e-12)
+            most = max(most, self._ellipsoid([_evaluated(entry.poly, value) for entry in row[:n]]))
+        return most + total
 
-    def _extent(self, k: int) -> float:
+    def _extent(self, k: int) -> Fraction:
         """Return an upper bound on |ξ_k|, or on the disturbance of this place."""
         own, rest = self.box[self.linear[k]]
         apart = libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)
-        return up(_fraction(apart[1]))
+        return _fraction(apart[1])
 
     # ---- rows and values as polynomials in the slopes
 
@@ -257,15 +265,15 @@ class Rows:
                 first = self._scaled(self._factor(a), self.row(b))
                 second = self._scaled(self._value(b), self.row(a))
                 return [self.plus(x, y) for x, y in zip(first, second, strict=True)]
-        raise Rejected(f"the slope rule does not cover {entry.op}")
+        raise Rejected(f"the slope rule does not cover {entry.op} of several variables")
 
     def _ordered(self, a: int, b: int) -> tuple[int, int]:
         """Return two factors so that the first one, whose value becomes a slope, is the better one."""
         zero = [self.rest[k] == _ZERO for k in (a, b)]
 
-        def cost(one: int, other: int) -> float:
+        def cost(one: int, other: int) -> Fraction:
             low, high = self.range[one]
-            return up(_fraction(high) - _fraction(low)) * self._support(self.row(other))
+            return (_fraction(high) - _fraction(low)) * self._support(self.row(other))
 
         swap = zero[0] and not zero[1] if zero[0] != zero[1] else cost(a, b) > cost(b, a)
         return (b, a) if swap else (a, b)
@@ -370,6 +378,7 @@ class Rows:
         """Return a b; a slope of both is replaced by a copy, which is also that of other products with `copies`."""
         if not (a.poly or a.error) or not (b.poly or b.error):
             return Number({})
+        go_on()
         copies = {} if copies is None else copies
         error = a.error * self.size(b) + (self.size(a) - a.error) * b.error
         poly: Poly = {}
@@ -442,9 +451,9 @@ class Rows:
 
 def _fraction(x: Any) -> Fraction:
     """Return one of mpmath's raw numbers as a fraction."""
-    if x in (libmp.finf, libmp.fninf, libmp.fnan):
-        raise Undefined("an unbounded slope")
     sign, man, exp, _ = x
+    if x in (libmp.finf, libmp.fninf, libmp.fnan) or abs(exp) > _MOST_EXPONENT:
+        raise Undefined("a slope that is unbounded, or too large or small to be written")
     return Fraction(-int(man) if sign else int(man)) * Fraction(2) ** int(exp)
 
 
@@ -463,9 +472,9 @@ def _hull(a: Interval, b: Interval) -> Interval:
     return least(a, b)[0], greatest(a, b)[1]
 
 
-def _around(a: Interval, extent: float) -> Interval:
+def _around(a: Interval, extent: Fraction) -> Interval:
     """Return the numbers that differ from one in the interval by at most `extent`."""
-    end = rational(Fraction(extent))[1]
+    end = rational(extent)[1]
     return libmp.mpi_add(a, (libmp.mpf_neg(end), end), BITS)
 
 
@@ -476,6 +485,11 @@ def _evaluated(poly: Poly, value: Mapping[int, Fraction]) -> Fraction:
             number *= value[k]
         total += number
     return total
+
+
+def magnitude(x: Fraction) -> int:
+    """Return n with 2^(n − 1) < |x| < 2^(n + 1), for x ≠ 0; 0 for x = 0."""
+    return x.numerator.bit_length() - x.denominator.bit_length() if x else 0
 
 
 def up(x: Fraction) -> float:

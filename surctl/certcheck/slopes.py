@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import afford, go_on
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
-from surctl.certcheck.slope_rows import Number, Rows, up
+from surctl.certcheck.slope_rows import Number, Rows, magnitude, up
 
 __all__ = ["Decrease", "check_decrease", "quadratic_form", "require_in_box"]
 
@@ -33,7 +34,7 @@ Array = NDArray[np.float64]
 _MOST_SLOPES = 18  # in one matrix
 _MOST_STATES = 20
 _UNIT = 2.0**-53
-_CHUNK = 2**12  # vertices that are tested together
+_CHUNK = 2**18  # numbers of the matrices that are tested together
 _NONE = Number({})
 
 
@@ -64,7 +65,7 @@ def quadratic_form(states: Sequence[str], function: str, centre: Sequence[Fracti
     if n > _MOST_STATES:
         raise Rejected(f"the slope rule has more than {_MOST_STATES} states")
     exactly = Exact(table := ExpressionTable(states))
-    above, below = exactly.of(table.read(function))
+    above, below = exactly.of(root := table.read(function))
     if set(below) != {()}:
         raise Rejected("the slope rule needs a quadratic function")
     p = [[Fraction(0)] * n for _ in range(n)]
@@ -80,6 +81,8 @@ def quadratic_form(states: Sequence[str], function: str, centre: Sequence[Fracti
             raise Rejected("the function is not a quadratic form about the equilibrium")
     if rest.pop((), Fraction(0)) != sum((x * y for x, y in zip(centre, pull, strict=True)), Fraction(0)) or rest:
         raise Rejected("the function is not a quadratic form about the equilibrium")
+    if not table.total([root]):  # a root or quotient that cancels
+        raise Rejected("the function may be undefined")
     if not is_positive_definite(p):
         raise Rejected("the function is not positive definite")
     return p
@@ -166,10 +169,10 @@ def _is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     if not terms:
         return False
     # scale by powers of 2, which is exact, so that the diagonal is about 1
-    half = []
-    for k in range(size):
-        large = rows.size(whole[k][k])
-        half.append((large.numerator.bit_length() - large.denominator.bit_length()) // 2 if large else 0)
+    half = [magnitude(rows.size(whole[k][k])) // 2 for k in range(size)]
+    # and so that no slope is rounded to 0
+    unit = {k: Fraction(2) ** magnitude(max(map(abs, rows.slopes[k]))) for k in used}
+    afford(8 * (2 * _CHUNK + len(terms) * size**2))
     numbers = np.zeros((len(terms), size, size))
     error = np.zeros((size, size))
     place = {term: t for t, term in enumerate(terms)}
@@ -178,19 +181,18 @@ def _is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
             factor = Fraction(2) ** -(half[i] + half[j])
             error[i, j] = up(whole[i][j].error * factor)
             for term, number in whole[i][j].poly.items():
-                numbers[place[term], i, j] = float(number * factor)
-    ends = np.array([[float(end) for end in rows.slopes[k]] for k in used]).reshape(len(used), 2)
+                numbers[place[term], i, j] = float(number * prod([unit[k] for k in term], start=factor))
+    ends = np.array([[float(end / unit[k]) for end in rows.slopes[k]] for k in used]).reshape(len(used), 2)
     members = [[used.index(k) for k in term] for term in terms]
     largest = np.array([np.prod(np.abs(ends[term]).max(axis=1)) for term in members])
     # rounding of the numbers, of the products of slopes, and of the sums
     size_of = np.einsum("t,tij->ij", largest, np.abs(numbers))
-    error += size_of * ((len(terms) + max(map(len, terms)) + 8) * _UNIT)
+    error += size_of * ((len(terms) + _MOST_SLOPES + 8) * _UNIT)
     trace = float(np.trace(size_of))
     # Rump: if the factorisation of A − shift·I succeeds in floating-point numbers, A is positive semidefinite; with
     # twice the shift, it is positive definite
     shift = 2 * (float(error.sum(axis=1).max()) * (1 + 1e-12) + 8 * (size + 2) * _UNIT * trace)
-    afford(8 * _CHUNK * (2 * size**2 + len(terms)))
-    for chosen in _vertices(len(used)):
+    for chosen in _vertices(len(used), max(1, _CHUNK // (size**2 + len(terms)))):
         go_on()
         slopes = np.where(chosen, ends[:, 1], ends[:, 0])  # (vertices, slopes)
         products = np.array([slopes[:, term].prod(axis=1) for term in members])
@@ -204,8 +206,9 @@ def _is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     return True
 
 
-def _vertices(count: int) -> Iterator[NDArray[np.bool_]]:
-    """Yield all vertices of a box, in parts (K, count)."""
-    for begin in range(0, 2**count, _CHUNK):
-        indices = np.arange(begin, min(begin + _CHUNK, 2**count))
+def _vertices(count: int, together: int) -> Iterator[NDArray[np.bool_]]:
+    """Yield all vertices of a box, in parts (K, count) of at most `together`."""
+    together = min(together, 2**count)
+    for begin in range(0, 2**count, together):
+        indices = np.arange(begin, begin + together)  # from 2^count on, vertices are repeated
         yield ((indices[:, None] >> np.arange(count)) & 1).astype(bool)

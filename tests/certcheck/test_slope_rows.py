@@ -195,6 +195,14 @@ def test_products_replace_a_common_slope_by_a_copy() -> None:
     assert rows.times(one, Number({})) == Number({})
 
 
+def test_an_end_of_too_many_digits_is_refused() -> None:
+    tiny = "1e-300*(1 + x^2)"
+    for _ in range(3):
+        tiny = f"({tiny})^64"
+    with pytest.raises(Undefined, match="too large or small"):
+        rows_of(f"y*{tiny}")
+
+
 @pytest.mark.parametrize("x", [Fraction(1, 3), Fraction(2, 3), Fraction(1, 10**30), Fraction(0)])
 def test_up_rounds_up(x: Fraction) -> None:
     assert x <= Fraction(up(x)) <= x * (1 + Fraction(1, 2**50))

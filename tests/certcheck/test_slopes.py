@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
-from surctl.certcheck import Rejected, check_document, seal
-from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
+from surctl.certcheck import Rejected, check_document, patience, seal
+from surctl.certcheck.slopes import Decrease, _vertices, check_decrease, quadratic_form, require_in_box
 from surctl.verification.formula import parse, values_of, variable
 
 TERMS = (
@@ -167,6 +167,58 @@ def test_an_equilibrium_that_moves_with_a_parameter_is_refused() -> None:
     assert accepted("x p", ["(1 + p) - x - (p + 1)"], [(-1.0, 1.0), (0.1, 0.2)], decrease(one, 0.5, 0.1))
 
 
+def test_every_state_must_rest_at_the_equilibrium() -> None:
+    needed = decrease(np.eye(2), 0.5, 0.1)
+    assert not accepted("x y p", ["p - x", "-y"], [(-1.0, 1.0), (-1.0, 1.0), (0.1, 0.2)], needed)
+
+
+@pytest.mark.parametrize("digits", [-200, 200])
+@pytest.mark.parametrize(("level", "good"), [(1, True), (5, False)])
+def test_units_do_not_change_the_verdict(digits: int, level: int, good: bool) -> None:
+    one = f"1e{digits}"
+    rates = ["v", f"{one}*max(-1, min(1, (-x - v)/{one}))"]
+    box, needed = [(-3.0 * float(one), 3.0 * float(one))] * 2, decrease(P2, level, 0.0)
+    for unit in (Fraction(1), Fraction(10) ** -400, Fraction(10) ** 400):
+        p = [[unit * x for x in row] for row in needed.p]
+        scaled = replace(needed, p=p, level=unit * level * Fraction(one) ** 2)
+        assert accepted("x v", rates, box, scaled) is good
+
+
+@pytest.mark.parametrize(
+    ("factor", "power", "good"),
+    [("1e40", (800.0, 801.0), True), ("1e150", (800.0, 801.0), False),
+     ("1.3e23", (744.1, 744.1001), True), ("1.87e23", (744.1, 744.1001), False), ("-1e-300", (1.0, 1000.0), True)],
+)  # fmt: skip
+def test_a_slope_that_no_double_represents_is_not_rounded(factor: str, power: tuple[float, float], good: bool) -> None:
+    # exp(-744.1) lies between two doubles that differ by a factor of 2
+    box = [(-1.0, 1.0), power, (1e300, 1.0001e300)]
+    assert accepted("x p q", [f"-x + {factor}*q*exp(-p)*x"], box, decrease(np.eye(1), 0.5, 0.0)) is good
+
+
+@pytest.mark.parametrize(("count", "together"), [(0, 5), (3, 3), (4, 16), (2, 100), (5, 1)])
+def test_the_parts_of_the_vertices_are_complete_and_small(count: int, together: int) -> None:
+    parts = list(_vertices(count, together))
+    assert {len(part) for part in parts} == {min(together, 2**count)}
+    assert len({tuple(row) for part in parts for row in part.tolist()}) == 2**count
+
+
+def test_a_factorisation_with_nan_proves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = decrease(np.eye(1), 0.5, 0.1)
+    assert accepted("x", ["-x"], [(-1.0, 1.0)], needed)
+    monkeypatch.setattr(np.linalg, "cholesky", lambda a: a * np.nan)
+    assert not accepted("x", ["-x"], [(-1.0, 1.0)], needed)
+
+
+def test_the_matrices_count_against_the_memory_of_a_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = [f"x{k}" for k in range(20)]
+    needed, box, rates = decrease(np.eye(20), 0.5, 0.1), [(-1.0, 1.0)] * 20, [f"0.5*{x}" for x in names]
+    with patience.patient(60):
+        check_decrease(names, box, rates, needed, discrete=True)
+    monkeypatch.setattr(patience, "MEMORY", 3_000_000)
+    with patience.patient(60), pytest.raises(Rejected, match="memory"):
+        check_decrease(names, box, rates, needed, discrete=True)
+
+
 @pytest.mark.parametrize(("constant", "good"), [(0.0225, True), (0.0025, False)])
 def test_a_constant_disturbance_counts_against_the_constant(constant: float, good: bool) -> None:
     # 2 x (p − x) <= −x² + p²
@@ -205,7 +257,8 @@ def test_the_quadratic_form_is_read_exactly() -> None:
 @pytest.mark.parametrize(
     ("function", "message"),
     [("x^2 + y^4", "quadratic"), ("x^2 + y^2 + 0.1", "about"), ("x^2 + y^2 + x", "about"), ("x^2 - y^2", "positive"),
-     ("x^2", "positive"), ("(x^2 + y^2)/(1 + x^2)", "quadratic"), ("x^2 + y^2 + abs(x)", "about")],
+     ("x^2", "positive"), ("(x^2 + y^2)/(1 + x^2)", "quadratic"), ("x^2 + y^2 + abs(x)", "about"),
+     ("x^2 + y^2 + 0*log(x)", "undefined"), ("sqrt(x)^4 + y^2", "undefined")],
 )  # fmt: skip
 def test_other_functions_are_refused(function: str, message: str) -> None:
     with pytest.raises(Rejected, match=message):
