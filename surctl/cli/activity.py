@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 
+from surctl.cli.output import raise_lost_interrupt
+
 __all__ = ["doing", "progress", "signs_of_life", "timed", "waiting"]
 
 _LONGEST = 60.0  # s between two signs of life
@@ -49,8 +51,9 @@ def timed(name: str, limit: float | None = None) -> Iterator[None]:
 
 
 def doing(text: str) -> None:
-    """Set what the next sign of life says; this prints nothing."""
+    """Set what the next sign of life says; this prints nothing, and raises an interrupt that was lost."""
     _activity.text = text
+    raise_lost_interrupt()
 
 
 def waiting() -> None:

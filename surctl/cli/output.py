@@ -34,6 +34,7 @@ __all__ = [
     "out_folder",
     "print_message",
     "printable",
+    "raise_lost_interrupt",
     "refusal_line",
     "same_command",
     "saving",
@@ -151,10 +152,19 @@ def interrupted(error: BaseException | None) -> bool:
         return False
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
+    _raised.extend(_interrupts[len(_raised) :])
     return error is not None or bool(_interrupts)
 
 
+def raise_lost_interrupt() -> None:
+    """Raise KeyboardInterrupt if Ctrl-C was pressed where exceptions are lost, as in a finaliser or a callback of C."""
+    if len(_raised) < len(_interrupts):
+        _raised.extend(_interrupts[len(_raised) :])
+        raise KeyboardInterrupt
+
+
 _interrupts: list[int] = []  # a lock, as of threading.Event, could wait for itself in a signal handler
+_raised: list[int] = []  # those of them that have reached the command
 
 
 @contextmanager
@@ -178,6 +188,7 @@ def noting_interrupts() -> Iterator[None]:
     finally:
         signal.signal(signal.SIGINT, before)
         _interrupts.clear()
+        _raised.clear()
 
 
 def refusal_line(refused: Inapplicable) -> str:

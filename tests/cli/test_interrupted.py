@@ -9,6 +9,7 @@ from typing import Any
 import casadi
 import pytest
 
+from surctl.cli.activity import doing
 from surctl.cli.output import Stopped, interrupted, noting_interrupts, stoppable
 
 
@@ -67,3 +68,24 @@ def test_an_interrupt_that_a_shell_has_ignored_stays_ignored() -> None:
             assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+class Dropped:
+    """An object whose finaliser is interrupted; Python ignores what a finaliser raises."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interrupt_that_is_lost_comes_with_the_next_progress() -> None:
+    with noting_interrupts():
+        Dropped()
+        with pytest.raises(KeyboardInterrupt) as raised:
+            doing("work")
+        assert interrupted(raised.value)
+        doing("more work")  # once
+        with pytest.raises(KeyboardInterrupt) as raised:
+            signal.raise_signal(signal.SIGINT)
+        assert interrupted(raised.value)
+        doing("what is saved")
