@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "draw_uniforms", "noise_states"]
+__all__ = ["NOISE_STATE", "NoiseStream", "draw_normals", "draw_uniforms", "noise_states", "remainder"]
 
 NOISE_STATE = 6
 """Number of values in a generator's state: six whole numbers below 2^32, three for each component, oldest first."""
@@ -161,17 +161,23 @@ def draw_uniforms(state: ca.SX, count: int) -> tuple[ca.SX, ca.SX]:
 
 
 def _uniform(one: list[ca.SX], two: list[ca.SX]) -> tuple[ca.SX, list[ca.SX], list[ca.SX]]:
-    a = _remainder(1403580.0 * one[1] - 810728.0 * one[0], float(_M1))
-    b = _remainder(527612.0 * two[2] - 1370589.0 * two[0], float(_M2))
+    a = remainder(1403580.0 * one[1] - 810728.0 * one[0], float(_M1))
+    b = remainder(527612.0 * two[2] - 1370589.0 * two[0], float(_M2))
     difference = a - b
     return ca.if_else(difference > 0, difference, difference + _M1) * _NORM, [*one[1:], a], [*two[1:], b]
 
 
-def _remainder(x: ca.SX, modulus: float) -> ca.SX:
+def remainder(x: ca.SX, modulus: float) -> ca.SX:
     """Return x mod modulus for a whole number x with |x| < 2^53.
 
     Unless it is whole, the quotient x/modulus lies at least 1/modulus below the next whole number. The rounding error
     of the quotient is smaller than 1/modulus (|quotient| < 2^21), so floor gives the exact result.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.noise import remainder
+        >>> float(remainder(ca.SX(17), 5.0))
+        2.0
     """
     return x - ca.floor(x / modulus) * modulus
 

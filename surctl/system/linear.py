@@ -234,11 +234,11 @@ class _Rest:
         if np.isfinite(error[row]):
             column = int(np.argmax(~np.isfinite(slope[row])))
             what = f"the derivative of {what} by `{labels[column]}`"
-        law, numbers = self.functions["control"], [self.disturbance, self.numbers.plant[0]]
-        measured, _ = self.functions["measure"](x, *numbers, b, self.numbers.blocks[0])
+        law, numbers = self.functions["control"], self._constants(b)
+        measured, _ = self.functions["measure"](x, *numbers)
         u = self.functions["inputs"](measured, self.reference)
         f = law.call([z, u, self.numbers.gains[0]])[0]
-        plant = undefined_operation(self.functions["rate"], [x, f, *numbers, b, self.numbers.blocks[0]])
+        plant = undefined_operation(self.functions["rate"], [x, f, *numbers])
         cause = plant or undefined_operation(law, [z, u, self.numbers.gains[0]])
         where = f" of the {'plant' if plant else 'law'}" if cause else ""
         raise InputError(
@@ -255,13 +255,11 @@ class _Rest:
 
     def inputs(self, point: Operating) -> Array:
         # of the plant
-        numbers = [self.disturbance, self.numbers.plant[0], point.memory, self.numbers.blocks[0]]
-        return np.array(self.functions["drive"](point.f, point.x, *numbers)[0]).reshape(-1)
+        return np.array(self.functions["drive"](point.f, point.x, *self._constants(point.memory))[0]).reshape(-1)
 
     def law(self, point: Operating) -> tuple[Array, ...]:
         # derivatives of next controller state, then command, by controller state, measurements, references
-        numbers = [self.disturbance, self.numbers.plant[0], point.memory, self.numbers.blocks[0]]
-        measured, _ = self.functions["measure"](point.x, *numbers)
+        measured, _ = self.functions["measure"](point.x, *self._constants(point.memory))
         results = self.functions["law"].call([point.z, measured, self.reference, self.numbers.gains[0]])
         return tuple(np.array(result) for result in results)
 
@@ -279,15 +277,13 @@ class _Rest:
         for name, periods in system.blocks.slow().items():
             problem = f"is sampled once in {periods} control periods, so the loop changes from one period to the next"
             raise InputError(problem, key=f"{name}.period", remedy="give it the control period, or simulate the loop")
-        numbers = [self.disturbance, self.numbers.plant[0], point.memory, self.numbers.blocks[0]]
+        numbers = self._constants(point.memory)
         sizes = system.plant.state.size, len(point.memory), len(point.f), len(self.disturbance)
         at = [slice(a, b) for a, b in pairwise(np.cumsum([0, *sizes]))]
         now = np.eye(sum(sizes))  # rows: state, memory, command, disturbance now; columns: those at the control instant
-        instants = system.blocks.instants
         A, B, E = plant[:3]
-        held = held_plant(A, B, E, system.dt / instants)
-        for k in range(instants):
-            sense, drive = _block_slopes(system, k)
+        held = held_plant(A, B, E, system.dt / system.blocks.instants)
+        for k, (sense, drive) in enumerate(_block_slopes(system)):
             y, memory = (np.array(slope) for slope in sense(point.x, *numbers))
             if k == 0:
                 measured = y @ now[_rows(at, 0, 1, 3)]
@@ -299,6 +295,10 @@ class _Rest:
         both = slice(0, at[1].stop)
         return now[both, both], now[both, at[2]], now[both, at[3]], measured[:, both], measured[:, at[3]]
 
+    def _constants(self, memory: Array) -> list[Array]:
+        # arguments of the functions of plant and blocks
+        return [self.disturbance, self.numbers.plant[0], memory, self.numbers.blocks[0]]
+
     def _split(self, point: Array) -> list[Array]:
         size, last = self.system.plant.state.size, self.system.blocks.memory.size
         return [point[:size], point[size : point.size - last], point[point.size - last :]]
@@ -308,19 +308,23 @@ def _rows(at: Sequence[slice], *parts: int) -> list[int]:
     return [k for part in parts for k in range(at[part].start, at[part].stop)]
 
 
-def _block_slopes(system: System, instant: int) -> tuple[ca.Function, ca.Function]:
-    """Return the derivatives of measured outputs and memory, and of plant inputs and memory, at an instant.
+@once_per_system
+def _block_slopes(system: System) -> list[tuple[ca.Function, ca.Function]]:
+    """Return, for each instant, the derivatives of measured outputs and memory, and of plant inputs and memory.
 
     Those behind the sensors are by plant state, memory and disturbance; those behind the actuators by command first.
     """
     x, b, d, p, q, c = _block_symbols(system)
-    by, mean = ca.vertcat(x, b, d), ca.SX(0, 1)
-    memory, _ = system.sensed(x, b, mean, d=d, p=p, q=q, instant=instant)
-    y = system.held(system.plant.measurement(x, d, p), memory)
-    sense = ca.Function("sense", [x, d, p, b, q], [ca.jacobian(y, by), ca.jacobian(memory, by)])
-    f, memory, _ = system.driven(c, x, b, mean, d=d, p=p, q=q, instant=instant)
-    by = ca.vertcat(c, by)
-    return sense, ca.Function("drive", [c, x, d, p, b, q], [ca.jacobian(f, by), ca.jacobian(memory, by)])
+    by, mean, pairs = ca.vertcat(x, b, d), ca.SX(0, 1), []
+    for k in range(system.blocks.instants):
+        memory, _ = system.sensed(x, b, mean, d=d, p=p, q=q, instant=k)
+        y = system.held(system.plant.measurement(x, d, p), memory)
+        sense = ca.Function("sense", [x, d, p, b, q], [ca.jacobian(y, by), ca.jacobian(memory, by)])
+        f, memory, _ = system.driven(c, x, b, mean, d=d, p=p, q=q, instant=k)
+        every = ca.vertcat(c, by)
+        drive = ca.Function("drive", [c, x, d, p, b, q], [ca.jacobian(f, every), ca.jacobian(memory, every)])
+        pairs.append((sense, drive))
+    return pairs
 
 
 def _block_symbols(system: System) -> list[ca.SX]:

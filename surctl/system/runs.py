@@ -30,7 +30,7 @@ from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
-__all__ = ["Runs", "integrated", "loop_step", "moved_state", "periods", "simulate_system"]
+__all__ = ["Runs", "loop_step", "moved_state", "periods", "simulate_system"]
 
 Array = NDArray[np.float64]
 
@@ -250,13 +250,11 @@ def moved_state(
         if k:
             memory, noise = system.sensed(x, memory, noise, d=d, p=p, q=q, count=count, instant=k)
         f, memory, noise = system.driven(command, x, memory, noise, d=d, p=p, q=q, count=count, instant=k)
-        x = integrated(system, x, f, constants, t, late)
+        x = _integrated(system, x, f, constants, t, late)
     return x, memory, noise
 
 
-def integrated(
-    system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX, late: ca.SX | float = 0.0
-) -> ca.SX:
+def _integrated(system: System, x: ca.SX, f: ca.SX, constants: Mapping[str, ca.SX], t: ca.SX, late: float) -> ca.SX:
     """Return the plant state at the next instant, by fourth-order Runge-Kutta steps with constant inputs f.
 
     `late` is the time [s] from the beginning t of the control period to the instant.

@@ -12,7 +12,7 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Block, Layout, Port, Recording, identifier, without_libm
-from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms
+from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms, remainder
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 from surctl.units import is_number
 
@@ -175,7 +175,7 @@ class Blocks:
         for block in self.all:
             if names.count(block.name) > 1:
                 raise InputError("is the name of two blocks", key=block.name, remedy="rename one of them")
-            _ = self._rates
+        _ = self._rates  # a period that does not fit is reported when the loop is created
 
     @property
     def outputs(self) -> dict[Side, list[Layout]]:
@@ -262,7 +262,7 @@ class Blocks:
                 p = block.parameters.join({q.name: numbers[f"{block.name}.{q.name}"] for q in block.parameters})
                 new = block.sample(old, block.inputs.join(behind), p, normal, uniform)
                 if periods > 1:
-                    new = ca.if_else(_remainder(count, periods) == 0, new, old)
+                    new = ca.if_else(remainder(ca.SX(count), periods) == 0, new, old)
                 parts |= {own[name]: part for name, part in block.memory.split(new).items()}
             behind |= {port.name: parts[own[port.name]] for port in block.outputs}
         return behind, self.memory.join(parts), noise
@@ -278,10 +278,6 @@ def _random(block: Sampled, noise: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     if uniforms:
         uniform, noise = draw_uniforms(noise, uniforms)
     return normal[:normals], uniform, noise
-
-
-def _remainder(count: ca.SX | float, periods: int) -> ca.SX:
-    return count - ca.floor(ca.SX(count) / periods + 0.5 / periods) * periods
 
 
 def connected(*layouts: Layout) -> Layout:

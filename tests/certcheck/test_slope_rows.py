@@ -31,7 +31,7 @@ EXPRESSIONS = (
 
 def rows_of(first: str, second: str = "0*x", level: float = 1.0, **further: object) -> Rows:
     settings = {"p": P, "centre": CENTRE, "disturbances": ["w"], "box": BOX} | further
-    return Rows(NAMES, rates=[first, second], level=Fraction(level), **settings)  # type: ignore[arg-type]
+    return Rows(NAMES, rates=[first, second], level=Fraction(level), **settings)
 
 
 def samples(count: int = 400) -> Array:

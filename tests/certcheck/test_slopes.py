@@ -34,7 +34,7 @@ def matrix(p: NDArray[np.float64]) -> list[list[Fraction]]:
 
 def decrease(p: NDArray[np.float64], level: float, rate: float, **further: object) -> Decrease:
     settings = {"centre": [Fraction(0)] * len(p), "gains": {}, "constant": Fraction(0)} | further
-    return Decrease(p=matrix(p), level=exact(level), rate=exact(rate), **settings)  # type: ignore[arg-type]
+    return Decrease(p=matrix(p), level=exact(level), rate=exact(rate), **settings)
 
 
 def accepted(

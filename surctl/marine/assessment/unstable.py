@@ -14,10 +14,8 @@ from surctl.marine.vehicle import Vehicle
 
 __all__ = ["motion_text"]
 
-_BEND = (
-    2.0,
-    0.5,
-)  # end of the first leg in hull lengths: a start on a straight path would hide that a loop is unstable
+# end of the first leg in hull lengths: a start on a straight path would hide that a loop is unstable
+_BEND = (2.0, 0.5)
 
 
 def motion_text(plant: Vehicle, model: Vehicle, gains: Gains, *, law: Law, cruise: float) -> str:
