@@ -1,4 +1,6 @@
-"""Design, tune, verify and export the controller of a small underwater robot."""
+"""Write a control law once, then simulate, tune and prove it, and export it as C: a toolkit in Python, with an
+underwater robot as its reference application.
+"""
 
 from importlib import import_module
 from typing import Any

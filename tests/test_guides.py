@@ -19,6 +19,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
+import surctl
 from surctl.cli.app import app
 from tests.processes import run_python
 from tests.tools import PATIENCE, need_compiler, need_module
@@ -51,6 +52,8 @@ NAMES = {
     "index",
     "missions",
     "own-law",
+    "project",
+    "questions",
     "reference/equations",
     "reference/index",
     "region",
@@ -222,6 +225,16 @@ def test_the_readme_is_short_and_has_the_two_commands() -> None:
     assert len(lines) <= 200
     indented = [line.strip() for line in lines if line.startswith("    ")]
     assert indented == ["pip install . && surctl study", 'pip install -e ".[dev]" && pytest']
+
+
+def test_one_sentence_says_everywhere_what_it_is() -> None:
+    texts = [path.read_text(encoding="utf-8") for path in (README, ROOT / "notebooks" / "guides" / "index.md")]
+    texts += [(ROOT / name).read_text(encoding="utf-8") for name in ("notebooks/mkdocs.yml", "CITATION.cff")]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    for text in (*texts, app.help or "", surctl.__doc__ or ""):
+        assert project["description"] in " ".join(text.split())
+    assert f"version: {project['version']}\n" in texts[-1]
+    assert project["version"] == surctl.__version__
 
 
 def test_the_architecture_has_the_packages_in_their_order() -> None:

@@ -37,23 +37,49 @@ from surctl.errors import SurctlError
 __all__ = ["app", "main"]
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class _Ordered(click.Group):
+    """A group whose help lists the commands in the order of their registration."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands."""
+        return list(self.commands)
+
+
+@click.group(cls=_Ordered, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="surctl")
 def app() -> None:
-    """Design, tune, verify and export the controller of a small underwater robot.
+    """Write a control law once, then simulate, tune and prove it, and export it as C: a toolkit in Python, with an
+    underwater robot as its reference application.
 
-    Examples: surctl new vehicle my-robot; surctl study my-robot.toml; surctl simulate tank-static --out plots
+    Examples: surctl new system pendulum; surctl study pendulum.py:build; surctl simulate tank-static --out plots
 
     Exit status: 0 finished with the expected result, 1 finished with another result, 2 wrong input, 3 some output
     could not be written.
     """
 
 
-_COMMANDS = (
-    study, reproduce, simulate, sweep, tune, verify, check, export, vehicle, gains, scenario, calibrate, sonar_replay,
-    fly, new, lint, listing, completion,
-)  # fmt: skip
-for _command in _COMMANDS:
+_COMMANDS = {  # in the order in which a newcomer needs them; a description fits one line of 80 columns
+    new: "Write a file to start from: a system, a vehicle, a law, …",
+    study: "Sweep, margins, proofs, runs and C code in one report.",
+    simulate: "Simulate a closed loop: one run, many seeds, campaigns.",
+    verify: "Prove or refute stability and other claims; margins.",
+    sweep: "Compute costs over a grid or a sample of parameters.",
+    tune: "Search for gains that meet goals; --page shows sliders.",
+    export: "Write the controller as C, and compare it with Python.",
+    check: "Check a certificate without trusting the prover.",
+    lint: "Find entries of a file that cannot work, and say why.",
+    listing: "List built-in vehicles, scenarios, gains and claims.",
+    vehicle: "Write a vehicle file from dimensions, a log or a model.",
+    gains: "Write the gains that follow from a vehicle.",
+    scenario: "Write a scenario file from a mission of another program.",
+    calibrate: "Calibrate range sensors from a CSV file.",
+    sonar_replay: "Run recorded sonar readings through the robot's filter.",
+    fly: "Steer an ArduSub vehicle along a scenario's path.",
+    reproduce: "Compute the results of the robot's paper again.",
+    completion: "Print a script that completes commands in a shell.",
+}
+for _command, _description in _COMMANDS.items():
+    _command.short_help = _description
     app.add_command(_command)
 
 

@@ -25,11 +25,12 @@ _NEXT = {
         "surctl simulate open-water.toml --law {}:@IDENTIFIER@",
     ),
     "system": (
-        "surctl simulate {}:build --seconds 5 --out plots",
-        "surctl verify {}:build",
-        "surctl sweep {}:build k_p=4..20:9 --seconds 5 --out sweep",
-        "surctl tune {}:build --seconds 5 --out tuned",
-        "surctl export {}:build --seconds 5 --out firmware",
+        "surctl study {}:build",
+        "surctl simulate {}:build --out plots",
+        "surctl verify {}:build --time-limit 5 --out proofs",
+        "surctl sweep {}:build k_p=4..20:9 --out sweep",
+        "surctl tune {}:build --out tuned",
+        "surctl export {}:build --out firmware",
     ),
 }
 _IN_PYTHON = ("task", "law", "system")
@@ -49,7 +50,8 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
 
     The file works without changes.
 
-    Examples: surctl new vehicle my-robot; surctl new scenario harbour --out sites/harbour.toml; surctl new law my-law
+    Examples: surctl new system pendulum; surctl new vehicle my-robot; surctl new scenario harbour --out
+    sites/harbour.toml; surctl new law my-law
     """
     from surctl.errors import InputError
     from surctl.files import quoted

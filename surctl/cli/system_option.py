@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 __all__ = ["OwnSystem", "assigned", "command_line", "is_system", "listed", "load_system", "seconds_option"]
 
-seconds_option = click.option("--seconds", type=float, metavar="S", help="Duration of a run of a system [s].")
+seconds_option = click.option(
+    "--seconds", type=float, metavar="S", help="Duration of a run of a system [s] (default: its own)."
+)
 
 _MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory
 
@@ -65,7 +67,7 @@ class OwnSystem:
         }
 
     def seconds(self, seconds: float | None) -> float:
-        """Return the duration of a run [s].
+        """Return the duration of a run [s]: `seconds`, or that of the system.
 
         Raises:
             InputError: the duration is missing, or is not a valid duration.
@@ -73,15 +75,18 @@ class OwnSystem:
         from surctl.errors import InputError
         from surctl.system import periods
 
+        file, key = (None, "--seconds") if seconds is not None else (self.word, "duration")
+        seconds = self.system.duration if seconds is None else seconds
         if seconds is None:
-            raise InputError("is missing", key="--seconds", remedy="give the duration of a run [s]")
+            remedy = "give the duration of a run [s], or System(duration=…)"
+            raise InputError("is missing", key="--seconds", remedy=remedy)
         try:
             steps = periods(self.system, seconds)
         except InputError as error:
-            raise InputError(error.problem, key="--seconds", value=seconds, remedy=error.remedy) from None
+            raise InputError(error.problem, file=file, key=key, value=seconds, remedy=error.remedy) from None
         if steps > _MOST_PERIODS:
             remedy = f"give at most {_MOST_PERIODS * self.system.dt:g} s"
-            raise InputError(f"is {steps} control periods", key="--seconds", value=seconds, remedy=remedy)
+            raise InputError(f"is {steps} control periods", file=file, key=key, value=seconds, remedy=remedy)
         return seconds
 
     def exported_name(self, name: str | None = None, *, reserved: Collection[str]) -> str:

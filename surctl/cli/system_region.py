@@ -59,9 +59,11 @@ class RegionWords:
 
 
 def region_words(
-    words: Sequence[str],
+    words: Sequence[str], system: System
 ) -> tuple[list[str], RegionWords | None, dict[str, tuple[float, float]]]:
-    """Separate the words about a region of attraction (None if there are none) and the ranges from the others.
+    """Separate the words about a region of attraction and the ranges from the others.
+
+    Without words `within.STATE`, the box is that of the system; if it has none, no region is asked for (None).
 
     Raises:
         InputError: a range is not LOW..HIGH, a name is given twice, or a claim is stated without `within.STATE`.
@@ -87,6 +89,7 @@ def region_words(
             table[key] = _range(text, name)
         else:
             others.append(word)
+    within = within or dict(system.within)
     if not within:
         if claim:
             key = f"{_CLAIM}{next(iter(claim))}"

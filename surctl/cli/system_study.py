@@ -49,7 +49,7 @@ def study_system(
     own = load_system(words)
     own.exported_name(reserved=reserved)
     axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
-    others, region, uncertain = region_words([word for word in own.settings if word not in stated])
+    others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)
     duration, values = own.seconds(seconds), assigned(others)
     problem = None if region is None else region.problem(own.system, values)
     axes = axes or _default_axes(own, values)
@@ -68,7 +68,7 @@ def study_system(
     def solved() -> Solution:
         assert problem is not None  # the subject asks only then
         progress("region of attraction")
-        return solve(problem, progress=progress)
+        return solve(problem, first=True, progress=progress)
 
     subject = ClosedLoop(
         own.system, values, {**own.system.ranges, **uncertain}, record, region=None if problem is None else solved

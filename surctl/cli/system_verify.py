@@ -35,7 +35,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     from surctl.lyapunov import solve
 
     own = load_system(words)
-    others, region, uncertain = region_words(own.settings)
+    others, region, uncertain = region_words(own.settings, own.system)
     values = assigned(others)
     uncertain = {**own.system.ranges, **uncertain}
     if out is not None:

@@ -83,7 +83,7 @@ def serve_system_page(
     from surctl.tuning import judge_loops, load_loop_goals
 
     own = load_system(words)
-    others, region, uncertain = region_words(own.settings)
+    others, region, uncertain = region_words(own.settings, own.system)
     about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
     values = listed(others)
     swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
@@ -99,7 +99,7 @@ def serve_system_page(
     gains = {name for name in fixed if "." not in name}
     if gains:
         raise InputError("is a gain", key=min(gains), remedy="move its slider")
-    duration = own.seconds(seconds) if seconds is not None else _PERIODS * own.system.dt
+    duration = own.seconds(seconds or own.system.duration or _PERIODS * own.system.dt)
 
     def problem(gains: Mapping[str, float]) -> object:
         return None if region is None else region.problem(own.system, {**assigned(()), **fixed, **gains})

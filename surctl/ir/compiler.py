@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import platform
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -93,7 +95,8 @@ _REFUSED = (
 
 
 def find_compiler() -> str:
-    """Return the command of the C compiler: $CC, which may include arguments, or the first available of cc, gcc, clang.
+    """Return the command of the C compiler: $CC, which may include arguments, or the first available of cc, gcc, clang
+    and the package ziglang (extra `surctl[compiler]`).
 
     Raises:
         ToolMissing: $CC does not name a program, or there is no compiler.
@@ -121,7 +124,11 @@ def find_compiler() -> str:
     for name in ("cc", "gcc", "clang"):
         if shutil.which(name):
             return name
-    raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy="install one (Debian: apt install gcc) or set CC")
+    if importlib.util.find_spec("ziglang") is not None:
+        # without the last flag, zig adds checks of undefined behaviour to code that is not optimised
+        return shlex.join([sys.executable, "-m", "ziglang", "cc", "-fno-sanitize=undefined"])
+    remedy = 'pip install "surctl[compiler]", install one (Debian: apt install gcc), or set CC'
+    raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy=remedy)
 
 
 def _words(command: str) -> list[str]:
@@ -175,7 +182,9 @@ def compile_program(
     link = [] if "-c" in flags else ["-lm"]
     files = [str(s) for s in sources]
     used = _words(find_compiler()) if compiler is None else [compiler]
-    command = [*used, *FLAGS, *further_flags(), *flags, "-o", str(output), *files, *link]
+    # clang ignores these flags, but zig refuses them
+    options = [flag for flag in flags if not ("ziglang" in used and flag in _REORDERED)]
+    command = [*used, *FLAGS, *further_flags(), *options, "-o", str(output), *files, *link]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT)
     except subprocess.TimeoutExpired:

@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from surctl.assessment.assessment import Assessment, Line
 from surctl.errors import InputError
 from surctl.export import SilReport
 from surctl.ir import Layout
+from surctl.report.cost_map import plot_cost_map
 from surctl.report.document import (
     Block,
     Cell,
@@ -26,6 +29,7 @@ from surctl.report.document import (
     render_sections,
 )
 from surctl.report.motion_plots import plot_motion
+from surctl.report.page_parts import plot_loop
 from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import number
 from surctl.system import Record, Runs, entry_labels, entry_units
@@ -143,10 +147,17 @@ def _margins(study: SystemStudy) -> tuple[Block, ...]:
         "disk margin of this loop alone [1]",
     )  # fmt: skip
     text = "The sampled loop, linear about its equilibrium, is opened at one signal while all others stay closed."
+    loops = picture(
+        plot_loop(loop.nominal.linear),
+        alt="Bode plot, sensitivities, Nyquist curve, step response and poles of the sampled loop",
+        caption="The sampled loop: loop gain, sensitivities, Nyquist curve, step response and poles.",
+        command=study.commands["verify"],
+    )
     together = [margin.line(margin.place) for margin in loop.nominal.disks if loop.nominal.stable]
     return (
         Table("Figures of the assessment", ("figure", "value", "unit", "meaning", "worst at"), figures),
         Paragraph(text),
+        Pictures((loops,)),
         Table("Margins", heads, rows),
         *map(Paragraph, together),
         Paragraph(f"Slowest mode: {study.mode}."),
@@ -174,7 +185,7 @@ def _sweep(study: SystemStudy) -> tuple[Block, ...]:
         return ()
     figures = tuple(
         picture(
-            plot_dependence(study.swept, study.runs, name),
+            _plot_cost(study.swept, study.runs, name, cost.unit),
             alt=f"{name} over each number of the sweep",
             caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
             command=study.commands["sweep"],
@@ -182,6 +193,18 @@ def _sweep(study: SystemStudy) -> tuple[Block, ...]:
         for name, cost in study.record.system.costs.items()
     )
     return (Paragraph(f"{len(study.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
+
+
+def _plot_cost(swept: Mapping[str, ArrayLike], runs: Runs, name: str, unit: str) -> Figure:
+    """Plot a cost over the sweep: as a map over a grid of two numbers, otherwise over each number alone."""
+    values = [np.asarray(one, dtype=float) for one in swept.values()]
+    axes = [np.unique(one) for one in values]
+    cost = np.asarray(runs[name], dtype=float)
+    if len(axes) != 2 or len(axes[0]) * len(axes[1]) != len(cost):
+        return plot_dependence(swept, runs, name)
+    order = np.lexsort((values[1], values[0]))
+    table = cost[order].reshape(len(axes[0]), len(axes[1]))
+    return plot_cost_map(dict(zip(swept, axes, strict=True)), table, f"{name} [{unit}]").figure.figure
 
 
 def _ports(record: Record) -> tuple[Block, ...]:

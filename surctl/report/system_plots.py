@@ -49,7 +49,8 @@ def plot_record(record: Record, *, limits: Mapping[str, tuple[float, float]] = _
 
     Args:
         record: the run.
-        limits: lower and upper limit of signals by name, which are drawn as lines; what lies outside is shaded.
+        limits: lower and upper limit of signals by name, which are drawn as lines; what lies outside is shaded. Without
+            any, those of the system are drawn.
 
     Example:
         >>> from surctl.ir import Layout, Port
@@ -61,7 +62,7 @@ def plot_record(record: Record, *, limits: Mapping[str, tuple[float, float]] = _
         >>> [ax.get_ylabel() for ax in plot_record(run_system(System(cart, brake), 2.0)).axes]
         ['speed [m/s]', 'force [m/s^2]']
     """
-    groups = _groups(record)
+    groups, limits = _groups(record), limits or record.system.limits
     figure = new_figure(8.5, 1.0 + 1.8 * len(groups))
     system = record.system
     head(

@@ -103,6 +103,10 @@ class System:
             default the disturbances are d.
         ranges: lower and upper bound of uncertain numbers by name (see `run_numbers`), such as `plant.mass`; margins
             are judged at every corner of them.
+        duration: duration of a run [s] for commands that state none, or None.
+        within: lower and upper bound of each state, by name: the box in which `surctl verify` and `study` prove a
+            region of attraction if the command line states none.
+        limits: lower and upper limit of states, commands or references by name, which plots of a run show.
         sensors, actuators: sampled blocks between plant and controller, in their order.
 
     Raises:
@@ -139,6 +143,9 @@ class System:
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sensors: Sequence[Sampled] = ()
     actuators: Sequence[Sampled] = ()
+    duration: float | None = None
+    within: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for key, part, attribute, remedy in (
@@ -151,12 +158,12 @@ class System:
             remedy = f"give a whole number from 1 to {_MOST}"
             raise InputError("is not a number of steps", key="substeps", value=self.substeps, remedy=remedy)
         object.__setattr__(self, "substeps", int(self.substeps))
-        tables: tuple[tuple[str, Any], ...] = (("costs", self.costs), ("stops", self.stops), ("ranges", self.ranges))
+        tables = [(kind, getattr(self, kind)) for kind in ("costs", "stops", "ranges", "within", "limits")]
         for kind, table in tables:
             if not isinstance(table, Mapping):
                 remedy = 'write {"name": …}'
                 raise InputError(f"is of type {type(table).__name__}", key=kind, remedy=remedy)
-            for name in table if kind != "ranges" else ():
+            for name in table if kind in ("costs", "stops") else ():
                 identifier(name)
             object.__setattr__(self, kind, MappingProxyType(dict(table)))
         self._check_blocks()
@@ -184,6 +191,10 @@ class System:
                     remedy=nearest(str(cost.how), get_args(How)),
                 )
         self._check_names()
+        shown = {port.name for layout in (self.plant.state, self.commands, self.references) for port in layout}
+        for name in self.limits:
+            if name not in shown:
+                raise InputError("is no signal of a run", key=f"limits.{name}", remedy=nearest(name, sorted(shown)))
         driving, to = connected(self.commands, *self.blocks.outputs["actuators"]), f"command of {self.controller.name}"
         for port in self.plant.inputs:
             _connected(port, driving, key=f"{self.plant.name}.inputs", to=to)

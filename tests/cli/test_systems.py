@@ -113,11 +113,17 @@ def test_the_commands_that_new_prints_run(tmp_path: Path, monkeypatch: pytest.Mo
     exec(Path("my-loop.py").read_text(), vars(space))
     assert len(Path("my-loop.py").read_text().splitlines()) <= 60
     assert run_system(space.build(), 2.0).stopped == "time"
-    assert [shlex.split(line)[1] for line in written["next"]] == ["simulate", "verify", "sweep", "tune", "export"]
+    names = [shlex.split(line)[1] for line in written["next"]]
+    assert names == ["study", "simulate", "verify", "sweep", "tune", "export"]
     for line in written["next"]:
         done = run(*shlex.split(line)[1:])
         assert done.exit_code == 0, (line, done.output, done.exception)
     assert {path.name for path in Path("plots").iterdir()} == {"pendulum-balance.png", "pendulum-balance.csv"}
+    page = Path("surctl-out/report.html").read_text()
+    assert "where V &lt; " in page and page.count("<img") == 5  # run, loop, region, and the map of each cost
+    assert "Nyquist" in page
+    checked = run("check", "proofs/pendulum.json", "--bundle", "firmware")
+    assert checked.exit_code == 0 and "belongs to the controller" in checked.output
     manifest = json.loads(Path("firmware/manifest.json").read_text())
     assert manifest["commands"] == {"torque": "N m"}
     assert "double torque; /* [N m] at the pivot */" in Path("firmware/balance.h").read_text()
@@ -242,7 +248,7 @@ def test_a_study_puts_run_margins_sweep_and_export_on_one_page(file: str) -> Non
     assert done["linear"]["equilibrium"] == data("verify", file, "reference.goal=0.5")["equilibrium"]
     assert Path("s/export/pump.c").exists()
     page = Path("s/report.html").read_text()
-    assert "https://" not in page and page.count("<img") == 3  # the run, and each cost over k
+    assert "https://" not in page and page.count("<img") == 4  # the run, the loop, and each cost over k
     for text in ("Costs of the run", "Margins", "at the end", "turn[1]", "surctl sweep mine.py:build k=0.5..2:3"):
         assert text in page
     lost = data("study", file, "plant.blow=1", "k=0", "--seconds", "2", "--out", "s", status=1)
