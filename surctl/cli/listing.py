@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from textwrap import wrap
 
 import click
 
@@ -47,5 +48,8 @@ def listing(show: str | None, as_json: bool) -> None:
         return
     names = {kind: list(group) for kind, group in files.items()}
     names |= {"claims": [c.name for c in claims()], "regions": list(REGION_CLAIMS), "braking": list(BRAKING_CLAIMS)}
-    lines = [f"{kind}: {', '.join(group)}" for kind, group in names.items()]
+    lines = []
+    for kind, group in names.items():
+        text = f"{kind}: {', '.join(group)}"
+        lines += wrap(text, 100, subsequent_indent="  ", break_on_hyphens=False)
     finish(names, lines, as_json=as_json, passed=True)

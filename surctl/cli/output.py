@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import re
 import shlex
 import signal
 import sys
@@ -106,10 +108,24 @@ def finish(
     data = {**result, "next": list(then)} if then else result
     lines = printable([json.dumps(finite(data), ensure_ascii=not is_utf8())]) if as_json else shown
     text = "\n".join(lines)
-    sys.stdout.write(text + "\n")
+    sys.stdout.write((text if as_json or not _has_colours() else _coloured(text)) + "\n")
     sys.stdout.flush()
     context = click.get_current_context()
     context.exit(1 if not passed else LOST if context.meta.get(_LOST_FILES) else 0)
+
+
+def _has_colours() -> bool:
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb"
+    return sys.stdout.isatty() and not plain
+
+
+_COLOURS = {"ok": "green", "FAIL": "red", "open": "yellow", "n/a": "yellow"}
+
+
+def _coloured(text: str) -> str:
+    """Return the text with a colour for the mark at the start of each line."""
+    mark = re.compile(rf"^(?:{'|'.join(_COLOURS)})(?= )", flags=re.MULTILINE)
+    return mark.sub(lambda word: click.style(word[0], fg=_COLOURS[word[0]]), text)
 
 
 @contextmanager

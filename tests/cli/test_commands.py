@@ -50,6 +50,8 @@ def test_help_names_every_command(tmp_path):
 
 
 def test_list_and_show(tmp_path):
+    lines = surctl_here("list", cwd=tmp_path).out.splitlines()
+    assert max(map(len, lines)) <= 100 and not any(line.endswith("-") for line in lines)
     names = surctl_here("list", "--json", cwd=tmp_path).json
     assert set(names["vehicles"]) >= {"sur540-flooded", "sur540-light", "sur400", "bluerov2-vonbenzon", "bluerov2-wu"}
     golden = Path(__file__).parents[1] / "golden" / "scenarios.toml"

@@ -1,11 +1,15 @@
 """What every command prints."""
 
+import io
 import json
 import math
 from types import SimpleNamespace
 from typing import Any
 
-from surctl.cli.output import finite
+import click
+import pytest
+
+from surctl.cli.output import finish, finite
 from surctl.cli.single_run import activity_line
 from surctl.cli.study import _margin_line
 
@@ -30,3 +34,29 @@ def test_a_margin_without_bound_is_never_lost() -> None:
         name="heave", gain_margin=2.5, phase_margin_deg=math.inf, delay_margin_s=math.inf, disk_margin=0.9
     )
     assert _margin_line(margin).split() == ["heave", "2.50", *2 * ["never", "lost"], "0.90"]
+
+
+@pytest.mark.parametrize(
+    ("terminal", "environment", "coloured"),
+    [
+        (True, {"TERM": "xterm"}, True),
+        (True, {"TERM": "xterm", "NO_COLOR": "1"}, False),
+        (True, {"TERM": "dumb"}, False),
+        (False, {"TERM": "xterm"}, False),
+    ],
+)
+def test_marks_have_colours_on_a_terminal_only(terminal, environment, coloured, monkeypatch) -> None:
+    class Stream(io.StringIO):
+        def isatty(self) -> bool:
+            return terminal
+
+    stream = Stream()
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr("sys.stdout", stream)
+    with click.Context(click.Command("any")), pytest.raises(click.exceptions.Exit):
+        finish({}, ["ok   margins", "FAIL ok", "  ok"], as_json=False, passed=True)
+    plain = "ok   margins\nFAIL ok\n  ok\n"
+    expected = "\x1b[32mok\x1b[0m   margins\n\x1b[31mFAIL\x1b[0m ok\n  ok\n"
+    assert stream.getvalue() == (expected if coloured else plain)
