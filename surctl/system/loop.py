@@ -192,9 +192,11 @@ class System:
                 )
         self._check_names()
         shown = {port.name for layout in (self.plant.state, self.commands, self.references) for port in layout}
-        for name in self.limits:
+        for name, ends in self.limits.items():
             if name not in shown:
                 raise InputError("is no signal of a run", key=f"limits.{name}", remedy=nearest(name, sorted(shown)))
+            if not isinstance(ends, tuple) or len(ends) != 2 or not all(map(is_number, ends)) or not ends[0] < ends[1]:
+                raise InputError("is not (low, high)", key=f"limits.{name}", value=ends, remedy="write such as (-1, 1)")
         driving, to = connected(self.commands, *self.blocks.outputs["actuators"]), f"command of {self.controller.name}"
         for port in self.plant.inputs:
             _connected(port, driving, key=f"{self.plant.name}.inputs", to=to)

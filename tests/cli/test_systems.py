@@ -331,6 +331,22 @@ def test_a_mistake_is_one_line(file: str, case: str) -> None:
     assert fragment in said and "\n" not in said
 
 
+@pytest.mark.parametrize(
+    ("words", "fragment"),
+    [
+        ("duration=-1.0", "duration = -1.0"),
+        ("duration=1e9", "duration = 1000000000.0: is "),
+        ("limits={'torq': (0, 1)}", "limits.torq: is no signal of a run"),
+        ("limits={'f': (1, 0)}", "limits.f = (1, 0): is not (low, high)"),
+    ],
+)
+def test_a_mistake_in_what_a_system_carries_is_one_line(file: str, words: str, fragment: str) -> None:
+    head = "from dataclasses import replace\nfrom mine import build as b\n\ndef build():\n    return replace"
+    Path("carries.py").write_text(f"{head}(b(), {words})\n")
+    said = complaint("simulate", "carries.py:build")
+    assert "carries.py" in said and fragment in said and "\n" not in said
+
+
 def test_tune_finds_gains_and_says_what_is_not_kept(file: str, tmp_path: Path) -> None:
     need_compiler()
     words = ("tune", file, "start.x=1,0.5", "--gain", "k=0.5..8", "--seconds", "3", "--trials", "40")
