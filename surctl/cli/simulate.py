@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -19,7 +20,7 @@ from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
 from surctl.cli.plant_options import PlantOptions, plant_options
 from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes
-from surctl.cli.single_run import activity_line, further_output, linear_part, run_line
+from surctl.cli.single_run import activity_line, further_output, linear_part, run_line, series_lines
 from surctl.cli.system_option import is_system, seconds_option
 from surctl.cli.system_simulate import simulate_system
 from surctl.cli.thruster_options import split_faults
@@ -181,7 +182,7 @@ def simulate(
         )
         for scenario, robot in zip(plans, vehicles, strict=True)
     ]
-    results = []
+    results: list[dict[str, Any]] = []
     message = "the runs above are finished" + (f", files in {out}" if out else "") + "; --seed N starts at another seed"
     with stoppable(message if runs * len(plans) > 1 else "the run was not finished", lines, as_json=as_json):
         for scenario, choice, simulated, built in zip(plans, choices, vehicles, laws, strict=True):
@@ -201,6 +202,7 @@ def simulate(
                 barrier=built.barrier,
                 movers=built.movers,
             )
+            start, first = len(lines), len(results)
             with link.opened(built, p, scenario, simulated) as line:
                 stepper = partial(link.linked, built, p, line, scenario, simulated)
                 seeds = range(seed, seed + runs)
@@ -234,6 +236,8 @@ def simulate(
                         lines.append(f"  {report.line()}")
                         if report.gone_s is not None:
                             break
+                    elif runs > 1 and out is None and not explained:
+                        lines[start:] = series_lines(results[first:])
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)  # as `failure` says of one run
     good = good and not any("link" in r and r["link"]["differing"] for r in results)
     finish({"runs": results}, lines, as_json=as_json, passed=good)

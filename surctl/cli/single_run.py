@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 from surctl.cli.output import saving
 
-__all__ = ["activity_line", "failure", "further_output", "linear_part", "linear_warning", "run_line"]
+__all__ = ["activity_line", "failure", "further_output", "linear_part", "linear_warning", "run_line", "series_lines"]
 
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
 _CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
@@ -60,6 +60,38 @@ def failure(run: Run) -> str | None:
     why = [] if m.reached else [f"it does not arrive ({m.stopped_because} at {m.time_s:.2f} s)"]
     why += [f"the hull touches an obstacle or wall (clearance {m.min_clearance_m:.3f} m)"] * (m.min_clearance_m <= 0)
     return f"{run.scenario.name} by {run.vehicle.name}: {', and '.join(why)}" if why else None
+
+
+def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return at most five lines about runs of one scenario that differ in the seed.
+
+    The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
+    """
+    from surctl.verification.linear import LEAST_DISK_MARGIN
+
+    times = [run["time_s"] for run in runs if run["reached"]]
+    worst = min(runs, key=lambda run: run["min_clearance_m"])
+    collided = sum(run["min_clearance_m"] <= 0 for run in runs)
+    arrivals = f"arrival after {min(times):.2f} to {max(times):.2f} s, " if times else ""
+    lines = [
+        f"{worst['scenario']} by {worst['vehicle']}, {worst['sensing']}: {len(times)} of {len(runs)} runs arrive, "
+        f"{collided} collide",
+        f"  {arrivals}least clearance {worst['min_clearance_m']:.3f} m (seed {worst['seed']}); --seed N prints one run",
+    ]
+    failing = [run for run in runs if not (run["reached"] and run["min_clearance_m"] > 0)]
+    lines += [
+        f"  seed {run['seed']}: {run['stopped_because']} at {run['time_s']:.2f} s, least clearance "
+        f"{run['min_clearance_m']:.3f} m"
+        for run in failing[:2]
+    ]
+    linear = worst["linear"] or {}
+    if not linear.get("stable", True):
+        lines.append("  the linear loop at this speed is unstable")
+    elif (margin := linear.get("disk_margin", LEAST_DISK_MARGIN)) < LEAST_DISK_MARGIN:
+        lines.append(
+            f"  the linear loop has a disk margin of {margin:.2f} at its worst corner (below {LEAST_DISK_MARGIN:g})"
+        )
+    return lines
 
 
 def linear_part(run: Run, result: dict[str, Any]) -> list[str]:
