@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import METRICS, load_scenario, store
-from surctl.marine.simulation.store import ChunkStore
+from surctl.marine.simulation import METRICS, load_scenario
 from surctl.marine.tuning import build_cases, load_sweep, measure, sensitivity, sweep
-from surctl.marine.tuning.sweep import run_chunks
 from surctl.marine.tuning.table import judged
+from surctl.store import ChunkStore
 from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, spread
+from surctl.tuning.chunked import run_chunks
 from surctl.tuning.executors import DaskExecutor
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.processes import run_python
@@ -314,7 +314,7 @@ def test_a_harmed_chunk_alone_is_run_again(cheap, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("surctl.marine.tuning.netcdf._write", full)
+        patch.setattr("netCDF4.Dataset", full)
         with pytest.raises(InputError, match=r"No space left on device.*kept.*resumes"):
             sweep([stub.case()], GRID, out=tmp_path)
     files = sorted(tmp_path.glob("sweep.chunks/*/*.chunk"))
@@ -332,7 +332,7 @@ def test_another_request_in_the_folder_keeps_the_first_one_s_table(cheap, tmp_pa
     assert any("another request" in line for line in told)
     told.clear()
     again = sweep([stub.case()], GRID, out=tmp_path, progress=told.append)
-    assert len(told) == 1 and "has them all" in told[0] and again.path.name != "sweep.nc"
+    assert len(told) == 1 and "has all points" in told[0] and again.path.name != "sweep.nc"
     assert data(again) == before
 
 
@@ -344,7 +344,7 @@ def test_a_harmed_table_is_made_again(cheap, tmp_path):
     file.write_bytes(raw)
     told = []
     again = sweep([stub.case()], GRID, out=tmp_path, progress=told.append)
-    assert "has them all" not in told[0]
+    assert "has all points" not in told[0]
     assert data(again) == made
 
 
@@ -360,7 +360,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
 
     shelf = kept(tmp_path / "chunks")
     with monkeypatch.context() as patch, shelf.open():
-        patch.setattr(store.os, "fsync", fsync)
+        patch.setattr("surctl.store.os.fsync", fsync)
         with pytest.raises(InputError, match="No space left on device") as caught:
             run_chunks(slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
     assert "\n" not in str(caught.value)
@@ -385,8 +385,8 @@ KILLED = """
 import os, random, signal, sys, time
 from pathlib import Path
 from surctl.tuning.executors import LocalExecutor
-from surctl.marine.simulation.store import ChunkStore
-from surctl.marine.tuning.sweep import run_chunks
+from surctl.store import ChunkStore
+from surctl.tuning.chunked import run_chunks
 from tests.tuning.chunk_work import CHUNKS, slow_squares
 
 shelf, draw = ChunkStore(Path(sys.argv[1]), "request"), random.Random(int(sys.argv[2]))

@@ -42,14 +42,13 @@ if TYPE_CHECKING:
     from surctl.marine.tuning.sensitivity import Sensitivity, sensitivity
     from surctl.marine.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
     from surctl.marine.tuning.start import lqr_start
-    from surctl.marine.tuning.sweep import TABLE, sweep
+    from surctl.marine.tuning.sweep import sweep
     from surctl.marine.tuning.table import SweepTable, SweptAxis, load_sweep
 
 __all__ = [
     "ASSESSED",
     "CHECKED",
     "SURROGATES",
-    "TABLE",
     "TUNED",
     "Condition",
     "Counterexample",
@@ -131,7 +130,7 @@ load_at_first_use(
         "sensitivity": "Sensitivity sensitivity",
         "space": "GainRange TUNED default_tuned gain_ranges",
         "start": "lqr_start",
-        "sweep": "TABLE sweep",
+        "sweep": "sweep",
         "table": "SweepTable SweptAxis load_sweep",
     },
 )
