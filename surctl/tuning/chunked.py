@@ -38,6 +38,7 @@ class Stage:
         name: what is computed, for the progress.
         unit: what is counted in the rate of the progress.
         each: how many of these belong to a row.
+        counted: what the rows are, for the progress.
     """
 
     rows: Floats = field(repr=False)
@@ -46,6 +47,7 @@ class Stage:
     name: str = "sweep"
     unit: str = "runs"
     each: int = 1
+    counted: str = "points"
 
 
 def chunk_size(count: int, *, most: int) -> int:
@@ -178,7 +180,7 @@ class _Pace:
         self.done = list(self.before)
         self.last = time.monotonic()
         self.start = [self.last] * len(stages)
-        self.progress(f"{stages[-1].name} {self.done[-1]}/{len(stages[-1].rows)} points")
+        self.progress(f"{stages[-1].name} {self.done[-1]}/{len(stages[-1].rows)} {stages[-1].counted}")
 
     def finished(self, index: int) -> None:
         k, now = self.stage_of[index], time.monotonic()
@@ -193,4 +195,4 @@ class _Pace:
         rate = (self.done[k] - self.before[k]) / max(now - self.start[k], 1e-9)
         left = round((whole - self.done[k]) / rate)
         eta = f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
-        return f"{stage.name} {self.done[k]}/{whole} points, {rate * stage.each:.3g} {stage.unit}/s, ETA {eta}"
+        return f"{stage.name} {self.done[k]}/{whole} {stage.counted}, {rate * stage.each:.3g} {stage.unit}/s, ETA {eta}"

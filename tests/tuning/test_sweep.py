@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, load_scenario
-from surctl.marine.tuning import build_cases, load_sweep, measure, sensitivity, sweep
+from surctl.marine.tuning import build_cases, load_sweep, measure, sweep
 from surctl.marine.tuning.table import judged
 from surctl.store import ChunkStore
-from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, spread
+from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, sobol_indices, spread
 from surctl.tuning.chunked import run_chunks
 from surctl.tuning.executors import DaskExecutor
 from surctl.verification.linear import LEAST_DISK_MARGIN
@@ -501,22 +501,22 @@ def test_indices_of_a_known_function(cheap, monkeypatch):
     monkeypatch.setattr(measure, "simulate_batch", fly)
     design = saltelli([Span(n, -np.pi, np.pi) for n in names], base=1024)
     table = sweep([one], design, linear=False)
-    found = sensitivity(table, "deviation_m")
+    found = sobol_indices(design, table.column("deviation_m"), "deviation_m")
     np.testing.assert_allclose(found.first, (0.3139, 0.4424, 0.0), atol=0.03)
     np.testing.assert_allclose(found.total, (0.5576, 0.4424, 0.2437), atol=0.03)
     for value, (low, high) in zip(found.first + found.total, found.first_interval + found.total_interval, strict=True):
         assert low <= value <= high and high - low < 0.25
-    assert found == sensitivity(table, "deviation_m")
-    constant = sensitivity(table, "length_m")
+    assert found == sobol_indices(design, table.column("deviation_m"), "deviation_m")
+    constant = sobol_indices(design, table.column("length_m"), "length_m")
     assert constant.constant and set(constant.total) == {0.0}
     with pytest.raises(InputError, match="Saltelli"):
-        sensitivity(sweep([one], GRID, linear=False), "deviation_m")
+        sobol_indices(GRID, np.zeros(6), "deviation_m")
 
 
 def test_a_column_that_lacks_numbers_has_no_indices(cheap):
     design = saltelli([Span("k_v", 1, 2), Span("seed", 0, 9)], base=8)
     with pytest.raises(InputError, match="not a finite number at"):
-        sensitivity(sweep([stub.case()], design, linear=False), "path_error_m")
+        sobol_indices(design, sweep([stub.case()], design, linear=False).column("path_error_m"), "path_error_m")
 
 
 def test_a_silent_scheduler_is_told_soon():
