@@ -128,7 +128,7 @@ def write_netcdf(
             for name, column in columns.items() if isinstance(columns, Mapping) else columns:
                 text = column.values.dtype.kind not in "fiub"
                 dimensions = column.dimensions or ((name,) if name in sizes else tuple(sizes))
-                sums = {"fletcher32": True, "fill_value": False} if checksums and not text else {}
+                sums: dict[str, Any] = {"fletcher32": True, "fill_value": False} if checksums and not text else {}
                 variable = file.createVariable(name, str if text else "f8", dimensions, chunk_cache=_CACHE, **sums)
                 variable.setncatts(({} if text else {"units": column.unit}) | {"long_name": column.meaning})
                 values = column.values.reshape([sizes[dimension] for dimension in dimensions])

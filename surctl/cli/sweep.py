@@ -111,7 +111,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--workers",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Processes (default 2); the result does not depend on N.",
+    help="Processes or threads (default 2).",
 )
 @click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
 @click.option(
@@ -149,12 +149,10 @@ def sweep(
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
     FILE.py:FUNCTION names a system of your own: its costs over gains (k), plant.NAME, reference.NAME, disturbance.NAME,
-    start.NAME. With --seeds N, a point is judged by the worst of N runs; of a grid, NAME=LOW..HIGH without a count is
-    then random.
+    start.NAME. With --seeds N, the worst of N runs counts, and plant.NAME=LOW..HIGH is random.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
-    surctl sweep k_v=1..3 plant.m11=30..60 --design sobol --points 128;
-    surctl sweep k_v=1..3 k_r=1..3 --sensitivity deviation_m;
+    surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
     surctl sweep my_system.py:build k=1..8:20:log plant.m=1..2 --seeds 100 --seconds 5
     """
     if is_system(axes, "seconds", "design", "points", "sensitivity", "seeds", "workers", "dask", "out", "as_json"):

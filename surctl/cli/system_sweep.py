@@ -256,7 +256,7 @@ def best_points(swept: SystemSweep) -> dict[str, Any]:
         finite = worst[np.isfinite(worst)]
         means = {other: float(swept.mean(other)[point]) for other in swept.system.costs}
         best[name] = _result(swept, k) | {
-            "at": swept.at(point), "random": swept.drawn_for(k), "mean": means,
+            "at": swept.at(point), "random": swept.random_of(k), "mean": means,
             "least": float(finite.min()), "largest": float(finite.max()),
         }  # fmt: skip
     return best

@@ -100,7 +100,7 @@ class SystemSweep:
         """Return the numbers of a point by name."""
         return dict(zip(self.design.names, self.design.points[point].tolist(), strict=True))
 
-    def drawn_for(self, run: int) -> dict[str, float]:
+    def random_of(self, run: int) -> dict[str, float]:
         """Return the random numbers of a run by name."""
         return {name: float(values[run % self.each]) for name, values in self.draws.items()}
 
@@ -162,7 +162,7 @@ def sweep_system(
         >>> draws = random_draws([Span("start.speed", 0.5, 1.5)], count=20)
         >>> swept = sweep_system(system, grid([parse_axis("k=1,2")]), 5.0, draws=draws)
         >>> swept.worst("way").round(2).tolist(), swept.mean("way").round(2).tolist(), swept.at(swept.best("way"))
-        ([1.5, 0.75], [1.04, 0.52], {'k': 2.0})
+        ([1.43, 0.72], [1.01, 0.51], {'k': 2.0})
     """
     fixed = {name: np.asarray(value, dtype=float) for name, value in values.items()}
     random = {name: np.asarray(value, dtype=float) for name, value in draws.items()}

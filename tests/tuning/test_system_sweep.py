@@ -76,7 +76,7 @@ def test_a_point_is_judged_by_its_worst_run_and_not_by_its_luckiest() -> None:
     assert best == int(table.max(axis=1).argmin()) != int(table.min(axis=1).argmin())
     k = swept.worst_run("final", best)
     assert runs["final"][k] == table[best].max()
-    assert swept.drawn_for(k) == {name: values[k % 40] for name, values in DRAWS.items()}
+    assert swept.random_of(k) == {name: values[k % 40] for name, values in DRAWS.items()}
     assert {"far", "time"} == set(swept.runs.stopped)
     rows = swept.table()
     assert rows["seed"][:41] == [*range(40), 0] and rows["k"][39:41] == [1.0, 2.0]

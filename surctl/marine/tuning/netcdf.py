@@ -14,7 +14,7 @@ from surctl.marine.tuning.measure import Evaluation, Quantity, law_digest
 from surctl.marine.tuning.table import netcdf_name
 from surctl.own_code import label
 from surctl.recorded_write import Column
-from surctl.tuning.axes import SEED, Axis
+from surctl.tuning.axes import SEED, Axis, Span
 from surctl.tuning.design import Design
 
 __all__ = ["coordinates", "provenance", "sizes_of"]
@@ -28,7 +28,8 @@ def sizes_of(design: Design) -> dict[str, int]:
 
 def coordinates(design: Design, cases: tuple[Case, ...]) -> Iterator[tuple[str, Column]]:
     """Yield the columns of the axes and the names of the cases."""
-    for k, axis in enumerate(design.axes):
+    axes: tuple[Axis | Span, ...] = design.axes
+    for k, axis in enumerate(axes):
         name, quantity = netcdf_name(axis.name), _quantity(axis.name, cases)
         values, at = (np.array(axis.values), name) if isinstance(axis, Axis) else (design.points[:, k], "point")
         yield name, Column(values, quantity.unit, quantity.meaning, (at,))
