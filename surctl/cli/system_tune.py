@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surctl.cli.activity import doing, progress
-from surctl.cli.output import finish, stoppable
+from surctl.cli.output import finish, same_command, stoppable
 from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
 from surctl.cli.system_simulate import cost_data
 
@@ -59,11 +59,12 @@ def tune_own_system(
         write_csv(file, {name: [value] for name, value in best.items()})
 
     try:
-        with stoppable(f"the best gains so far are in {file}, without a check of their disk margin"):
+        message = f"the best gains so far are in {file}, without a check of their disk margin; to continue: "
+        with stoppable(message + same_command()):
             note(0, {name: value for name, value in _nominal(own).items() if name in space})
             result = tune_system(
                 own.system, duration, space,
-                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,
+                cases=cases, trials=trials, seed=seed, threads=workers, out=out, goals=about_loop, points=points,
                 run_goals=about_runs, progress=note,
             )  # fmt: skip
     except InputError as error:
@@ -82,11 +83,12 @@ def tune_own_system(
         remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
         limit = f"command {limited.where}"
         doubtful = not_representative(linear, limited.value, limit=limit, run="the run", remedy=remedy)
+    earlier = f" ({result.restored} of them before the interruption)" * bool(result.restored)
     runs = f", runs of {duration:g} s" if own.system.costs else ""
     lines = [
         headline,
         *doubtful,
-        f"{own.title}: {result.trials} gain sets{runs}",
+        f"{own.title}: {result.trials} gain sets{earlier}{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
         f"gains {table}",
         "",
@@ -106,6 +108,7 @@ def tune_own_system(
         "not_representative": doubtful,
         "unmet": list(result.unmet),
         "trials": result.trials,
+        "restored": result.restored,
         "gains": str(table),
     }
     numbers = [f"{name}={value!r}" for name, value in result.gains.items()]

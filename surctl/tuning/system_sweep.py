@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
@@ -221,14 +221,16 @@ def _check(system: System, names: tuple[str, ...], design: Design, random: Mappi
 def _request(
     system: System, design: Design, seconds: float, names: tuple[str, ...], values: Mapping[str, Array]
 ) -> str:
-    """Return the SHA-256 of all that the results depend on."""
-    about = {name: (cost.how, cost.unit, cost.meaning) for name, cost in system.costs.items()}
-    head = f"surctl {__version__} {loop_program(system).digest()} {float(seconds).hex()} {about} {list(system.stops)}"
-    digest = hashlib.sha256(f"{head} {names} {design.kind} {design.shape}".encode())
-    numbers = run_numbers(system, values)
-    for one in fields(numbers):
-        digest.update(getattr(numbers, one.name).tobytes())
-    return digest.hexdigest()
+    return request_digest(
+        system, seconds, f"{names} {design.kind} {design.shape} {run_numbers(system, values).digest()}"
+    )
+
+
+def request_digest(system: System, seconds: float, about: str) -> str:
+    """Return the SHA-256 of a system's computations and costs, of the duration of runs [s], and of further text."""
+    costs = {name: (cost.how, cost.unit, cost.meaning, cost.at_most) for name, cost in system.costs.items()}
+    head = f"surctl {__version__} {loop_program(system).digest()} {float(seconds).hex()}"
+    return hashlib.sha256(f"{head} {costs} {list(system.stops)} {about}".encode()).hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
