@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
 from surctl.errors import InputError, SurctlError
-from surctl.own_code import object_of, pinned
 from surctl.recorded_write import Column, write_netcdf
 from surctl.system import (
     ENDED,
@@ -31,6 +30,7 @@ from surctl.system import (
 )
 from surctl.system.record_file import identity
 from surctl.system.runs import loop_program
+from surctl.system.subjects import load_subject
 from surctl.system.values import check_scalar, run_numbers, unit_of
 from surctl.tuning.axes import MOST_POINTS, SEED
 from surctl.tuning.chunked import TABLE, Columns, Progress, Stage, chunk_size, evaluated, finished_table
@@ -139,7 +139,7 @@ def sweep_system(
             it, and an identical request resumes from them, also after a crash. A finished `sweep.nc` of another request
             is renamed.
         about: further texts of the file by name, such as the origin of the system.
-        source: FILE.py:FUNCTION that returns the system, for an executor with other processes.
+        source: FILE.py:FUNCTION or subject:NAME that returns the system, for an executor with other processes.
         executor: executor of the chunks; by default the calling process. The results do not depend on it.
         progress: function that receives one line of text at each step of the work.
 
@@ -256,7 +256,7 @@ class _Evaluator:
         if not self.source:
             problem = "is known to this process alone"
             raise InputError(problem, key="system", remedy="give source, FILE.py:FUNCTION, for other processes")
-        source = pinned(self.source, key="source")
+        source = load_subject(self.source, key="source").reference
         return _elsewhere, (source, self.names, self.seconds, dict(self.values), self.threads, self.digest)
 
 
@@ -264,7 +264,7 @@ def _elsewhere(
     source: str, names: tuple[str, ...], seconds: float, values: Mapping[str, Array], threads: int, digest: str
 ) -> _Evaluator:
     """Return the evaluator in another process, which builds the system itself."""
-    system = object_of(source, System, key="source")
+    system = load_subject(source, key="source").system
     if loop_program(system).digest() != digest:
         raise SurctlError(f"{source.partition('#')[0]} returns another system than the one that is swept")
     return _Evaluator(system, names, seconds, values, threads, source, digest)
