@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from surctl.system import System
 
-__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "listed", "load_system", "seconds_option"]
+__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "listed_values", "load_system", "seconds_option"]
 
 seconds_option = click.option("--seconds", type=float, metavar="S", help="Duration of a run of a system [s].")
 
@@ -154,14 +154,14 @@ def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
     """Return the numbers of words NAME=VALUE by name; commas separate the entries of a vector.
 
     Raises:
-        InputError: as in `listed`.
+        InputError: as in `listed_values`.
     """
     import numpy as np
 
-    return {name: np.array(v[0] if len(v) == 1 else [v]) for name, v in listed(words).items()}
+    return {name: np.array(v[0] if len(v) == 1 else [v]) for name, v in listed_values(words).items()}
 
 
-def listed(words: Sequence[str]) -> dict[str, list[float]]:
+def listed_values(words: Sequence[str]) -> dict[str, list[float]]:
     """Return the numbers of words NAME=V1,V2,… by name.
 
     Raises:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 from surctl.cli.activity import doing, progress
 from surctl.cli.output import finish, same_command, stoppable
-from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
+from surctl.cli.system_option import OwnSystem, command_line, listed_values, load_system
 from surctl.cli.system_simulate import cost_data
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["ranges_of", "tune_own_system"]
+__all__ = ["gain_ranges_of", "tune_own_system"]
 
 _SO_FAR = "best-so-far.csv"
 
@@ -48,7 +48,7 @@ def tune_own_system(
     own = load_system(words)
     about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
-    cases, space = _cases(own), ranges_of(own, ranges)
+    cases, space = _cases(own), gain_ranges_of(own, ranges)
     check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
@@ -120,7 +120,7 @@ def tune_own_system(
     finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
 
 
-def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
     from surctl.tuning.axes import default_range
@@ -148,7 +148,7 @@ def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:
 
     from surctl.system.values import check_scalar
 
-    values = listed(own.settings)
+    values = listed_values(own.settings)
     for name in values:
         if len(values[name]) > 1:
             check_scalar(own.system, name)

@@ -14,7 +14,7 @@ from surctl.errors import InputError, nearest
 from surctl.own_code import is_own, label, object_of, pinned
 from surctl.system.loop import System
 
-__all__ = ["SUBJECTS", "Subject", "is_subject", "load_subject", "registered_subjects"]
+__all__ = ["SUBJECTS", "LoadedSystem", "is_subject", "load_subject", "registered_subjects"]
 
 SUBJECTS = "surctl.subjects"
 """Group of entry points under which a package registers functions that return a `System`."""
@@ -23,7 +23,7 @@ _PREFIX = "subject:"
 
 
 @dataclass(frozen=True)
-class Subject:
+class LoadedSystem:
     """A system with its origin.
 
     Attributes:
@@ -50,7 +50,7 @@ def is_subject(word: str) -> bool:
     return is_own(word) or word.startswith(_PREFIX)
 
 
-def load_subject(word: str, *, key: str = "system") -> Subject:
+def load_subject(word: str, *, key: str = "system") -> LoadedSystem:
     """Return the system that a word names; what its code prints goes to stderr.
 
     Args:
@@ -71,7 +71,9 @@ def load_subject(word: str, *, key: str = "system") -> Subject:
     if word.startswith(_PREFIX):
         return _registered(word.removeprefix(_PREFIX), key)
     reference = pinned(word, key=key)
-    return Subject(object_of(reference, System, key=key), reference, label(reference), reference.rpartition("#")[2])
+    return LoadedSystem(
+        object_of(reference, System, key=key), reference, label(reference), reference.rpartition("#")[2]
+    )
 
 
 def registered_subjects() -> dict[str, str]:
@@ -86,7 +88,7 @@ def registered_subjects() -> dict[str, str]:
 
 
 @cache
-def _registered(name: str, key: str) -> Subject:
+def _registered(name: str, key: str) -> LoadedSystem:
     entries = {entry.value: entry for entry in entry_points(group=SUBJECTS, name=name)}
     if not entries:
         known = registered_subjects()
@@ -99,7 +101,7 @@ def _registered(name: str, key: str) -> Subject:
     system = _built(entry, key)
     file = Path(getattr(sys.modules[entry.module], "__file__", None) or "")
     text = file.read_bytes() if file.is_file() else entry.value.encode()
-    return Subject(system, f"{_PREFIX}{name}", f"{_PREFIX}{name}", hashlib.sha256(text).hexdigest())
+    return LoadedSystem(system, f"{_PREFIX}{name}", f"{_PREFIX}{name}", hashlib.sha256(text).hexdigest())
 
 
 def _built(entry: EntryPoint, key: str) -> System:

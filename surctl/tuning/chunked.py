@@ -15,7 +15,16 @@ from surctl.errors import InputError
 from surctl.store import ChunkStore, cannot_write
 from surctl.tuning.executors import Chunk, Evaluator, Executor
 
-__all__ = ["TABLE", "Columns", "Progress", "Stage", "chunk_size", "evaluated", "finished_table", "run_chunks"]
+__all__ = [
+    "TABLE",
+    "Columns",
+    "Progress",
+    "SweepStage",
+    "chunk_size",
+    "evaluated_chunks",
+    "finished_table",
+    "run_chunks",
+]
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -28,7 +37,7 @@ _MOST_CHUNKS = 64  # chunks of a small sweep, so that an interruption loses litt
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class SweepStage:
     """Rows that a sweep evaluates in chunks.
 
     Attributes:
@@ -59,8 +68,14 @@ def chunk_size(count: int, *, most: int) -> int:
 
 
 @contextmanager
-def evaluated(
-    function: Evaluator, stages: Sequence[Stage], *, out: Path, request: str, executor: Executor, progress: Progress
+def evaluated_chunks(
+    function: Evaluator,
+    stages: Sequence[SweepStage],
+    *,
+    out: Path,
+    request: str,
+    executor: Executor,
+    progress: Progress,
 ) -> Iterator[Columns]:
     """Evaluate all rows of all stages, and yield a function that returns columns of the results.
 
@@ -102,7 +117,7 @@ def evaluated(
     store.remove()
 
 
-def _starts(stage: Stage) -> Iterator[tuple[int, int]]:
+def _starts(stage: SweepStage) -> Iterator[tuple[int, int]]:
     return enumerate(range(0, len(stage.rows), stage.size))
 
 
@@ -170,7 +185,7 @@ class _Pace:
     """Lines about the progress of a sweep, at most two a second."""
 
     def __init__(
-        self, stages: Sequence[Stage], chunks: Sequence[Sequence[Chunk]], todo: Sequence[Chunk], progress: Progress
+        self, stages: Sequence[SweepStage], chunks: Sequence[Sequence[Chunk]], todo: Sequence[Chunk], progress: Progress
     ) -> None:
         self.progress, self.stages = progress, stages
         self.stage_of = {index: k for k, part in enumerate(chunks) for index, _ in part}

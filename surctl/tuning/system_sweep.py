@@ -33,7 +33,7 @@ from surctl.system.runs import loop_program
 from surctl.system.subjects import load_subject
 from surctl.system.values import check_scalar, run_numbers, unit_of
 from surctl.tuning.axes import MOST_POINTS, SEED
-from surctl.tuning.chunked import TABLE, Columns, Progress, Stage, chunk_size, evaluated, finished_table
+from surctl.tuning.chunked import TABLE, Columns, Progress, SweepStage, chunk_size, evaluated_chunks, finished_table
 from surctl.tuning.design import Design
 from surctl.tuning.executors import Executor, LocalExecutor
 
@@ -173,7 +173,7 @@ def sweep_system(
     rows = np.column_stack([combined[name] for name in names])
     request = _request(system, design, seconds, names, {**fixed, **combined})
     size, width = max(_LEAST, chunk_size(len(rows), most=_MOST)), len(system.costs) + 2 + system.plant.state.size
-    stage = Stage(rows, size, width, counted="runs")
+    stage = SweepStage(rows, size, width, counted="runs")
     function = _Evaluator(system, names, seconds, fixed, threads, source, loop_program(system).digest())
     with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as scratch:
         folder = Path(scratch) if out is None else out
@@ -181,7 +181,7 @@ def sweep_system(
         if path is None:
             path = folder / TABLE
             executor = executor or LocalExecutor()
-            with evaluated(
+            with evaluated_chunks(
                 function, [stage], out=folder, request=request, executor=executor, progress=progress
             ) as stored:
                 runs = _runs(system, stored)

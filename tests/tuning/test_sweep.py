@@ -476,9 +476,9 @@ def test_workers_are_started_for_long_work_alone_and_give_the_same():
 
 def test_a_case_that_no_seed_changes_is_flown_once():
     cases = (stub.case("tank-static"), stub.case("pool-static"), stub.case("tank-static", "sonar"))
-    flown = measure.Evaluation(cases, ("k_v", "plant.m11"), (0, 1, 2))
+    flown = measure.SweepEvaluation(cases, ("k_v", "plant.m11"), (0, 1, 2))
     assert [len(flown.seeds_of(case)) for case in cases] == [1, 3, 3]
-    waves = measure.Evaluation(cases, ("scenario.wave_force",), (0, 1, 2))
+    waves = measure.SweepEvaluation(cases, ("scenario.wave_force",), (0, 1, 2))
     assert waves.runs_per_point == 9
 
 

@@ -26,7 +26,7 @@ from surctl.tuning import (
     spread,
     sweep_system,
 )
-from surctl.tuning.chunked import Stage, evaluated
+from surctl.tuning.chunked import SweepStage, evaluated_chunks
 from surctl.tuning.executors import Chunk, Evaluator
 from surctl.tuning.system_sweep import _Evaluator
 from tests.tools import need_compiler
@@ -185,10 +185,12 @@ def test_an_error_in_the_file_keeps_the_chunks(tmp_path: Path) -> None:
     def double(index: int, points: np.ndarray) -> np.ndarray:
         return 2 * points
 
-    stage = Stage(np.arange(6.0)[:, None], 2, 1)
+    stage = SweepStage(np.arange(6.0)[:, None], 2, 1)
     executor, lines = LocalExecutor(), list[str]()
     for writes in (False, True):
-        store = evaluated(double, [stage], out=tmp_path, request="r" * 64, executor=executor, progress=lines.append)
+        store = evaluated_chunks(
+            double, [stage], out=tmp_path, request="r" * 64, executor=executor, progress=lines.append
+        )
         if writes:
             with store as columns:
                 assert columns(0, 0).tolist() == [0, 2, 4, 6, 8, 10]

@@ -10,7 +10,7 @@ import numpy as np
 
 from surctl import __version__
 from surctl.marine.simulation import Case, case_parameters
-from surctl.marine.tuning.measure import Evaluation, Quantity, law_digest
+from surctl.marine.tuning.measure import ColumnSpec, SweepEvaluation, law_digest
 from surctl.marine.tuning.table import netcdf_name
 from surctl.own_code import label
 from surctl.recorded_write import Column
@@ -36,14 +36,14 @@ def coordinates(design: Design, cases: tuple[Case, ...]) -> Iterator[tuple[str, 
     yield "case", Column(np.array([c.name for c in cases]), "", "scenario, vehicle and sensing", ("case",))
 
 
-def _quantity(name: str, cases: tuple[Case, ...]) -> Quantity:
+def _quantity(name: str, cases: tuple[Case, ...]) -> ColumnSpec:
     if name == SEED:
-        return Quantity("1", "seed of every run")
+        return ColumnSpec("1", "seed of every run")
     parameter = next(table[name] for table in map(case_parameters, cases) if name in table)
-    return Quantity(parameter.unit, parameter.meaning)
+    return ColumnSpec(parameter.unit, parameter.meaning)
 
 
-def provenance(evaluation: Evaluation, design: Design, *, request: str) -> dict[str, str]:
+def provenance(evaluation: SweepEvaluation, design: Design, *, request: str) -> dict[str, str]:
     """Return attributes with the origin of the results, without date and time: equal requests must give equal files."""
     gains = evaluation.cases[0].gains
     cases = [

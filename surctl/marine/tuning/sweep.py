@@ -15,8 +15,8 @@ from surctl.marine.tuning.measure import (
     CASE_COLUMNS,
     LINEAR_COLUMNS,
     RUN_COLUMNS,
-    Evaluation,
-    Quantity,
+    ColumnSpec,
+    SweepEvaluation,
     check_request,
     linear_names,
     request_digest,
@@ -24,7 +24,7 @@ from surctl.marine.tuning.measure import (
 from surctl.marine.tuning.netcdf import coordinates, provenance, sizes_of
 from surctl.marine.tuning.table import SweepTable, judged, load_sweep
 from surctl.recorded_write import Column, write_netcdf
-from surctl.tuning.chunked import TABLE, Columns, Progress, Stage, chunk_size, evaluated, finished_table
+from surctl.tuning.chunked import TABLE, Columns, Progress, SweepStage, chunk_size, evaluated_chunks, finished_table
 from surctl.tuning.design import Design
 from surctl.tuning.executors import Executor, LocalExecutor
 
@@ -84,7 +84,7 @@ def sweep(
     """
     cases, seeds = tuple(cases), tuple(int(s) for s in seeds)
     check_request(cases, design, seeds, cruise)
-    job = _Job(Evaluation(cases, design.names, seeds, cruise=tuple(cruise)), design, linear)
+    job = _Job(SweepEvaluation(cases, design.names, seeds, cruise=tuple(cruise)), design, linear)
     if out is not None:
         return _stored_sweep(job, out, executor or LocalExecutor(), progress)
     with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as folder:
@@ -98,10 +98,10 @@ def sweep(
 @dataclass
 class _Job:
     # first the chunks of linear metrics, then the chunks of simulated runs
-    evaluation: Evaluation
+    evaluation: SweepEvaluation
     design: Design
     linear: bool
-    stages: list[Stage] = field(init=False)
+    stages: list[SweepStage] = field(init=False)
     inverse: NDArray[np.int64] = field(init=False)
     request: str = field(init=False)
 
@@ -116,11 +116,11 @@ class _Job:
             whole[:, matter] = different
             together = max(_LEAST_LINEAR, chunk_size(len(different), most=_MOST_LINEAR))
             width, chunks = len(self.evaluation.linear_columns), -(-len(whole) // together)
-            self.stages.append(Stage(whole, together, width, "linear figures of", "sets"))
+            self.stages.append(SweepStage(whole, together, width, "linear figures of", "sets"))
         runs = self.evaluation.runs_per_point
         size = chunk_size(len(points), most=max(1, _MOST_RUNS // runs))
         width = len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
-        self.stages.append(Stage(points, size, width, each=runs))
+        self.stages.append(SweepStage(points, size, width, each=runs))
         self.request = request_digest(self.evaluation, self.design, linear=together, chunk=size)
         self.evaluation = replace(self.evaluation, linear_chunks=chunks)
 
@@ -129,7 +129,7 @@ class _Job:
         inputs: dict[str, Floats] = {}
         point = tuple(sizes_of(self.design))
 
-        def described(quantity: Quantity, values: Floats, *, by_case: bool = False) -> Column:
+        def described(quantity: ColumnSpec, values: Floats, *, by_case: bool = False) -> Column:
             meaning = quantity.meaning + ", by case" * by_case
             return Column(values, quantity.unit, meaning, ("case", *point) if by_case else point)
 
@@ -150,9 +150,9 @@ class _Job:
             inputs[name] = of_loops(list(LINEAR_COLUMNS).index(name))
         verdict = judged(inputs)
         meaning = "mean deviation in hull radii plus worst time ratio"
-        yield "score", described(Quantity("1", meaning), verdict["score"])
+        yield "score", described(ColumnSpec("1", meaning), verdict["score"])
         meaning = "1 if the point may be picked, otherwise 0"
-        yield "feasible", described(Quantity("1", meaning), verdict["feasible"])
+        yield "feasible", described(ColumnSpec("1", meaning), verdict["feasible"])
         count = len(self.evaluation.cases)
         for k, (name, quantity) in enumerate(CASE_COLUMNS.items()):
             places = [len(RUN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
@@ -164,7 +164,9 @@ def _stored_sweep(job: _Job, out: Path, executor: Executor, progress: Progress) 
     if path is not None:
         return load_sweep(path)
     stages, request = job.stages, job.request
-    with evaluated(job.evaluation, stages, out=out, request=request, executor=executor, progress=progress) as stored:
+    with evaluated_chunks(
+        job.evaluation, stages, out=out, request=request, executor=executor, progress=progress
+    ) as stored:
         path = write_netcdf(
             out / TABLE,
             job.columns(stored),
