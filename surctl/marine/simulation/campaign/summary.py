@@ -26,7 +26,7 @@ from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, check_equation_3
 from surctl.tuning.share import Share
 
-__all__ = ["MEANINGS", "RunTable", "Share", "Summary", "assumptions", "summarise"]
+__all__ = ["MEANINGS", "RunTable", "Summary", "assumptions", "summarise"]
 
 
 _FIRST = ("collided", "reached")  # true or false
