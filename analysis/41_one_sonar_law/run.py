@@ -1,6 +1,6 @@
 """Study 41: which error of perceived obstacles costs which time, for law `guarded` and for a fan of courses.
 
-    python analysis/41_one_sonar_law/run.py [--quick] [--seeds N]
+    python analysis/41_one_sonar_law/run.py [--quick] [--seeds N] [--law NAME] [--scenario NAME]
 
 Prints Markdown. The exit status is 1 if a run without an injected error collides, and 2 for a bad option.
 """
@@ -17,8 +17,9 @@ from surctl.marine.control import load_gains
 from surctl.marine.simulation import STOPS, Case, load_scenario, simulate_batch
 from surctl.marine.vehicle import load_vehicle
 
-LAWS = Path(__file__).with_name("laws.py")
-NAMES = ("guarded", "fan")
+FOLDER = Path(__file__).parent
+NAMES = ("guarded", "fan", "to_go")
+SCENARIOS = ("pool-static", "tank-static", "tank-slalom")
 BUDGETS = (0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06)  # m
 LAGS = (1.0, 2.0, 3.0)  # s
 HEAD = (
@@ -30,7 +31,7 @@ HEAD = (
 def rows(case: Case, law: str, errors: list[tuple[float, float, float]], seeds: int, *, quick: bool) -> int:
     """Print a row for each budget, error and lag, over the same seeds; return the collisions without an error."""
     table = np.repeat(np.array(errors), seeds, axis=0)
-    values = {"budget": table[:, 0], "wander": table[:, 1], "lag": table[:, 2]}
+    values = {} if law == "to_go" else {name: table[:, k] for k, name in enumerate(("budget", "wander", "lag"))}
     if quick:
         values["scenario.time_limit"] = np.full(len(table), 2.0)
     runs = simulate_batch(case, values, seeds=np.tile(np.arange(seeds), len(errors)), engine="vm" if quick else "auto")
@@ -54,31 +55,30 @@ def rows(case: Case, law: str, errors: list[tuple[float, float, float]], seeds: 
 def case_of(name: str, law: str) -> Case:
     """Return a scenario with exact positions and a law of this study."""
     scenario = load_scenario(name)
-    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), law=f"{LAWS}:{law}")
+    file = f"to_go.py:{name.replace('-', '_')}" if law == "to_go" else f"laws.py:{law}"
+    return Case(scenario, load_vehicle(scenario.vehicle), load_gains("default"), law=f"{FOLDER / file}")
 
 
 def main(words: list[str]) -> int:
     """Run the study and print its tables."""
     parser = argparse.ArgumentParser(prog="run.py", description="Inject errors into exact positions of obstacles.")
-    parser.add_argument("--quick", action="store_true", help="the fan, two rows, two seeds, 2 s each")
-    parser.add_argument("--seeds", type=int, default=40, help="seeds of each row (default 40)")
+    parser.add_argument("--quick", action="store_true", help="pool-static, a row or two, two seeds, 2 s each")
+    parser.add_argument("--seeds", type=int, default=20, help="seeds of each row (default 20)")
+    parser.add_argument("--law", choices=NAMES, help="only this law")
+    parser.add_argument("--scenario", choices=SCENARIOS, help="only this scenario")
     options = parser.parse_args(words)
     if options.seeds < 1:
         parser.error("--seeds: must be at least 1")
     seeds, hit = (2 if options.quick else options.seeds), 0
-    errors = [(budget, 0.0, 0.0) for budget in BUDGETS]
-    errors += [(budget, budget, 0.0) for budget in BUDGETS[1:]]
-    errors += [(0.03, 0.0, lag) for lag in LAGS]
-    errors += [(0.03, 0.03, lag) for lag in LAGS]
-    print(f"## `pool-static`, exact positions with an error, seeds 0-{seeds - 1}\n\n{HEAD}")
-    for law in NAMES[1:] if options.quick else NAMES:
-        wanted = [errors[0], errors[-1]] if options.quick else errors
-        hit += rows(case_of("pool-static", law), law, wanted, seeds, quick=options.quick)
-    if not options.quick:
-        for name in ("tank-static", "tank-slalom"):
-            print(f"\n## `{name}`, exact positions\n\n{HEAD}")
-            for law in NAMES:
-                hit += rows(case_of(name, law), law, [(0.0, 0.0, 0.0), (0.03, 0.0, 0.0)], seeds, quick=False)
+    pool = [(budget, 0.0, 0.0) for budget in BUDGETS]
+    pool += [(budget, budget, 0.0) for budget in BUDGETS[1:]]
+    pool += [(0.03, error, lag) for error in (0.0, 0.03) for lag in LAGS]
+    for name in [options.scenario] if options.scenario else SCENARIOS[:1] if options.quick else SCENARIOS:
+        print(f"## `{name}`, exact positions, seeds 0-{seeds - 1}\n\n{HEAD}")
+        for law in [options.law] if options.law else NAMES[1:] if options.quick else NAMES:
+            wanted = pool if name == "pool-static" and law != "to_go" else pool[:1]
+            hit += rows(case_of(name, law), law, wanted[:: 18 if options.quick else 1], seeds, quick=options.quick)
+        print()
     return min(hit, 1)
 
 
