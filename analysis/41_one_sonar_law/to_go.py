@@ -69,7 +69,8 @@ def descent(scenario: Scenario) -> tuple[Array, Array]:
 
 def to_go(centres: Array, weight: Array, goal: tuple[int, ...]) -> tuple[Array, dict[tuple[int, ...], tuple[int, ...]]]:
     """Return the cost-to-go of each cell to the cell `goal`, and the next cell on its way (Dijkstra, 8 neighbours)."""
-    cost, successor = np.full(weight.shape, np.inf), {}
+    cost: Array = np.full(weight.shape, np.inf)
+    successor: dict[tuple[int, ...], tuple[int, ...]] = {}
     cost[goal], queue = 0.0, [(0.0, goal)]
     while queue:
         so_far, cell = heapq.heappop(queue)
