@@ -172,7 +172,7 @@ def one_vehicle(seed: int, found: Disagreements, *, runs: bool, study: bool) -> 
     linted, _ = surctl("lint", "s.toml")
     texts = [finding["text"].rpartition(", with the gains") for finding in linted["findings"]]
     warned = [text for text, named, _ in texts if named]
-    with_contact = assess(assessed(plan, plan.gains), parts=["loop", "no contact"])
+    with_contact = assess(assessed(plan, plan.gains), parts=["loop", "no contact"], computed=planned.parts)
     lines = [line.text for line in with_contact.lines if line.passed is False or line.about == "cap"]
     found.same("lint", f"{about} warnings", warned, lines)
     if runs:
