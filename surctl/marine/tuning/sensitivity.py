@@ -16,6 +16,7 @@ __all__ = ["Sensitivity", "sensitivity"]
 
 _RESAMPLES = 500
 _CONFIDENCE = 0.95
+_ENOUGH = 64  # points of a sample from which the intervals contain the truth in at least 95 % of the drawn functions
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,13 @@ class Sensitivity:
     total_interval: tuple[tuple[float, float], ...]
     constant: bool
     base: int
+
+    @property
+    def warning(self) -> str:
+        """Why the intervals are too short; empty if they have their confidence."""
+        if self.constant or self.base >= _ENOUGH:
+            return ""
+        return f"the samples have {self.base} points: below {_ENOUGH}, intervals miss the truth more often than stated"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the indices as plain data for JSON."""
