@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -22,6 +24,7 @@ __all__ = ["RECORD_FORMATS", "Column", "RecordFormat", "write_csv", "write_mat",
 RecordFormat = Literal["csv", "mat", "nc"]
 RECORD_FORMATS: tuple[RecordFormat, ...] = get_args(RecordFormat)
 
+_LITTLE = 100_000  # bytes of free space below which a failure counts as a full disk
 _LONG = 31  # longest field name of MATLAB's short form
 
 
@@ -126,6 +129,8 @@ def write_netcdf(
         with suppress(OSError):
             part.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or str(error)
+        with suppress(OSError):  # HDF5 names another reason for a full disk
+            reason = os.strerror(errno.ENOSPC) if disk_usage(path.parent).free < _LITTLE else reason
         remedy = "free disk space or name another folder"
         raise InputError(f"cannot be written ({reason})", file=path, remedy=remedy) from None
     return path

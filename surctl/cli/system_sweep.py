@@ -44,9 +44,12 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
     prepare_folder(out)
     runs = _simulated(own, design, duration, threads=workers or 2, file=out / _SO_FAR)
-    table = write_csv(out / "sweep.csv", _columns(own, design, runs))
-    (out / _SO_FAR).unlink(missing_ok=True)
-    dataset = _write_dataset(own, design, runs, out / "sweep.nc", seconds=duration)
+    files: dict[str, Path | None] = {"table": None, "netCDF": None}
+    with saving("table"):
+        files["table"] = write_csv(out / "sweep.csv", _columns(own, design, runs))
+        (out / _SO_FAR).unlink(missing_ok=True)
+    with saving("netCDF"):
+        files["netCDF"] = _write_dataset(own, design, runs, out / "sweep.nc", seconds=duration)
     best = best_points(own, design, runs)
     loops = {name: assess(ClosedLoop(own.system, row["at"])) for name, row in best.items()}
     best = {name: row | {"assessment": loops[name].to_dict()} for name, row in best.items()}
@@ -59,7 +62,8 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         named = "; ".join(_point(design, k) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(design.points)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
         lines += [f"  in the first of them: {name}" for name in [_lost_number(own, design, runs, lost[0])] if name]
-    lines.append(f"table {table}, netCDF {dataset}")
+    written = [f"{name} {file}" for name, file in files.items() if file]
+    lines += [", ".join(written)] if written else []
     pictures = _pictures(own, design, runs, out)
     lines += [f"plot  {picture}" for picture in pictures]
     data = {
@@ -70,8 +74,7 @@ def sweep_system(words: Sequence[str], *, seconds: float | None, workers: int | 
         "results": [_result(design, runs, k) for k in range(len(design.points))] if as_json else [],
         "best": best,
         "not_finite": [_at(design, k) for k in lost],
-        "table": str(table),
-        "netcdf": str(dataset),
+        **{name.lower(): file and str(file) for name, file in files.items()},
         "pictures": [str(picture) for picture in pictures],
     }
     then = []

@@ -365,13 +365,13 @@ def _chosen(
 def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[str, Path]:
     from surctl.files import write_file
 
-    if out is None:
-        return {}
-    return {
-        v.claim.name: write_file(out / f"{v.claim.name}.json", json.dumps(v.certificate, ensure_ascii=False, indent=1))
-        for v in verdicts
-        if v.certificate is not None
-    }
+    files = dict[str, Path]()
+    for verdict in verdicts if out is not None else ():
+        if verdict.certificate is not None:
+            name, text = verdict.claim.name, json.dumps(verdict.certificate, ensure_ascii=False, indent=1)
+            with saving(f"certificate of {name}"):
+                files[name] = write_file(out / f"{name}.json", text)
+    return files
 
 
 def _verdict_data(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]:
