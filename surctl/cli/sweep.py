@@ -306,11 +306,11 @@ def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
             f"{sobol.column}: share of the variance due to each axis, alone and with interactions, with 95 % intervals"
         )
         shares = zip(sobol.axes, sobol.first, sobol.first_interval, sobol.total, sobol.total_interval, strict=True)
-        rows = [
+        shown = [
             f"{name:<16} {f:6.3f} ({a[0]:.3f} … {a[1]:.3f})  {t:6.3f} ({b[0]:.3f} … {b[1]:.3f})"
             for name, f, a, t, b in shares
         ]
-        return [head, *rows, *([f"  warning: {sobol.warning}"] if sobol.warning else [])]
+        return [head, *shown, *([f"  warning: {sobol.warning}"] if sobol.warning else [])]
     import numpy as np
 
     from surctl.marine.simulation import METRICS

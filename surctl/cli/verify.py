@@ -366,8 +366,8 @@ def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[s
     from surctl.files import write_file
 
     files = dict[str, Path]()
-    for verdict in verdicts if out is not None else ():
-        if verdict.certificate is not None:
+    for verdict in verdicts:
+        if out is not None and verdict.certificate is not None:
             name, text = verdict.claim.name, json.dumps(verdict.certificate, ensure_ascii=False, indent=1)
             with saving(f"certificate of {name}"):
                 files[name] = write_file(out / f"{name}.json", text)
