@@ -81,7 +81,7 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
     slopes = [slope for slope, _, _ in split]
     known = np.diag(prior) + np.sum([through for _, _, through in split], axis=0)
     inverse = _inverse(known + sum(_over_rows(s, s) for s in slopes))
-    root: Array = np.linalg.cholesky(inverse)
+    root = np.asarray(np.linalg.cholesky(inverse), dtype=np.float64)
     fitted = [np.concatenate([slope @ root, own], axis=-1) for slope, own, _ in split]
     correlation, lag, independent = _correlation([e for e, _ in parts], present, fitted, size)
     freedom = independent - size - len(first) * len(parts)
