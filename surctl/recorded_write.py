@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -23,6 +25,7 @@ RecordFormat = Literal["csv", "mat", "nc"]
 RECORD_FORMATS: tuple[RecordFormat, ...] = get_args(RecordFormat)
 
 _CACHE = 2**20  # bytes of HDF5's cache for each variable; the default size for all columns would fill the memory
+_LITTLE = 100_000  # bytes of free space below which a failure counts as a full disk
 _LONG = 31  # longest field name of MATLAB's short form
 
 
@@ -140,6 +143,8 @@ def write_netcdf(
         with suppress(OSError):
             part.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or str(error)
+        with suppress(OSError):  # HDF5 names another reason for a full disk
+            reason = os.strerror(errno.ENOSPC) if disk_usage(path.parent).free < _LITTLE else reason
         remedy = "free disk space or name another folder"
         raise InputError(f"cannot be written ({reason})", file=path, remedy=remedy) from None
     return path

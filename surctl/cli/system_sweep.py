@@ -69,7 +69,9 @@ def sweep_own_system(
             progress=progress,
         )  # fmt: skip
     runs = swept.runs
-    table = write_csv(out / "sweep.csv", swept.table())
+    table = None
+    with saving("table"):
+        table = write_csv(out / "sweep.csv", swept.table())
     best = best_points(swept)
     loops = {name: assess(ClosedLoop(own.system, row["at"] | row["random"])) for name, row in best.items()}
     best = {name: row | {"assessment": loops[name].to_dict()} for name, row in best.items()}
@@ -83,7 +85,7 @@ def sweep_own_system(
         named = "; ".join(_numbers(_at(swept, k)) for k in lost[:_NAMED])
         lines.append(f"{len(lost)} of {len(runs.time)} runs are not finite: {named}{'; …' * (len(lost) > _NAMED)}")
         lines += [f"  in the first of them: {name}" for name in [_lost_number(swept, lost[0])] if name]
-    lines.append(f"table {table}, netCDF {swept.path}")
+    lines.append(", ".join([*([f"table {table}"] if table else []), f"netCDF {swept.path}"]))
     pictures = _pictures(swept, out)
     lines += [f"plot  {picture}" for picture in pictures]
     data = {
@@ -97,7 +99,7 @@ def sweep_own_system(
         "best": best,
         "sensitivity": None if indices is None else indices.to_dict(),
         "not_finite": [_at(swept, k) for k in lost],
-        "table": str(table),
+        "table": table and str(table),
         "netcdf": str(swept.path),
         "pictures": [str(picture) for picture in pictures],
     }

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surctl.cli.activity import doing, progress
-from surctl.cli.output import finish, same_command, stoppable
+from surctl.cli.output import finish, same_command, saving, stoppable
 from surctl.cli.system_option import OwnSystem, command_line, listed_values, load_system
 from surctl.cli.system_simulate import cost_data
 
@@ -69,8 +69,10 @@ def tune_own_system(
             )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
-    table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
-    file.unlink(missing_ok=True)
+    table: Path | None = None
+    with saving("gains"):
+        table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+        file.unlink(missing_ok=True)
     first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
     run = duration or None
     comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
@@ -90,7 +92,7 @@ def tune_own_system(
         *doubtful,
         f"{own.title}: {result.trials} gain sets{earlier}{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
-        f"gains {table}",
+        *([f"gains {table}"] if table else []),
         "",
         "of the first case:",
         *figures,
@@ -109,7 +111,7 @@ def tune_own_system(
         "unmet": list(result.unmet),
         "trials": result.trials,
         "restored": result.restored,
-        "gains": str(table),
+        "gains": None if table is None else str(table),
     }
     numbers = [f"{name}={value!r}" for name, value in result.gains.items()]
     then = [

@@ -16,6 +16,7 @@ __all__ = ["SobolIndices", "sobol_indices"]
 
 _RESAMPLES = 500
 _CONFIDENCE = 0.95
+_ENOUGH = 64  # points of a sample from which the intervals contain the truth in at least 95 % of the drawn functions
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,13 @@ class SobolIndices(Plotted):
     constant: bool
     base: int
 
+    @property
+    def warning(self) -> str:
+        """Why the intervals are too short; empty if they have their confidence."""
+        if self.constant or self.base >= _ENOUGH:
+            return ""
+        return f"the samples have {self.base} points: below {_ENOUGH}, intervals miss the truth more often than stated"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the indices as plain data for JSON."""
         return asdict(self)
@@ -57,10 +65,11 @@ class SobolIndices(Plotted):
             f"{self.column}: share of the variance due to each axis, alone and with interactions, with 95 % intervals"
         )
         shares = zip(self.axes, self.first, self.first_interval, self.total, self.total_interval, strict=True)
-        return [head] + [
+        shown = [
             f"{name:<16} {f:6.3f} ({a[0]:.3f} … {a[1]:.3f})  {t:6.3f} ({b[0]:.3f} … {b[1]:.3f})"
             for name, f, a, t, b in shares
         ]
+        return [head, *shown, *([f"  warning: {self.warning}"] if self.warning else [])]
 
 
 def sobol_indices(design: Design, values: NDArray[np.float64], column: str, *, seed: int = 0) -> SobolIndices:

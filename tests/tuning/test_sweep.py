@@ -6,7 +6,9 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -383,7 +385,9 @@ def test_a_limit_on_file_size_is_one_line_too(tmp_path):
 
 KILLED = """
 import os, random, signal, sys, time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from surctl.tuning.executors import LocalExecutor
 from surctl.store import ChunkStore
 from surctl.tuning.chunked import run_chunks
@@ -511,6 +515,25 @@ def test_indices_of_a_known_function(cheap, monkeypatch):
     assert constant.constant and set(constant.total) == {0.0}
     with pytest.raises(InputError, match="Saltelli"):
         sobol_indices(GRID, np.zeros(6), "deviation_m")
+
+
+def test_intervals_of_indices_contain_the_true_ones():
+    # linear functions with one interaction have indices in closed form
+    rng, inside = np.random.default_rng(5), []
+    names = ("k_v", "k_r", "k_psi")
+    for seed in range(12):
+        slopes, both = rng.uniform(0.2, 2.0, 3), rng.uniform(0.0, 3.0)
+        design = saltelli([Span(name, 0.0, 1.0) for name in names], base=64, seed=seed)
+        x = design.points
+        values = x @ slopes + both * (x[:, 0] - 0.5) * (x[:, 1] - 0.5)
+        alone, shared = slopes**2 / 12, both**2 / 144
+        truth = np.array([alone, alone + shared * np.array([1, 1, 0])]) / (alone.sum() + shared)
+        dataset = SimpleNamespace(attrs={"design": "saltelli", "axes": json.dumps(names)})
+        result = sensitivity(SimpleNamespace(dataset=dataset, column=lambda _, v=values: v), "y")
+        ends = np.array([result.first_interval, result.total_interval])
+        inside += ((ends[..., 0] <= truth) & (truth <= ends[..., 1])).ravel().tolist()
+        assert not result.warning and "8 points" in replace(result, base=8).warning
+    assert np.mean(inside) >= 0.95
 
 
 def test_a_column_that_lacks_numbers_has_no_indices(cheap):
