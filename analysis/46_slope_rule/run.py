@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from surctl.certcheck import Rejected
+from surctl.certcheck.region_exact import inverse
 from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
 from surctl.verification.formula import parse, values_of, variable
 
@@ -59,7 +60,7 @@ class Claim:
         level, centre = Fraction(repr(self.level)), [Fraction(0)] * n
         try:
             p = quadratic_form(self.names[:n], text, centre)
-            require_in_box(p, centre, level, box)
+            require_in_box(inverse(p), centre, level, box)
             needed = Decrease(p, centre, level, Fraction(repr(self.rate)), {})
             check_decrease(self.names, [*box, self.ends], self.rates, needed, discrete=self.discrete)
         except Rejected:
