@@ -17,7 +17,7 @@ from surctl.system import System, entry_labels, entry_units
 from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
 from surctl.verification.formula import IDENTIFIER, from_casadi
 
-__all__ = ["NOT_COVERED", "continuous_dynamics"]
+__all__ = ["NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
 
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
@@ -77,6 +77,54 @@ def continuous_dynamics(
         >>> loop.names, [w.name for w in loop.parameters]
         (('position', 'speed'), ['plant_mass'])
     """
+    return _dynamics(system, within, values, ranges, sampled=False)
+
+
+def sampled_dynamics(
+    system: System,
+    within: Mapping[str, Bounds],
+    *,
+    values: Mapping[str, ArrayLike] | None = None,
+    ranges: Mapping[str, Bounds] | None = None,
+) -> Dynamics:
+    """Return the dynamics of `continuous_dynamics` with the sampled form of the loop, whose commands are held.
+
+    `find_stability` then proves a region of the sampled loop, also between the sampling instants. It falls back to the
+    law in continuous time if it proves none, or if a function or level is stated.
+
+    Args:
+        system, within, values: as in `continuous_dynamics`.
+        ranges: as there; they take the place of those of the system.
+
+    Raises:
+        InputError: as in `continuous_dynamics`.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.lyapunov import find_stability, sampled_dynamics
+        >>> from surctl.system import Controller, Plant, System
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "N", "on the cart")
+        >>> mass = Port("mass", (1,), "kg", "of the cart", 2.0)
+        >>> cart = Plant(
+        ...     "cart", Layout((speed,)), Layout((force,)), parameters=Layout((mass,)),
+        ...     ode=lambda x, f, d, p: {"speed": f["force"] / p["mass"]},
+        ... )
+        >>> law = Controller("brake", 0.1, cart.state, cart.inputs, lambda x, u, p: -4 * u["speed"])
+        >>> system = System(cart, law, ranges={"plant.mass": (1.8, 2.2)})
+        >>> find_stability(sampled_dynamics(system, {"speed": (-1.0, 1.0)})).decision.claim.plain()["time"]
+        'sampled'
+    """
+    return _dynamics(system, within, values, {**system.ranges, **(ranges or {})}, sampled=True)
+
+
+def _dynamics(
+    system: System,
+    within: Mapping[str, Bounds],
+    values: Mapping[str, ArrayLike] | None,
+    ranges: Mapping[str, Bounds] | None,
+    *,
+    sampled: bool,
+) -> Dynamics:
     plant, controller = system.plant, system.controller
     if blocks := system.blocks.all:
         remedy = "prove the loop without it, or write the sampled loop as one map x+ = f(x) in discrete time"
@@ -137,7 +185,10 @@ def continuous_dynamics(
     resting = {label: rates[k] for k, label in enumerate(labels) if k not in moves}
     limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters], within)
     flat["reference"], flat["disturbance"] = reference, disturbance
-    sampling = _sampling(system, moves, whole, flat, f, after, ca.vertcat(symbols, *free), [*states, *parameters])
+    sampling = None
+    if sampled:
+        variables = [*states, *parameters]
+        sampling = _sampling(system, moves, whole, flat, f, after, ca.vertcat(symbols, *free), variables)
     return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about, sampling)
 
 

@@ -23,7 +23,10 @@ from surctl.lyapunov.slopes import Embedding
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import Node, number, power, variable
 
-__all__ = ["Family", "quadratic", "relative_volume", "slope_candidate"]
+__all__ = ["LABEL", "Family", "quadratic", "relative_volume", "slope_candidate"]
+
+LABEL = "quadratic by the slope rule"
+"""How a function of the slope rule was found, in words."""
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.bool_]
@@ -168,7 +171,7 @@ def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, s
         return None
     if p is None:
         return None
-    return Candidate("quadratic by the slope rule", quadratic(d, p), relative_volume(d, p))
+    return Candidate(LABEL, quadratic(d, p), relative_volume(d, p))
 
 
 def quadratic(d: Dynamics, p: Array) -> Node:
