@@ -158,7 +158,7 @@ class _Round:
     @cached_property
     def rows(self) -> Array:
         """The matrices (m, k, n) of Y."""
-        return self.unknown(1, np.eye(self.count * self.n).reshape(-1, self.count, self.n))
+        return self.unknown(1, np.eye(self.count * self.n).reshape(self.count * self.n, self.count, self.n))
 
     def _extents(self, jump: Embedding, flow: Embedding, shapes: Shapes, stretch: float) -> list[Inequality]:
         """Return that the region lies in the box, and that no range of a slope is left."""
