@@ -29,6 +29,7 @@ _PIECES = 3  # of a period
 _STARTS = (0.3, 0.1, 0.03, 0.01)  # extents that decide the first slopes, relative to the box
 _STRETCH, _LEAST_STRETCH, _GROWTH, _ROUNDS = 1.5, 1.03, 1.01, 20
 _CUTS, _WORST, _MOST = 12, 6, 13  # cuts of a round; vertices that a cut adds; slopes whose vertices are all tried
+_TOLERANCE = 1e-7
 _INSIDE, _LOSS, _WIDEST = 1e-4, 1e-4, 100.0  # spare of extents; lost share of W in a period; square of a command
 
 
@@ -64,10 +65,13 @@ def sampled_shapes(dynamics: Dynamics, share: float, *, seconds: float) -> Shape
             if best is None or time.process_time() > until or stretch < _LEAST_STRETCH:
                 break
             trial = loop.larger(best, stretch)
-            if trial is not None and _extent(trial) > _GROWTH * _extent(best):
-                best = trial
-            else:
+            if trial is None:
                 stretch = 1 + (stretch - 1) / 2
+                continue
+            grows = _extent(trial) > _GROWTH * _extent(best)
+            best = trial
+            if not grows:
+                break
     except (UnsupportedOperation, np.linalg.LinAlgError):
         return None
     return best
@@ -85,6 +89,7 @@ class _Loop:
         self.scales = np.minimum(dynamics.box[1] - dynamics.equilibrium, dynamics.equilibrium - dynamics.box[0])
         self.after = [self.sampling.next.get(s.name, variable(s.name)) for s in dynamics.states]
         self.after += [command.value for command in self.sampling.commands]
+        self.pools: list[NDArray[np.bool_]] = []
         self.limits = self.embedded(np.diag(self.scales**2)[None], np.zeros((len(self.after) * 4, self.n))).limits
 
     def embedded(self, covers: Array, feedbacks: Array) -> Embedding:
@@ -222,16 +227,19 @@ class _Round:
             fixed.append((one[None], side[None]))
         ends = range(2 * _PIECES)
         pools = [self._all(self.jump)[:1], *[self._all(self.flow)[:1]] * len(ends)]
+        if [pool.shape[1] for pool in self.loop.pools] == [pool.shape[1] for pool in pools]:
+            pools = self.loop.pools  # of the round before
         for _ in range(_CUTS):
             if time.process_time() > until:
                 return None
             sides = [self.instant(pools[0]), *(self.between(pools[1 + end], end) for end in ends)]
             cuts = [(np.zeros((len(side), *side.shape[2:])), side) for side in sides]
-            x = minimise(cost, [*fixed, *cuts], tolerance=1e-7)
+            x = minimise(cost, [*fixed, *cuts], tolerance=_TOLERANCE)
             if x is None:
                 return None
             worst = [self._worst(x, self.jump, None), *(self._worst(x, self.flow, end) for end in ends)]
-            if all(least > -1e-7 for least, _ in worst):
+            if all(least > -_TOLERANCE for least, _ in worst):
+                self.loop.pools = [order[:_WORST] for _, order in worst]
                 return self._shapes(x)
             pools = [np.unique(np.vstack([a, b]), axis=0) for a, (_, b) in zip(pools, worst, strict=True)]
         return None
