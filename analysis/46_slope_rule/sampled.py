@@ -59,8 +59,8 @@ def drawn(seed: int) -> Dynamics:
     sampling = Sampling(
         period, {k: parse(v, known) for k, v in flow.items()}, {k: parse(v, known) for k, v in after.items()}, held
     )
-    states, zero = tuple(State(name, -EDGE, EDGE) for name in bounds), parse("0", known)
-    return Dynamics(f"loop{seed}", "continuous", states, (zero,) * len(bounds), (Range("p", *_RANGE),), sampling=sampling)
+    states, rates = tuple(State(name, -EDGE, EDGE) for name in bounds), (parse("0", known),) * len(bounds)
+    return Dynamics(f"loop{seed}", "continuous", states, rates, (Range("p", *_RANGE),), sampling=sampling)
 
 
 @dataclass(frozen=True)

@@ -185,7 +185,7 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
     region = f"every solution that starts in the box where V < {claim['level']:g} stays there"
     if claim["time"] == "sampled":
         held = f"sampled every {claim['period_s']:g} s with held commands"
-        region = f"{held}, every solution with V < {claim['level']:g} at an instant stays in the box, has it at each later one"
+        region = f"{held}: every solution that starts at an instant where V < {claim['level']:g} stays in the box"
     if claim["property"] == "bound":
         return f"{region}, and V decays to the stated bound"
     if claim["rate"] is None:

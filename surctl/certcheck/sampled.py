@@ -23,13 +23,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from math import inf, nextafter
 from typing import Any
 
 from mpmath import libmp
 
 from surctl.certcheck.document import Rejected, listed, number, record
-from surctl.certcheck.enclosure import Interval, Undefined, greatest, least, span
+from surctl.certcheck.enclosure import Undefined, greatest, least, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.interval import printable, variables_of
@@ -87,15 +88,13 @@ def check(document: Mapping[str, Any]) -> None:
         raise Rejected("V may exceed W at the end of a period")
     at_samples = [*states, *names[size:]], [*box, *whole[size:]]
     feedbacks = [_exact(row) for row in listed(document["feedbacks"])]
-    ranges = _instant(at_samples, [*(after.get(name, name) for name in states), *(row["value"] for row in commands)],
-                      centre, level, rate, (p, cover, knots[0]), feedbacks)  # fmt: skip
-    between = Motion(
-        names[:size], names, [*box, *ranges[n:], *whole[size:]], [*(flow.get(name, "0") for name in states), *["0"] * len(rows)],
-        discrete=False,
-    )  # fmt: skip
+    texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
+    ranges = _instant(at_samples, texts, centre, level, rate, (p, cover, knots[0]), feedbacks)
+    rates = [flow.get(name, "0") for name in names[:size]]  # a command is held
+    between = Motion(names[:size], names, [*box, *ranges[n:], *whole[size:]], rates, discrete=False)
     table = ExpressionTable(names)
     between.require_continuous(table, [table.read(text) for text in between.rates], "the dynamics contain")
-    for first, second in zip(knots, knots[1:], strict=False):
+    for first, second in pairwise(knots):
         _piece(between, centre, level, (first, second), period / (len(knots) - 1))
 
 

@@ -211,7 +211,10 @@ class Rows:
             return None
         outer, inner = args if self._numeric[args[0]] else args[::-1]
         entry = self.table.entries[inner]
-        if entry.op != ("max" if op == "min" else "min") or self._numeric[entry.args[0]] == self._numeric[entry.args[1]]:
+        if (
+            entry.op != ("max" if op == "min" else "min")
+            or self._numeric[entry.args[0]] == self._numeric[entry.args[1]]
+        ):
             return None
         other, y = entry.args if self._numeric[entry.args[0]] else entry.args[::-1]
         low, high = (other, outer) if op == "min" else (outer, other)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.lyapunov.dynamics import Dynamics, Range, State, exact
+from surctl.lyapunov.dynamics import Dynamics, Range, exact
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.formula import Node, number, parse, power, reads_back, text_of, to_casadi, variable
 from surctl.verification.proving import Statement

@@ -96,8 +96,8 @@ def sampled_region(
     shapes = sampled_shapes(dynamics, share or 0.0, seconds=_SEARCH * time_limit)
     if shapes is None:
         return None
-    function = quadratic(dynamics, np.linalg.inv(shapes.inverse))
-    volume = relative_volume(dynamics, np.linalg.inv(shapes.inverse))
+    p = np.asarray(np.linalg.inv(shapes.inverse), dtype=float)
+    function, volume = quadratic(dynamics, p), relative_volume(dynamics, p)
     for level in _LEVELS:
         left = until - time.process_time()
         if left <= 0:

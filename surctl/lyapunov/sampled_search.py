@@ -1,21 +1,21 @@
 """Search of regions of sampled loops: V at the sampling instants, and a function that decreases between them.
 
-All matrix inequalities are linear in the inverse matrices Q of V and of the knots of W, and in Y = G Q for the feedbacks
-G of the limits (`surctl.certcheck.sampled`). The region grows in rounds; in each round, the slopes are those of a
-somewhat larger region. The checker decides.
+All matrix inequalities are linear in the inverse matrices Q of V and of the knots of W, and in Y = G Q for the
+feedbacks G of the limits (`surctl.certcheck.sampled`). The region grows in rounds; in each round, the slopes are those
+of a somewhat larger region. The checker decides.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import UnsupportedOperation
-from surctl.lyapunov.dynamics import Dynamics, Sampling, State
+from surctl.lyapunov.dynamics import Dynamics, State
 from surctl.lyapunov.slope_search import Family
 from surctl.lyapunov.slopes import Embedding
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
@@ -24,6 +24,8 @@ from surctl.verification.formula import number, variable
 __all__ = ["Shapes", "sampled_shapes"]
 
 Array = NDArray[np.float64]
+Bits = NDArray[np.bool_]
+_Parts = tuple[Array, Array, list[Array]]
 
 _PIECES = 3  # of a period
 _STARTS = (0.3, 0.1, 0.03, 0.01)  # extents that decide the first slopes, relative to the box
@@ -89,7 +91,7 @@ class _Loop:
         self.scales = np.minimum(dynamics.box[1] - dynamics.equilibrium, dynamics.equilibrium - dynamics.box[0])
         self.after = [self.sampling.next.get(s.name, variable(s.name)) for s in dynamics.states]
         self.after += [command.value for command in self.sampling.commands]
-        self.pools: list[NDArray[np.bool_]] = []
+        self.pools: list[Bits] = []
         self.limits = self.embedded(np.diag(self.scales**2)[None], np.zeros((len(self.after) * 4, self.n))).limits
 
     def embedded(self, covers: Array, feedbacks: Array) -> Embedding:
@@ -108,7 +110,7 @@ class _Loop:
         ends = [jump.ends(self.n + k) for k in range(self.m)]
         flow = self._between(shapes.knots * stretch**2, ends)
         units = np.array([max(map(abs, pair)) for pair in ends])
-        own = np.sqrt(np.diag(shapes.inverse)) * stretch
+        own = np.asarray(np.sqrt(np.diag(shapes.inverse)) * stretch, dtype=float)
         return _Round(self, jump, flow, np.concatenate([own, units]), shapes, stretch).solved(self.until)
 
     def _between(self, knots: Array, ends: list[tuple[float, float]]) -> Embedding:
@@ -191,29 +193,33 @@ class _Round:
         every = np.vstack(matrices)
         return [(np.ones((len(every), 1, 1)), -every[:, :, None, None])]
 
-    def instant(self, chosen: Array) -> Array:
-        """Return the matrices (B, m, ·, ·) that must be positive semidefinite at a sampling instant."""
-        at = self.jump.vertices(chosen)
-        whole = np.zeros((len(chosen), self.parts[-1], self.n + self.size, self.n + self.size))
-        moved = at[:, None, :, : self.n] @ self.inverses + at[:, None, :, self.n :] @ self.rows
-        whole[..., : self.n, : self.n] = (1 - self.loop.share - _LOSS) * self.inverses
-        whole[..., self.n :, : self.n], whole[..., : self.n, self.n :] = moved, moved.swapaxes(-1, -2)
-        whole[..., self.n :, self.n :] = self.knots[0]
-        return whole
+    def needed(self, chosen: Bits, end: int | None, parts: _Parts) -> Array:
+        """Return the matrices (B, m, ·, ·) that must be positive semidefinite at vertices (B, K).
 
-    def between(self, chosen: Array, end: int) -> Array:
-        """Return those between two knots, the ends 2 i and 2 i + 1 of piece i."""
-        piece, knot = end // 2, self.knots[end // 2 + end % 2]
-        time = self.loop.sampling.period
-        growth = (self.knots[piece + 1] - self.knots[piece]) * _PIECES - _LOSS * knot
-        moved = time * self.flow.vertices(chosen)[:, None] @ knot
-        return growth - moved - moved.swapaxes(-1, -2)
+        Args:
+            chosen: the vertices.
+            end: 2 i or 2 i + 1 for the ends of piece i; None means the sampling instant.
+            parts: the matrices, each of m unknowns.
+        """
+        inverses, rows, knots = parts
+        if end is None:
+            at = self.jump.vertices(chosen)[:, None]
+            moved = at[..., : self.n] @ inverses + at[..., self.n :] @ rows
+            whole = np.zeros((*moved.shape[:2], self.n + self.size, self.n + self.size))
+            whole[..., : self.n, : self.n] = (1 - self.loop.share - _LOSS) * inverses
+            whole[..., self.n :, : self.n], whole[..., : self.n, self.n :] = moved, moved.swapaxes(-1, -2)
+            whole[..., self.n :, self.n :] = knots[0]
+            return whole
+        piece, knot = end // 2, knots[end // 2 + end % 2]
+        growth = (knots[piece + 1] - knots[piece]) * _PIECES - _LOSS * knot
+        moved = self.loop.sampling.period * self.flow.vertices(chosen)[:, None] @ knot
+        return np.asarray(growth - moved - moved.swapaxes(-1, -2))
 
     def solved(self, until: float) -> Shapes | None:
         cost = np.zeros(self.parts[-1])
         cost[self.parts[-2] :] = np.tensordot(self.few, self.inverse / self.n, axes=2)
         n, volume = self.n, self.unknown(len(self.parts) - 2, self.few)
-        pair = np.kron([[0, 1], [1, 0]], np.eye(n))[None]
+        pair = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), np.eye(n))[None].astype(float)
         blocks = np.zeros((self.parts[-1], 2 * n, 2 * n))
         blocks[:, :n, :n], blocks[:, n:, n:] = self.inverses, volume
         last = (1 - _LOSS) * self.inverses - self.knots[-1][:, :n, :n]
@@ -225,52 +231,40 @@ class _Round:
             one = np.zeros((n + 1, n + 1))
             one[0, 0] = (1 - _INSIDE) ** 2
             fixed.append((one[None], side[None]))
-        ends = range(2 * _PIECES)
-        pools = [self._all(self.jump)[:1], *[self._all(self.flow)[:1]] * len(ends)]
+        ends, parts = [None, *range(2 * _PIECES)], (self.inverses, self.rows, self.knots)
+        pools = [self._all(end)[:1] for end in ends]
         if [pool.shape[1] for pool in self.loop.pools] == [pool.shape[1] for pool in pools]:
             pools = self.loop.pools  # of the round before
         for _ in range(_CUTS):
             if time.process_time() > until:
                 return None
-            sides = [self.instant(pools[0]), *(self.between(pools[1 + end], end) for end in ends)]
+            sides = [self.needed(pool, end, parts) for pool, end in zip(pools, ends, strict=True)]
             cuts = [(np.zeros((len(side), *side.shape[2:])), side) for side in sides]
             x = minimise(cost, [*fixed, *cuts], tolerance=_TOLERANCE)
             if x is None:
                 return None
-            worst = [self._worst(x, self.jump, None), *(self._worst(x, self.flow, end) for end in ends)]
+            worst = [self._worst(x, end) for end in ends]
             if all(least > -_TOLERANCE for least, _ in worst):
-                self.loop.pools = [order[:_WORST] for _, order in worst]
+                self.loop.pools = [vertices for _, vertices in worst]
                 return self._shapes(x)
             pools = [np.unique(np.vstack([a, b]), axis=0) for a, (_, b) in zip(pools, worst, strict=True)]
         return None
 
-    def _worst(self, x: Array, family: Family, end: int | None) -> tuple[float, Array]:
+    def _worst(self, x: Array, end: int | None) -> tuple[float, Bits]:
         """Return the least eigenvalue of all vertices, and the vertices with the least ones."""
-        q = np.tensordot(x, self.inverses, axes=1)
-        chosen = self._all(family)
-        at = family.vertices(chosen)
-        if end is None:
-            rows = np.tensordot(x, self.rows, axes=1)
-            moved = at[..., : self.n] @ q + at[..., self.n :] @ rows
-            whole = np.zeros((len(at), self.n + self.size, self.n + self.size))
-            whole[:, : self.n, : self.n] = (1 - self.loop.share - _LOSS) * q
-            whole[:, self.n :, : self.n], whole[:, : self.n, self.n :] = moved, moved.swapaxes(1, 2)
-            whole[:, self.n :, self.n :] = np.tensordot(x, self.knots[0], axes=1)
-        else:
-            piece = end // 2
-            knot, low, high = (np.tensordot(x, self.knots[k], axes=1) for k in (piece + end % 2, piece, piece + 1))
-            moved = self.loop.sampling.period * at @ knot
-            whole = (high - low) * _PIECES - _LOSS * knot - moved - moved.swapaxes(1, 2)
-        least = np.linalg.eigvalsh(whole)[:, 0]
+        knots = [np.tensordot(x, knot, axes=1)[None] for knot in self.knots]
+        parts = np.tensordot(x, self.inverses, axes=1)[None], np.tensordot(x, self.rows, axes=1)[None], knots
+        chosen = self._all(end)
+        least = np.linalg.eigvalsh(self.needed(chosen, end, parts)[:, 0])[:, 0]
         order = np.argsort(least)[:_WORST]
         return float(least[order[0]]), chosen[order]
 
-    def _all(self, family: Family) -> Array:
-        """Return all vertices of a family, or many of them."""
-        count = len(family.low)
+    def _all(self, end: int | None) -> Bits:
+        """Return all vertices, or many of them."""
+        count = len((self.jump if end is None else self.flow).low)
         if count > _MOST:
             return np.random.default_rng(0).random((2**_MOST, count)) < 0.5
-        return (np.arange(2**count)[:, None] >> np.arange(count)) & 1 == 1
+        return ((np.arange(2**count)[:, None] >> np.arange(count)) & 1).astype(bool)
 
     def _shapes(self, x: Array) -> Shapes:
         own = self.scales[: self.n]

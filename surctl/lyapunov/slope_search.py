@@ -134,7 +134,7 @@ class _Shapes:
     def holds(self, p: Array, level: float) -> bool:
         """Return whether no vertex is known at which the matrix inequality fails on {V ≤ level}."""
         try:
-            family = Family(Embedding(self.dynamics, np.linalg.inv(p)[None] * level))
+            family = Family(Embedding(self.dynamics, _cover(p, level)))
             return bool(self.worst(family, p)[0][0] > 0)
         except (UnsupportedOperation, np.linalg.LinAlgError):
             return False
@@ -232,7 +232,7 @@ def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Ar
     and W ⪰ Q⁻¹ for the volume. Vertices that decided earlier shapes are in `pool`.
     """
     try:
-        embedding = Embedding(shapes.dynamics, np.linalg.inv(p)[None] * stretch**2)
+        embedding = Embedding(shapes.dynamics, _cover(p, stretch**2))
         family = Family(embedding)
     except UnsupportedOperation:
         return None
@@ -282,6 +282,11 @@ def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Ar
     pool[:] = [chosen[np.argsort(active)[: 4 * _WORST]]]
     inverse = np.linalg.inv(size)
     return np.asarray(inverse @ trial @ inverse)
+
+
+def _cover(p: Array, level: float) -> Array:
+    """Return the cover (1, n, n) of {ξ' P ξ ≤ level}."""
+    return np.asarray(level * np.linalg.inv(p)[None], dtype=float)
 
 
 def _blocks(a: Array, b: Array) -> Array:

@@ -50,7 +50,9 @@ def oscillator() -> dict[str, Any]:
     return proved(plant, after, {"u": command}, bounds={"a": 1.2, "w": 2.0, "z": 2.5}, period=0.2)
 
 
-def proved(*parts: dict[str, str], bounds: dict[str, float], period: float, rate: float | None = None) -> dict[str, Any]:
+def proved(
+    *parts: dict[str, str], bounds: dict[str, float], period: float, rate: float | None = None
+) -> dict[str, Any]:
     region = sampled_region(loop(*parts, bounds=bounds, period=period), rate, time_limit=30.0)
     assert region is not None
     return dict(region.decision.document)
