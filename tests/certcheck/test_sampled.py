@@ -6,7 +6,6 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,8 @@ from surctl.lyapunov.dynamics import Command, Sampling
 from surctl.lyapunov.sampled import sampled_region
 from surctl.verification.formula import parse, values_of, variable
 
-Change = Callable[[dict[str, Any]], object]
+Document = dict[str, Any]
+Change = Callable[[Document], object]
 
 
 def loop(
@@ -34,14 +34,14 @@ def loop(
     return Dynamics("loop", "continuous", states, rates, (Range("p", 0.9, 1.1),), sampling=sampling)
 
 
-@cache
-def integrator() -> dict[str, Any]:
+@pytest.fixture(scope="module")
+def integrator() -> Document:
     """Return the certificate of x' = p u, with u = −0.8 x limited to ±0.6 and held for 1 s: x⁺ = (1 − 0.8 p) x."""
     return proved({"x": "p*u"}, {}, {"u": "max(-0.6, min(0.6, -0.8*x))"}, bounds={"x": 1.5}, period=1.0, rate=0.3)
 
 
-@cache
-def oscillator() -> dict[str, Any]:
+@pytest.fixture(scope="module")
+def oscillator() -> Document:
     """Return the certificate of a pendulum with an integrator that stops at the limits, sampled every 0.2 s."""
     raw = "(-4*a - 3*w - z)"
     command = f"max(-1.5, min(1.5, {raw}))"
@@ -50,15 +50,13 @@ def oscillator() -> dict[str, Any]:
     return proved(plant, after, {"u": command}, bounds={"a": 1.2, "w": 2.0, "z": 2.5}, period=0.2)
 
 
-def proved(
-    *parts: dict[str, str], bounds: dict[str, float], period: float, rate: float | None = None
-) -> dict[str, Any]:
+def proved(*parts: dict[str, str], bounds: dict[str, float], period: float, rate: float | None = None) -> Document:
     region = sampled_region(loop(*parts, bounds=bounds, period=period), rate, time_limit=30.0)
     assert region is not None
     return dict(region.decision.document)
 
 
-def verdict(document: dict[str, Any], *changes: Change) -> str:
+def verdict(document: Document, *changes: Change) -> str:
     """Return why a changed certificate, with its new hash, is rejected; empty if it is accepted."""
     changed = deepcopy(document)
     for change in changes:
@@ -67,15 +65,15 @@ def verdict(document: dict[str, Any], *changes: Change) -> str:
     return check_document(seal("lyapunov", changed["claim"], evidence)).reason
 
 
-def test_limits_that_act_in_the_region_are_proved() -> None:
-    assert verdict(integrator()) == ""
-    [state] = integrator()["claim"]["states"]
+def test_limits_that_act_in_the_region_are_proved(integrator: Document, oscillator: Document) -> None:
+    assert verdict(integrator) == ""
+    [state] = integrator["claim"]["states"]
     assert state["upper"] > 0.6 / 0.8 * 1.2
-    assert verdict(oscillator()) == ""
+    assert verdict(oscillator) == ""
 
 
 def scaled(factor: float, *places: int) -> Change:
-    def change(document: dict[str, Any]) -> None:
+    def change(document: Document) -> None:
         for k in places:
             document["knots"][k] = [[factor * x for x in row] for row in document["knots"][k]]
 
@@ -94,9 +92,9 @@ def at_instant(text: str) -> Change:
     return lambda document: document["claim"]["commands"][0].update(value=text)
 
 
-def test_the_rate_at_which_v_falls_is_that_of_the_slowest_vertex() -> None:
+def test_the_rate_at_which_v_falls_is_that_of_the_slowest_vertex(integrator: Document) -> None:
     # with u = −0.6/reach x at the border of the region, x⁺ = (1 − 0.9 · 0.6/reach) x is the slowest one
-    document = integrator()
+    document = integrator
     reach = float(np.sqrt(document["claim"]["level"] / float(document["claim"]["function"].split("*")[0])))
     most = 1 - (1 - 0.9 * 0.6 / reach) ** 2
     assert verdict(document, claimed(rate=1.05 * most)) != ""
@@ -143,26 +141,26 @@ def test_the_rate_at_which_v_falls_is_that_of_the_slowest_vertex() -> None:
         ([claimed(about={"plant": "x"})], "about"),
     ],
 )  # fmt: skip
-def test_a_changed_certificate_is_rejected(changes: list[Change], message: str) -> None:
-    reason = verdict(integrator(), *changes)
+def test_a_changed_certificate_is_rejected(integrator: Document, changes: list[Change], message: str) -> None:
+    reason = verdict(integrator, *changes)
     assert message in reason, reason
     assert reason
 
 
-def test_a_region_whose_solutions_leave_the_box_between_the_instants_is_rejected() -> None:
-    document = oscillator()
+def test_a_region_whose_solutions_leave_the_box_between_the_instants_is_rejected(oscillator: Document) -> None:
+    document = oscillator
     knots = np.array(document["knots"])
     inner = np.sqrt(document["claim"]["level"] * knots[1:-1, 1, 1].max())
 
-    def narrow(changed: dict[str, Any]) -> None:
+    def narrow(changed: Document) -> None:
         changed["claim"]["states"][1].update(lower=-0.999 * inner, upper=0.999 * inner)
 
     assert "border of the box" in verdict(document, narrow)
 
 
-@pytest.mark.parametrize("make", [integrator, oscillator])
-def test_no_simulated_solution_contradicts_the_certificate(make: Callable[[], dict[str, Any]]) -> None:
-    document = make()
+@pytest.mark.parametrize("name", ["integrator", "oscillator"])
+def test_no_simulated_solution_contradicts_the_certificate(name: str, request: pytest.FixtureRequest) -> None:
+    document: Document = request.getfixturevalue(name)
     claim, count, steps = document["claim"], 400, 12
     names = [row["name"] for row in claim["states"]]
     known = {name: variable(name) for name in (*names, "u", "p")}
