@@ -67,7 +67,7 @@ class Number:
 
 
 class Rows:
-    """The rows of the dynamics on {V ≤ level}.
+    """The rows of expressions where ξᵀ Q⁻¹ ξ ≤ level for a convex combination Q of the covers.
 
     Nodes are those of an own table without divisions by states and without atan2, min and max of two expressions; all
     lists are indexed by the position of the node.
@@ -76,6 +76,16 @@ class Rows:
         rows: row of each rate or successor, a list of polynomials for the places in `linear`.
         slopes: range of each slope.
         linear: positions in `names` of the states and of the disturbances.
+
+    Args:
+        names: names of the states, then of the parameters.
+        box: ranges of `names`, which hold on the region.
+        rates: texts of the expressions.
+        covers: matrices Q ≻ 0 (n, n); the only one is P⁻¹ if V = ξᵀ P ξ.
+        centre: x* (n,).
+        level: level of the region.
+        disturbances: names of the parameters that are linear variables.
+        feedbacks: G (n,) of each limit on both sides of its operand at x*, in the order in which `rates` name them.
     """
 
     def __init__(

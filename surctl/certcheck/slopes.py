@@ -51,7 +51,6 @@ class Decrease:
         rate: decay rate ≥ 0; in discrete time, V⁺ < (1 − rate) V + ...
         gains: gain of each parameter that is a disturbance, by name.
         constant: a number ≥ 0; if it is 0, the dynamics must rest at x*.
-        feedbacks: rows (n,) of the limits (`surctl.certcheck.slope_rows`), in the order in which the rates name them.
     """
 
     p: Matrix
@@ -60,7 +59,6 @@ class Decrease:
     rate: Fraction
     gains: Mapping[str, Fraction]
     constant: Fraction = Fraction(0)
-    feedbacks: Sequence[Sequence[Fraction]] = ()
 
 
 def quadratic_form(states: Sequence[str], function: str, centre: Sequence[Fraction]) -> Matrix:
@@ -114,8 +112,7 @@ def check_decrease(names: Sequence[str], box: Box, rates: Sequence[str], needed:
     """
     try:
         ends = [span(*bounds) for bounds in box]
-        covers, gains = [inverse(needed.p)], list(needed.gains)
-        rows = Rows(names, ends, rates, covers, needed.centre, needed.level, gains, needed.feedbacks)
+        rows = Rows(names, ends, rates, [inverse(needed.p)], needed.centre, needed.level, list(needed.gains))
         free = [rows.resting(k, needed.centre[k] if discrete else Fraction(0)) for k in range(len(rates))]
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None
