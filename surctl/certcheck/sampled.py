@@ -65,8 +65,6 @@ def check(document: Mapping[str, Any]) -> None:
     flow, after = claim["dynamics"], claim["next"]
     if sorted([*flow, *after]) != sorted(states):
         raise Rejected("each state must have either a rate or a next value")
-    if any(low == high for low, high in box):
-        raise Rejected("the range of a state has no width")
     if set(claim["equilibrium"]) != set(names[:size]):
         raise Rejected("the equilibrium does not name every state and command once")
     centre = [rest_of(claim["equilibrium"][name])[1] for name in names[:size]]

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document, seal
+from surctl.certcheck import Rejected, check_document, seal
+from surctl.certcheck.motion import Motion
+from surctl.certcheck.sampled import _piece
 from surctl.lyapunov import Dynamics, Range, State
 from surctl.lyapunov.dynamics import Command, Sampling
 from surctl.lyapunov.sampled import sampled_region
@@ -61,7 +63,7 @@ def verdict(document: Document, *changes: Change) -> str:
     changed = deepcopy(document)
     for change in changes:
         change(changed)
-    evidence = {key: changed[key] for key in ("knots", "feedbacks")}
+    evidence = {key: changed[key] for key in changed.keys() & {"knots", "feedbacks", "more"}}
     return check_document(seal("lyapunov", changed["claim"], evidence)).reason
 
 
@@ -135,6 +137,8 @@ def test_the_rate_at_which_v_falls_is_that_of_the_slowest_vertex(integrator: Doc
         ([claimed(rate=-0.1)], "rate is not positive"),
         ([claimed(equilibrium={"x": 0.0})], "every state and command"),
         ([claimed(equilibrium={"x": 0.0, "u": 0.001})], "does not rest"),
+        ([claimed(dynamics={"x": "p*u + 0*log(x)"})], "not defined"),
+        ([lambda d: d.update(more=[])], "the certificate must have"),
         ([claimed(property="bound")], "stability only"),
         ([claimed(inner=0.0)], "claim must have"),
         ([claimed(name="a\nb")], "printed"),
@@ -145,6 +149,20 @@ def test_a_changed_certificate_is_rejected(integrator: Document, changes: list[C
     reason = verdict(integrator, *changes)
     assert message in reason, reason
     assert reason
+
+
+@pytest.mark.parametrize(("growth", "good"), [(3.0, True), (1.0, False)])
+def test_both_ends_of_a_piece_decide(growth: float, good: bool) -> None:
+    # x' = v, v' = −5 v: the matrix is [[growth − 2, 3], [3, 10]] at first and [[growth, −2], [−2, 10]] at last
+    knots = [[[2.0, 1.0], [1.0, 1.0]], [[2.0 + growth, 0.0], [0.0, 1.0]]]
+    first, last = ([[Fraction(x) for x in row] for row in knot] for knot in knots)
+    motion = Motion(["x", "v"], ["x", "v"], [(-9.0, 9.0)] * 2, ["v", "-5*v"], discrete=False)
+    centre, one = [Fraction(0)] * 2, Fraction(1)
+    if good:
+        _piece(motion, centre, one, (first, last), one)
+        return
+    with pytest.raises(Rejected, match="between the sampling instants"):
+        _piece(motion, centre, one, (first, last), one)
 
 
 def test_a_region_whose_solutions_leave_the_box_between_the_instants_is_rejected(oscillator: Document) -> None:
