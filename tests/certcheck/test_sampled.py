@@ -115,6 +115,7 @@ def test_the_rate_at_which_v_falls_is_that_of_the_slowest_vertex(integrator: Doc
         ([at_instant("min(0.6, min(-0.6, -0.8*x)) + 0.6")], "feedbacks for 0 limits"),
         ([at_instant("max(-0.6, min(p - 0.5, -0.8*x))")], "feedbacks for 0 limits"),
         ([at_instant("max(p - 1.5, min(0.6, -0.8*x))")], "feedbacks for 0 limits"),
+        ([lambda d: d.update(feedbacks=[[0.0]])], "at a sampling instant"),
         ([lambda d: d.update(feedbacks=[[-9.0]])], "feedback of a limit"),
         ([lambda d: d.update(feedbacks=[[-0.4, 0.1]])], "feedback of a limit"),
         ([uncertain(0.2, 1.1)], "between the sampling instants"),
