@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mpmath import libmp
 
 from surctl.certcheck import Rejected, check_document, seal
+from surctl.certcheck.enclosure import span
 from surctl.certcheck.motion import Motion
 from surctl.certcheck.sampled import _piece
+from surctl.certcheck.slope_rows import Rows
 from surctl.lyapunov import Dynamics, Range, State
 from surctl.lyapunov.dynamics import Command, Sampling
 from surctl.lyapunov.sampled import sampled_region
@@ -153,6 +156,15 @@ def test_a_changed_certificate_is_rejected(integrator: Document, changes: list[C
     reason = verdict(integrator, *changes)
     assert message in reason, reason
     assert reason
+
+
+def test_the_extent_between_two_knots_is_the_larger_one() -> None:
+    covers = [[[Fraction(a), Fraction(0)], [Fraction(0), Fraction(b)]] for a, b in ((1, 9), (4, 1))]
+    rows = Rows(["x", "y"], [span(-99.0, 99.0)] * 2, ["x", "y", "x + y"], covers, [Fraction(0)] * 2, Fraction(1))
+    for root, most in zip(rows.roots, (2, 3, np.sqrt(10)), strict=True):
+        low, high = map(libmp.to_float, rows.range[root])
+        assert -low == pytest.approx(most, rel=1e-5) and high == pytest.approx(most, rel=1e-5)
+        assert min(-low, high) >= most
 
 
 @pytest.mark.parametrize(("growth", "good"), [(3.0, True), (1.0, False)])
