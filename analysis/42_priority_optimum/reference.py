@@ -23,7 +23,7 @@ from surctl.errors import SolverError
 from surctl.priority import PriorityProblem, Row, build_problem
 from tests.oracles.priority_references import daqp_hierarchy
 
-__all__ = ["best", "least_opening", "opened", "worse"]
+__all__ = ["best", "least_opening", "opened", "violation", "worse"]
 
 Array = NDArray[np.float64]
 
@@ -61,9 +61,9 @@ def best(problem: PriorityProblem, strict: int) -> list[list[float]]:
     found = []
     with contextlib.suppress(SolverError):
         found.append(daqp_hierarchy(few))
-    if not found or _violation(few, found[0]) > WITHIN:
+    if not found or violation(few, found[0]) > WITHIN:
         found.append(_cascade(few))
-    return [[level.residual(v) for level in few.levels] for v in found if _violation(few, v) <= WITHIN]
+    return [[level.residual(v) for level in few.levels] for v in found if violation(few, v) <= WITHIN]
 
 
 def worse(found: list[float], other: list[float]) -> bool:
@@ -134,6 +134,7 @@ def _one_sided(problem: PriorityProblem) -> tuple[Array, Array]:
     return np.array(G)[fine], np.array(h)[fine]
 
 
-def _violation(problem: PriorityProblem, v: Array) -> float:
+def violation(problem: PriorityProblem, v: Array) -> float:
+    """Return by how much v exceeds a limit at most, limits scaled to length 1; inf for NaN."""
     G, h = _one_sided(problem)
     return float((G @ v - h).max()) if np.isfinite(v).all() else np.inf

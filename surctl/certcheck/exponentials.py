@@ -186,10 +186,9 @@ def _log_fixed(x: Raw) -> int | None:
     if bits > _MOST_EXPONENT_BITS:
         return None
     y = (abs(f - _UNIT) << _W) // (f + _UNIT)
-    square, power, total, n = y * y >> _W, y, y, 1
-    while power:
+    square, power, total = y * y >> _W, y, y
+    for n in range(3, 61, 2):
         power = power * square >> _W
-        n += 2
         total += power // n
     return (2 * total if f >= _UNIT else -2 * total) + (e * _log_two(_W + bits) >> bits)
 

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surctl.cli.activity import doing, progress
-from surctl.cli.output import finish, stoppable
-from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
+from surctl.cli.output import finish, same_command, stoppable
+from surctl.cli.system_option import OwnSystem, command_line, listed_values, load_system
 from surctl.cli.system_simulate import cost_data
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["ranges_of", "tune_own_system"]
+__all__ = ["gain_ranges_of", "tune_own_system"]
 
 _SO_FAR = "best-so-far.csv"
 
@@ -48,7 +48,7 @@ def tune_own_system(
     own = load_system(words)
     about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
-    cases, space = _cases(own), ranges_of(own, ranges)
+    cases, space = _cases(own), gain_ranges_of(own, ranges)
     check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
@@ -59,11 +59,12 @@ def tune_own_system(
         write_csv(file, {name: [value] for name, value in best.items()})
 
     try:
-        with stoppable(f"the best gains so far are in {file}, without a check of their disk margin"):
+        message = f"the best gains so far are in {file}, without a check of their disk margin; to continue: "
+        with stoppable(message + same_command()):
             note(0, {name: value for name, value in _nominal(own).items() if name in space})
             result = tune_system(
                 own.system, duration, space,
-                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,
+                cases=cases, trials=trials, seed=seed, threads=workers, out=out, goals=about_loop, points=points,
                 run_goals=about_runs, progress=note,
             )  # fmt: skip
     except InputError as error:
@@ -82,11 +83,12 @@ def tune_own_system(
         remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
         limit = f"command {limited.where}"
         doubtful = not_representative(linear, limited.value, limit=limit, run="the run", remedy=remedy)
+    earlier = f" ({result.restored} of them before the interruption)" * bool(result.restored)
     runs = f", runs of {duration:g} s" if own.system.costs else ""
     lines = [
         headline,
         *doubtful,
-        f"{own.title}: {result.trials} gain sets{runs}",
+        f"{own.title}: {result.trials} gain sets{earlier}{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
         f"gains {table}",
         "",
@@ -106,6 +108,7 @@ def tune_own_system(
         "not_representative": doubtful,
         "unmet": list(result.unmet),
         "trials": result.trials,
+        "restored": result.restored,
         "gains": str(table),
     }
     numbers = [f"{name}={value!r}" for name, value in result.gains.items()]
@@ -117,7 +120,7 @@ def tune_own_system(
     finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
 
 
-def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
     from surctl.tuning.axes import default_range
@@ -145,7 +148,7 @@ def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:
 
     from surctl.system.values import check_scalar
 
-    values = listed(own.settings)
+    values = listed_values(own.settings)
     for name in values:
         if len(values[name]) > 1:
             check_scalar(own.system, name)

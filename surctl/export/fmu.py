@@ -32,7 +32,7 @@ from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
 from surctl.export.rendering import render_unit
-from surctl.ir import Port, compile_program
+from surctl.ir import Port, compile_program, packaged_compiler
 
 __all__ = ["description_2", "description_3", "unit_sources", "write_fmu"]
 
@@ -335,8 +335,8 @@ def write_fmu(law: Exportable, bundle: Bundle, gains: Vector, directory: Path | 
     Inputs and outputs are the fields of the C structs, gains are tunable parameters, and `status` is an integer output.
     A step of the controller happens at every multiple of its period; a communication step may have any length. Before
     the first step, the outputs are those of a step with the present inputs. The whole state can be saved and restored.
-    If `x86_64-w64-mingw32-gcc` is installed, the unit contains a library for Windows too. If the bundle has a mission,
-    the unit feeds the controller with it.
+    If `x86_64-w64-mingw32-gcc` or the package `ziglang` is installed, the unit contains a library for Windows too. If
+    the bundle has a mission, the unit feeds the controller with it.
 
     Args:
         law: the control law.
@@ -404,10 +404,11 @@ def _compiled(name: str, sources: Mapping[str, str], machine: tuple[str, str], *
     builds: list[tuple[str, str, str | None, tuple[str, ...]]] = [
         (place, ending, None, (*_REPRODUCIBLE, "-fPIC", *linked))
     ]
-    windows = shutil.which(_WINDOWS)
-    if windows is not None:
-        place, ending = _PLATFORMS[fmi]["Windows", "AMD64"]
-        builds.append((place, ending, windows, (*_REPRODUCIBLE, "-static-libgcc", *_PE)))
+    place, ending = _PLATFORMS[fmi]["Windows", "AMD64"]
+    if shutil.which(_WINDOWS):
+        builds.append((place, ending, _WINDOWS, (*_REPRODUCIBLE, "-static-libgcc", *_PE)))
+    elif packaged := packaged_compiler():
+        builds.append((place, ending, f"{packaged} -target x86_64-windows-gnu", _REPRODUCIBLE))
     libraries = {}
     with tempfile.TemporaryDirectory(prefix="surctl-fmu-") as scratch:
         for file, text in sources.items():

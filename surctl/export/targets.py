@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import platform
+import shlex
 import shutil
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from surctl.errors import InputError, ToolMissing, nearest
+from surctl.ir import packaged_compiler
 
 __all__ = ["TARGETS", "Target", "chosen_targets"]
 
@@ -21,7 +24,7 @@ class Target:
 
     Attributes:
         name: short name on the command line.
-        compiler: command of the compiler.
+        compiler: command of the compiler, which may include arguments.
         flags: compiler flags of the target, used after those of `compile_program`.
         machine: QEMU's name of the emulated board; None runs the program on this machine.
     """
@@ -34,7 +37,8 @@ class Target:
     @property
     def tools(self) -> tuple[str, ...]:
         """Return the programs that the target needs."""
-        return (self.compiler,) if self.machine is None else (self.compiler, "qemu-system-arm")
+        compiler = "ziglang" if self.name.startswith("zig-") else self.compiler
+        return (compiler,) if self.machine is None else (compiler, "qemu-system-arm")
 
     @property
     def size_tool(self) -> str:
@@ -44,7 +48,8 @@ class Target:
     @property
     def missing(self) -> tuple[str, ...]:
         """Return the tools of the target that are not installed."""
-        return tuple(tool for tool in self.tools if shutil.which(tool) is None)
+        packaged = ("ziglang",) if packaged_compiler() else ()
+        return tuple(tool for tool in self.tools if tool not in packaged and shutil.which(tool) is None)
 
     def board(self, program: str) -> tuple[str, ...]:
         """Return the command that runs a program on the emulated board."""
@@ -58,7 +63,9 @@ class Target:
 def _here() -> list[Target]:
     native = ("-O3", "-march=native") if platform.machine().lower() in ("x86_64", "amd64") else ("-O3",)
     targets = [Target(f"{c}-O{n}", c, (f"-O{n}",)) for c in ("gcc", "clang") for n in range(4)]
-    return [*targets, *(Target(f"{c}-native", c, native) for c in ("gcc", "clang"))]
+    packaged = f"{shlex.quote(sys.executable)} -m ziglang cc"
+    targets += [Target(f"{c}-native", c, native) for c in ("gcc", "clang")]
+    return [*targets, Target("zig-O2", packaged, ("-O2",))]
 
 
 def _emulated(name: str, board: str, *flags: str, level: str = "-O2") -> Target:
@@ -77,7 +84,7 @@ _BUILT_IN = (
 )
 
 TARGETS: dict[str, Target] = {target.name: target for target in _BUILT_IN}
-"""Targets by name: gcc and clang with -O0 to -O3 and -march=native, and QEMU's Cortex-M3, -M4F and -M7."""
+"""Targets by name: gcc and clang with -O0 to -O3 and -march=native, the package `ziglang`, and QEMU's Cortex-M."""
 
 
 def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, tuple[str, ...]]]:
@@ -107,6 +114,7 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
             f"needs {' and '.join(tools)}",
             key="targets",
             value=name,
-            remedy="install it (Debian: gcc, clang, gcc-arm-none-eabi, libnewlib-arm-none-eabi, qemu-system-arm)",
+            remedy="install it (pip: ziglang; on Debian: gcc, clang, gcc-arm-none-eabi, libnewlib-arm-none-eabi, "
+            "qemu-system-arm)",
         )
     return [target for target in chosen if not target.missing], lacking

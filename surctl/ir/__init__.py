@@ -8,7 +8,7 @@ from surctl.ir.c99_parts import Parts, emit_parts
 from surctl.ir.c99_routine import emit_block
 from surctl.ir.c99_wide import Wide, emit_wide
 from surctl.ir.cache import CacheUnused, cache_folder, cached_bytes, shared_library, source_digest
-from surctl.ir.compiler import compile_program, compiler_version, find_compiler, tuned_flags
+from surctl.ir.compiler import compile_program, compiler_version, find_compiler, packaged_compiler, tuned_flags
 from surctl.ir.elementary import without_libm
 from surctl.ir.folding import fused, shared_divisors, with_constants
 from surctl.ir.frames import stack_bytes, stack_from_report, stack_of
@@ -73,6 +73,7 @@ __all__ = [
     "on_columns",
     "on_vectors",
     "only_if",
+    "packaged_compiler",
     "picked",
     "read_block",
     "reads",

@@ -7,8 +7,10 @@ import platform
 import shlex
 import shutil
 import subprocess
+import sys
 from collections.abc import Sequence
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 from surctl.errors import InputError, SurctlError, ToolMissing
@@ -19,6 +21,7 @@ __all__ = [
     "compiler_version",
     "find_compiler",
     "further_flags",
+    "packaged_compiler",
     "quick_flags",
     "tuned_flags",
 ]
@@ -95,6 +98,8 @@ _REFUSED = (
 def find_compiler() -> str:
     """Return the command of the C compiler: $CC, which may include arguments, or the first available of cc, gcc, clang.
 
+    Without any of them, it is that of the package `ziglang`, if this is installed (`surctl[compiler]`).
+
     Raises:
         ToolMissing: $CC does not name a program, or there is no compiler.
         InputError: $CC contains a flag that changes results.
@@ -121,7 +126,24 @@ def find_compiler() -> str:
     for name in ("cc", "gcc", "clang"):
         if shutil.which(name):
             return name
-    raise ToolMissing("no C compiler found (cc, gcc, clang)", remedy="install one (Debian: apt install gcc) or set CC")
+    packaged = packaged_compiler()
+    if packaged is None:
+        raise ToolMissing(
+            "no C compiler found (cc, gcc, clang)",
+            remedy="install one (pip install 'surctl[compiler]', or on Debian: apt install gcc) or set CC",
+        )
+    return packaged
+
+
+def packaged_compiler() -> str | None:
+    """Return the command of the C compiler (clang) in the package `ziglang`; None if it is not installed.
+
+    Example:
+        >>> from surctl.ir import packaged_compiler
+        >>> (packaged_compiler() or "python -m ziglang cc").endswith(" -m ziglang cc")
+        True
+    """
+    return None if find_spec("ziglang") is None else f"{shlex.quote(sys.executable)} -m ziglang cc"
 
 
 def _words(command: str) -> list[str]:
@@ -151,7 +173,7 @@ def compile_program(
         sources: C sources or object files.
         output: the file to write.
         flags: additional flags, after `FLAGS` and `further_flags`.
-        compiler: command of the C compiler; if None, the command that `find_compiler` returns.
+        compiler: command of the C compiler, which may include arguments; if None, that of `find_compiler`.
 
     Returns:
         `output`.
@@ -174,16 +196,16 @@ def compile_program(
     _refuse(flags)
     link = [] if "-c" in flags else ["-lm"]
     files = [str(s) for s in sources]
-    used = _words(find_compiler()) if compiler is None else [compiler]
-    command = [*used, *FLAGS, *further_flags(), *flags, "-o", str(output), *files, *link]
+    used = find_compiler() if compiler is None else compiler
+    command = [*_words(used), *FLAGS, *further_flags(), *flags, "-o", str(output), *files, *link]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_TIMEOUT)
     except subprocess.TimeoutExpired:
-        raise SurctlError(f"{command[0]} was stopped after {_TIMEOUT:.0f} s: {' '.join(files)}") from None
+        raise SurctlError(f"{used} was stopped after {_TIMEOUT:.0f} s: {' '.join(files)}") from None
     except OSError as error:
         raise ToolMissing("cannot be run", key="CC", value=command[0], remedy=error.strerror) from None
     if done.returncode != 0:
-        raise SurctlError(f"{command[0]} failed: {_first_error(done.stderr)}")
+        raise SurctlError(f"{used} failed: {_first_error(done.stderr)}")
     return output
 
 
@@ -200,7 +222,7 @@ def compiler_version(compiler: str | None = None) -> str:
         >>> compiler_version()  # for example "cc (Debian 12.2.0-14) 12.2.0"
         '...c...'
     """
-    command = tuple(_words(find_compiler()) if compiler is None else [compiler])
+    command = tuple(_words(find_compiler() if compiler is None else compiler))
     executable = os.path.realpath(shutil.which(command[0]) or command[0])
     try:
         state = Path(executable).stat()

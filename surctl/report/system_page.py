@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from numpy.typing import ArrayLike
-
 from surctl.assessment.assessment import Assessment, Line
 from surctl.errors import InputError
 from surctl.export import SilReport
@@ -28,7 +26,8 @@ from surctl.report.document import (
 from surctl.report.motion_plots import plot_motion
 from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import number
-from surctl.system import Record, Runs, entry_labels, entry_units
+from surctl.system import Record, entry_labels, entry_units
+from surctl.tuning import SystemSweep
 
 __all__ = ["SystemStudy", "export_line", "render_system_page"]
 
@@ -43,8 +42,7 @@ class SystemStudy:
         assessment: what is assessed of the system, with the comparison of C and Python.
         resting: (label, value, unit) of every number at the equilibrium, by kind; empty if there is none.
         mode: what the slowest mode does.
-        swept: numbers (n,) of the runs of the sweep by name; empty if nothing was swept.
-        runs: the runs of the sweep.
+        swept: the sweep; None if nothing was swept.
         best: lines with the best point of each cost.
         sil: comparison of C and Python.
         commands: the command lines of the study, of the run, of the margins and claim, and of the sweep.
@@ -56,8 +54,7 @@ class SystemStudy:
     assessment: Assessment
     resting: Mapping[str, Sequence[tuple[str, float, str]]]
     mode: str
-    swept: Mapping[str, ArrayLike]
-    runs: Runs | None
+    swept: SystemSweep | None
     best: Sequence[str]
     sil: SilReport
     commands: Mapping[str, str]
@@ -170,18 +167,19 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
 
 
 def _sweep(study: SystemStudy) -> tuple[Block, ...]:
-    if study.runs is None:
+    swept = study.swept
+    if swept is None:
         return ()
     figures = tuple(
         picture(
-            plot_dependence(study.swept, study.runs, name),
+            plot_dependence(swept.swept, swept.runs, name),
             alt=f"{name} over each number of the sweep",
             caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
             command=study.commands["sweep"],
         )
         for name, cost in study.record.system.costs.items()
     )
-    return (Paragraph(f"{len(study.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
+    return (Paragraph(f"{len(swept.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
 
 
 def _ports(record: Record) -> tuple[Block, ...]:

@@ -22,11 +22,12 @@ def exported() -> Manifest:
     return bundled(loop())
 
 
-def law(ports: dict[str, Sequence[Port]] | None = None, start: Any = None, **changed: Any) -> Law:
+def law(ports: dict[str, Sequence[Port]] | None = None, start: Any = None, order: int = 1, **changed: Any) -> Law:
     manifest = replace(exported(), **changed)
     listed: Listed = manifest.lists[manifest.laws[0]]
     numbers = listed.numbers if start is None else {**listed.numbers, "initial_state": start}
-    return Law(replace(listed, vectors={**listed.vectors, **(ports or {})}, numbers=numbers), manifest)
+    vectors = {**(ports or {}), **{name: own for name, own in listed.vectors.items() if name not in (ports or {})}}
+    return Law(replace(listed, vectors=dict([*vectors.items()][::order]), numbers=numbers), manifest)
 
 
 def refuses(says: str, call: Any, *words: Any, **changed: Any) -> None:
@@ -52,7 +53,10 @@ def test_each_part_that_a_comparison_uses_has_its_unit() -> None:
             gains = {**exported().gains}
             if vector == "gains":
                 gains["eta"] = gains.pop(port.name)
-            refuses(f"eta of the law is in {port.unit}, not in m, rad", law, {vector: other}, gains=gains)
+            for order in (1, -1):  # the vector is the first, or the last
+                refuses(
+                    f"eta of the law is in {port.unit}, not in m, rad", law, {vector: other}, order=order, gains=gains
+                )
             checked += 1
     assert checked > 4
 

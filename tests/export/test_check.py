@@ -34,7 +34,7 @@ from surctl.marine.export import build_bundle
 from tests.export.altered import altered
 from tests.export.closed_form import exported
 from tests.export.standin import StandIn, recorded, stand_in
-from tests.tools import need, need_compiler
+from tests.tools import need, need_compiler, need_module
 
 EMULATED = ("cortex-m3", "cortex-m4f", "cortex-m4f-Os", "cortex-m7")
 
@@ -61,7 +61,7 @@ def compiled(law: object, run: Records, folder: Path, real: str) -> Controller:
 @pytest.mark.parametrize(
     ("real", "names"),
     [
-        ("float64", ("gcc-O0",)),
+        ("float64", ("gcc-O0", "zig-O2")),
         ("float32", ("clang-O0", "cortex-m4f")),
     ],
 )
@@ -70,6 +70,7 @@ def test_every_compiler_and_processor_gives_the_bytes_of_python(
 ) -> None:
     for tool in ("gcc", "clang", "arm-none-eabi-gcc", "qemu-system-arm"):
         need(tool)
+    need_module("ziglang")
     law, _, run = exported(real)  # the smallest law: study 18 has the others
     run = Records(run.X[:40], run.U[:40], run.P[:40])
     targets, untried = chosen_targets(names)

@@ -10,7 +10,7 @@ import pytest
 from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.ir import compile_program, compiler_version, emit_c99, find_compiler, lower
 from surctl.ir.compiler import quick_flags
-from tests.tools import need_compiler
+from tests.tools import need_compiler, need_module
 
 
 def test_cc_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -24,8 +24,23 @@ def test_cc_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_no_compiler_at_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ToolMissing, match=r"no C compiler found.*install one"):
+    monkeypatch.setattr("surctl.ir.compiler.find_spec", lambda name: None)
+    with pytest.raises(ToolMissing, match=r"no C compiler found.*install one.*surctl\[compiler\]"):
         find_compiler()
+
+
+def test_the_packaged_compiler_serves_where_no_other_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    need_module("ziglang")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert find_compiler().endswith("-m ziglang cc")
+    assert "clang" in compiler_version()
+    source = tmp_path / "a.c"
+    source.write_text("int main(void) { return 5; }\n")
+    assert subprocess.run([compile_program([source], tmp_path / "a")], check=False).returncode == 5
+    source.write_text("int main(void) { int unused; return 0; }\n")
+    with pytest.raises(SurctlError, match=r"ziglang cc failed: .*unused"):
+        compile_program([source], tmp_path / "a")
 
 
 def test_cc_may_hold_arguments_but_no_fast_math(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
