@@ -442,6 +442,12 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     assert about["gains"] == {"k": [2.0]}
     assert run("export", "loop.py:build", "--seconds", "0.1", "--out", "c").exit_code == 0
     assert run("check", "p/cart.json", "--bundle", "c").exit_code == 0
+    # without a function, the region is that of the sampled loop
+    result = run("verify", "loop.py:build", "within.x=-2..2", "--out", "q")
+    assert "region of attraction of the sampled loop, with held commands:" in result.output
+    assert "  u = -2*x" in result.output and "  x' = x*x^2 + u" in result.output
+    checked = run("check", "q/cart.json", "--bundle", "c")
+    assert checked.exit_code == 0 and "delay: the command is assumed to act at the instant" in checked.output
     stated = ("within.x=-2..2", "lyapunov.function=x^2", "lyapunov.level=1")
     assert data("study", "loop.py:build", *stated, "--seconds", "0.1", "--out", "s")["region"]["verdict"] == "proved"
     assert "<h2>Region of attraction" in re.sub(r"<h2[^>]*>", "<h2>", Path("s/report.html").read_text())
