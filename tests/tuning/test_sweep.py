@@ -528,8 +528,7 @@ def test_intervals_of_indices_contain_the_true_ones():
         values = x @ slopes + both * (x[:, 0] - 0.5) * (x[:, 1] - 0.5)
         alone, shared = slopes**2 / 12, both**2 / 144
         truth = np.array([alone, alone + shared * np.array([1, 1, 0])]) / (alone.sum() + shared)
-        dataset = SimpleNamespace(attrs={"design": "saltelli", "axes": json.dumps(names)})
-        result = sensitivity(SimpleNamespace(dataset=dataset, column=lambda _, v=values: v), "y")
+        result = sobol_indices(design, values, "y")
         ends = np.array([result.first_interval, result.total_interval])
         inside += ((ends[..., 0] <= truth) & (truth <= ends[..., 1])).ravel().tolist()
         assert not result.warning and "8 points" in replace(result, base=8).warning
