@@ -20,6 +20,7 @@ __all__ = ["evaluator"]
 
 Array = NDArray[np.float64]
 
+_LARGEST = 1 << 60
 _KNOWN = {"range": 1, "within": 3, "back": 3, "sqrt": 1, "fabs": 1}  # functions, and how many operands they take
 _NODES = (
     *(ast.Module, ast.FunctionDef, ast.arguments, ast.arg, ast.Assign, ast.AugAssign, ast.If, ast.For, ast.Return),
@@ -53,8 +54,8 @@ def evaluator(
         raise ValueError("a procedure with an array of a wrong name")
     tree = ast.parse(source)
     entry, operations = _checked(tree, fields, sizes)
-    scope: dict[str, Any] = {"range": range, "within": _within, "back": _back, "sqrt": _root, "fabs": abs}
-    scope |= {"_divided": _divided, "__builtins__": {}}
+    scope: dict[str, Any] = {"range": _range, "within": _within, "back": _back, "sqrt": _root, "fabs": abs}
+    scope |= {"_divided": _divided, "_times": _times, "__builtins__": {}}
     exec(compile(ast.fix_missing_locations(_Executable().visit(tree)), "procedure", "exec"), scope)
 
     def run(vectors: Sequence[Array]) -> list[Array]:
@@ -88,6 +89,8 @@ def _checked(tree: ast.Module, fields: set[str], sizes: Mapping[str, int]) -> tu
             name = node.id if isinstance(node, ast.Name) else node.arg
             if name.startswith("_") or (isinstance(node, ast.Name) and name in _KNOWN and _stored(node)):
                 raise ValueError(f"a procedure with a name {name}")
+        if isinstance(node, ast.AugAssign) and not isinstance(node.op, ast.Add | ast.Sub):
+            raise ValueError("a procedure with a product in place")
         if isinstance(node, ast.Constant) and type(node.value) not in (int, float, type(None)):
             raise ValueError("a procedure with a constant that is no number")
     for function in tree.body:
@@ -155,8 +158,9 @@ class _Executable(ast.NodeTransformer):
 
     def visit_BinOp(self, node: ast.BinOp) -> ast.expr:
         self.generic_visit(node)
-        if isinstance(node.op, ast.Div):
-            return ast.Call(ast.Name("_divided", ast.Load()), [node.left, node.right], [])
+        if isinstance(node.op, ast.Div | ast.Mult):
+            name = "_divided" if isinstance(node.op, ast.Div) else "_times"
+            return ast.Call(ast.Name(name, ast.Load()), [node.left, node.right], [])
         return node
 
 
@@ -164,11 +168,24 @@ def _divided(a: float, b: float) -> float:
     return a / b if b != 0.0 else float(np.float64(a) / np.float64(b))
 
 
+def _times(a: Any, b: Any) -> Any:
+    product = a * b
+    if type(product) is int and abs(product) > _LARGEST:  # whole numbers of Python grow without a limit
+        raise ValueError("a procedure with a whole number that is too large")
+    return product
+
+
 def _root(x: float) -> float:
     return math.sqrt(x) if x >= 0.0 else math.nan
 
 
+def _range(stop: int) -> range:
+    go_on()
+    return range(stop)
+
+
 def _within(start: int, stop: int, most: int) -> range:
+    go_on()
     if stop - start > most:
         raise ValueError("a loop of a procedure has more iterations than declared")
     return range(start, stop)

@@ -55,8 +55,8 @@ def sqrt(x: float) -> float:
     if type(x) is float:
         return math.sqrt(x) if x >= 0.0 else math.nan
     number: Any = x
-    root: float = number.root() if isinstance(number, Dual) else np.sqrt(number)
-    return root
+    root: Any = number.root() if isinstance(number, Dual) else np.sqrt(number)
+    return root  # type: ignore[no-any-return]
 
 
 def fabs(x: float) -> float:

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from surctl.certcheck.document import Rejected
 from surctl.certcheck.instructions import evaluate, read_list
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Routine, compile_block, emit_block, memory, read_block, replay, to_casadi, write_block
@@ -169,3 +170,27 @@ def test_a_loop_runs_no_procedure_and_a_declared_bound_holds() -> None:
     source = "def f(s):\n    s.k = 3\n    for i in within(0, s.k, 2):\n        s.y[0] = 1.0"
     with pytest.raises(IndexError, match="at most 2"):
         replay(Procedure("p", (), (("y", 1),), (), (("k", "whole", 0),), source))
+
+
+HOSTILE = [
+    "s.k = s.k.real",
+    "open('file')",
+    "f(s)",
+    "_times(1, 2)",
+    "s.k = [1]",
+    "lambda: 1",
+    "for i in s.y:\n        s.k = i",
+]
+
+
+@pytest.mark.parametrize("line", HOSTILE)
+def test_the_checker_executes_nothing_else(line: str) -> None:
+    text = f"procedure p\nout y 1\nwhole k 0\ndef f(s):\n    {line}\n"
+    with pytest.raises(Rejected, match="not an instruction list: a procedure with"):
+        read_list(text)
+
+
+def test_the_checker_ends_numbers_that_grow() -> None:
+    text = "procedure p\nout y 1\nwhole k 0\ndef f(s):\n    s.k = 3\n    for i in range(99):\n        s.k = s.k * s.k\n"
+    with pytest.raises(ValueError, match="too large"):
+        evaluate(read_list(text))
