@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import errno
 import io
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import disk_usage
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -22,16 +24,22 @@ __all__ = ["RECORD_FORMATS", "Column", "RecordFormat", "write_csv", "write_mat",
 RecordFormat = Literal["csv", "mat", "nc"]
 RECORD_FORMATS: tuple[RecordFormat, ...] = get_args(RecordFormat)
 
+_CACHE = 2**20  # bytes of HDF5's cache for each variable; the default size for all columns would fill the memory
+_LITTLE = 100_000  # bytes of free space below which a failure counts as a full disk
 _LONG = 31  # longest field name of MATLAB's short form
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """Values of one variable, with unit and meaning; the unit of text values is empty."""
+    """Values of one variable, with unit and meaning; the unit of text values is empty.
+
+    `dimensions` names the dimensions in a netCDF file; None: see `write_netcdf`.
+    """
 
     values: NDArray[Any]
     unit: str
     meaning: str
+    dimensions: tuple[str, ...] | None = None
 
 
 def write_csv(path: Path, columns: Mapping[str, Sequence[Any]]) -> Path:
@@ -81,16 +89,22 @@ def write_mat(path: Path, columns: Mapping[str, Column], *, texts: Mapping[str, 
 
 
 def write_netcdf(
-    path: Path, columns: Mapping[str, Column], *, sizes: Mapping[str, int], attributes: Mapping[str, Any]
+    path: Path,
+    columns: Mapping[str, Column] | Iterable[tuple[str, Column]],
+    *,
+    sizes: Mapping[str, int],
+    attributes: Mapping[str, Any],
+    checksums: bool = False,
 ) -> Path:
     """Write a netCDF-4 file under a temporary name, rename it when it is complete, and return its path.
 
     Args:
         path: the file.
-        columns: variables with attributes `units` and `long_name`. The one with the name of a dimension has this
-            dimension, every other one has all of them.
+        columns: variables with attributes `units` and `long_name`, which are written one after another. Without
+            dimensions of its own, the one with the name of a dimension has this dimension, every other one all of them.
         sizes: sizes of the dimensions by name.
         attributes: global attributes.
+        checksums: whether readers detect damaged values.
 
     Raises:
         InputError: the disk is full, or the folder cannot be written.
@@ -114,18 +128,23 @@ def write_netcdf(
             file.setncatts({"Conventions": "CF-1.11", **attributes})
             for name, size in sizes.items():
                 file.createDimension(name, size)
-            for name, column in columns.items():
+            for name, column in columns.items() if isinstance(columns, Mapping) else columns:
                 text = column.values.dtype.kind not in "fiub"
-                dimensions = (name,) if name in sizes else tuple(sizes)
-                variable = file.createVariable(name, str if text else "f8", dimensions)
+                dimensions = column.dimensions or ((name,) if name in sizes else tuple(sizes))
+                sums: dict[str, Any] = {"fletcher32": True, "fill_value": False} if checksums and not text else {}
+                variable = file.createVariable(name, str if text else "f8", dimensions, chunk_cache=_CACHE, **sums)
                 variable.setncatts(({} if text else {"units": column.unit}) | {"long_name": column.meaning})
                 values = column.values.reshape([sizes[dimension] for dimension in dimensions])
                 variable[:] = values.astype(object) if text else values
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
         part.replace(path)
     except (OSError, RuntimeError) as error:  # netCDF reports a full disk as a RuntimeError
         with suppress(OSError):
             part.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or str(error)
+        with suppress(OSError):  # HDF5 names another reason for a full disk
+            reason = os.strerror(errno.ENOSPC) if disk_usage(path.parent).free < _LITTLE else reason
         remedy = "free disk space or name another folder"
         raise InputError(f"cannot be written ({reason})", file=path, remedy=remedy) from None
     return path

@@ -397,6 +397,30 @@ def test_the_study_of_what_the_checker_accepts() -> None:
     assert rows["bound"][3].strip("| ") == "50 of 50", "the evidence does where the claim is true"
 
 
+def test_the_study_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = ANALYSIS / "41_one_sonar_law"
+    done = run(folder / "run.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if len(row) == 11 and row[0] in ("fan", "to_go")]
+    assert [row[:4] for row in rows] == [
+        ["fan", "0", "0", "0"], ["fan", "0.03", "0.03", "3"], ["to_go", "0", "0", "0"],
+    ]  # fmt: skip
+    assert all(int(row[4]) + int(row[5]) + int(row[6]) == 2 for row in rows)
+    monkeypatch.syspath_prepend(str(folder))
+    study = runpy.run_path(str(folder / "to_go.py"))
+    # in a pocket before a wall that is closed but for its upper end, the way leads up, not at the goal behind the wall
+    n = study["CELLS"]
+    centres = np.stack(np.meshgrid(np.arange(n), np.arange(n), indexing="ij"), axis=-1) + 0.5
+    weight = np.ones((n, n))
+    weight[12, :-1] = 1e3
+    cost, successor = study["to_go"](centres, weight, (n - 1, 0))
+    cell, way = (11, 0), []
+    while cell != (n - 1, 0):
+        cell = successor[cell]
+        way.append(cell)
+    assert (12, n - 1) in way and cost[11, 0] < 1e3
+
+
 def test_the_study_of_the_slope_rule() -> None:
     done = run(ANALYSIS / "46_slope_rule" / "run.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -94,6 +94,12 @@ class Disagreements:
     def __init__(self) -> None:
         self.compared: Counter[str] = Counter()
         self.found: list[str] = []
+        self.shown = 0
+
+    def progress(self, done: str) -> None:
+        """Say on stderr what is done, and the disagreements since the last call."""
+        print(f"{done}: {len(self.found)}", *self.found[self.shown :], sep="\n  ", file=sys.stderr, flush=True)
+        self.shown = len(self.found)
 
     def same(self, page: str, what: str, left: object, right: object, *, within: float = 0.0) -> None:
         """Compare one value of a page with that of the assessment."""
@@ -160,12 +166,14 @@ def one_vehicle(seed: int, found: Disagreements, *, runs: bool, study: bool) -> 
 
     plan = load_plan("s.toml")
     planned = assess(assessed(plan, plan.gains), parts=["loop"])
-    for name, figure in planned.figures.items():
-        found.same("tune", f"{about} {name}", figure, figures[name])
+    known = finite(result.to_dict())["figures"]
+    for name, figure in finite(planned.to_dict())["figures"].items():
+        found.same("tune", f"{about} {name}", figure, known[name])
     linted, _ = surctl("lint", "s.toml")
     texts = [finding["text"].rpartition(", with the gains") for finding in linted["findings"]]
     warned = [text for text, named, _ in texts if named]
-    lines = [line.text for line in result.lines if line.passed is False or line.about == "cap"]
+    with_contact = assess(assessed(plan, plan.gains), parts=["loop", "no contact"], computed=planned.parts)
+    lines = [line.text for line in with_contact.lines if line.passed is False or line.about == "cap"]
     found.same("lint", f"{about} warnings", warned, lines)
     if runs:
         _runs(craft, gains, cruise, about, found)
@@ -278,10 +286,10 @@ def main(arguments: list[str]) -> int:
             for k in range(vehicles):
                 rare = not options.quick and k % RARE == RARE - 1
                 one_vehicle(options.seed + k, found, runs=rare, study=rare and k % (3 * RARE) == RARE - 1)
-                print(f"vehicle {k + 1} of {vehicles}: {len(found.found)}", file=sys.stderr)
+                found.progress(f"vehicle {k + 1} of {vehicles}")
             for k in range(systems):
                 one_system(options.seed + k, found, compiled=k == 1 if options.quick else k % COMPILED == 0)
-                print(f"system {k + 1} of {systems}: {len(found.found)}", file=sys.stderr)
+                found.progress(f"system {k + 1} of {systems}")
         finally:
             os.chdir(before)
     print("| page or command | values compared |\n|---|---|")

@@ -23,10 +23,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from surctl.marine.control import default_law, law_source
 from surctl.marine.simulation import mission_size, two_leg_mission
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
-from surctl.marine.tuning import default_cruise, derive_gains
+from surctl.marine.tuning import default_cruise, derive_gains, gains_for
 from surctl.marine.vehicle import Vehicle, load_vehicle
 
 VEHICLES = (
@@ -104,11 +105,9 @@ def tuned(vehicle: Vehicle, cruise: float, folder: Path) -> Row:
     text = folder / "text"
     if not text.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        mission = two_leg_mission(
-            vehicle,
-            cruise=cruise,
-            size=mission_size(vehicle, derive_gains(vehicle, cruise=cruise).gains, cruise=cruise),
-        )
+        own = law_source(default_law(vehicle)).gains  # without sway force, the law has gains of its own
+        gains, _ = gains_for(None, vehicle, cruise=cruise, own=own)
+        mission = two_leg_mission(vehicle, cruise=cruise, size=mission_size(vehicle, gains, cruise=cruise))
         (folder / "mission.toml").write_text(toml_text(scenario_table(mission)))
         study = STUDY.format(vehicle=vehicle.name, deviation=round(0.5 * vehicle["radius"], 3))
         (folder / "study.toml").write_text(study)

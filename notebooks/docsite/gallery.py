@@ -30,6 +30,7 @@ EXAMPLES = {
     "quadrotor_altitude": "quadrotor, tuning",
     "pendulum_lqr": "pendulum on a cart, LQR and margins",
     "camera_cart": "cart, sampled sensors, noise and dropouts",
+    "crane": "overhead crane, region of the sampled loop with its force limit",
     "barrier_double_integrator": "cart, safety filter",
     "van_der_pol": "textbook dynamics, certificate",
     "own_goals": "underwater robot, goals",

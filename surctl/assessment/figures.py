@@ -67,9 +67,10 @@ def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable:
             text += unstable
         return Line(False, text, "margins")
     short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
-    value = "not determined" if np.isnan(disk.value) else f"{disk.value:.2f}"
-    text = f"margins {place}: disk margin {value} at the worst corner, {nominal.value:.2f} nominal; least delay "
+    worst, first = ("not determined" if np.isnan(f.value) else f"{f.value:.2f}" for f in (disk, nominal))
+    text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; least delay "
     text += f"margin {delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where})"
     if short:
         text += f"; required: {', '.join(short)} (worst corner: {disk.where})"
-    return Line(not short, text, "margins")
+    undetermined = np.isnan(disk.value) and delay.enough
+    return Line(None if undetermined else not short, text, "margins")

@@ -183,6 +183,9 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
             return "no solution that starts in the initial set leaves the box or reaches the unsafe set"
         return "as long as it stays in the box, no solution that starts in the initial set reaches the unsafe set"
     region = f"every solution that starts in the box where V < {claim['level']:g} stays there"
+    if claim["time"] == "sampled":
+        held = f"sampled every {claim['period_s']:g} s with held commands"
+        region = f"{held}: every solution that starts at an instant where V < {claim['level']:g} stays in the box"
     if claim["property"] == "bound":
         return f"{region}, and V decays to the stated bound"
     if claim["rate"] is None:
@@ -190,6 +193,8 @@ def _proves_motion(claim: Mapping[str, Any]) -> str:
     pace = (
         f"falls by at least {claim['rate']:g} of its value in every step"
         if discrete
+        else f"falls by at least {claim['rate']:g} of its value in every period"
+        if claim["time"] == "sampled"
         else (f"decays at least as exp(-{claim['rate']:g} t)")
     )
     return f"{region} and converges to the equilibrium: V {pace}"

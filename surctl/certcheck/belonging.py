@@ -55,6 +55,8 @@ _STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "qu
 _VECTORS = ("plant_state", "controller_state", "gains", "parameters", "reference", "disturbance")
 _PROVED = {"function", "level", "rate", "equilibrium", "inner", "gains", "initial", "unsafe", "multiplier", "stays"}
 """Entries of a claim about dynamics that the certificate itself proves."""
+_SAMPLED = ("next", "commands", "period_s")
+"""Entries of a claim about a sampled loop that are compared with the bundle."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +169,8 @@ class _Comparison(Comparison):
             self.entry("parameter of the plant", value, plant.numbers["values"], at, ranges)
         self.period(about["period_s"])
         self._loop(about, (self.manifest.lists[self.manifest.laws[0]], plant, measured))
-        for key in ("time", "property", "dynamics", "states", "parameters"):
+        sampled = self.claim["time"] == "sampled"
+        for key in ("time", "property", "dynamics", "states", "parameters", *(_SAMPLED if sampled else ())):
             self.take(key)  # compared by the evaluation
         for key in self.claim.keys() & _PROVED:
             self.take(key)
@@ -175,7 +178,10 @@ class _Comparison(Comparison):
             if about[key]:
                 self.excludes.append(f"{key}: it is assumed to be {', '.join(map(str, about[key]))}")
         self.excludes += [_MODEL, ROUNDING.format(self.manifest.real)]
-        self.excludes.append("sampling: the certificate is about the control law in continuous time")
+        if sampled:
+            self.excludes.append("delay: the command is assumed to act at the instant of its sample")
+        else:
+            self.excludes.append("sampling: the certificate is about the control law in continuous time")
 
     def heading(self) -> None:
         self.differs.append(
@@ -359,10 +365,19 @@ class _Comparison(Comparison):
             if units.get(row["name"]) != row["unit"]:
                 have = units.get(row["name"], "no number")
                 self.differs.append(f"{row['name']}: in {row['unit']} certified, in {have} exported")
-        if self.claim["time"] != "continuous":
-            self.differs.append("time: the loop of a bundle is compared in continuous time only")
+        sampled = self.claim["time"] == "sampled"
+        if self.claim["time"] not in ("continuous", "sampled"):
+            self.differs.append("time: the loop of a bundle is compared in continuous time, or sampled")
+        if sampled:
+            self.equal("period_s", self.claim["period_s"], [self.manifest.period])
+            units = _units(plant["inputs"], [row["name"] for row in self.claim["commands"]])
+            for row in self.claim["commands"]:
+                if units[row["name"]] != row["unit"]:
+                    self.differs.append(f"{row['name']}: in {row['unit']} certified, in {units[row['name']]} exported")
         if self.take("name") != lists[1].text.partition("\n")[0].removeprefix("program ").removeprefix("routine "):
             self.differs.append(f"plant: {self.claim['name']!r} certified, another one exported")
         if not self.differs:
-            apart = compare_dynamics(names, box, self.claim["dynamics"], vectors, lists, self.manifest.period)
+            commands = {row["name"]: row["value"] for row in self.claim["commands"]} if sampled else {}
+            further = (self.claim["next"], commands) if sampled else None
+            apart = compare_dynamics(names, box, self.claim["dynamics"], vectors, lists, self.manifest.period, further)
             self.differs += [f"dynamics: {apart}"] if apart else []

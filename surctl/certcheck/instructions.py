@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
+from surctl.certcheck.procedures import evaluator
 
 __all__ = ["Block", "digest", "evaluate", "read_list"]
 
@@ -104,14 +105,15 @@ def read_list(text: str) -> Block:
         for part in text.removesuffix("\n").split("\n\n"):
             go_on()
             lines = part.split("\n")
-            block = _routine(lines, blocks) if lines[0].startswith("routine ") else _program(lines)
+            kind = lines[0].partition(" ")[0]
+            block = _routine(lines, blocks) if kind == "routine" else _KINDS.get(kind, _program)(lines)
             blocks[block.key] = block
             size += block.size
             if size > _LARGEST:
                 raise ValueError(f"it holds more than {_LARGEST} numbers")
         if _joined(block.texts) != text:
             raise ValueError("a block is not run, or is in the wrong place")
-    except (ValueError, IndexError, KeyError, OverflowError) as error:
+    except (ValueError, IndexError, KeyError, OverflowError, SyntaxError, RecursionError) as error:
         raise Rejected(f"not an instruction list: {error}") from None
     return block
 
@@ -177,6 +179,30 @@ def _program(lines: Sequence[str]) -> Block:
 
     text = "\n".join([*lines, ""])
     return Block(name, sizes, tuple(map(len, outputs)), len(steps), 1, count, (text,), run)
+
+
+def _procedure(lines: Sequence[str]) -> Block:
+    name = _head(lines[0], "procedure")
+    tables: dict[str, list[tuple[str, int]]] = {"in": [], "out": [], "size": []}
+    memory: list[tuple[str, str, int]] = []
+    at = 1
+    while not lines[at].startswith("def "):
+        kind, own, text = lines[at].split(" ")
+        if kind in tables:
+            tables[kind].append((own, _whole(text, 0, _LARGEST)))
+        elif kind in ("real", "whole"):
+            memory.append((own, kind, _whole(text, 0, _LARGEST)))
+        else:
+            raise ValueError(lines[at])
+        at += 1
+    ports = (tables["in"], tables["out"])
+    run, operations = evaluator("\n".join(lines[at:]), dict(tables["size"]), memory, ports)
+    inputs, outputs = (tuple(size for _, size in table) for table in ports)
+    size = sum(inputs) + sum(outputs) + sum(size for *_, size in memory)
+    return Block(name, inputs, outputs, operations, 1, size, ("\n".join([*lines, ""]),), run)
+
+
+_KINDS: Mapping[str, Callable[[Sequence[str]], Block]] = {"procedure": _procedure}
 
 
 def _stacked(entries: Sequence[Any], points: int) -> Array:

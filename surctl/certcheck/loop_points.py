@@ -3,7 +3,8 @@
 A certificate of kind `lyapunov` or `barrier` states its dynamics as text. Here, the instruction lists of plant and
 controller are evaluated one after the other at some hundreds of points of the certificate's box: measurement, command,
 rate of the plant state, and for a controller state z the rate (z⁺ − z)/period. At each point the rates must be those of
-the text, and the rates of the states that the certificate holds constant must be 0.
+the text, and the rates of the states that the certificate holds constant must be 0. For a sampled loop, the plant is
+evaluated with held commands of other points; z⁺ and the commands take the place of the rate of z.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ def compare_dynamics(
     vectors: Mapping[str, Sequence[float | str]],
     lists: tuple[Listed, Listed, Listed],
     period: float,
+    sampled: tuple[Mapping[str, str], Mapping[str, str]] | None = None,
 ) -> str:
     """Return where the dynamics differ from the loop of plant and controller; "" if they agree at all points.
 
@@ -51,6 +53,7 @@ def compare_dynamics(
             controller that are not measured) and `disturbance`; each entry is a number or one of `names`.
         lists: instruction lists of the controller, of the plant's rates and of its measurement.
         period: control period [s].
+        sampled: texts of the next values of the controller's states, and of the held commands, of a sampled loop.
 
     Raises:
         Rejected: an instruction list cannot be read, or a vector has a wrong size.
@@ -74,23 +77,29 @@ def compare_dynamics(
     signals = _joined(controller.vectors["inputs"], inputs)
     command, after, *_ = evaluate(read_list(controller.text), z, signals, vector("gains"))
     applied = _joined(plant.vectors["inputs"], _named(controller.vectors["commands"], command))
-    (flow,) = evaluate(read_list(plant.text), x, applied, d, p)
-    rates = np.vstack([flow, (after - z) / period])
-    held = np.max(np.abs(np.vstack([x, z])), axis=1) / period  # the difference z⁺ − z rounds by a share of z
-    held[: len(x)] = 0
-    claimed = _rates(names, points, dynamics)
+    after_next, commands = sampled or ({}, {})
+    if sampled is not None and len(commands) != len(applied):
+        raise Rejected("the certificate does not state every command")
+    held = np.roll(applied, 1, axis=1) if commands else applied
+    (flow,) = evaluate(read_list(plant.text), x, held, d, p)
+    stays = np.array([not isinstance(entry, str) for entry in vectors["controller_state"]], dtype=bool)[:, None]
+    own = (after - z) / period if sampled is None else np.where(stays, after - z, after)
+    rates = np.vstack([flow, own, applied[: len(commands)]])
+    rounding = np.max(np.abs(np.vstack([x, z])), axis=1) / period  # the difference z⁺ − z rounds by a share of z
+    rounding = np.concatenate([0 * rounding[: len(x)], rounding[len(x) :], np.zeros(len(commands))])
+    texts = {**dynamics, **after_next, **commands}
+    claimed = _rates([*names, *commands], np.vstack([points, held[: len(commands)]]), texts)
     scale = np.max(np.abs(rates))
-    for entry, rate, rounding in zip(
-        [*vectors["plant_state"], *vectors["controller_state"]], rates, 1e-15 * held, strict=True
-    ):
+    entries = [*vectors["plant_state"], *vectors["controller_state"], *commands]
+    for entry, rate, spare in zip(entries, rates, 1e-15 * rounding, strict=True):
         moves = isinstance(entry, str)
         own = claimed[entry] if isinstance(entry, str) else np.zeros(_POINTS)
         most = _SLACK * np.max(np.abs(rate)) if moves else _RESTS * scale
-        apart = ~(np.abs(own - rate) <= most + rounding)
+        apart = ~(np.abs(own - rate) <= most + spare)
         if apart.any():
             at = int(np.argmax(apart))
             place = ", ".join(f"{name} = {points[k, at]:.6g}" for k, name in enumerate(names))
-            what = f"rate of {entry}" if moves else "rate of a state at rest"
+            what = f"{'rate' if entry in dynamics else 'value'} of {entry}" if moves else "rate of a state at rest"
             return f"{what} at {place}: {own[at]:.6g} certified, {rate[at]:.6g} exported"
     return ""
 

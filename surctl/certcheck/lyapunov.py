@@ -19,7 +19,7 @@ not be positive.
 The change of V (`change`) is compared with the one that the checker computes from the dynamics.
 
 A certificate whose V is a quadratic form about the equilibrium may state `slopes` in the place of all these proofs;
-then `surctl.certcheck.slopes` decides.
+then `surctl.certcheck.slopes` decides. `surctl.certcheck.sampled` decides about a plant under a sampled controller.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.inequality import listed, number
 from surctl.certcheck.motion import Motion, Obligation, check_all, decimal_text, read_motion, rest_of
+from surctl.certcheck.region_exact import inverse
+from surctl.certcheck.sampled import check as check_sampled
 from surctl.certcheck.slopes import Decrease, check_decrease, quadratic_form, require_in_box
 
 __all__ = ["check"]
@@ -46,6 +48,9 @@ _LARGEST_POWER = 8
 def check(document: Mapping[str, Any]) -> None:
     """Raise Rejected unless the certificate proves its claim."""
     claim = document["claim"]
+    if claim["time"] == "sampled":
+        check_sampled(document)
+        return
     motion = read_motion(claim)
     function = claim["function"]
     if "slopes" in document:
@@ -81,7 +86,7 @@ def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
     else:
         raise Rejected(f"the property {claim['property']!r} is not known")
     p = quadratic_form(motion.states, claim["function"], centre)
-    require_in_box(p, centre, level, motion.state_box)
+    require_in_box(inverse(p), centre, level, motion.state_box)
     if not motion.discrete:
         table = ExpressionTable(motion.names)
         motion.require_continuous(table, [table.read(text) for text in motion.rates], "the dynamics contain")

@@ -24,7 +24,7 @@ from surctl.certcheck.inequality import Box, Inequality, listed, number
 from surctl.certcheck.interval import printable, variables_of
 from surctl.certcheck.patience import go_on
 
-__all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion", "rest_of"]
+__all__ = ["Motion", "Obligation", "check_all", "decimal_text", "read_motion", "require_loop", "rest_of"]
 
 _MOST_DECIMALS = 400  # characters
 _LOOP = {
@@ -191,11 +191,11 @@ def read_motion(claim: Mapping[str, Any]) -> Motion:
         raise Rejected("the range of a state has no width")
     printable(claim["name"])
     if claim["about"]:
-        _require_loop(claim["about"])
+        require_loop(claim["about"])
     return Motion(states, names, ranges, [dynamics[name] for name in states], claim["time"] == "discrete")
 
 
-def _require_loop(about: object) -> None:
+def require_loop(about: object) -> None:
     """Raise Rejected unless the entry `about` states digests, period and vectors of the loop of the dynamics."""
     loop = record(about, _LOOP, "claim.about")
     printable(loop["plant"], loop["controller"])

@@ -5,6 +5,10 @@ With ξ = x − x*, an expression is e(x, w) = e(x*, w) + r(θ)·ξ on {V ≤ le
 of a factor, or the value of an expression at x*; interval arithmetic encloses its range on {V ≤ level}. A slope that
 occurs twice in a product is replaced there by an independent copy, which only adds cases. Parameters that are
 disturbances are linear variables beside ξ.
+
+A limit clip(y) of an expression y may have a feedback G, which only the proof uses. Where lower ≤ y* + G·ξ ≤ upper on
+the whole region, clip(y) lies between y and y* + G·ξ, so that its row is G + θ (r_y − G) with θ in [0, 1], and it is
+exact at the border of the region (Hu and Lin, Control Systems with Actuator Saturation, 2001, lemma 1).
 """
 
 from __future__ import annotations
@@ -33,13 +37,11 @@ from surctl.certcheck.enclosure import (
     over,
     plus,
     rational,
-    span,
 )
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
-from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_exact import Matrix, inverse
+from surctl.certcheck.region_exact import Matrix
 
 __all__ = ["Number", "Rows", "magnitude", "up"]
 
@@ -65,7 +67,7 @@ class Number:
 
 
 class Rows:
-    """The rows of the dynamics on {V ≤ level}.
+    """The rows of expressions where ξᵀ Q⁻¹ ξ ≤ level for a convex combination Q of the covers.
 
     Nodes are those of an own table without divisions by states and without atan2, min and max of two expressions; all
     lists are indexed by the position of the node.
@@ -74,26 +76,40 @@ class Rows:
         rows: row of each rate or successor, a list of polynomials for the places in `linear`.
         slopes: range of each slope.
         linear: positions in `names` of the states and of the disturbances.
+
+    Args:
+        names: names of the states, then of the parameters.
+        box: ranges of `names`, which hold on the region.
+        rates: texts of the expressions.
+        covers: matrices Q ≻ 0 (n, n); the only one is P⁻¹ if V = ξᵀ P ξ.
+        centre: x* (n,).
+        level: level of the region.
+        disturbances: names of the parameters that are linear variables.
+        feedbacks: G (n,) of each limit on both sides of its operand at x*, in the order in which `rates` name them.
     """
 
     def __init__(
         self,
         names: Sequence[str],
-        box: Box,
+        box: Sequence[Interval],
         rates: Sequence[str],
-        p: Matrix,
+        covers: Sequence[Matrix],
         centre: Sequence[Fraction],
         level: Fraction,
         disturbances: Sequence[str] = (),
+        feedbacks: Sequence[Sequence[Fraction]] = (),
     ) -> None:
         self.names, self.centre = tuple(names), centre
-        self.states = len(rates)
+        self.states = len(centre)
         self.linear = [*range(self.states), *(k for k, name in enumerate(names) if name in disturbances)]
         # powers of 2 scale the doubles to about 1, so that none is rounded to 0 or overflows
-        cover = inverse(p)
-        self._unit = [Fraction(2) ** (magnitude(row[k]) // 2) for k, row in enumerate(cover)]
-        scaled = [[cover[i][j] / (s * t) for j, t in enumerate(self._unit)] for i, s in enumerate(self._unit)]
-        self._inner = np.array([[float(x) for x in row] for row in scaled])
+        sizes = [max(cover[k][k] for cover in covers) for k in range(self.states)]
+        self._unit = [Fraction(2) ** (magnitude(size) // 2) for size in sizes]
+        scaled = [
+            [[cover[i][j] / (s * t) for j, t in enumerate(self._unit)] for i, s in enumerate(self._unit)]
+            for cover in covers
+        ]
+        self._inner = np.array([[[float(x) for x in row] for row in cover] for cover in scaled])
         unit = Fraction(2) ** (magnitude(level) // 2)
         self._radius = Fraction(float(np.sqrt(up(level / unit**2))) * (1 + 1e-12)) * unit
         self.table = ExpressionTable(names)
@@ -104,15 +120,19 @@ class Rows:
         self._rows: dict[int, list[Number]] = {}
         self._values: dict[tuple[str, int], Number] = {}
         self._numeric: dict[int, bool] = {}
+        self._limits: dict[int, tuple[int, Fraction, Sequence[Fraction]]] = {}  # operand, least gap at x*, feedback
+        self._feedbacks = feedbacks
         self.box = self._variables(box)
         source = ExpressionTable(names)
         self.roots = self._rewritten(source, [source.read(text) for text in rates])
         self.rows = [self.row(root) for root in self.roots]
+        if len(self._limits) != len(feedbacks):
+            raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(self._limits)} limits")
 
-    def _variables(self, box: Box) -> list[tuple[Interval, Interval]]:
+    def _variables(self, box: Sequence[Interval]) -> list[tuple[Interval, Interval]]:
         """Return ranges on the region, and values at x*, of all variables."""
         ends = []
-        for k, own in enumerate(span(*bounds) for bounds in box):
+        for k, own in enumerate(box):
             if k < self.states:
                 at = rational(self.centre[k])
                 extent = self._ellipsoid([Fraction(j == k) for j in range(self.states)])
@@ -124,14 +144,14 @@ class Rows:
         return ends
 
     def _ellipsoid(self, row: list[Fraction]) -> Fraction:
-        """Return an upper bound on |row · ξ| where V ≤ level."""
+        """Return an upper bound on |row · ξ| where ξᵀ Q⁻¹ ξ ≤ level, for any convex combination Q of the covers."""
         scaled = [x * unit for x, unit in zip(row, self._unit, strict=True)]
         if not any(scaled):
             return Fraction(0)
         unit = Fraction(2) ** magnitude(max(map(abs, scaled)))
         own = np.array([float(x / unit) for x in scaled])
-        most = float(own @ self._inner @ own)
-        size = float(np.abs(own) @ np.abs(self._inner) @ np.abs(own))
+        most = float((own @ self._inner @ own).max())
+        size = float((np.abs(own) @ np.abs(self._inner) @ np.abs(own)).max())
         # the rounding errors of n² + 2n products and of their factors are below 1e-12 of their sizes
         return Fraction(float(np.sqrt(max(most, 0.0) + 1e-12 * size)) * (1 + 1e-12)) * unit * self._radius
 
@@ -151,8 +171,11 @@ class Rows:
         alone = len({self.base[a] for a in free}) == 1 and all(
             self.base[a] >= 0 or self._numeric[a] for a in args
         )  # a function of one variable
-        if op in ("min", "max", "abs", "select") and (chosen := self._decided(op, args)) is not None:
-            return chosen
+        one_sided = op in ("min", "max") and self._numeric[args[0]] != self._numeric[args[1]]
+        if op in ("min", "max", "abs", "select") and not (one_sided and self._feedbacks):
+            chosen = self._decided(op, args)
+            if chosen is not None:
+                return chosen
         if free and not alone:
             if op == "div" and self.base[args[1]] >= 0:
                 return self._put("mul", (args[0], self._put("pow", (args[1],), Fraction(-1))))
@@ -165,6 +188,10 @@ class Rows:
                 return self._put("atan", (self._put("div", args),))
         at = self.table.put(op, *args, value=value)
         if at not in self.range:
+            limit = self._limited(op, args)
+            if limit is not None and len(self._limits) < len(self._feedbacks):
+                self._limits[at] = *limit, self._feedbacks[len(self._limits)]
+                alone = False
             self._numeric[at] = op in ("num", "pi") or (op != "var" and all(self._numeric[a] for a in args))
             if not free:
                 self.base[at] = at if op == "var" and value.numerator in self.linear else -1
@@ -184,6 +211,29 @@ class Rows:
         if libmp.mpf_le(whole[0][1], whole[1][0]):
             return first
         return second if libmp.mpf_gt(whole[0][0], whole[1][1]) else None
+
+    def _limited(self, op: str, args: tuple[int, ...]) -> tuple[int, Fraction] | None:
+        """Return y and the least distance of y* from its limits, if the operation limits y on both sides by numbers.
+
+        It is min(max(y, lower), upper) or max(min(y, upper), lower), and lower < y* < upper.
+        """
+        if op not in ("min", "max") or self._numeric[args[0]] == self._numeric[args[1]]:
+            return None
+        outer, inner = args if self._numeric[args[0]] else args[::-1]
+        entry = self.table.entries[inner]
+        if (
+            entry.op != ("max" if op == "min" else "min")
+            or self._numeric[entry.args[0]] == self._numeric[entry.args[1]]
+        ):
+            return None
+        other, y = entry.args if self._numeric[entry.args[0]] else entry.args[::-1]
+        low, high = (other, outer) if op == "min" else (outer, other)
+        gap = min(_fraction(self._apart(high, y)[0]), _fraction(self._apart(y, low)[0]))
+        return (y, gap) if gap > 0 else None
+
+    def _apart(self, a: int, b: int) -> Interval:
+        """Return a − b at x*."""
+        return libmp.mpi_sub(self.rest[a], self.rest[b], BITS)
 
     def _ranges(self, at: int) -> tuple[Interval, Interval]:
         entry = self.table.entries[at]
@@ -243,6 +293,8 @@ class Rows:
             return [Number({})] * len(self.linear)
         if base != at:
             return self._scaled(self._slope(self._secant(at)), self.row(base))
+        if at in self._limits:
+            return self._limit_row(at)
         match entry.op:
             case "var":
                 own = entry.value.numerator
@@ -266,6 +318,17 @@ class Rows:
                 second = self._scaled(self._value(b), self.row(a))
                 return [self.plus(x, y) for x, y in zip(first, second, strict=True)]
         raise Rejected(f"the slope rule does not cover {entry.op} of several variables")
+
+    def _limit_row(self, at: int) -> list[Number]:
+        """Return the row G + θ (r_y − G), θ in [0, 1], of a limit of y; raise Rejected if G reaches the limits."""
+        y, gap, feedback = self._limits[at]
+        if len(feedback) != self.states or self._ellipsoid(list(feedback)) > gap:
+            raise Rejected("the feedback of a limit does not stay within the limit")
+        row = [Number({(): x} if x else {}) for x in feedback] + [Number({})] * (len(self.linear) - self.states)
+        back = self._scaled(Number({(): Fraction(-1)}), row)
+        apart = [self.plus(a, b) for a, b in zip(self.row(y), back, strict=True)]
+        share = self._slope((libmp.fzero, libmp.fone))
+        return [self.plus(a, b) for a, b in zip(row, self._scaled(share, apart), strict=True)]
 
     def _ordered(self, a: int, b: int) -> tuple[int, int]:
         """Return two factors so that the first one, whose value becomes a slope, is the better one."""

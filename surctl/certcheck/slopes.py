@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.enclosure import Undefined
+from surctl.certcheck.enclosure import Undefined, span
 from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import Box
@@ -27,7 +27,9 @@ from surctl.certcheck.patience import afford, go_on
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
 from surctl.certcheck.slope_rows import Number, Rows, magnitude, up
 
-__all__ = ["Decrease", "check_decrease", "quadratic_form", "require_in_box"]
+__all__ = [
+    "Decrease", "check_decrease", "constants", "is_definite", "multiplied", "quadratic_form", "require_in_box",
+]  # fmt: skip
 
 Array = NDArray[np.float64]
 
@@ -88,11 +90,10 @@ def quadratic_form(states: Sequence[str], function: str, centre: Sequence[Fracti
     return p
 
 
-def require_in_box(p: Matrix, centre: Sequence[Fraction], level: Fraction, box: Box) -> None:
-    """Raise Rejected unless the region V < level lies in the box, and is not empty."""
+def require_in_box(cover: Matrix, centre: Sequence[Fraction], level: Fraction, box: Box) -> None:
+    """Raise Rejected unless the region ξᵀ Q⁻¹ ξ < level, with the matrix Q, lies in the box, and is not empty."""
     if not level > 0:
         raise Rejected("the level is not positive")
-    cover = inverse(p)
     for k, (low, high) in enumerate(box):
         apart = min(centre[k] - Fraction(repr(low)), Fraction(repr(high)) - centre[k])
         if not apart > 0 or level * cover[k][k] > apart**2:
@@ -110,7 +111,8 @@ def check_decrease(names: Sequence[str], box: Box, rates: Sequence[str], needed:
         discrete: whether `rates` are successors.
     """
     try:
-        rows = Rows(names, box, rates, needed.p, needed.centre, needed.level, list(needed.gains))
+        ends = [span(*bounds) for bounds in box]
+        rows = Rows(names, ends, rates, [inverse(needed.p)], needed.centre, needed.level, list(needed.gains))
         free = [rows.resting(k, needed.centre[k] if discrete else Fraction(0)) for k in range(len(rates))]
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None
@@ -119,7 +121,7 @@ def check_decrease(names: Sequence[str], box: Box, rates: Sequence[str], needed:
     moves = any(entry.poly or entry.error for entry in free)
     if moves and not needed.constant:
         raise Rejected("the dynamics do not rest at the equilibrium for all parameters")
-    if not _is_definite(rows, _decrease(rows, free if moves else [], needed, discrete)):
+    if not is_definite(rows, _decrease(rows, free if moves else [], needed, discrete)):
         raise Rejected("the slope rule does not show the decrease")
 
 
@@ -128,12 +130,7 @@ def _decrease(rows: Rows, free: Sequence[Number], needed: Decrease, discrete: bo
     n, p = rows.states, needed.p
     matrix = [[*row, *([free[k]] if free else [])] for k, row in enumerate(rows.rows)]  # x', or x⁺ − x*
     width = len(matrix[0])
-    pulled = [[_NONE] * width for _ in range(n)]  # P times the matrix
-    for i in range(n):
-        for j in range(width):
-            for k in range(n):
-                if p[i][k]:
-                    pulled[i][j] = rows.plus(pulled[i][j], rows.times(_number(p[i][k]), matrix[k][j]))
+    pulled = multiplied(rows, p, matrix)
     whole = [[_NONE] * (width + n * discrete) for _ in range(width + n * discrete)]
     for i in range(n):
         for j in range(n):
@@ -155,11 +152,27 @@ def _decrease(rows: Rows, free: Sequence[Number], needed: Decrease, discrete: bo
     return whole
 
 
+def multiplied(rows: Rows, a: Matrix, b: Sequence[Sequence[Number]]) -> list[list[Number]]:
+    """Return the product A B of a matrix of numbers and a matrix of polynomials in the slopes."""
+    product = [[_NONE] * len(b[0]) for _ in a]
+    for i, row in enumerate(a):
+        for j in range(len(b[0])):
+            for k, x in enumerate(row):
+                if x:
+                    product[i][j] = rows.plus(product[i][j], rows.times(_number(x), b[k][j]))
+    return product
+
+
+def constants(a: Matrix) -> list[list[Number]]:
+    """Return a matrix of numbers as one of polynomials in the slopes."""
+    return [[_number(x) for x in row] for row in a]
+
+
 def _number(x: Fraction) -> Number:
     return Number({(): x}) if x else _NONE
 
 
-def _is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
+def is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     """Return whether the symmetric matrix is shown to be positive definite at all vertices."""
     size = len(whole)
     used = sorted({k for row in whole for entry in row for term in entry.poly for k in term})

@@ -126,7 +126,8 @@ def _status() -> int:
         status = 2
     except SurctlError as error:
         print_message(str(error))
-        status = error.exit_status
+        cause = error.__context__
+        status = LOST if isinstance(cause, OSError) and failed_write(cause) else error.exit_status
     except Stopped as stop:
         print_message(f"stopped; {stop}")
         status = 130

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.cli.activity import timed
-from surctl.cli.output import refusal_line
+from surctl.cli.output import refusal_line, saving
 
 if TYPE_CHECKING:
     from surctl.marine.control import Gains
@@ -62,9 +62,10 @@ def prove_all(
             proof = prove_braking(claim)
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
-            out.mkdir(parents=True, exist_ok=True)
-            files.append(out / f"{claim.name}.json")
-            proof.write(files[-1])
+            with saving(f"certificate of {claim.name}"):
+                file = out / f"{claim.name}.json"
+                proof.write(file)
+                files.append(file)
     lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
     lines += [refusal_line(one) for one in refused]
     data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)]

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.gains_choice import derive_words
+from surctl.cli.gains_choice import derive_words, margin_short
 from surctl.cli.new import write_new
 from surctl.cli.output import FiniteRange, as_json, finish
 
 if TYPE_CHECKING:
+    from surctl.marine.simulation import SafetyClaim
     from surctl.marine.tuning import Derivation
     from surctl.marine.vehicle import Vehicle
+    from surctl.verification import Inapplicable
 
 __all__ = ["gains"]
 
@@ -34,10 +38,15 @@ def gains() -> None:
 @click.option(
     "--cruise", type=_SPEED, metavar="V", help="Cruise speed [m/s] (default: 35 % of the speed at full thrust)."
 )
+@click.option(
+    "--margin", type=FiniteRange(min=0), metavar="D", help="Gain margin [m] (default: 0.2 hull radii, at least 0.05)."
+)
 @click.option("--out", type=click.Path(path_type=Path), metavar="FILE", help="Gain file to write (default: none).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @as_json
-def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as_json: bool) -> None:
+def derive(
+    vehicle: str, cruise: float | None, margin: float | None, out: Path | None, force: bool, as_json: bool
+) -> None:
     """Derive gains from the mass, drag, thrust, lag and hull of a vehicle, and state the margin that they reach.
 
     VEHICLE is a name or a file. If no gains reach the disk margin at the cruise speed, the largest speed at which
@@ -47,6 +56,7 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
     """
     from surctl.errors import InputError
     from surctl.marine.control import write_gains
+    from surctl.marine.simulation import SafetyClaim
     from surctl.marine.tuning import default_cruise, derive_gains
     from surctl.marine.vehicle import load_vehicle
 
@@ -55,11 +65,21 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
         derivation = derive_gains(robot, cruise=default_cruise(robot) if cruise is None else cruise)
     except InputError as error:
         raise error.inside(vehicle, "--cruise" if error.key == "cruise" else None) from None
-    lines = [*derivation.lines(), *_contact_line(robot, derivation)]
+    if margin is not None:
+        gains, provenance = derivation.gains, f"{derivation.gains.provenance}; margin {margin:g} m as stated"
+        derivation = replace(derivation, gains=gains.with_values({"margin": margin}, provenance=provenance))
+    contact = _contact(robot, derivation)
+    short = margin_short(contact)
+    lines = derivation.lines()
+    if isinstance(contact, SafetyClaim) and not contact.holds:
+        at = f"at up to {contact['speed cap']:.3g} m/s in still water"
+        lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
     then = []
     if not derivation.reached and derivation.bearable > 0:
         then.append(derive_words(vehicle, derivation.bearable, "gains.toml"))
+    elif isfinite(short):
+        then.append(derive_words(vehicle, derivation.cruise, "gains.toml", margin=short))
     if out is not None:
         target = write_new(out, write_gains(derivation.gains, warning=derivation.warning), force=force)
         lines.append(f"wrote {target}")
@@ -69,17 +89,13 @@ def derive(vehicle: str, cruise: float | None, out: Path | None, force: bool, as
     finish(data, lines, as_json=as_json, passed=derivation.reached, then=then)
 
 
-def _contact_line(vehicle: Vehicle, derivation: Derivation) -> list[str]:
-    """Return a line if the no-contact claim needs a larger gain `margin` than the derived one, even in still water."""
+def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplicable | None:
+    """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
     from surctl.marine.assessment.motion import judged_contact
     from surctl.marine.control import CASCADE, default_law, law_source
     from surctl.marine.simulation import mission_size, straight_mission
-    from surctl.verification import Inapplicable
 
     if CASCADE not in law_source(default_law(vehicle)).parts:
-        return []
+        return None
     speeds = {"cruise": derivation.cruise, "size": mission_size(vehicle, derivation.gains, cruise=derivation.cruise)}
-    claim = judged_contact(straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)
-    if isinstance(claim, Inapplicable) or claim.holds:
-        return []
-    return [f"  no contact with obstacles at up to {claim['speed cap']:.3g} m/s in still water: {claim.shortfall}"]
+    return judged_contact(straight_mission(vehicle, **speeds), vehicle, derivation.gains, sonar=False)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from surctl.marine.control import Gains, GainSpec
+    from surctl.marine.simulation import SafetyClaim
     from surctl.marine.vehicle import Vehicle
+    from surctl.verification import Inapplicable
 
-__all__ = ["GAINS_HELP", "GainsChoice", "choose_gains", "choose_shared", "derive_words"]
+__all__ = ["GAINS_HELP", "GainsChoice", "choose_gains", "choose_shared", "derive_words", "margin_short"]
 
 GAINS_HELP = "Gain set: name or file (default: the vehicle's)."
 """Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
@@ -64,6 +67,17 @@ def choose_shared(
     return GainsChoice(gains, [f"gains default, not derived from {', '.join(others)}: {why}"] if others else [], None)
 
 
-def derive_words(vehicle: str, cruise: float, file: str) -> str:
-    """Return the command that writes the derived gains of a vehicle to a file."""
-    return shlex.join(["surctl", "gains", "derive", vehicle, "--cruise", f"{cruise:g}", "--out", file])
+def derive_words(vehicle: str, cruise: float, file: str, *, margin: float = math.nan) -> str:
+    """Return the command that writes the derived gains of a vehicle to a file, if finite with this gain `margin`."""
+    words = ["surctl", "gains", "derive", vehicle, "--cruise", f"{cruise:g}"]
+    words += ["--margin", f"{margin:g}"] if math.isfinite(margin) else []
+    return shlex.join([*words, "--out", file])
+
+
+def margin_short(contact: SafetyClaim | Inapplicable | None) -> float:
+    """Return the gain `margin` [m] that a no-contact claim needs if it has too little; else a value not finite."""
+    from surctl.verification import Inapplicable
+
+    if contact is None or isinstance(contact, Inapplicable) or contact["margin needed"] <= contact["margin"]:
+        return math.nan
+    return contact.least_margin

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from surctl.cli.gains_choice import derive_words, margin_short
 from surctl.cli.output import as_json, finish, printable
 
 if TYPE_CHECKING:
@@ -65,17 +67,27 @@ def _assumption_findings(vehicle: Vehicle) -> list[Finding]:
     return [Finding("info", one.name, one.text + advice) for one in assumed]
 
 
-def _loop_findings(mission: Mission) -> list[Finding]:
-    """Return margins that do not suffice, a cap above the largest stable speed, and the defaults that decide."""
+def _loop_findings(mission: Mission, derive_for: str | None) -> tuple[list[Finding], list[str]]:
+    """Return margins that do not suffice, a cap above the largest stable speed, and the defaults that decide.
+
+    The margins are those of the loop, and the gain `margin` that the no-contact claim of each scenario needs. The
+    second list has the command that writes derived gains with it; `derive_for` is the vehicle's name or file if the
+    gains are derived, else None.
+    """
     from surctl.assessment import assess
     from surctl.marine.simulation import Finding
 
-    keys = {"cap": "cap_m_per_s", "margins": "gains"}
-    result = assess(mission, parts=["loop"])
+    keys = {"cap": "cap_m_per_s", "margins": "gains", "runs": "gains.margin"}
+    result = assess(mission, parts=["loop", "no contact"])
     lines = [line for line in result.lines if line.passed is False or line.about == "cap"]
     gains = f"with the gains {mission.gains.name!r}"
     warnings = [Finding("warning", keys[line.about], f"{line.text}, {gains}") for line in lines]
-    return [*warnings, *(Finding("info", one.name, one.text) for one in result.assumptions)]
+    short = [margin_short(claim) for claim in result.sources.get("no contact") or ()]
+    margin = max(filter(math.isfinite, short), default=math.nan)
+    then = []
+    if derive_for is not None and math.isfinite(margin):
+        then.append(derive_words(derive_for, mission.cruise, "gains.toml", margin=margin))
+    return [*warnings, *(Finding("info", one.name, one.text) for one in result.assumptions)], then
 
 
 def _goal_findings(plan: Plan) -> list[Finding]:
@@ -133,6 +145,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     from surctl.marine.study import load_plan
     from surctl.marine.study.conduct import assessed
     from surctl.marine.tuning import gains_for, load_goals
+    from surctl.marine.vehicle import LIBRARY as VEHICLES
     from surctl.marine.vehicle import load_vehicle
     from surctl.marine.verification.cascade import has_cascade
     from surctl.marine.verification.region import load_region
@@ -141,7 +154,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
 
     path = str(pick(file, LIBRARY, what="scenario"))
     kind = read_toml(pick(file, LIBRARY, what="scenario")).get("kind")
-    problems = []
+    problems, derive = [], list[str]()
     plain: dict[str, Callable[[str], object]] = {
         "vehicle": load_vehicle,
         "gains": load_gains,
@@ -153,15 +166,21 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     }
     if kind == "scenario":
         scenario = load_scenario(path)
-        robot = load_vehicle(choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word)
-        gains = gains_for(None, robot, cruise=scenario.cruise)[0]
-        problems = [*findings(scenario, robot), *_loop_findings(Mission(robot, gains, scenario.cruise, scenario.cap))]
+        word = choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word
+        robot = load_vehicle(word)
+        gains, derivation = gains_for(None, robot, cruise=scenario.cruise)
+        mission = Mission(robot, gains, scenario.cruise, scenario.cap, scenarios=(scenario,))
+        about_loop, derive = _loop_findings(mission, word if derivation else None)
+        problems = [*findings(scenario, robot), *about_loop]
     elif kind == "study":
         plan = load_plan(path)
         for leg in plan.legs:
             problems += findings(leg.scenario, leg.vehicle)
         if has_cascade(plan.law, plan.guidance):  # another law is linearised about its runs, which `study` simulates
-            problems += _loop_findings(assessed(plan, plan.gains))
+            source = Path(plan.vehicle.source)
+            word = plan.vehicle.name if source.parent == VEHICLES else str(source)
+            about_loop, derive = _loop_findings(assessed(plan, plan.gains), word if plan.derivation else None)
+            problems += about_loop
         problems += _goal_findings(plan)
     elif kind in plain:
         problems = _file_findings(plain[kind](path))
@@ -174,4 +193,5 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     works = all(f.level != "error" for f in problems)
     vehicle_option = "" if vehicle is None else f" --vehicle {shlex.quote(vehicle)}"
     then = [f"surctl {words.format(shlex.quote(file))}{vehicle_option}" for words in _NEXT[kind]] if works else []
+    then += derive if works else []
     return _Linted(result, printable(lines), works, then)

@@ -16,7 +16,7 @@ __all__ = ["listing"]
 @click.option("--show", metavar="NAME", help="Print the built-in file NAME instead of the list.")
 @as_json
 def listing(show: str | None, as_json: bool) -> None:
-    """List built-in vehicles, gain files, scenarios, studies, goals, claims, region claims and braking claims.
+    """List built-in vehicles, gain files, scenarios, studies, goals and claims, and systems of installed packages.
 
     Example: surctl list --show sur540-flooded > my-vehicle.toml
     """
@@ -26,6 +26,7 @@ def listing(show: str | None, as_json: bool) -> None:
     from surctl.marine.verification import claims
     from surctl.marine.verification.braking import BRAKING_CLAIMS
     from surctl.marine.verification.region import REGION_CLAIMS
+    from surctl.system.subjects import registered_subjects
 
     libraries = {
         "vehicles": vehicle.LIBRARY,
@@ -47,6 +48,7 @@ def listing(show: str | None, as_json: bool) -> None:
         sys.stdout.write(hits[0].read_text(encoding="utf-8"))
         return
     names = {kind: list(group) for kind, group in files.items()}
+    names |= {"subjects": [f"subject:{name}" for name in registered_subjects()]}
     names |= {"claims": [c.name for c in claims()], "regions": list(REGION_CLAIMS), "braking": list(BRAKING_CLAIMS)}
     lines = []
     for kind, group in names.items():

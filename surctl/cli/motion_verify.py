@@ -108,7 +108,9 @@ def write_solution(solution: Solution, out: Path) -> list[Path]:
     claim = solution.decision.claim
     name = claim.dynamics.name
     text = json.dumps(solution.document, ensure_ascii=False, separators=(",", ":"))
-    files = [write_file(out / f"{name}.json", text + "\n")]
+    files = []
+    with saving("certificate"):
+        files.append(write_file(out / f"{name}.json", text + "\n"))
     if not isinstance(claim, Safety):
         with saving("plot"):
             from surctl.report.motion_plots import plot_motion

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from surctl.cli.activity import timed
-from surctl.cli.output import refusal_line
+from surctl.cli.output import refusal_line, saving
 
 if TYPE_CHECKING:
     from surctl.marine.control import Gains
@@ -148,9 +148,10 @@ def prove_regions(
             proof = prove_statement(statement, robot, values, seed=seed, cruise=cruise, cap=cap)
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
-            out.mkdir(parents=True, exist_ok=True)
-            files.append(out / f"{name}.json")
-            proof.write(files[-1])
+            with saving(f"certificate of {name}"):
+                file = out / f"{name}.json"
+                proof.write(file)
+                files.append(file)
     marks = ["ok  " if p.useful else "open" if p.verdict == "proved" else "FAIL" for p in proofs]
     lines = [f"{mark} {p.claim.name:<22} {p.sentence}" for mark, p in zip(marks, proofs, strict=True)]
     lines += [refusal_line(one) for one in refused.values()]

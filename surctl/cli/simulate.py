@@ -22,7 +22,7 @@ from surctl.cli.priority_options import priority_options
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes
 from surctl.cli.single_run import activity_line, further_output, linear_part, run_line, series_lines
 from surctl.cli.system_option import is_system, seconds_option
-from surctl.cli.system_simulate import simulate_system
+from surctl.cli.system_simulate import simulate_own_system
 from surctl.cli.thruster_options import split_faults
 
 __all__ = ["simulate"]
@@ -110,7 +110,7 @@ def simulate(
     """
     if is_system(scenarios, "seconds", "out", "save", "as_json"):
         _check_save(save, None, out=out, campaign=False)
-        simulate_system(scenarios, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
+        simulate_own_system(scenarios, seconds=seconds, out=out, save=save or "csv", as_json=as_json)
     campaign = CampaignOptions(monte_carlo, worlds, worst, threads, fresh)
     link = ControllerOptions(controller, link_loss, link_delay, link_deadline, link_timeout, link_compact)
     link.check(campaign=campaign.any or replayed is not None)

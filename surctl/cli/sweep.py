@@ -15,7 +15,7 @@ from surctl.cli.law_option import choose_law, law_option, law_words
 from surctl.cli.output import as_json, finish, same_command, saving, stoppable
 from surctl.cli.speeds import SPEEDS
 from surctl.cli.system_option import is_system, seconds_option
-from surctl.cli.system_sweep import sweep_system
+from surctl.cli.system_sweep import sweep_own_system
 from surctl.cli.vehicle_choice import at_hand
 
 if TYPE_CHECKING:
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
     from surctl.marine.control import Gains
     from surctl.marine.simulation import Case
-    from surctl.marine.tuning import Sensitivity, SweepTable
+    from surctl.marine.tuning import SweepTable
     from surctl.marine.verification import Locus
-    from surctl.tuning import Executor
+    from surctl.tuning import Executor, SobolIndices
 
 __all__ = ["sweep"]
 
@@ -105,13 +105,13 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     type=click.IntRange(1, 1_000_000),
     default=1,
     metavar="N",
-    help="Simulate every scenario with the seeds 0 to N-1 (default 1).",
+    help="Simulate every point with the seeds 0 to N-1 (default 1).",
 )
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Processes (default 2); the result does not depend on N.",
+    help="Processes or threads (default 2).",
 )
 @click.option("--dask", metavar="ADDRESS", help="Use a Dask scheduler instead of local processes.")
 @click.option(
@@ -148,25 +148,27 @@ def sweep(
     A parameter is a gain (k_v), a vehicle parameter (vehicle.m11; plant.m11 changes the plant but not the controller's
     model), a number of the scenario (scenario.cruise) or seed. Exit status: 1 if no point is feasible.
 
-    FILE.py:FUNCTION names a system of your own: its costs over a grid of gains (k) and of plant.NAME, reference.NAME,
-    disturbance.NAME, start.NAME.
+    FILE.py:FUNCTION names a system of your own: its costs over gains (k), plant.NAME, reference.NAME, disturbance.NAME,
+    start.NAME. With --seeds N, the worst of N runs counts, and plant.NAME=LOW..HIGH is random.
 
     Examples: surctl sweep --scenario pool-static lookahead=0.6,0.9,1.2 k_v=0.5..3:6:log;
-    surctl sweep k_v=1..3 plant.m11=30..60 --design sobol --points 128;
-    surctl sweep k_v=1..3 k_r=1..3 --sensitivity deviation_m;
-    surctl sweep my_system.py:build k=1..8:20:log --seconds 5
+    surctl sweep k_v=1..3 plant.m11=30..60 --sensitivity deviation_m;
+    surctl sweep my_system.py:build k=1..8:20:log plant.m=1..2 --seeds 100 --seconds 5
     """
-    if is_system(axes, "seconds", "workers", "out", "as_json"):
-        sweep_system(axes, seconds=seconds, workers=workers, out=out, as_json=as_json)
+    if is_system(axes, "seconds", "design", "points", "sensitivity", "seeds", "workers", "dask", "out", "as_json"):
+        remote = None if dask is None else _executor(workers, dask)
+        sweep_own_system(
+            axes, seconds=seconds, design=design, points=points, sensitivity=sensitivity, seeds=seeds,
+            threads=workers or (2 if dask is None else 1), executor=remote, out=out, as_json=as_json,
+        )  # fmt: skip
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder, write_file
     from surctl.marine.control import law_source, load_gains, write_gains
     from surctl.marine.simulation import load_scenario
     from surctl.marine.tuning import build_cases, check_column
-    from surctl.marine.tuning import sensitivity as indices
     from surctl.marine.tuning import sweep as run_sweep
     from surctl.marine.vehicle import load_vehicle
-    from surctl.tuning import make_design, parse_axis, saltelli
+    from surctl.tuning import make_design, parse_axis, saltelli, sobol_indices
 
     parsed = [parse_axis(text) for text in axes]
     if sensitivity is None:
@@ -205,7 +207,7 @@ def sweep(
         table = run_sweep(
             cases, chosen, seeds=range(seeds), cruise=cruise or (), executor=executor, out=out, progress=progress
         )
-    sobol = None if sensitivity is None else indices(table, sensitivity)
+    sobol = None if sensitivity is None else sobol_indices(chosen, table.column(sensitivity), sensitivity)
     picked = table.picked
     moved = _set_aside(out / "gains.toml") if picked is None else []
     gains_path = None if picked is None else write_file(out / "gains.toml", write_gains(table.gains))
@@ -264,12 +266,13 @@ def _executor(workers: int | None, dask: str | None) -> Executor:
     return LocalExecutor(workers or 2) if dask is None else DaskExecutor(dask)
 
 
-def _pictures(table: SweepTable, sobol: Sensitivity | None, out: Path) -> list[Path]:
+def _pictures(table: SweepTable, sobol: SobolIndices | None, out: Path) -> list[Path]:
     pictures = list[Path]()
     with saving("plots"):
-        from surctl.marine.report import save_heat_map, save_parallel, save_sensitivity
+        from surctl.marine.report import save_heat_map, save_parallel
+        from surctl.report import save_sobol_plot
 
-        pictures.append(save_parallel(table, out) if sobol is None else save_sensitivity(sobol, out))
+        pictures.append(save_parallel(table, out) if sobol is None else save_sobol_plot(sobol, out))
         if sobol is None and table.is_grid and len(table.axes) > 1:
             pictures.append(save_heat_map(table, "score", out))
     return pictures
@@ -298,18 +301,9 @@ def _locus(
     )
 
 
-def _lines(table: SweepTable, sobol: Sensitivity | None) -> list[str]:
+def _lines(table: SweepTable, sobol: SobolIndices | None) -> list[str]:
     if sobol is not None:
-        if sobol.constant:
-            return [f"{sobol.column} is constant over these ranges: it does not depend on any axis"]
-        head = (
-            f"{sobol.column}: share of the variance due to each axis, alone and with interactions, with 95 % intervals"
-        )
-        shares = zip(sobol.axes, sobol.first, sobol.first_interval, sobol.total, sobol.total_interval, strict=True)
-        return [head] + [
-            f"{name:<16} {f:6.3f} ({a[0]:.3f} … {a[1]:.3f})  {t:6.3f} ({b[0]:.3f} … {b[1]:.3f})"
-            for name, f, a, t, b in shares
-        ]
+        return sobol.lines()
     import numpy as np
 
     from surctl.marine.simulation import METRICS

@@ -1,4 +1,4 @@
-"""A closed loop of the user's own, named FILE.py:FUNCTION, as the first argument of a command."""
+"""A closed loop of the user's own, FILE.py:FUNCTION or subject:NAME, as the first argument of a command."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from surctl.system import System
 
-__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "listed", "load_system", "seconds_option"]
+__all__ = ["OwnSystem", "assigned", "command_line", "is_system", "listed_values", "load_system", "seconds_option"]
 
 seconds_option = click.option(
     "--seconds", type=float, metavar="S", help="Duration of a run of a system [s] (default: its own)."
@@ -31,8 +31,8 @@ class OwnSystem:
 
     Attributes:
         system: the closed loop.
-        word: FILE.py:FUNCTION as typed.
-        label: FILE.py:FUNCTION without folder.
+        word: FILE.py:FUNCTION or subject:NAME as typed.
+        label: the same without folder.
         settings: further words of the command line.
         sha256: SHA-256 of the text of the file.
     """
@@ -122,12 +122,12 @@ def is_system(words: Sequence[str], *allowed: str) -> bool:
             system or a Python file in a position where it is not allowed.
     """
     from surctl.errors import InputError
-    from surctl.own_code import is_own
+    from surctl.system.subjects import is_subject
 
     context = click.get_current_context()
-    own = bool(words) and is_own(words[0])
+    own = bool(words) and is_subject(words[0])
     for word in words[own:]:
-        if is_own(word):
+        if is_subject(word):
             raise InputError("is not the first argument", key="system", value=word, remedy="give one system, first")
         if word.endswith(".py"):
             raise InputError("names no function", key="system", value=word, remedy=f"write {word}:FUNCTION")
@@ -149,26 +149,24 @@ def load_system(words: Sequence[str]) -> OwnSystem:
     Raises:
         InputError: the file or function does not exist, the function fails, or it does not return a system.
     """
-    from surctl.own_code import label, object_of, pinned
-    from surctl.system import System
+    from surctl.system.subjects import load_subject
 
-    reference = pinned(words[0], key="system")
-    system, sha256 = object_of(reference, System, key="system"), reference.rpartition("#")[2]
-    return OwnSystem(system, words[0], label(reference), tuple(words[1:]), sha256)
+    subject = load_subject(words[0])
+    return OwnSystem(subject.system, words[0], subject.label, tuple(words[1:]), subject.sha256)
 
 
 def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
     """Return the numbers of words NAME=VALUE by name; commas separate the entries of a vector.
 
     Raises:
-        InputError: as in `listed`.
+        InputError: as in `listed_values`.
     """
     import numpy as np
 
-    return {name: np.array(v[0] if len(v) == 1 else [v]) for name, v in listed(words).items()}
+    return {name: np.array(v[0] if len(v) == 1 else [v]) for name, v in listed_values(words).items()}
 
 
-def listed(words: Sequence[str]) -> dict[str, list[float]]:
+def listed_values(words: Sequence[str]) -> dict[str, list[float]]:
     """Return the numbers of words NAME=V1,V2,… by name.
 
     Raises:

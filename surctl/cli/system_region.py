@@ -35,13 +35,13 @@ class RegionWords:
         """Return the problem of finding and proving a region of attraction of the system.
 
         Raises:
-            InputError: see `continuous_dynamics`; or the function, the level or the rate is not valid.
+            InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
         """
         from surctl.errors import InputError
-        from surctl.lyapunov import Problem, continuous_dynamics
+        from surctl.lyapunov import Problem, sampled_dynamics
         from surctl.verification.formula import parse, variable
 
-        dynamics = continuous_dynamics(system, self.within, values=values, ranges=self.ranges)
+        dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
         dynamics.require_equilibrium()
         numbers: dict[str, float | None] = {}
         for key in ("level", "rate"):

@@ -14,10 +14,12 @@ from surctl.cli.system_option import OwnSystem, assigned, command_line, load_sys
 if TYPE_CHECKING:
     from surctl.system import Record, System
 
-__all__ = ["cost_data", "cost_lines", "end_text", "simulate_system"]
+__all__ = ["cost_data", "cost_lines", "end_text", "simulate_own_system"]
 
 
-def simulate_system(words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool) -> None:
+def simulate_own_system(
+    words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool
+) -> None:
     """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
     from surctl.files import prepare_folder
     from surctl.system import LOST, run_system

@@ -13,6 +13,8 @@ from surctl.cli.system_option import OwnSystem, assigned, command_line, load_sys
 from surctl.cli.system_simulate import cost_data, cost_lines, end_text
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from surctl.lyapunov import Solution
     from surctl.tuning.design import Design
 
@@ -44,7 +46,8 @@ def study_system(
     from surctl.files import prepare_folder, write_file
     from surctl.lyapunov import solve
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
-    from surctl.system import run_system, simulate_system
+    from surctl.system import run_system
+    from surctl.tuning import sweep_system
 
     own = load_system(words)
     own.exported_name(reserved=reserved)
@@ -76,17 +79,16 @@ def study_system(
     assessment = assess(subject).with_lines([export_line(sil)])
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    runs, best, swept = None, {}, {}
+    swept = None
     if design is not None:
-        progress(f"sweep of {len(design.points)} points")
-        swept = {name: design.points[:, k] for k, name in enumerate(design.names)}
-        runs = simulate_system(own.system, duration, {**values, **swept}, threads=workers)
-        best = best_points(own, design, runs)
+        progress(f"sweep of {len(design[0].points)} points")
+        swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
+    best = {} if swept is None else best_points(swept)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
         title=f"Study of {own.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
-        swept=swept, runs=runs, best=[best_line(own, name, row) for name, row in best.items()], sil=sil,
+        swept=swept, best=[] if swept is None else [best_line(swept, name, row) for name, row in best.items()], sil=sil,
         commands={
             "study": command_line("study", own, *own.settings, "--seconds", f"{duration:g}", "--out", str(out)),
             "run": command_line("simulate", own, *others, "--seconds", f"{duration:g}", "--out", "run"),
@@ -129,15 +131,18 @@ def _default_axes(own: OwnSystem, values: Mapping[str, object]) -> list[str]:
     return [f"{port.name}={port.default / 2:.4g}..{port.default * 2:.4g}:{_POINTS}" for port in free[:_AXES]]
 
 
-def _design(own: OwnSystem, axes: Sequence[str], values: Mapping[str, object]) -> Design | None:
-    """Return the grid of the sweep; None without axes."""
-    from surctl.cli.system_sweep import grid_of
+def _design(
+    own: OwnSystem, axes: Sequence[str], values: Mapping[str, object]
+) -> tuple[Design, Mapping[str, ArrayLike]] | None:
+    """Return the grid of the sweep, and the numbers of the runs at each point; None without axes."""
+    from surctl.cli.system_sweep import choices_and_draws
     from surctl.errors import InputError
+    from surctl.tuning import parse_axis
 
     if not axes:
         return None
-    design = grid_of(own, axes)
-    for name in design.names:
+    design, draws = choices_and_draws(own, [parse_axis(axis) for axis in axes])
+    for name in (*design.names, *draws):
         if name in values:
             raise InputError("is given twice", key=name, remedy="give a value or an axis")
-    return design
+    return design, draws

@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from surctl.cli.activity import doing, progress
-from surctl.cli.output import finish, stoppable
-from surctl.cli.system_option import OwnSystem, command_line, listed, load_system
+from surctl.cli.output import finish, same_command, saving, stoppable
+from surctl.cli.system_option import OwnSystem, command_line, listed_values, load_system
 from surctl.cli.system_simulate import cost_data
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["ranges_of", "tune_own_system"]
+__all__ = ["gain_ranges_of", "tune_own_system"]
 
 _SO_FAR = "best-so-far.csv"
 
@@ -48,7 +48,7 @@ def tune_own_system(
     own = load_system(words)
     about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
-    cases, space = _cases(own), ranges_of(own, ranges)
+    cases, space = _cases(own), gain_ranges_of(own, ranges)
     check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
@@ -59,17 +59,20 @@ def tune_own_system(
         write_csv(file, {name: [value] for name, value in best.items()})
 
     try:
-        with stoppable(f"the best gains so far are in {file}, without a check of their disk margin"):
+        message = f"the best gains so far are in {file}, without a check of their disk margin; to continue: "
+        with stoppable(message + same_command()):
             note(0, {name: value for name, value in _nominal(own).items() if name in space})
             result = tune_system(
                 own.system, duration, space,
-                cases=cases, trials=trials, seed=seed, threads=workers, goals=about_loop, points=points,
+                cases=cases, trials=trials, seed=seed, threads=workers, out=out, goals=about_loop, points=points,
                 run_goals=about_runs, progress=note,
             )  # fmt: skip
     except InputError as error:
         raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
-    table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
-    file.unlink(missing_ok=True)
+    table: Path | None = None
+    with saving("gains"):
+        table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+        file.unlink(missing_ok=True)
     first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
     run = duration or None
     comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
@@ -82,13 +85,14 @@ def tune_own_system(
         remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
         limit = f"command {limited.where}"
         doubtful = not_representative(linear, limited.value, limit=limit, run="the run", remedy=remedy)
+    earlier = f" ({result.restored} of them before the interruption)" * bool(result.restored)
     runs = f", runs of {duration:g} s" if own.system.costs else ""
     lines = [
         headline,
         *doubtful,
-        f"{own.title}: {result.trials} gain sets{runs}",
+        f"{own.title}: {result.trials} gain sets{earlier}{runs}",
         *(f"  {line}" for line in result.lines(own.system)),
-        f"gains {table}",
+        *([f"gains {table}"] if table else []),
         "",
         "of the first case:",
         *figures,
@@ -106,7 +110,8 @@ def tune_own_system(
         "not_representative": doubtful,
         "unmet": list(result.unmet),
         "trials": result.trials,
-        "gains": str(table),
+        "restored": result.restored,
+        "gains": None if table is None else str(table),
     }
     numbers = [f"{name}={value!r}" for name, value in result.gains.items()]
     then = [
@@ -117,7 +122,7 @@ def tune_own_system(
     finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
 
 
-def ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
     from surctl.tuning.axes import default_range
@@ -145,7 +150,7 @@ def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:
 
     from surctl.system.values import check_scalar
 
-    values = listed(own.settings)
+    values = listed_values(own.settings)
     for name in values:
         if len(values[name]) > 1:
             check_scalar(own.system, name)

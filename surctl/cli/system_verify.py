@@ -64,7 +64,8 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     certificates = list[str]()
     solution = assessment.sources.get("region")
     if solution is not None:
-        lines += ["region of attraction of the control law in continuous time:", *solution.lines()]
+        about = "sampled loop, with held commands" if solution.sampled else "control law in continuous time"
+        lines += [f"region of attraction of the {about}:", *solution.lines()]
         data["region"] = solution.to_dict()
         if out is not None:
             written = [str(path) for path in write_solution(solution, out)]

@@ -75,9 +75,9 @@ def serve_system_page(
     browser: bool,
 ) -> None:
     """Serve the page for a system of the user's own until Ctrl-C; NAME=V1,V2 gives the operating points."""
-    from surctl.cli.system_option import assigned, listed, load_system
+    from surctl.cli.system_option import assigned, listed_values, load_system
     from surctl.cli.system_region import region_words
-    from surctl.cli.system_tune import ranges_of
+    from surctl.cli.system_tune import gain_ranges_of
     from surctl.errors import InputError
     from surctl.report.design_bench import SystemBench
     from surctl.tuning import judge_loops, load_loop_goals
@@ -85,7 +85,7 @@ def serve_system_page(
     own = load_system(words)
     others, region, uncertain = region_words(own.settings, own.system)
     about_loop, stated = ((), {}) if goals is None else load_loop_goals(goals)
-    values = listed(others)
+    values = listed_values(others)
     swept = {name: numbers for name, numbers in values.items() if len(numbers) > 1}
     fixed = {name: numbers[0] for name, numbers in values.items() if len(numbers) == 1}
     if len(swept) > 1:
@@ -105,7 +105,7 @@ def serve_system_page(
         return None if region is None else region.problem(own.system, {**assigned(()), **fixed, **gains})
 
     bench = SystemBench(
-        own.system, own.word, duration, ranges_of(own, ranges), places, about_loop,
+        own.system, own.word, duration, gain_ranges_of(own, ranges), places, about_loop,
         None if region is None else problem, own.origin, {**own.system.ranges, **uncertain},
     )  # fmt: skip
     start = {one.name: one.value for one in bench.sliders}

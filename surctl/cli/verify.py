@@ -15,7 +15,7 @@ import click
 from surctl.cli.activity import progress, timed
 from surctl.cli.barrier_options import barrier_options
 from surctl.cli.claim_lines import claim_line, statement_lines
-from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words
+from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words, margin_short
 from surctl.cli.motion_verify import are_problems, verify_motion
 from surctl.cli.output import FiniteRange, as_json, finish, refusal_line, same_command, saving, stoppable
 from surctl.cli.speeds import SPEEDS
@@ -270,6 +270,8 @@ def verify(
                 if cascaded
                 else export_command(scenario, vehicle, tuned.gains, file=word, law=chosen_law, sensing="truth")
             )
+    if tuned.derived and math.isfinite(short := margin_short(safety)):
+        then.insert(0, derive_words(vehicle, speeds[0], _GAIN_FILE, margin=short))
     if regions.instead:
         words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
         then.insert(0, shlex.join([*words, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
@@ -363,13 +365,13 @@ def _chosen(
 def _write_certificates(verdicts: Sequence[Verdict], out: Path | None) -> dict[str, Path]:
     from surctl.files import write_file
 
-    if out is None:
-        return {}
-    return {
-        v.claim.name: write_file(out / f"{v.claim.name}.json", json.dumps(v.certificate, ensure_ascii=False, indent=1))
-        for v in verdicts
-        if v.certificate is not None
-    }
+    files = dict[str, Path]()
+    for verdict in verdicts:
+        if out is not None and verdict.certificate is not None:
+            name, text = verdict.claim.name, json.dumps(verdict.certificate, ensure_ascii=False, indent=1)
+            with saving(f"certificate of {name}"):
+                files[name] = write_file(out / f"{name}.json", text)
+    return files
 
 
 def _verdict_data(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]:

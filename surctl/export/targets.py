@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import platform
-import shlex
 import shutil
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,9 +61,8 @@ class Target:
 def _here() -> list[Target]:
     native = ("-O3", "-march=native") if platform.machine().lower() in ("x86_64", "amd64") else ("-O3",)
     targets = [Target(f"{c}-O{n}", c, (f"-O{n}",)) for c in ("gcc", "clang") for n in range(4)]
-    packaged = f"{shlex.quote(sys.executable)} -m ziglang cc"
     targets += [Target(f"{c}-native", c, native) for c in ("gcc", "clang")]
-    return [*targets, Target("zig-O2", packaged, ("-O2",))]
+    return [*targets, Target("zig-O2", packaged_compiler() or "ziglang", ("-O2",))]
 
 
 def _emulated(name: str, board: str, *flags: str, level: str = "-O2") -> Target:

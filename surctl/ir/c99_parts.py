@@ -10,7 +10,8 @@ from surctl.ir.c99 import Real, identifier
 from surctl.ir.c99_folded import inline_helpers, own_helpers
 from surctl.ir.c99_routine import Writer, free_name, key_of
 from surctl.ir.places import inlined
-from surctl.ir.program import LEAVES, Program
+from surctl.ir.procedure import Procedure
+from surctl.ir.program import LEAVES
 from surctl.ir.routine import Block, Gather, Routine
 
 __all__ = ["Parts", "emit_parts"]
@@ -95,7 +96,7 @@ def _nodes(block: Block) -> dict[str, _Node]:
 
 
 def _called(block: Block) -> dict[str, Block]:
-    if isinstance(block, Program):
+    if not isinstance(block, Routine):
         return {}
     return {key_of(s): s.block for s in block.steps if not isinstance(s, Gather) and not inlined(s)}
 
@@ -104,6 +105,8 @@ def _size(block: Block) -> int:
     # estimated number of characters of the C text
     if isinstance(block, Routine):
         return 300 + 90 * len(block.steps)
+    if isinstance(block, Procedure):
+        return len(block.source)
     operations = sum(instruction.op not in LEAVES for instruction in block.instructions)
     return 200 + 15 * (operations + sum(len(refs) for refs in block.output_refs))
 

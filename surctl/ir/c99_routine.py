@@ -10,7 +10,9 @@ from types import MappingProxyType
 
 from surctl.ir.c99 import C_TYPE, Real, broken, c_literal, copy_loop, emit_c99, entry, handed_on, identifier, signature
 from surctl.ir.c99_folded import Feed, chooses, emit_folded, emit_lanes, emit_straight, preamble
+from surctl.ir.c99_procedure import emit_procedure
 from surctl.ir.places import Overlaps, Places, inlined, overlapping, reads
+from surctl.ir.procedure import Procedure
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
@@ -150,7 +152,7 @@ class Writer:
                 for step in inner.steps:
                     if isinstance(step, Loop) and step.lanes > 1:
                         self._lanes(step)
-            if inner is block or isinstance(inner, Routine) or inner.digest() in alone:
+            if inner is block or not isinstance(inner, Program) or inner.digest() in alone:
                 self._block(inner, last=inner is block)
 
     def _block(self, block: Block, *, last: bool) -> None:
@@ -161,6 +163,8 @@ class Writer:
         self.named[key] = name
         if isinstance(block, Program):
             self._add(key, self._program(block, name, last=last), block)
+        elif isinstance(block, Procedure):
+            self._add(key, emit_procedure(block, symbol=name, real=self.real, vectors=not self.folded))
         else:
             self._add(key, _routine(block, name, self))
 

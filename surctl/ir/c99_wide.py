@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from surctl.ir.c99 import Move, c_literal, handed_on, identifier, remaining
+from surctl.ir.c99_procedure import emit_procedure
 from surctl.ir.c99_routine import free_name, run_alone
 from surctl.ir.folding import shortened
 from surctl.ir.places import carried_in_place, reads
+from surctl.ir.procedure import Procedure
 from surctl.ir.program import Instruction, Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
@@ -187,6 +189,8 @@ def emit_wide(block: Block, *, symbol: str) -> Wide:
                 if isinstance(step, Loop) and step.lanes > 1 and isinstance(step.block, Program):
                     writer.program(step.block, _strides(step))
             writer.routine(inner, last=inner is short)
+        elif isinstance(inner, Procedure):
+            writer.procedure(inner, last=inner is short)
         elif inner is short or inner.digest() in alone:
             writer.program(inner, (), last=inner is short)
     return Wide("\n".join(writer.chunks), writer.work[short.digest()])
@@ -232,6 +236,28 @@ class _Writer:
             key = _key(program, strides)
             text, self.work[key] = _program_text(program, name, strides, overlapping=key in self.overlapping)
             self.chunks.append(text)
+
+    def procedure(self, procedure: Procedure, *, last: bool) -> None:
+        """Write the procedure for one run, and a function that calls it for one lane after another."""
+        name = self._new(procedure, (), last)
+        if not name:
+            return
+        one = f"{name}_one"
+        self.chunks.append(emit_procedure(procedure, symbol=one, vectors=True))
+        sizes = [size for _, size in (*procedure.inputs, *procedure.outputs)]
+        split, starts = len(procedure.inputs), [sum(sizes[:k]) for k in range(len(sizes))]
+        lines = [*_head(procedure, name, len(procedure.outputs), procedure.operations)]
+        lines.append("    for (int lane = 0; lane < LANES; ++lane) {")
+        for k, (size, start) in enumerate(zip(sizes[:split], starts, strict=False)):
+            lines.append(f"        for (int k = 0; k < {size}; ++k) {{ work[{start} + k] = in{k}[k * LANES + lane]; }}")
+        lines.append(f"        {one}({', '.join(f'work + {start}' for start in starts)});")
+        for k, (size, start) in enumerate(zip(sizes[split:], starts[split:], strict=True)):
+            # every lane has read its inputs from memory of its own, so an output may be an input
+            lines.append(
+                f"        for (int k = 0; k < {size}; ++k) {{ out{k}[k * LANES + lane] = work[{start} + k]; }}"
+            )
+        self.chunks.append("\n".join([*lines, "    }", "}"]) + "\n")
+        self.work[_key(procedure, ())] = sum(sizes)
 
     def routine(self, routine: Routine, *, last: bool) -> None:
         name = self._new(routine, (), last)

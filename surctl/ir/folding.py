@@ -145,6 +145,9 @@ def shortened(block: Block) -> Block:
         if isinstance(inner, Program):
             built[key] = split(inner, _LONGEST)
             continue
+        if not isinstance(inner, Routine):
+            built[key] = inner
+            continue
         steps: list[Step] = []
         for step in inner.steps:
             if isinstance(step, Call):

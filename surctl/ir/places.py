@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from surctl.ir.c99 import Move, only_moves
+from surctl.ir.procedure import Procedure
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, nested
 
@@ -278,6 +279,8 @@ def memory(block: Block) -> int:
 
 
 def _deepest(block: Block, overlaps: Overlaps) -> int:
+    if isinstance(block, Procedure):
+        return block.stored
     if not isinstance(block, Routine):
         return 0
     own = Places(block, overlaps.get(block.digest(), frozenset())).pool[1]

@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 from surctl.errors import InputError
+from surctl.ir.procedure import Procedure
 from surctl.ir.program import Program
 
 __all__ = ["Block", "Call", "Gather", "Loop", "Routine", "Step"]
@@ -140,7 +141,7 @@ class Routine:
 
     def text(self) -> str:
         """Return the routine and all that it calls as text; routines with equal texts are equal, on any machine."""
-        texts = (block.text() if isinstance(block, Program) else own_text(block) for block in nested(self).values())
+        texts = (own_text(block) if isinstance(block, Routine) else block.text() for block in nested(self).values())
         return "\n".join(dict.fromkeys(texts))  # two blocks with equal text are written once
 
     def digest(self) -> str:
@@ -152,8 +153,8 @@ class Routine:
         return hashlib.sha256(self.text().encode()).hexdigest()
 
 
-Block: TypeAlias = Program | Routine
-"""A program or routine; steps of a routine run such blocks."""
+Block: TypeAlias = Program | Routine | Procedure
+"""A program, routine or procedure; steps of a routine run such blocks."""
 
 Step: TypeAlias = Call | Loop | Gather
 
@@ -169,8 +170,8 @@ def rebuilt(block: Block, change: Callable[[Program], Program]) -> Block:
     """Return the program or routine after `change` has been applied once to each program in it."""
     built: dict[int, Block] = {}
     for key, inner in nested(block).items():
-        if isinstance(inner, Program):
-            built[key] = change(inner)
+        if not isinstance(inner, Routine):
+            built[key] = change(inner) if isinstance(inner, Program) else inner
             continue
         steps = [s if isinstance(s, Gather) else replace(s, block=built[id(s.block)]) for s in inner.steps]
         built[key] = replace(inner, steps=tuple(steps))
@@ -248,6 +249,8 @@ def _written(step: Step, sizes: Mapping[str, int], key: str) -> Iterator[tuple[s
 
 def _fed(loop: Loop, sizes: Mapping[str, int], key: str) -> list[int]:
     """Return the sizes of the arrays that an iteration passes to the loop body."""
+    if isinstance(loop.block, Procedure):  # a loop passes carried arrays as inputs and outputs
+        raise InputError("runs a procedure; a loop runs a program or a routine", key=key, value=loop.block.name)
     if loop.count < 1:
         raise InputError("a loop needs at least one iteration", key=key, value=loop.count)
     if loop.lanes < 1 or (loop.lanes > 1 and (loop.until is not None or not isinstance(loop.block, Program))):

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import NoReturn
 
 from surctl.errors import InputError
+from surctl.ir.procedure import Procedure
 from surctl.ir.program import OPERATIONS, Instruction, Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, Step, own_text
 
@@ -19,6 +20,7 @@ __all__ = ["read_block", "write_block"]
 
 _ARITY = {name: operation.arity for name, operation in OPERATIONS.items()}
 _DEEPEST = 50  # largest nesting depth of routines; recursion over deeper ones would exhaust Python's stack
+_LARGEST = 10**7  # numbers in an array of a procedure
 _MALFORMED = (IndexError, KeyError, OverflowError, ValueError)  # exceptions that reading a malformed line raises
 
 
@@ -97,7 +99,12 @@ def _read(body: str) -> Block:
     first = 1
     for text in body[:-1].split("\n\n"):
         lines = text.split("\n")
-        block = _routine(lines, first, blocks) if lines[0].startswith("routine ") else _program(lines, first)
+        kind = lines[0].partition(" ")[0]
+        block: Block
+        if kind == "routine":
+            block = _routine(lines, first, blocks)
+        else:
+            block = _procedure(lines, first) if kind == "procedure" else _program(lines, first)
         inner = [depths[id(s.block)] for s in getattr(block, "steps", ()) if not isinstance(s, Gather)]
         depths[id(block)] = 1 + max(inner, default=0)
         if depths[id(block)] > _DEEPEST:
@@ -197,6 +204,34 @@ def _routine(lines: Sequence[str], first: int, blocks: Mapping[str, Block]) -> R
         if own != line:
             _refuse(f"should be {own!r}", at, line)
     return routine
+
+
+def _procedure(lines: Sequence[str], first: int) -> Procedure:
+    name = _name(lines, first, "procedure")
+    ports: dict[str, list[tuple[str, int]]] = {"in": [], "out": [], "size": []}
+    memory: list[tuple[str, str, int]] = []
+    at = 1
+    while at < len(lines) and not lines[at].startswith("def "):
+        try:
+            kind, own, size = lines[at].split(" ")
+            if kind in ports:
+                ports[kind].append((own, int(size)))
+            else:
+                memory.append((own, kind, int(size)))
+        except _MALFORMED:
+            _refuse("is not an array of a procedure", first + at, lines[at])
+        at += 1
+    sizes = [size for table in ports.values() for _, size in table] + [size for _, _, size in memory]
+    if not all(0 <= size <= _LARGEST for size in sizes):
+        _refuse("has an array of impossible size", first, lines[0])
+    inputs, outputs, constants = (tuple(each) for each in ports.values())
+    try:
+        procedure = Procedure(name, inputs, outputs, constants, tuple(memory), "\n".join(lines[at:]))
+    except InputError as error:
+        raise error.inside(f"line {first}") from None
+    if procedure.text() != "\n".join([*lines, ""]):
+        _refuse("is not written as a procedure is written", first, lines[0])
+    return procedure
 
 
 def _step(words: list[str], blocks: Mapping[str, Block]) -> Step:

@@ -5,7 +5,7 @@ from surctl.lyapunov.claims import Bound, DynamicClaim, Power, Safety, Stability
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics, Range, State
 from surctl.lyapunov.falsified import Falsified, least_level
-from surctl.lyapunov.from_system import continuous_dynamics
+from surctl.lyapunov.from_system import continuous_dynamics, sampled_dynamics
 from surctl.lyapunov.problem import Problem, is_problem, load_problem
 from surctl.lyapunov.search import StabilityResult, find_stability
 from surctl.lyapunov.solve import Solution, solve
@@ -32,5 +32,6 @@ __all__ = [
     "is_problem",
     "least_level",
     "load_problem",
+    "sampled_dynamics",
     "solve",
 ]

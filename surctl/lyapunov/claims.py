@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.lyapunov.dynamics import Dynamics, Range, State, exact
+from surctl.lyapunov.dynamics import Dynamics, Range, exact
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.formula import Node, number, parse, power, reads_back, text_of, to_casadi, variable
 from surctl.verification.proving import Statement
 
-__all__ = ["Bound", "DynamicClaim", "Inequality", "Power", "Safety", "Stability", "every_digit"]
+__all__ = ["Bound", "DynamicClaim", "Inequality", "Power", "Safety", "Stability", "every_digit", "stated_number"]
 
 
 def every_digit(value: float) -> str:
@@ -80,7 +80,7 @@ class Stability:
         return {
             **_plain(self.dynamics, "stability"),
             "function": text_of(self.function),
-            "equilibrium": {s.name: _stated(s) for s in self.dynamics.states},
+            "equilibrium": {s.name: stated_number(s.rest) for s in self.dynamics.states},
             "level": float(self.level),
             "rate": None if self.rate is None else float(self.rate),
         }
@@ -251,10 +251,10 @@ DynamicClaim = Stability | Bound | Safety
 """A claim about the solutions of dynamics."""
 
 
-def _stated(state: State) -> float | str:
-    """Return the equilibrium as a certificate states it: a number is its shortest decimal, other decimals are text."""
-    value = float(state.equilibrium)
-    return value if Fraction(repr(value)) == state.rest else format(Decimal(value), "f")
+def stated_number(number: Fraction) -> float | str:
+    """Return a double as a certificate states it: a number is its shortest decimal, other decimals are text."""
+    value = float(number)
+    return value if Fraction(repr(value)) == number else format(Decimal(value), "f")
 
 
 def _plain(dynamics: Dynamics, what: str) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class Decision:
     @property
     def rule(self) -> str:
         """By what the claim is proved, in words; empty unless it is proved."""
-        if "slopes" in self.document:
+        if "slopes" in self.document or "knots" in self.document:
             return "secant slopes: a matrix inequality at every vertex of their ranges"
         cases = [case for proof in self.document.get("proofs", []) for case in proof]
         squares = ["squares" in case for case in cases]

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.verification.formula import IDENTIFIER, Node, derivative, number, ordered, substitute, to_casadi
 
-__all__ = ["Dynamics", "Range", "State", "exact"]
+__all__ = ["Command", "Dynamics", "Range", "Sampling", "State", "exact"]
 
 Array = NDArray[np.float64]
 
@@ -62,6 +62,40 @@ class State(Range):
 
 
 @dataclass(frozen=True, eq=False)
+class Command:
+    """A command that is computed at each sampling instant, and held until the next one.
+
+    Attributes:
+        name: name in the rates of the plant.
+        value: expression of the states and parameters at the instant.
+        rest: value at the equilibrium.
+        unit: SI unit.
+    """
+
+    name: str
+    value: Node
+    rest: Fraction
+    unit: str = "1"
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """The sampled form of a loop: a plant in continuous time under a controller that is evaluated once a period.
+
+    Attributes:
+        period: control period [s].
+        flow: rate of each state of the plant, an expression of states, commands and parameters.
+        next: value of each state of the controller after an instant, an expression of the states before it.
+        commands: the held commands.
+    """
+
+    period: float
+    flow: Mapping[str, Node]
+    next: Mapping[str, Node]
+    commands: tuple[Command, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class Dynamics:
     """Differential equations x' = f(x, w) (continuous time) or a map x⁺ = f(x, w) (discrete time).
 
@@ -76,6 +110,7 @@ class Dynamics:
         source: where the dynamics are published.
         about: digests of `plant` and `controller`, `period_s`, and the entries of every vector of the loop, if the
             dynamics are those of a closed loop (`surctl.system.System`); otherwise empty.
+        sampling: the sampled form of the loop, if `rates` are its law in continuous time.
 
     Raises:
         InputError: a name is not valid or is used twice, a range is not finite, or a rate uses an unknown name.
@@ -96,6 +131,7 @@ class Dynamics:
     parameters: tuple[Range, ...] = ()
     source: str = ""
     about: Mapping[str, Any] = field(default_factory=dict)
+    sampling: Sampling | None = None
 
     def __post_init__(self) -> None:
         names = [v.name for v in self.variables]

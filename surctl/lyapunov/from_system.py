@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
 from typing import Any
 
 import casadi as ca
@@ -11,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError, nearest
-from surctl.lyapunov.dynamics import Dynamics, Range, State
+from surctl.lyapunov.dynamics import Command, Dynamics, Range, Sampling, State
 from surctl.system import System, entry_labels, entry_units
 from surctl.system.values import check_scalar, place_of, run_numbers, unit_of
 from surctl.verification.formula import IDENTIFIER, from_casadi
 
-__all__ = ["NOT_COVERED", "continuous_dynamics"]
+__all__ = ["NOT_COVERED", "continuous_dynamics", "sampled_dynamics"]
 
 NOT_COVERED = "the control law in continuous time: sampling, hold and delay are not covered"
 """What a claim about the dynamics of `continuous_dynamics` does not cover."""
@@ -76,6 +77,54 @@ def continuous_dynamics(
         >>> loop.names, [w.name for w in loop.parameters]
         (('position', 'speed'), ['plant_mass'])
     """
+    return _dynamics(system, within, values, ranges, sampled=False)
+
+
+def sampled_dynamics(
+    system: System,
+    within: Mapping[str, Bounds],
+    *,
+    values: Mapping[str, ArrayLike] | None = None,
+    ranges: Mapping[str, Bounds] | None = None,
+) -> Dynamics:
+    """Return the dynamics of `continuous_dynamics` with the sampled form of the loop, whose commands are held.
+
+    `find_stability` then proves a region of the sampled loop, also between the sampling instants. It falls back to the
+    law in continuous time if it proves none, or if a function or level is stated.
+
+    Args:
+        system, within, values: as in `continuous_dynamics`.
+        ranges: as there; they take the place of those of the system.
+
+    Raises:
+        InputError: as in `continuous_dynamics`.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.lyapunov import find_stability, sampled_dynamics
+        >>> from surctl.system import Controller, Plant, System
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "N", "on the cart")
+        >>> mass = Port("mass", (1,), "kg", "of the cart", 2.0)
+        >>> cart = Plant(
+        ...     "cart", Layout((speed,)), Layout((force,)), parameters=Layout((mass,)),
+        ...     ode=lambda x, f, d, p: {"speed": f["force"] / p["mass"]},
+        ... )
+        >>> law = Controller("brake", 0.1, cart.state, cart.inputs, lambda x, u, p: -4 * u["speed"])
+        >>> system = System(cart, law, ranges={"plant.mass": (1.8, 2.2)})
+        >>> find_stability(sampled_dynamics(system, {"speed": (-1.0, 1.0)})).decision.claim.plain()["time"]
+        'sampled'
+    """
+    return _dynamics(system, within, values, {**system.ranges, **(ranges or {})}, sampled=True)
+
+
+def _dynamics(
+    system: System,
+    within: Mapping[str, Bounds],
+    values: Mapping[str, ArrayLike] | None,
+    ranges: Mapping[str, Bounds] | None,
+    *,
+    sampled: bool,
+) -> Dynamics:
     plant, controller = system.plant, system.controller
     if blocks := system.blocks.all:
         remedy = "prove the loop without it, or write the sampled loop as one map x+ = f(x) in discrete time"
@@ -135,7 +184,51 @@ def continuous_dynamics(
     limits = NOT_COVERED + _AS_FLOW * bool(controller.state.size)
     resting = {label: rates[k] for k, label in enumerate(labels) if k not in moves}
     limits += _check_rest(resting, ca.vertcat(symbols, *free), [*states, *parameters], within)
-    return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about)
+    flat["reference"], flat["disturbance"] = reference, disturbance
+    sampling = None
+    if sampled:
+        variables = [*states, *parameters]
+        sampling = _sampling(system, moves, whole, flat, f, after, ca.vertcat(symbols, *free), variables)
+    return Dynamics(plant.name, "continuous", tuple(states), tuple(nodes), tuple(parameters), limits, about, sampling)
+
+
+def _sampling(
+    system: System,
+    moves: Sequence[int],
+    whole: ca.SX,
+    flat: Mapping[str, ca.SX],
+    f: ca.SX,
+    after: ca.SX,
+    symbols: ca.SX,
+    variables: Sequence[State | Range],
+) -> Sampling | None:
+    """Return the sampled form of the loop; None if a held command may move a state that rests."""
+    plant, names = system.plant, [v.name for v in variables]
+    x, _ = ca.vertsplit(whole, [0, plant.state.size, whole.numel()])
+    held = ca.SX.sym("held", plant.inputs.size)
+    flow = ca.densify(plant.derivative(x, held, flat["disturbance"], flat["plant"]))
+    moving, steps = [k for k in moves if k < x.numel()], [k - x.numel() for k in moves if k >= x.numel()]
+    if not all(ca.simplify(flow[k]).is_zero() for k in set(range(x.numel())) - set(moving)):
+        return None
+    labels = [_identifier(label) for label in entry_labels(plant.inputs)]
+    if not set(labels).isdisjoint(names):
+        labels = [_identifier(f"command_{label}") for label in labels]
+    at = [s.equilibrium if isinstance(s, State) else s.upper for s in variables]
+    rests = np.asarray(ca.Function("rests", [symbols], [f])(at)).ravel()
+    # converted together, so that a limit that both contain is the same expression
+    at_instant = ca.vertsplit(ca.densify(ca.vertcat(f, after[steps])))
+    values = from_casadi(symbols, names, at_instant, to_the_bit=True)
+    rates = from_casadi(ca.vertcat(symbols, held), [*names, *labels], ca.vertsplit(flow[moving]), to_the_bit=True)
+    own = [v.name for v in variables if isinstance(v, State)]
+    return Sampling(
+        system.dt,
+        dict(zip(own, rates, strict=False)),
+        dict(zip(own[len(moving) :], values[held.numel() :], strict=True)),
+        tuple(
+            Command(label, value, Fraction(float(rest)), unit)
+            for label, value, rest, unit in zip(labels, values, rests, entry_units(plant.inputs), strict=False)
+        ),
+    )
 
 
 def _about(

@@ -18,6 +18,8 @@ from surctl.lyapunov.falsified import Falsified, least_level
 from surctl.lyapunov.hugging import hugged
 from surctl.lyapunov.inward import short
 from surctl.lyapunov.near import Failure, fails_nearby, too_fast
+from surctl.lyapunov.sampled import sampled_region
+from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import slope_candidate
 from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.formula import Node, text_of
@@ -33,6 +35,7 @@ _SEARCH = 0.3  # share of the time for the search of functions
 _GAIN = 1.01  # least ratio of a region to the one that is proved, for which its proof is tried
 _TRIED = 2  # functions with large regions whose proof is tried
 _LARGEST = 0.25  # share of the time for the largest rate
+_SAMPLED = 0.7  # share of the time for a region of a loop with held commands
 _SLOPES, _PROOF = 0.1, 0.2  # shares of the time for the search of a function by the slope rule, and for its proofs
 _SAFE = (0.98, 0.92, 0.8, 0.6)  # levels that are tried, relative to the proposed one
 _FEW, _MANY = 3, 8  # states, and states and parameters, up to which other rules may prove larger regions
@@ -162,6 +165,12 @@ def find_stability(
     elif reason := too_fast(d, linear, demanded):
         return _none("refuted", reason, began)
     slopes: StabilityResult | None = None
+    stated = function is not None or level is not None or rate == "largest"
+    if d.sampling is not None and not stated and linear.verdict == "stable":
+        held = sampled_region(d, demanded, time_limit=_SAMPLED * time_limit, progress=progress)
+        if held is not None:
+            seconds = time.perf_counter() - began
+            return StabilityResult("proved", "", held.decision, None, SLOPES, held.volume, seconds)
     few = len(d.states) <= _FEW
     searched = function is None and level is None and linear.verdict == "stable"
     hard = has_branches(d) or len(d.variables) > _MANY

@@ -23,7 +23,10 @@ from surctl.lyapunov.slopes import Embedding
 from surctl.verification.conic import minimise, symmetric_basis
 from surctl.verification.formula import Node, number, power, variable
 
-__all__ = ["slope_candidate"]
+__all__ = ["LABEL", "Family", "quadratic", "relative_volume", "slope_candidate"]
+
+LABEL = "quadratic by the slope rule"
+"""How a function of the slope rule was found, in words."""
 
 Array = NDArray[np.float64]
 Bits = NDArray[np.bool_]
@@ -40,7 +43,7 @@ _INSIDE = 1e-4  # by which the region stays inside the box, relative to it
 _SPARE = 1e-3  # of the rate, so that the checker's wider ranges do not matter
 
 
-class _Family:
+class Family:
     """The matrices A(θ) of an embedding; a vertex (K,) says for each slope whether it has its largest value."""
 
     def __init__(self, embedding: Embedding) -> None:
@@ -49,7 +52,7 @@ class _Family:
         used = sorted({k for term in terms for k in term})
         if len(used) > _MOST:
             raise UnsupportedOperation(f"{len(used)} slopes", key="slopes")
-        self.numbers = np.zeros((len(terms), n, n))
+        self.numbers = np.zeros((len(terms), n, len(embedding.covers[0])))
         place = {term: t for t, term in enumerate(terms)}
         for i, row in enumerate(embedding.rows):
             for j, entry in enumerate(row):
@@ -100,7 +103,7 @@ class _Shapes:
             return -(pulled + pulled.swapaxes(-1, -2)) - self.rate * p
         return (1 - self.rate) * p - a.swapaxes(-1, -2) @ p @ a
 
-    def worst(self, family: _Family, p: Array) -> tuple[Array, Bits]:
+    def worst(self, family: Family, p: Array) -> tuple[Array, Bits]:
         """Return the least eigenvalues (B,) relative to P, and the vertices (B, K) that have them, the worst first."""
         n, count = len(p), len(family.low)
         root = np.linalg.inv(np.linalg.cholesky(p))
@@ -131,7 +134,7 @@ class _Shapes:
     def holds(self, p: Array, level: float) -> bool:
         """Return whether no vertex is known at which the matrix inequality fails on {V ≤ level}."""
         try:
-            family = _Family(Embedding(self.dynamics, p, level))
+            family = Family(Embedding(self.dynamics, _cover(p, level)))
             return bool(self.worst(family, p)[0][0] > 0)
         except (UnsupportedOperation, np.linalg.LinAlgError):
             return False
@@ -158,8 +161,8 @@ def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, s
         rate: demanded decay rate of V; None means any decrease.
         seconds: limit of the processor time [s].
     """
-    d, n = dynamics, len(dynamics.states)
-    if n > _MOST_STATES:
+    d = dynamics
+    if len(d.states) > _MOST_STATES:
         return None
     demanded = max(_FASTER * (rate or 0.0), _SLOW * slowest(d, linear)[1])
     try:
@@ -168,20 +171,30 @@ def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, s
         return None
     if p is None:
         return None
+    return Candidate(LABEL, quadratic(d, p), relative_volume(d, p))
+
+
+def quadratic(d: Dynamics, p: Array) -> Node:
+    """Return ξ' P ξ with rounded coefficients, without negligible ones."""
     apart = [variable(s.name) - number(s.rest) if s.rest else variable(s.name) for s in d.states]
     size = np.sqrt(np.diag(p))
     p = np.where(np.abs(p) > _NEGLIGIBLE * np.outer(size, size), p, 0.0)
     total: Node | None = None
-    for i in range(n):
+    for i in range(len(p)):
         for j in range(i + 1):
             if p[i, j]:
                 factor = number(Fraction(f"{p[i, j] * (1 if i == j else 2):.{_DIGITS}e}"))
                 term = factor * (power(apart[i], 2) if i == j else apart[j] * apart[i])
                 total = term if total is None else total + term
     assert total is not None
+    return total
+
+
+def relative_volume(d: Dynamics, p: Array) -> float:
+    """Return the volume of {ξ' P ξ < 1} relative to the box."""
+    n = len(p)
     ball = np.pi ** (n / 2) / math.gamma(n / 2 + 1)
-    volume = ball / np.sqrt(np.linalg.det(p * np.outer(*[d.box[1] - d.box[0]] * 2)))
-    return Candidate("quadratic by the slope rule", total, float(volume))
+    return float(ball / np.sqrt(np.linalg.det(p * np.outer(*[d.box[1] - d.box[0]] * 2))))
 
 
 def _slope_function(dynamics: Dynamics, matrices: Array, rate: float, until: float) -> Array | None:
@@ -219,11 +232,11 @@ def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Ar
     and W ⪰ Q⁻¹ for the volume. Vertices that decided earlier shapes are in `pool`.
     """
     try:
-        embedding = Embedding(shapes.dynamics, p, stretch**2)
-        family = _Family(embedding)
+        embedding = Embedding(shapes.dynamics, _cover(p, stretch**2))
+        family = Family(embedding)
     except UnsupportedOperation:
         return None
-    n, cover, discrete = len(p), embedding.cover, shapes.dynamics.discrete
+    n, cover, discrete = len(p), embedding.covers[0], shapes.dynamics.discrete
     size = np.diag(shapes.scales)
     family.numbers = np.linalg.inv(size) @ family.numbers @ size
     basis = symmetric_basis(n)
@@ -269,6 +282,11 @@ def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Ar
     pool[:] = [chosen[np.argsort(active)[: 4 * _WORST]]]
     inverse = np.linalg.inv(size)
     return np.asarray(inverse @ trial @ inverse)
+
+
+def _cover(p: Array, level: float) -> Array:
+    """Return the cover (1, n, n) of {ξ' P ξ ≤ level}."""
+    return np.asarray(level * np.linalg.inv(p)[None], dtype=float)
 
 
 def _blocks(a: Array, b: Array) -> Array:

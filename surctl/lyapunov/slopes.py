@@ -1,7 +1,8 @@
 """Dynamics as x' = A(θ)(x − x*) on {V ≤ level}, with a matrix that has degree at most 1 in each slope θ.
 
 The slopes are those of `surctl.certcheck.slope_rows`, in doubles and with sampled ranges: they only serve to propose V
-and level, and the checker encloses the ranges itself.
+and level, and the checker encloses the ranges itself. With feedbacks, the output of each limit lies between its operand
+and a variable of its own, beside ξ: the value G·ξ of its feedback.
 """
 
 from __future__ import annotations
@@ -29,17 +30,30 @@ _WIDER = 1e-3  # by which sampled ranges are widened, relative to their width
 
 
 class Embedding:
-    """The slopes of dynamics on {ξ' P ξ ≤ level}, ξ = x − x*.
+    """The slopes of dynamics where |c·ξ|² ≤ c Q c', ξ = x − x*, for all rows c and one of the covers Q.
 
     Attributes:
         slopes: range of each slope.
-        rows: the rows of A(θ), each a list (n,) of polynomials in the slopes.
+        rows: the rows of A(θ), each a list (n,) of polynomials in the slopes; (n + k,) with the feedbacks of k limits.
         inner: for each expression whose range decides a slope, its value at x* and its row (n,) at all vertices (K, n).
+        limits: for each limit with a feedback, the least distance of its operand at x* from it.
     """
 
-    def __init__(self, dynamics: Dynamics, p: Array, level: float) -> None:
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        covers: Array,
+        *,
+        rates: Sequence[Node] | None = None,
+        feedbacks: Array | None = None,
+    ) -> None:
+        n = len(dynamics.names)
         self.dynamics, self.names = dynamics, dynamics.names
-        self.cover = np.linalg.inv(p) * level
+        self.feedbacks = np.zeros((0, n)) if feedbacks is None else feedbacks
+        wide = np.vstack([np.eye(n), self.feedbacks])
+        self.covers = wide @ covers @ wide.T
+        self.limits: list[float] = []
+        self._limits: dict[Node, tuple[int, Node]] = {}
         self.slopes: list[Ends] = []
         self.inner: list[tuple[Node, Array]] = []
         self._range: dict[Node, Ends] = {}
@@ -50,7 +64,13 @@ class Embedding:
         self._values: dict[Node, Poly] = {}
         self._inverses: dict[Node, Poly] = {}
         self._factors: dict[Node, Poly] = {}
-        self.rows = [self._row(self._written(rate)) for rate in dynamics.rates]
+        self._roots = [self._written(rate) for rate in (dynamics.rates if rates is None else rates)]
+        self.rows = [self._row(root) for root in self._roots]
+
+    def ends(self, k: int) -> Ends:
+        """Return the range of a rate on the region."""
+        (low, high), rest = self._range[self._roots[k]], self._rest[self._roots[k]]
+        return min(low, rest[0]), max(high, rest[1])
 
     # ---- nodes
 
@@ -66,8 +86,11 @@ class Embedding:
         alone = len({self._base[a] for a in free}) == 1 and all(
             self._base[a] is not None or self._numeric[a] for a in args
         )
-        if op in ("min", "max", "abs", "select") and (chosen := self._decided(node)) is not None:
-            return chosen
+        one_sided = op in ("min", "max") and self._numeric[args[0]] != self._numeric[args[1]]
+        if op in ("min", "max", "abs", "select") and not (one_sided and len(self.feedbacks)):
+            chosen = self._decided(node)
+            if chosen is not None:
+                return chosen
         if free and not alone:
             if op == "div" and self._base[args[1]] is not None:
                 return self._put(Node("mul", (args[0], self._put(Node("pow", (args[1],), number(-1).value)))))
@@ -82,6 +105,11 @@ class Embedding:
             if op not in ("add", "sub", "neg", "mul", "div"):
                 raise UnsupportedOperation(f"{op} of several variables", key="slopes")
         if node not in self._range:
+            limit = self._limited(node)
+            if limit is not None and len(self.limits) < len(self.feedbacks):
+                self._limits[node] = len(self.limits), limit[0]
+                self.limits.append(limit[1])
+                alone = False
             self._numeric[node] = op in ("num", "pi") or (op != "var" and all(self._numeric[a] for a in args))
             if op == "var" and node.name in self.names:
                 self._base[node] = node
@@ -98,12 +126,24 @@ class Embedding:
         first, second = (args[1], args[0]) if node.op == "max" else args[-2:]
         return first if ends[0][1] <= ends[1][0] else second if ends[0][0] > ends[1][1] else None
 
+    def _limited(self, node: Node) -> tuple[Node, float] | None:
+        """Return y and the least distance of y* from its limits, as the checker does."""
+        if node.op not in ("min", "max") or self._numeric[node.args[0]] == self._numeric[node.args[1]]:
+            return None
+        outer, inner = node.args if self._numeric[node.args[0]] else node.args[::-1]
+        if inner.op not in {"min", "max"} - {node.op} or self._numeric[inner.args[0]] == self._numeric[inner.args[1]]:
+            return None
+        other, y = inner.args if self._numeric[inner.args[0]] else inner.args[::-1]
+        (low, _), (_, high) = sorted((self._rest[other], self._rest[outer]))
+        gap = min(high - self._rest[y][1], self._rest[y][0] - low)
+        return (y, gap) if gap > 0 else None
+
     def _ranges(self, node: Node) -> tuple[Ends, Ends]:
         if node.op == "var":
             d = self.dynamics
             if node.name in self.names:
                 k = self.names.index(node.name)
-                at, extent = float(d.equilibrium[k]), float(np.sqrt(self.cover[k, k]))
+                at, extent = float(d.equilibrium[k]), float(np.sqrt(self.covers[:, k, k].max()))
                 low, high = d.box[:, k]
                 return (max(low, at - extent), min(high, at + extent)), (at, at)
             k = [w.name for w in d.parameters].index(node.name)
@@ -143,12 +183,18 @@ class Embedding:
     def _new_row(self, node: Node) -> list[Poly]:
         base, args = self._base[node], node.args
         if base is None:
-            return [{} for _ in self.names]
+            return [{} for _ in self.covers[0]]
         if base is not node and base != node:
             return self._scaled(self._slope(self._secant(node)), self._row(base))
+        if node in self._limits:
+            place, y = self._limits[node]
+            share = self._slope((0.0, 1.0))
+            own = self._scaled(share, self._row(y))
+            own[len(self.names) + place] = _plus({(): 1.0}, self._times({(): -1.0}, share))
+            return own
         match node.op:
             case "var":
-                return [{(): 1.0} if name == node.name else {} for name in self.names]
+                return [{(): 1.0} if k == self.names.index(node.name) else {} for k in range(len(self.covers[0]))]
             case "neg":
                 return self._scaled({(): -1.0}, self._row(args[0]))
             case "add" | "sub":
@@ -262,7 +308,7 @@ class Embedding:
 
     def _support(self, row: list[Poly]) -> float:
         at = self._vertices_of(row)
-        return float(np.sqrt(np.einsum("ki,ij,kj->k", at, self.cover, at).clip(0).max()))
+        return float(np.sqrt(np.einsum("ki,cij,kj->ck", at, self.covers, at).clip(0).max()))
 
 
 def _number(x: float) -> Poly:

@@ -17,6 +17,7 @@ from surctl.lyapunov.equilibrium import at_equilibrium, equilibria
 from surctl.lyapunov.next_step import next_step
 from surctl.lyapunov.problem import Problem
 from surctl.lyapunov.safety import decide_safety
+from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability
 from surctl.lyapunov.switching import limits_sentence
 from surctl.verification.formula import parse, text_of
@@ -68,6 +69,11 @@ class Solution:
         return None if self.decision is None else self.decision.claim.plain().get("level")
 
     @property
+    def sampled(self) -> bool:
+        """Whether the claim is about a sampled loop, with held commands, and not about the law in continuous time."""
+        return self.decision is not None and isinstance(self.decision.claim, SampledStability)
+
+    @property
     def vacuous(self) -> str:
         """Why a proved claim says nothing, as the checker finds; empty if it says something."""
         return self.decision.vacuous if self.decision is not None and self.verdict == "proved" else ""
@@ -91,7 +97,7 @@ class Solution:
         lines = [
             f"{self.verdict:<8} {name}: {first} ({self.seconds:.1f} s)",
             f"  {letter} = {text_of(claim.function)}{f', from: {self.origin}' if self.origin else ''}",
-            *stated_lines(claim.dynamics, claim.kind),
+            *stated_lines(claim.dynamics, claim.kind, sampled=self.sampled),
         ]
         if self.falsified is not None and self.verdict == "proved" and self.level is not None:
             share = self.level / self.falsified
@@ -246,10 +252,15 @@ def _moving(d: Dynamics) -> str:
     return ""
 
 
-def stated_lines(d: Dynamics, kind: str) -> list[str]:
+def stated_lines(d: Dynamics, kind: str, *, sampled: bool = False) -> list[str]:
     """Return the dynamics, the box and the equilibrium as the certificate states them, as indented lines."""
     sign = "+" if d.discrete else "'"
-    lines = [f"  {s.name}{sign} = {_clipped(text_of(rate))}" for s, rate in zip(d.states, d.rates, strict=True)]
+    rows = [(f"{s.name}{sign}", rate) for s, rate in zip(d.states, d.rates, strict=True)]
+    if sampled and d.sampling is not None:
+        rows = [(command.name, command.value) for command in d.sampling.commands]
+        rows += [(f"{name}+", node) for name, node in d.sampling.next.items()]
+        rows += [(f"{name}'", node) for name, node in d.sampling.flow.items()]
+    lines = [f"  {name} = {_clipped(text_of(node))}" for name, node in rows]
     ranges = ", ".join(f"{v.name} in [{every_digit(v.lower)}, {every_digit(v.upper)}] {v.unit}" for v in d.variables)
     lines.append(f"  where {ranges}")
     if kind == "lyapunov":

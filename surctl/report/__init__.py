@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
     from surctl.report.motion_plots import plot_motion
     from surctl.report.page_parts import plot_loop, plot_loop_goals, plot_loops
+    from surctl.report.sobol_plot import plot_sobol_indices, save_sobol_plot
     from surctl.report.system_plots import (
         plot_attainable_rates,
         plot_dependence,
@@ -40,8 +41,10 @@ __all__ = [
     "plot_replay",
     "plot_runs",
     "plot_slice",
+    "plot_sobol_indices",
     "render_sections",
     "save_record_plot",
+    "save_sobol_plot",
 ]
 
 load_at_first_use(
@@ -52,6 +55,7 @@ load_at_first_use(
         "evidence": "MarginSlice margin_slice plot_counterexample plot_replay plot_slice",
         "motion_plots": "plot_motion",
         "page_parts": "plot_loop plot_loop_goals plot_loops",
+        "sobol_plot": "plot_sobol_indices save_sobol_plot",
         "system_plots": "plot_attainable_rates plot_dependence plot_fan plot_phase_plane plot_record plot_runs"
         " save_record_plot",
         "theme": "darkened",

@@ -33,6 +33,7 @@ from surctl.report.page_parts import plot_loop
 from surctl.report.system_plots import plot_dependence, plot_record
 from surctl.report.theme import number
 from surctl.system import Record, Runs, entry_labels, entry_units
+from surctl.tuning import SystemSweep
 
 __all__ = ["SystemStudy", "export_line", "render_system_page"]
 
@@ -47,8 +48,7 @@ class SystemStudy:
         assessment: what is assessed of the system, with the comparison of C and Python.
         resting: (label, value, unit) of every number at the equilibrium, by kind; empty if there is none.
         mode: what the slowest mode does.
-        swept: numbers (n,) of the runs of the sweep by name; empty if nothing was swept.
-        runs: the runs of the sweep.
+        swept: the sweep; None if nothing was swept.
         best: lines with the best point of each cost.
         sil: comparison of C and Python.
         commands: the command lines of the study, of the run, of the margins and claim, and of the sweep.
@@ -60,8 +60,7 @@ class SystemStudy:
     assessment: Assessment
     resting: Mapping[str, Sequence[tuple[str, float, str]]]
     mode: str
-    swept: Mapping[str, ArrayLike]
-    runs: Runs | None
+    swept: SystemSweep | None
     best: Sequence[str]
     sil: SilReport
     commands: Mapping[str, str]
@@ -181,18 +180,19 @@ def _region(study: SystemStudy) -> tuple[Block, ...]:
 
 
 def _sweep(study: SystemStudy) -> tuple[Block, ...]:
-    if study.runs is None:
+    swept = study.swept
+    if swept is None:
         return ()
     figures = tuple(
         picture(
-            _plot_cost(study.swept, study.runs, name, cost.unit),
+            _plot_cost(swept.swept, swept.runs, name, cost.unit),
             alt=f"{name} over each number of the sweep",
             caption=f"{name} [{cost.unit}]{f': {cost.meaning}' if cost.meaning else ''}.",
             command=study.commands["sweep"],
         )
         for name, cost in study.record.system.costs.items()
     )
-    return (Paragraph(f"{len(study.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
+    return (Paragraph(f"{len(swept.runs.time):,} runs."), *map(Paragraph, study.best), Pictures(figures))
 
 
 def _plot_cost(swept: Mapping[str, ArrayLike], runs: Runs, name: str, unit: str) -> Figure:

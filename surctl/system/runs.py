@@ -30,7 +30,7 @@ from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
-__all__ = ["Runs", "loop_step", "moved_state", "periods", "simulate_system"]
+__all__ = ["Runs", "loop_program", "loop_step", "moved_state", "periods", "simulate_system"]
 
 Array = NDArray[np.float64]
 
@@ -303,5 +303,11 @@ def _figure(cost: Cost, total: Array, count: Array) -> Array:
 
 
 @once_per_system
+def loop_program(system: System) -> Block:
+    """Return what `simulate_system` compiles; its digest identifies all computations of a run, costs and stops too."""
+    return fused(without_libm(loop_step(system)))
+
+
+@once_per_system
 def _compiled(system: System) -> Batch:
-    return compile_batch(fused(without_libm(loop_step(system))))
+    return compile_batch(loop_program(system))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +47,13 @@ class RunNumbers:
     def count(self) -> int:
         """Return the number of runs."""
         return len(self.start)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all numbers."""
+        digest = hashlib.sha256()
+        for one in fields(self):
+            digest.update(getattr(self, one.name).tobytes())
+        return digest.hexdigest()
 
 
 def run_numbers(system: System, values: Mapping[str, ArrayLike]) -> RunNumbers:

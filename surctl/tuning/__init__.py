@@ -6,7 +6,7 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.tuning.axes import SEED, Axis, Span, parse_axis
-    from surctl.tuning.design import DESIGNS, Design, grid, make_design, saltelli, spread
+    from surctl.tuning.design import DESIGNS, ONE_POINT, Design, grid, make_design, random_draws, saltelli, spread
     from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
     from surctl.tuning.goal_file import LIBRARY, GoalTable
     from surctl.tuning.goal_search import RunGoal
@@ -15,13 +15,17 @@ if TYPE_CHECKING:
     from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
     from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
+    from surctl.tuning.share import Share
+    from surctl.tuning.sobol import SobolIndices, sobol_indices
     from surctl.tuning.system_goals import load_loop_goals, load_system_goals
+    from surctl.tuning.system_sweep import SystemSweep, sweep_system
     from surctl.tuning.systems import SystemTuning, tune_system
 
 __all__ = [
     "DESIGNS",
     "LIBRARY",
     "LOOP_GOAL_KEYS",
+    "ONE_POINT",
     "SEED",
     "Axis",
     "DaskExecutor",
@@ -47,9 +51,12 @@ __all__ = [
     "Score",
     "SensitivityBound",
     "Settling",
+    "Share",
+    "SobolIndices",
     "Span",
     "StepRejection",
     "StepTracking",
+    "SystemSweep",
     "SystemTuning",
     "Tracking",
     "grid",
@@ -60,8 +67,11 @@ __all__ = [
     "make_design",
     "operating_loops",
     "parse_axis",
+    "random_draws",
     "saltelli",
+    "sobol_indices",
     "spread",
+    "sweep_system",
     "tune_system",
 ]
 
@@ -69,7 +79,7 @@ load_at_first_use(
     __name__,
     {
         "axes": "Axis SEED Span parse_axis",
-        "design": "DESIGNS Design grid make_design saltelli spread",
+        "design": "DESIGNS ONE_POINT Design grid make_design random_draws saltelli spread",
         "executors": "DaskExecutor Executor LocalExecutor",
         "goal_file": "GoalTable LIBRARY",
         "goal_search": "RunGoal",
@@ -78,7 +88,10 @@ load_at_first_use(
         "loop_goals": "Judgement LoopGoal LoopView Profile",
         "loop_scores": "LoopScores Score judge_loops operating_loops",
         "loop_time_goals": "Margins Overshoot Poles Settling StepRejection StepTracking",
+        "share": "Share",
+        "sobol": "SobolIndices sobol_indices",
         "system_goals": "load_loop_goals load_system_goals",
+        "system_sweep": "SystemSweep sweep_system",
         "systems": "SystemTuning tune_system",
     },
 )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.tuning.axes import MOST_POINTS, Axis, Span
 
-__all__ = ["DESIGNS", "Design", "DesignName", "grid", "make_design", "saltelli", "spread"]
+__all__ = ["DESIGNS", "ONE_POINT", "Design", "DesignName", "grid", "make_design", "random_draws", "saltelli", "spread"]
 
 DesignName = Literal["grid", "lhs", "sobol"]
 DESIGNS: tuple[DesignName, ...] = get_args(DesignName)
@@ -45,6 +45,10 @@ class Design:
         """Shape of a column of results: for a grid, the number of values of each axis; otherwise (n,)."""
         lengths = tuple(len(axis.values) for axis in self.axes if isinstance(axis, Axis))
         return lengths if self.kind == "grid" else (len(self.points),)
+
+
+ONE_POINT = Design("grid", (), np.zeros((1, 0)), "one point")
+"""The design without axes: one point, with the numbers that are not swept."""
 
 
 def grid(axes: Sequence[Axis]) -> Design:
@@ -144,6 +148,21 @@ def saltelli(axes: Sequence[Axis | Span], *, base: int, seed: int = 0) -> Design
     return Design(
         "saltelli", spans, _filled(spans, np.concatenate([a, b, *crossed])), f"saltelli {spans!r} {base} {seed}"
     )
+
+
+def random_draws(spans: Sequence[Span], *, count: int, seed: int = 0) -> dict[str, NDArray[np.float64]]:
+    """Return independent random numbers in ranges, by name: uniform, or uniform in the logarithm for `log`.
+
+    The first numbers are the same for every count.
+
+    Example:
+        >>> from surctl.tuning import Span, random_draws
+        >>> draws = random_draws([Span("plant.mass", 0.8, 1.2), Span("start.speed", 0, 1)], count=3)
+        >>> {name: values.round(2).tolist() for name, values in draws.items()}
+        {'plant.mass': [1.05, 0.82, 1.13], 'start.speed': [0.27, 0.02, 0.91]}
+    """
+    unit = np.random.default_rng(seed).random((count, len(spans)))
+    return {span.name: span.at(unit[:, k]) for k, span in enumerate(spans)}
 
 
 def make_design(

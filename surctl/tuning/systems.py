@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.store import ChunkStore
 from surctl.system import ENDED, System, every_combination, simulate_system
 from surctl.system.values import check_scalar, run_numbers
 from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch, RunGoal
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores
+from surctl.tuning.system_sweep import request_digest
 from surctl.verification.linear.disk import LEAST_DISK_MARGIN
 from surctl.verification.system_corners import system_corners
 
@@ -47,6 +51,7 @@ class SystemTuning:
         goals, goals_before: scores of the goals with the chosen gains and with the system's own gains; None without
             goals.
         run_goals: the goals about costs of the runs.
+        restored: how many of the gain sets an interrupted search had simulated.
     """
 
     objective: str
@@ -60,6 +65,7 @@ class SystemTuning:
     goals: LoopScores | None = None
     goals_before: LoopScores | None = None
     run_goals: tuple[RunGoal, ...] = ()
+    restored: int = 0
 
     def lines(self, system: System) -> list[str]:
         """Return lines of text: gains, costs with bounds, goals, and disk margin; `system` is the tuned one."""
@@ -92,6 +98,7 @@ def tune_system(
     least_disk_margin: float = LEAST_DISK_MARGIN,
     seed: int = 0,
     threads: int = 1,
+    out: Path | None = None,
     goals: Sequence[LoopGoal] = (),
     points: Mapping[str, Mapping[str, ArrayLike]] = NO_POINTS,
     run_goals: Sequence[RunGoal] = (),
@@ -119,6 +126,8 @@ def tune_system(
             the ranges that the system declares; 0 for no bound.
         seed: seed of the search.
         threads: number of threads that share the runs.
+        out: folder in which finished gain sets are stored until the search ends, so that an identical call resumes an
+            interrupted search, also with more trials; None stores nothing.
         goals: goals about the loop.
         points: operating points of the goals, by name, as in `operating_loops`.
         run_goals: goals about costs of the runs.
@@ -126,8 +135,8 @@ def tune_system(
             computed at the end.
 
     Raises:
-        InputError: there is neither a cost nor a soft goal, no gain is named, a name is unknown or a range is not
-            valid; see also `run_numbers`.
+        InputError: there is neither a cost nor a soft goal, no gain is named, a name is unknown, a range is not valid,
+            or the folder cannot be written; see also `run_numbers`.
         ToolMissing: there is no C compiler.
 
     Example:
@@ -156,7 +165,17 @@ def tune_system(
     names, (low, high) = list(ranges), np.array(list(ranges.values()), dtype=float).T
     logarithmic = low > 0
     ends = np.column_stack([np.where(logarithmic, np.log(np.where(logarithmic, e, 1)), e) for e in (low, high)])
-    search = _Search(system, seconds, names, dict(cases or {}), name, threads, judged, tuple(run_goals))
+    size = max(5, min(_POPULATION * len(names), trials))
+    store = None
+    if out is not None:
+        first = run_numbers(
+            system, every_combination({gain: bounds[0] for gain, bounds in ranges.items()}, cases or {})
+        )
+        aims = [str(goal.to_dict()) for goal in goals], [(p, sorted(v.items())) for p, v in points.items()], run_goals
+        about = f"{name} {size} {seed} {sorted(ranges.items())} {first.digest()} {aims}"
+        request = request_digest(system, seconds, about)
+        store = ChunkStore(out / "tune.chunks" / request[:16], request)
+    search = _Search(system, seconds, names, dict(cases or {}), name, threads, judged, tuple(run_goals), store)
 
     def cost_of(points: Array) -> Array:
         """Return the penalised cost of each gain set, that is, of each column of `points`."""
@@ -165,19 +184,22 @@ def tune_system(
         progress(*search.best)
         return values
 
-    size = max(5, min(_POPULATION * len(names), trials))
-    differential_evolution(
-        cost_of,
-        ends,
-        popsize=max(1, round(size / len(names))),
-        maxiter=max(0, trials // size - 1),
-        seed=seed,
-        polish=False,
-        vectorized=True,
-        updating="deferred",
-        tol=0,
-    )
-    return search.chosen(least_disk_margin)
+    with nullcontext() if store is None else store.open():
+        differential_evolution(
+            cost_of,
+            ends,
+            popsize=max(1, round(size / len(names))),
+            maxiter=max(0, trials // size - 1),
+            seed=seed,
+            polish=False,
+            vectorized=True,
+            updating="deferred",
+            tol=0,
+        )
+        chosen = search.chosen(least_disk_margin)
+    if store is not None:
+        store.remove()
+    return chosen
 
 
 def check_tuning(
@@ -228,12 +250,14 @@ class _Search:
         threads: int,
         goals: GoalSearch | None = None,
         run_goals: tuple[RunGoal, ...] = (),
+        store: ChunkStore | None = None,
     ) -> None:
         self.system, self.seconds, self.names, self.objective, self.threads = system, seconds, names, objective, threads
         arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
         self.count = max((len(a) for a in arrays.values() if a.ndim), default=1)
         self.cases = arrays
         self.goals, self.run_goals = goals, run_goals
+        self.store, self.restored = store, 0
         self.sets: list[Array] = []
         self.figures: list[Array] = []
         self.scores: list[Array] = []  # largest normalised soft goal, excess of the hard ones
@@ -253,6 +277,22 @@ class _Search:
         columns = [np.where(whole, runs[name], np.inf).reshape(n, k).mean(axis=1) for name in self.system.costs]
         return np.column_stack(columns)
 
+    def evaluated(self, sets: Array) -> tuple[Array, Array]:
+        """Return the costs (sets, costs) and the scores of the goals about the loop (sets, 2), stored ones if known."""
+        index, gains, count = len(self.sets), len(self.names), len(self.system.costs)
+        shape = (len(sets), gains + count + 3)
+        if self.store is not None and self.store.has(index, shape):
+            stored = np.column_stack([self.store.column(index, shape, k) for k in range(shape[1])])
+            if np.array_equal(stored[:, :gains], sets):
+                self.restored += len(sets)
+                self.lasted = stored[:, -1]
+                return stored[:, gains : gains + count], stored[:, gains + count : -1]
+        figures = self.costs(sets)
+        scores = np.zeros((len(sets), 2)) if self.goals is None else self.goals.scores(self.names, sets)
+        if self.store is not None:
+            self.store.write(index, np.column_stack([sets, figures, scores, self.lasted]))
+        return figures, scores
+
     def excess(self, figures: Array) -> Array:
         """Return (sets, costs) by how much each cost exceeds its bound, relative to the bound; 0 within the bound."""
         bounds = np.array([np.inf if c.at_most is None else c.at_most for c in self.system.costs.values()])
@@ -268,8 +308,7 @@ class _Search:
         For a set that breaks a bound, the value is a large number that grows with the excess. For a set with runs that
         end early, the value is a still larger number, which decreases if the runs end later.
         """
-        figures = self.costs(sets)
-        scores = np.zeros((len(sets), 2)) if self.goals is None else self.goals.scores(self.names, sets)
+        figures, scores = self.evaluated(sets)
         for goal in self.run_goals:
             share = self.share(goal, figures)
             if goal.kind == "soft":
@@ -331,6 +370,7 @@ class _Search:
             after,
             before,
             self.run_goals,
+            self.restored,
         )
 
     def value(self, figures: Array, scores: Array) -> Array:

@@ -135,7 +135,7 @@ def test_an_inequality_without_its_bounds_does_not_belong() -> None:
     ("change", "text"),
     [
         (lambda c: c["about"].update(controller="0" * 64), "controller: the certificate is about another controller"),
-        (lambda c: c.update(time="discrete"), "time: the loop of a bundle is compared in continuous time only"),
+        (lambda c: c.update(time="discrete"), "time: the loop of a bundle is compared in continuous time, or sampled"),
     ],
 )
 def test_the_loop_of_another_controller_or_time_does_not_belong(

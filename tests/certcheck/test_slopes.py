@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov, solve_discrete_lyapunov
 
 from surctl.certcheck import Rejected, check_document, patience, seal
+from surctl.certcheck.region_exact import inverse
 from surctl.certcheck.slopes import Decrease, _vertices, check_decrease, quadratic_form, require_in_box
 from surctl.verification.formula import parse, values_of, variable
 
@@ -287,10 +288,10 @@ def test_at_most_20_states_are_read() -> None:
 def test_the_region_lies_in_the_box(level: int, box: list[tuple[float, float]], message: str) -> None:
     p, centre = [[Fraction(1), Fraction(0)], [Fraction(0), Fraction(1)]], [Fraction(1, 2), Fraction(0)]
     if not message:
-        require_in_box(p, centre, Fraction(level), box)
+        require_in_box(inverse(p), centre, Fraction(level), box)
         return
     with pytest.raises(Rejected, match=message):
-        require_in_box(p, centre, Fraction(level), box)
+        require_in_box(inverse(p), centre, Fraction(level), box)
 
 
 def test_a_function_that_does_not_change_is_no_decrease() -> None:

@@ -9,6 +9,7 @@ import pytest
 from surctl.certcheck import seal
 from surctl.marine.control import LAW_NAMES, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
+from surctl.marine.vehicle import LIBRARY as VEHICLES
 from tests.cli.process import surctl, surctl_here
 from tests.tools import need, need_compiler
 
@@ -241,6 +242,27 @@ def test_lint_warns_of_a_cap_above_the_bearable_speed(tmp_path):
     assert "warning: cap_m_per_s: the cap of 0.47 m/s is above the bearable speed of 0.2" in done.out
     for file in ("derived.toml", "pool-behind"):
         assert "bearable" not in surctl_here("lint", file, cwd=tmp_path).out
+
+
+@pytest.mark.parametrize("kind", ["scenario", "study"])
+def test_lint_names_the_command_for_the_gain_margin_that_no_contact_needs(tmp_path, kind):
+    mission = (SCENARIOS / "tank-static.toml").read_text().replace('"sur540-flooded"', '"mine.toml"')
+    vehicle = (VEHICLES / "bluerov2-heavy.toml").read_text()
+    (tmp_path / "mission.toml").write_text(mission)
+    (tmp_path / "mine.toml").write_text(vehicle.replace('name = "bluerov2-heavy"', 'name = "mine"'))
+    study = 'kind = "study"\nname = "s"\nvehicle = "mine.toml"\n[[runs]]\nscenario = "mission.toml"\n'
+    (tmp_path / "study.toml").write_text(study)
+    file = "mission.toml" if kind == "scenario" else "study.toml"
+    done = surctl_here("lint", file, "--vehicle", "mine.toml", cwd=tmp_path)
+    needed = re.search(r"gains.margin: no contact in .* set margin = ([\d.]+) in", done.out)
+    assert needed, done.out
+    command = next(line.split() for line in done.out.splitlines() if line.startswith("  surctl gains derive"))
+    assert command[command.index("--margin") + 1] == needed[1]
+    assert surctl_here(*command[1:], cwd=tmp_path).status == 0
+    assert load_gains(str(tmp_path / "gains.toml"))["margin"] == float(needed[1])
+    words = ("--vehicle", "mine.toml", "--scenario", "mission.toml", "--gains", "gains.toml")
+    verified = surctl_here("verify", "m-norm-corrected", *words, cwd=tmp_path)
+    assert f"ok   no contact in tank-static holds: margin {needed[1]} m" in verified.out
 
 
 def test_gains_follow_from_the_vehicle_where_none_are_named(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import errno
 import os
 import subprocess
 import sys
@@ -55,6 +56,32 @@ def test_a_picture_that_cannot_be_drawn_loses_nothing_else(
     assert done.status == 3 and done.out, done
     assert complaints and all("not saved: MemoryError: no canvas" in line for line in complaints)
     assert {path.suffix[1:] for path in tmp_path.glob("out/*") if path.is_file()} == DRAWING[words]
+
+
+WRITING = {  # command: what its results on stdout contain
+    ("simulate", "loop.py:build", "--seconds", "1", "--out", "out"): "final",
+    ("sweep", "loop.py:build", "k=1,2", "--seconds", "1", "--out", "out"): "",  # stops: no run could be kept
+    ("verify", "v1-corrected", "m-norm-corrected", "--vehicle", "sur400", "--out", "out"): "ok   m-norm-corrected",
+    ("verify", "braking-rule-20", "--vehicle", "sur400", "--out", "out"): "ok   braking-rule-20",
+    ("verify", "loop.py:build", "within.x=-1..1", "--out", "out"): "proved",
+    ("gains", "derive", "bluerov2-vonbenzon", "--cruise", "0.2", "--out", "gains.toml"): "",
+    ("new", "vehicle", "mine"): "",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", WRITING, ids=lambda words: " ".join(words[:2]))
+def test_a_full_disk_leaves_the_results_on_stdout(
+    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    (tmp_path / "loop.py").write_text(LOOP)
+    monkeypatch.setattr("surctl.files.os.fsync", full)
+    done = surctl_here(*words, cwd=tmp_path)
+    complaints = [line for line in done.err.splitlines() if not line.startswith("  ")]
+    assert done.status == 3 and WRITING[words] in done.out, done
+    assert complaints and all(line.count(os.strerror(errno.ENOSPC)) == 1 for line in complaints)
 
 
 PLOTTING = ("save_", "plot_", "render_", "write_")

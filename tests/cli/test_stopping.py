@@ -53,26 +53,37 @@ def test_ctrl_c_at_any_moment_is_one_line(moment: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
-@pytest.mark.parametrize("command", ["tune", "sweep"])
-def test_what_an_unfinished_command_has_found_is_a_whole_file_of_its_own(
-    command: str, sent: signal.Signals, tmp_path: Path
-) -> None:
+def test_what_an_unfinished_tuning_has_found_is_a_whole_file_of_its_own(sent: signal.Signals, tmp_path: Path) -> None:
     (tmp_path / "loop.py").write_text(LOOP)
     (tmp_path / "out").mkdir()
-    words = {"tune": ("--trials", "1000000"), "sweep": ("k=1..9:1000", "q=1..9:1000")}[command]
-    kept, finished = {
-        "tune": ("best-so-far.csv", "gains.csv"), "sweep": ("sweep-so-far.csv", "sweep.csv")
-    }[command]  # fmt: skip
-    with Running(
-        ["-m", "surctl", command, "loop.py:build", *words, "--seconds", "200", "--out", "out"], cwd=tmp_path
-    ) as running:
-        running.until((tmp_path / "out" / kept).exists)
+    words = ["-m", "surctl", "tune", "loop.py:build", "--trials", "1000000", "--seconds", "200", "--out", "out"]
+    with Running(words, cwd=tmp_path) as running:
+        running.until((tmp_path / "out" / "best-so-far.csv").exists)
         running.send(sent)
         status, err = running.wait(), running.err
-    rows = (tmp_path / "out" / kept).read_text().splitlines()
-    assert not (tmp_path / "out" / finished).exists()
+    rows = (tmp_path / "out" / "best-so-far.csv").read_text().splitlines()
+    assert not (tmp_path / "out" / "gains.csv").exists()
     assert len(rows) > 1 and len({row.count(",") for row in rows}) == 1
     if sent == signal.SIGINT:
-        assert status == 130 and "Traceback" not in err
+        assert status == 130 and "Traceback" not in err and "best-so-far.csv" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+def test_a_stopped_sweep_of_a_system_resumes(sent: signal.Signals, tmp_path: Path) -> None:
+    (tmp_path / "loop.py").write_text(LOOP)
+    words = ["-m", "surctl", "sweep", "loop.py:build", "k=1..9:1000", "q=1..9:1000", "--seconds", "50", "--out", "out"]
+    with Running(words, cwd=tmp_path) as running:
+        running.until(lambda: list(tmp_path.glob("out/sweep.chunks/*/*.chunk")))
+        running.send(sent)
+        status, err = running.wait(), running.err
+    stored = len(list(tmp_path.glob("out/sweep.chunks/*/*.chunk")))
+    assert not (tmp_path / "out" / "sweep.csv").exists()
+    if sent == signal.SIGINT:
         last = err.splitlines()[-1]
-        assert kept in last and (command == "tune" or f" {len(rows) - 1} of 1000000 runs" in last)
+        assert status == 130 and "Traceback" not in err
+        assert "the finished runs are in out; to continue: surctl sweep loop.py:build k=1..9:1000" in last
+    with Running(words, cwd=tmp_path) as running:
+        running.until(lambda: "runs" in running.err)
+        running.send(signal.SIGKILL)
+        running.wait()
+        assert f"sweep {4096 * stored}/1000000 runs" in running.err

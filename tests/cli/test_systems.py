@@ -218,6 +218,39 @@ def test_a_sweep_gives_the_costs_of_each_run(file: str) -> None:
     assert data("sweep", file, "plant.blow=1", "k=0", "--seconds", "3", "--out", "swept", status=1)["best"] == {}
 
 
+def test_a_sweep_with_random_numbers_judges_a_point_by_its_worst_run(file: str) -> None:
+    need_compiler()
+    words = ("sweep", file, "k=0.5,2", "start.x=0.5..3", "--seconds", "1", "--out", "swept")
+    done = data(*words, "--seeds", "7")
+    assert done["random"] == ["start.x"] and done["axes"] == {"k": [0.5, 2.0]} and len(done["results"]) == 14
+    starts = [row["at"]["start.x"] for row in done["results"]]
+    assert starts[:7] == starts[7:] and len(set(starts)) == 7 and all(0.5 <= start <= 3 for start in starts)
+    runs = simulate_system(own(file), 1.0, {"k": np.repeat([0.5, 2.0], 7), "start.x": starts})
+    final = runs["final"].reshape(2, 7)
+    best = done["best"]["final"]
+    assert best["at"] == {"k": 2.0} and best["least"] == final.max(axis=1)[1] == best["costs"]["final"]
+    assert best["mean"]["final"] == final.mean(axis=1)[1] and best["random"] == {"start.x": max(starts)}
+    with xarray.open_dataset(done["netcdf"]) as read:
+        np.testing.assert_array_equal(read["final"].sel(k=2.0).values, final[1])
+        assert read["start.x"].dims == ("draw",) and read["start.x"].values.tolist() == starts[:7]
+    text = run(*words, "--seeds", "7").stdout
+    assert "least final in the worst of 7 runs: " in text and "0 ended early; at most 34.8 % at 95 %" in text
+    alone = run(*words[:2], "start.x=0.5..3", "--seeds", "7", *words[4:])
+    assert "worst final of 7 runs: " in alone.stdout and Path("swept/sweep-runs.png").is_file()
+    more = data(*words[:2], "start.x=0.5..3", "--seeds", "9", *words[4:])["results"]
+    assert [row["at"]["start.x"] for row in more][:7] == starts[:7]
+
+
+def test_indices_of_a_system_are_those_of_its_cost(file: str) -> None:
+    need_compiler()
+    done = data(
+        "sweep", file, "k=1..2", "start.x=0.9..1.1", "--sensitivity", "final", "--points", "16", "--seconds", "1"
+    )
+    assert done["sensitivity"]["axes"] == ["k", "start.x"] and len(done["results"]) == 64
+    k, start = done["sensitivity"]["total"]
+    assert k > 0.8 > 0.2 > start > 0
+
+
 def test_the_exported_controller_gives_the_numbers_of_the_run(file: str) -> None:
     need_compiler()
     done = data("export", file, "k=3", "reference.goal=0.5", "--seconds", "1", "--name", "mine", "--out", "c")
@@ -309,7 +342,15 @@ MISTAKES = {
     "a study of the robot": (("study", "mine.py:build", "--vehicle", "sur400"), "--vehicle: does not apply"),
     "its target": (("export", "mine.py:build", "--target", "mjcf", "--seconds", "1"), "'mjcf': is not avail"),
     "its steps": (("export", "mine.py:build", "--steps", "9", "--seconds", "1"), "--steps: needs --check; add --check"),
-    "its sweep": (("sweep", "mine.py:build", "k=1", "--seeds", "2", "--seconds", "1"), "--seeds: does not apply"),
+    "its sweep": (("sweep", "mine.py:build", "k=1", "--locus", "k", "--seconds", "1"), "--locus: does not apply"),
+    "seeds without noise": (("sweep", "mine.py:build", "k=1", "--seeds", "2", "--seconds", "1"), "2: has no noise;"),
+    "a range of seeds": (("sweep", "mine.py:build", "seed=0..9", "--seconds", "1"), "no such number of the system"),
+    "a random gain": (
+        ("sweep", "mine.py:build", "k=1..2", "start.x=1..2", "--seeds", "9", "--seconds", "1"), "write k=1..2:COUNT"
+    ),
+    "indices of no cost": (
+        ("sweep", "mine.py:build", "k=1..2", "--sensitivity", "wrok", "--seconds", "1"), "did you mean 'work'"
+    ),
     "its claims": (("verify", "mine.py:build", "--cruise", "0.1"), "--cruise: does not apply"),
     "seconds of a scenario": (("simulate", "tank-static", "--seconds", "1"), "--seconds: applies only to a system"),
     "seconds of a sweep": (("sweep", "k_v=1,2", "--seconds", "1"), "--seconds: applies only to a system"),
@@ -423,6 +464,12 @@ def test_a_region_of_a_system_is_proved_and_its_words_are_checked(
     assert about["gains"] == {"k": [2.0]}
     assert run("export", "loop.py:build", "--seconds", "0.1", "--out", "c").exit_code == 0
     assert run("check", "p/cart.json", "--bundle", "c").exit_code == 0
+    # without a function, the region is that of the sampled loop
+    result = run("verify", "loop.py:build", "within.x=-2..2", "--out", "q")
+    assert "region of attraction of the sampled loop, with held commands:" in result.output
+    assert "  u = -2*x" in result.output and "  x' = x*x^2 + u" in result.output
+    checked = run("check", "q/cart.json", "--bundle", "c")
+    assert checked.exit_code == 0 and "delay: the command is assumed to act at the instant" in checked.output
     stated = ("within.x=-2..2", "lyapunov.function=x^2", "lyapunov.level=1")
     assert data("study", "loop.py:build", *stated, "--seconds", "0.1", "--out", "s")["region"]["verdict"] == "proved"
     assert "<h2>Region of attraction" in re.sub(r"<h2[^>]*>", "<h2>", Path("s/report.html").read_text())

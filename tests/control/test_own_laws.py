@@ -196,8 +196,23 @@ BAD = {
     'return LawSource("a", lambda s: Decision(hold(s).levels, state={"z": 1}))': "is not a state port of this law",
     'return LawSource("a", lambda s: Decision(hold(s).levels, state={"side": ca.MX.sym("q")}))': "is of type MX",
     'return LawSource("a", hold, state=(Port("z", (-1,), "m", "x"),))': "is not a shape",
-    'return LawSource("a", hold, thrust=lambda w, nu, z, p, dt: w)': "returned SX; return",
+    'return LawSource("a", hold, thrust=lambda w, nu, z, p, dt: w)': "returned AxisVector; return",
+    'return LawSource("a", hold, thrust=lambda w, nu, z, p, dt: (nu["uu"], z))': "uu: no such name here.*'u'",
 }
+
+
+def test_a_velocity_controller_may_name_the_entries_of_its_vectors(tmp_path: Path) -> None:
+    named = LAW.replace(
+        'return p["k_push"] * (reference - nu) + p["linear_drag"] * reference, integral',
+        'at = lambda v: ca.vertcat(v["u"], v["v"], v["w"], v["r"])\n'
+        '    return p["k_push"] * (at(reference) - at(nu)) + p["linear_drag"] * at(reference), at(integral)',
+    )
+    assert named != LAW
+    digests = []
+    for name, text in (("one", LAW), ("other", named)):
+        (tmp_path / f"{name}.py").write_text(text)
+        digests.append(build_law(law_ref(f"{name}.py:pushed", folder=tmp_path)).block.digest())
+    assert digests[0] == digests[1]
 
 
 @pytest.mark.parametrize("body", BAD)

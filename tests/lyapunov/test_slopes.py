@@ -12,7 +12,7 @@ from surctl.certcheck import check_document
 from surctl.errors import UnsupportedOperation
 from surctl.lyapunov import Bound, Dynamics, Range, Stability, State, decide_motion, find_stability, load_problem, solve
 from surctl.lyapunov.equilibrium import linearisation
-from surctl.lyapunov.slope_search import _Family, _Shapes, slope_candidate
+from surctl.lyapunov.slope_search import Family, _Shapes, slope_candidate
 from surctl.lyapunov.slopes import Embedding
 from surctl.verification.formula import parse, text_of, variable
 
@@ -96,7 +96,7 @@ def test_other_rules_name_themselves() -> None:
 
 def test_near_the_equilibrium_the_matrices_are_the_linearisations() -> None:
     linear = linearisation(CRAFT)
-    family = _Family(Embedding(CRAFT, np.diag([1.0, 2.0, 3.0]), 1e-14))
+    family = Family(Embedding(CRAFT, 1e-14 * np.diag([1.0, 1 / 2, 1 / 3])[None]))
     every = np.array(list(product([False, True], repeat=len(family.low))))
     matrices = family.vertices(every)
     for a in linear.matrices:
@@ -112,7 +112,7 @@ def test_the_worst_vertex_is_found(discrete: bool) -> None:
     d = dynamics({s.name: s.upper for s in CRAFT.states}, rates, ranges, discrete=discrete)
     shapes = _Shapes(d, 0.01)
     p = np.array([[3.0, 0.2, 1.0], [0.2, 2.0, 0.1], [1.0, 0.1, 1.0]])
-    family = _Family(Embedding(d, p, 0.5))
+    family = Family(Embedding(d, np.linalg.inv(p)[None] * 0.5))
     every = np.array(list(product([False, True], repeat=len(family.low))))
     root = np.linalg.inv(np.linalg.cholesky(p))
     least = np.linalg.eigvalsh(root @ shapes.losses(family.vertices(every), p) @ root.T)[:, 0].min()
@@ -133,5 +133,5 @@ def test_a_candidate_is_larger_than_the_function_of_the_linearisation() -> None:
 def test_rates_that_the_rule_does_not_cover_leave_it_out() -> None:
     d = dynamics({"x": 1.0, "y": 1.0}, ["-x + abs(x)*0.1", "-y + atan2(x*y, y - 0.5)*0"], {})
     with pytest.raises(UnsupportedOperation):
-        Embedding(d, np.eye(2), 1.0)
+        Embedding(d, np.eye(2)[None])
     assert slope_candidate(d, linearisation(d), None, seconds=1.0) is None

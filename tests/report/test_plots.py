@@ -22,18 +22,18 @@ from surctl.marine.report import (
     plot_poles,
     plot_run,
     plot_run_signals,
-    plot_sensitivity,
     save_heat_map,
     save_run,
 )
 from surctl.marine.report.signals import plot_force, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
-from surctl.marine.tuning import Sensitivity, SweepTable
+from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import build_cascade
-from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice
+from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice, plot_sobol_indices
 from surctl.report.evidence import _sense
 from surctl.report.theme import BAD, printable
+from surctl.tuning import SobolIndices
 from surctl.verification import evaluate, replay
 from tests.pictures import rendered
 from tests.report.data import ABOUT, GAINS, report, run, sweep, swept, vehicle, verdict
@@ -242,13 +242,13 @@ def test_parallel_coordinates_are_the_points() -> None:
 
 def test_bars_of_sensitivity_have_their_intervals() -> None:
     spans = ((0.1, 0.3), (0.5, 0.7))
-    ax = plot_sensitivity(Sensitivity("time_s", ("k_v", "plant.m11"), (0.2, 0.6), (0.3, 0.9), spans, spans, False, 64))
+    ax = SobolIndices("time_s", ("k_v", "plant.m11"), (0.2, 0.6), (0.3, 0.9), spans, spans, False, 64).plot()
     rendered(ax)
     assert [b.get_width() for b in ax.patches[:4]] == [0.2, 0.6, 0.3, 0.9]
     assert [t.get_text() for t in ax.get_yticklabels()] == ["k_v", "plant.m11"]
     none = ((0.0, 0.0),) * 2
-    flat = Sensitivity("time_s", ("k_v", "k_r"), (0.0, 0.0), (0.0, 0.0), none, none, True, 64)
-    assert "constant" in plot_sensitivity(flat).get_title(loc="left")
+    flat = SobolIndices("time_s", ("k_v", "k_r"), (0.0, 0.0), (0.0, 0.0), none, none, True, 64)
+    assert "constant" in plot_sobol_indices(flat).get_title(loc="left")
 
 
 @pytest.mark.usefixtures("blank")

@@ -23,9 +23,9 @@ from surctl.marine.tuning import (
     tuning_dict,
 )
 from surctl.marine.tuning.descent import _functions
-from surctl.marine.tuning.measure import Evaluation, check_request
+from surctl.marine.tuning.measure import SweepEvaluation, check_request
 from surctl.marine.tuning.montecarlo import monte_carlo
-from surctl.marine.tuning.pool import joined
+from surctl.marine.tuning.pool import joined_pools
 from surctl.marine.tuning.trials import frozen, remembered
 from surctl.marine.verification import LINEAR_METRICS, linear_table
 from surctl.tuning import grid, parse_axis
@@ -96,7 +96,7 @@ def test_the_speed_stays_with_its_set(everything_costs_nothing):
     asked = request(goals=(DELAY, THRIFT))
     pool = asked.judge({"k_v": np.array([1.0, 2.0, 3.0]), "k1": np.array([0.5, 0.5, 0.5])})
     back = remembered(asked, frozen(asked, pool, pool.evaluation.normalised[0]))
-    for one in (pool, back, joined([pool.subset([0]), pool.subset([1, 2])])):
+    for one in (pool, back, joined_pools([pool.subset([0]), pool.subset([1, 2])])):
         assert one.evaluation.speed[:, 0].tolist() == [0.2, 0.2, 0.2] and np.isnan(one.evaluation.speed[:, 1]).all()
     assert replace(asked, goals=(replace(DELAY, cruise=(0.1,)), THRIFT)).digest != asked.digest
 
@@ -177,7 +177,7 @@ def test_a_goal_above_the_cap_of_what_is_flown_is_a_mistake(speed, told):
 def test_a_sweep_takes_the_worst_of_its_speeds_and_names_it():
     cases = build_cases([load_scenario("pool-behind")], gains=GAINS)
     points, names = np.array([[1.0, 0.4], [1.5, 0.8]]), ("k_v", "lookahead")
-    several = Evaluation(cases, names, (0,), 1, SPEEDS)
+    several = SweepEvaluation(cases, names, (0,), 1, SPEEDS)
     table = dict(zip(several.linear_columns, several(0, points).T, strict=True))
     values = dict(zip(names, points.T, strict=True))
     at = {
@@ -189,8 +189,8 @@ def test_a_sweep_takes_the_worst_of_its_speeds_and_names_it():
     margins = np.array([at[u]["disk_margin"] for u in SPEEDS])
     assert margins[:, 0].max() - margins[:, 0].min() > 0.01, "the first point depends on the speed"
     assert table["disk_margin_at_m_per_s"][0] == SPEEDS[int(margins[:, 0].argmin())]
-    one = Evaluation(cases, names, (0,), 1, (cases[0].scenario.cruise,))(0, points)
-    assert one[:, :-1].tolist() == Evaluation(cases, names, (0,), 1)(0, points).tolist()
+    one = SweepEvaluation(cases, names, (0,), 1, (cases[0].scenario.cruise,))(0, points)
+    assert one[:, :-1].tolist() == SweepEvaluation(cases, names, (0,), 1)(0, points).tolist()
 
 
 def test_speeds_of_a_sweep_are_checked_before_it_flies():

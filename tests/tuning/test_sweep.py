@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,12 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import METRICS, load_scenario, store
-from surctl.marine.simulation.store import ChunkStore
-from surctl.marine.tuning import build_cases, load_sweep, measure, sensitivity, sweep
-from surctl.marine.tuning.sweep import run_chunks
+from surctl.marine.simulation import METRICS, load_scenario
+from surctl.marine.tuning import build_cases, load_sweep, measure, sweep
 from surctl.marine.tuning.table import judged
-from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, spread
+from surctl.store import ChunkStore
+from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, sobol_indices, spread
+from surctl.tuning.chunked import run_chunks
 from surctl.tuning.executors import DaskExecutor
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.processes import run_python
@@ -314,7 +315,7 @@ def test_a_harmed_chunk_alone_is_run_again(cheap, tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("surctl.marine.tuning.netcdf._write", full)
+        patch.setattr("netCDF4.Dataset", full)
         with pytest.raises(InputError, match=r"No space left on device.*kept.*resumes"):
             sweep([stub.case()], GRID, out=tmp_path)
     files = sorted(tmp_path.glob("sweep.chunks/*/*.chunk"))
@@ -332,7 +333,7 @@ def test_another_request_in_the_folder_keeps_the_first_one_s_table(cheap, tmp_pa
     assert any("another request" in line for line in told)
     told.clear()
     again = sweep([stub.case()], GRID, out=tmp_path, progress=told.append)
-    assert len(told) == 1 and "has them all" in told[0] and again.path.name != "sweep.nc"
+    assert len(told) == 1 and "has all points" in told[0] and again.path.name != "sweep.nc"
     assert data(again) == before
 
 
@@ -344,7 +345,7 @@ def test_a_harmed_table_is_made_again(cheap, tmp_path):
     file.write_bytes(raw)
     told = []
     again = sweep([stub.case()], GRID, out=tmp_path, progress=told.append)
-    assert "has them all" not in told[0]
+    assert "has all points" not in told[0]
     assert data(again) == made
 
 
@@ -360,7 +361,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path, monkeypatch):
 
     shelf = kept(tmp_path / "chunks")
     with monkeypatch.context() as patch, shelf.open():
-        patch.setattr(store.os, "fsync", fsync)
+        patch.setattr("surctl.store.os.fsync", fsync)
         with pytest.raises(InputError, match="No space left on device") as caught:
             run_chunks(slow_squares, CHUNKS, store=shelf, executor=LocalExecutor())
     assert "\n" not in str(caught.value)
@@ -383,10 +384,12 @@ def test_a_limit_on_file_size_is_one_line_too(tmp_path):
 
 KILLED = """
 import os, random, signal, sys, time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from surctl.tuning.executors import LocalExecutor
-from surctl.marine.simulation.store import ChunkStore
-from surctl.marine.tuning.sweep import run_chunks
+from surctl.store import ChunkStore
+from surctl.tuning.chunked import run_chunks
 from tests.tuning.chunk_work import CHUNKS, slow_squares
 
 shelf, draw = ChunkStore(Path(sys.argv[1]), "request"), random.Random(int(sys.argv[2]))
@@ -476,9 +479,9 @@ def test_workers_are_started_for_long_work_alone_and_give_the_same():
 
 def test_a_case_that_no_seed_changes_is_flown_once():
     cases = (stub.case("tank-static"), stub.case("pool-static"), stub.case("tank-static", "sonar"))
-    flown = measure.Evaluation(cases, ("k_v", "plant.m11"), (0, 1, 2))
+    flown = measure.SweepEvaluation(cases, ("k_v", "plant.m11"), (0, 1, 2))
     assert [len(flown.seeds_of(case)) for case in cases] == [1, 3, 3]
-    waves = measure.Evaluation(cases, ("scenario.wave_force",), (0, 1, 2))
+    waves = measure.SweepEvaluation(cases, ("scenario.wave_force",), (0, 1, 2))
     assert waves.runs_per_point == 9
 
 
@@ -501,22 +504,40 @@ def test_indices_of_a_known_function(cheap, monkeypatch):
     monkeypatch.setattr(measure, "simulate_batch", fly)
     design = saltelli([Span(n, -np.pi, np.pi) for n in names], base=1024)
     table = sweep([one], design, linear=False)
-    found = sensitivity(table, "deviation_m")
+    found = sobol_indices(design, table.column("deviation_m"), "deviation_m")
     np.testing.assert_allclose(found.first, (0.3139, 0.4424, 0.0), atol=0.03)
     np.testing.assert_allclose(found.total, (0.5576, 0.4424, 0.2437), atol=0.03)
     for value, (low, high) in zip(found.first + found.total, found.first_interval + found.total_interval, strict=True):
         assert low <= value <= high and high - low < 0.25
-    assert found == sensitivity(table, "deviation_m")
-    constant = sensitivity(table, "length_m")
+    assert found == sobol_indices(design, table.column("deviation_m"), "deviation_m")
+    constant = sobol_indices(design, table.column("length_m"), "length_m")
     assert constant.constant and set(constant.total) == {0.0}
     with pytest.raises(InputError, match="Saltelli"):
-        sensitivity(sweep([one], GRID, linear=False), "deviation_m")
+        sobol_indices(GRID, np.zeros(6), "deviation_m")
+
+
+def test_intervals_of_indices_contain_the_true_ones():
+    # linear functions with one interaction have indices in closed form
+    rng, inside = np.random.default_rng(5), []
+    names = ("k_v", "k_r", "k_psi")
+    for seed in range(12):
+        slopes, both = rng.uniform(0.2, 2.0, 3), rng.uniform(0.0, 3.0)
+        design = saltelli([Span(name, 0.0, 1.0) for name in names], base=64, seed=seed)
+        x = design.points
+        values = x @ slopes + both * (x[:, 0] - 0.5) * (x[:, 1] - 0.5)
+        alone, shared = slopes**2 / 12, both**2 / 144
+        truth = np.array([alone, alone + shared * np.array([1, 1, 0])]) / (alone.sum() + shared)
+        result = sobol_indices(design, values, "y")
+        ends = np.array([result.first_interval, result.total_interval])
+        inside += ((ends[..., 0] <= truth) & (truth <= ends[..., 1])).ravel().tolist()
+        assert not result.warning and "8 points" in replace(result, base=8).warning
+    assert np.mean(inside) >= 0.95
 
 
 def test_a_column_that_lacks_numbers_has_no_indices(cheap):
     design = saltelli([Span("k_v", 1, 2), Span("seed", 0, 9)], base=8)
     with pytest.raises(InputError, match="not a finite number at"):
-        sensitivity(sweep([stub.case()], design, linear=False), "path_error_m")
+        sobol_indices(design, sweep([stub.case()], design, linear=False).column("path_error_m"), "path_error_m")
 
 
 def test_a_silent_scheduler_is_told_soon():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -12,7 +13,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.system import Controller, Cost, Plant, System, linearise, simulate_system
-from surctl.tuning import tune_system
+from surctl.tuning import SensitivityBound, tune_system
 from surctl.verification import system_disk_margin
 from tests.tools import need_compiler
 
@@ -78,6 +79,30 @@ def test_bounds_and_the_margin_are_kept_or_named() -> None:
     wide = tune_system(cart(), 8.0, RANGES, trials=300, least_disk_margin=0.65)
     assert wide.unmet == () and wide.disk_margin is not None and wide.disk_margin >= 0.65
     assert tune_system(cart(), 8.0, RANGES, trials=60, least_disk_margin=1.99).unmet == ("disk margin",)
+
+
+def test_an_interrupted_search_resumes_to_the_same_gains(tmp_path: Path) -> None:
+    need_compiler()
+    goals = (SensitivityBound(name="peak", at="force", at_most=2.0),)
+    asked: dict[str, Any] = {"trials": 60, "goals": goals, "cases": {"start.place": [1.0, -0.5]}}
+    whole = tune_system(cart(), 8.0, RANGES, **asked)
+
+    def stop(tried: int, _: object) -> None:
+        if tried == 30:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        tune_system(cart(), 8.0, RANGES, **asked, out=tmp_path, progress=stop)
+    for change in ({"seed": 1}, {"cases": {"start.place": [1.0, -0.6]}}, {"objective": "square"}, {"goals": ()}):
+        other = tune_system(cart(), 8.0, RANGES, **asked | {"trials": 30} | change, out=tmp_path)
+        assert other.restored == 0, change
+    assert tune_system(cart(peak=9.0), 8.0, RANGES, **asked | {"trials": 30}, out=tmp_path).restored == 0
+    again = tune_system(cart(), 8.0, RANGES, **asked, out=tmp_path)
+    assert again.restored == 30 and replace(again, restored=0, goals=None, goals_before=None) == replace(
+        whole, goals=None, goals_before=None
+    )
+    assert again.goals is not None and whole.goals is not None and again.goals.lines() == whole.goals.lines()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_run_that_ends_early_is_no_cheap_run() -> None:

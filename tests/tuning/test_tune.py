@@ -35,7 +35,7 @@ from surctl.marine.tuning.conflict import demands, minimal_subset
 from surctl.marine.tuning.evaluation import judged
 from surctl.marine.tuning.montecarlo import fresh, monte_carlo
 from surctl.marine.tuning.pool import Pool
-from surctl.marine.tuning.rounds import Record
+from surctl.marine.tuning.rounds import RoundsFile
 from surctl.tuning.journal import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, Loop, case, heavy, install, request
 
@@ -367,10 +367,10 @@ def test_rounds_resume_without_a_run_of_the_finished_ones(monkeypatch, tmp_path)
     stored = json.loads((tmp_path / "rounds.json").read_text())
     for owner, count in ((hashlib.sha256(b"request").hexdigest(), len(whole.rounds)), ("x", 0)):
         (tmp_path / "rounds.json").write_text(json.dumps(stored | {"request": owner}))
-        assert len(Record(tmp_path, "request").rounds) == count
+        assert len(RoundsFile(tmp_path, "request").rounds) == count
     for rubbish in ("{", json.dumps({"request": "x", "rounds": []}), json.dumps({"request": 3}), "[]"):
         (tmp_path / "rounds.json").write_text(rubbish)
-        assert Record(tmp_path, "request").rounds == []
+        assert RoundsFile(tmp_path, "request").rounds == []
     assert tune(heavy(), trials=32, rounds=6, runs=100, folder=tmp_path).rounds == whole.rounds
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.vehicle.identification.intervals import spread_of
+from surctl.marine.vehicle.identification.intervals import _semidefinite, spread_of
 from surctl.marine.vehicle.identification.solve import products
 
 Array = NDArray[np.float64]
@@ -55,3 +55,19 @@ def test_intervals_are_as_wide_as_the_estimates_scatter() -> None:
 def test_products_of_long_matrices_are_those_at_once() -> None:
     one, other = np.random.default_rng(1).normal(size=(2, 1234, 5))
     np.testing.assert_allclose(products(one, other[:, :3]), one.T @ other[:, :3], rtol=0.0, atol=1e-10)
+
+
+def test_a_covariance_with_negative_variances_becomes_semidefinite_and_another_stays() -> None:
+    rng, signs = np.random.default_rng(4), set[bool]()
+    for _ in range(20):
+        units = 10.0 ** rng.uniform(-5, 3, 5)
+        root = units[:, None] * np.linalg.cholesky(np.cov(rng.normal(size=(5, 40))))
+        values, turn = rng.uniform(-0.5, 3.0, 5), np.linalg.qr(rng.normal(size=(5, 5)))[0]
+        coloured = root @ (turn * values) @ turn.T @ root.T
+        mended = _semidefinite(coloured, root)
+        normal = (mended - coloured) / np.outer(units, units)
+        assert np.linalg.eigvalsh(mended / np.outer(units, units)).min() > -1e-12
+        assert np.linalg.eigvalsh(normal).min() > -1e-12  # no variance becomes smaller
+        assert (np.abs(normal).max() < 1e-12) == (values.min() >= 0)
+        signs.add(bool(values.min() < 0))
+    assert signs == {False, True}

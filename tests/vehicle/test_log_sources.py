@@ -171,6 +171,40 @@ def test_messages_that_cannot_be_read_are_counted_and_stdout_has_one_object(tmp_
     assert json.loads(CliRunner().invoke(vehicle, ["from-log", str(path), "--topics", "--json"]).stdout)["notes"]
 
 
+def _records(raw: bytes) -> list[tuple[int, int]]:
+    # begin and end of the data messages of a ULog
+    at, result = 16, []
+    while at < len(raw):
+        size, kind = struct.unpack_from("<Hc", raw, at)
+        result += [(at, at + 3 + size)] if kind == b"D" else []
+        at += 3 + size
+    return result
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ulog_says_what_it_lost(seed: int, tmp_path: Path) -> None:
+    path, rng = tmp_path / "dive.ulg", np.random.default_rng(seed)
+    written.write_ulog(path, DIVE)
+    raw = path.read_bytes()
+    records = _records(raw)
+    begin, end = records[int(rng.integers(20, len(records) - 20))]
+    lost, pause = int(rng.integers(1, 9)), int(rng.integers(1, 900))
+    short = struct.pack("<Hc", end - begin - 3 - lost, b"D") + raw[begin + 3 : end - lost]
+    dropout = struct.pack("<HcH", 2, b"O", pause)
+    damage = {
+        "": raw,
+        f"1 of {len(records)} messages have a wrong length": raw[:begin] + short + raw[end:],
+        f"cut at byte {begin} of {end - lost}": raw[: end - lost],
+        f"damaged or cut at byte {begin} of": raw[:begin] + bytes(40) + raw[begin:],
+        f"2 dropouts, {2e-3 * pause:g} s in all": raw[:begin] + dropout + raw[begin:end] + dropout + raw[end:],
+    }
+    for text, data in damage.items():
+        path.write_bytes(data)
+        for topics in (None, {"wrench", "vehicle_odometry"}):
+            notes = read_recording(path, topics).notes
+            assert len(notes) == bool(text) and text in "".join(notes), text
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_rows_of_one_time_are_named_or_counted(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)

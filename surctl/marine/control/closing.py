@@ -22,10 +22,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 
+from surctl.errors import InputError, nearest
 from surctl.ir import Block, Layout, Port, Recording, fold, tabulated
 from surctl.marine.control.gains import GainSpec
 from surctl.marine.control.law import DEGRADED, SATURATED, TRAPPED
@@ -44,6 +45,7 @@ __all__ = [
     "EVADE",
     "HARD",
     "MODEL_NOISE",
+    "AxisVector",
     "Closing",
     "Memory",
     "Thrust",
@@ -289,18 +291,38 @@ def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
     return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)
 
 
+class AxisVector(ca.SX):
+    """A vector (4, 1) of surge, sway, heave and yaw whose entries also have names.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.control.closing import AxisVector
+        >>> nu = AxisVector(ca.SX([0.2, 0.0, 0.0, 0.1]))
+        >>> nu["r"], nu[3]
+        (SX(0.1), SX(0.1))
+    """
+
+    NAMES = ("u", "v", "w", "r")
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return one entry by its name, or what CasADi returns for a number or a slice."""
+        if isinstance(key, str) and key not in self.NAMES:
+            raise InputError("no such name here", key=key, remedy=nearest(key, self.NAMES))
+        return super().__getitem__(self.NAMES.index(key) if isinstance(key, str) else key)
+
+
 class Thrust(Protocol):
     """Velocity controller of a law."""
 
     def __call__(
-        self, reference: ca.SX, nu: ca.SX, state: ca.SX, p: Mapping[str, ca.SX], dt: float, /
+        self, reference: AxisVector, nu: AxisVector, state: AxisVector, p: Mapping[str, ca.SX], dt: float, /
     ) -> tuple[ca.SX, ca.SX]:
         """Return the thrust before limits (4, 1) [N, N m], and the next state (4, 1) of the controller.
 
         Args:
-            reference: velocity reference u, v, w [m/s], r [rad/s] (4, 1).
-            nu: measured velocity (4, 1), in the same order.
-            state: state of the controller (4, 1), zero at the start.
+            reference: velocity reference u, v, w [m/s], r [rad/s] (4, 1), by name or number: `reference["u"]`.
+            nu: measured velocity (4, 1), with the same names.
+            state: state of the controller (4, 1), zero at the start, with the same names.
             p: gains, vehicle and mission by name.
             dt: control period [s].
         """
@@ -398,7 +420,8 @@ class Closing:
             ca.fmin(ca.fmax(nu_reference[3], -turn), turn),
         )
         if self.thrust is not None:
-            free, following = self.thrust(clamped, self.u["nu"], integral, p, self.dt)
+            reference, nu, state = (AxisVector(vector) for vector in (clamped, self.u["nu"], integral))
+            free, following = self.thrust(reference, nu, state, p, self.dt)
             least, most = thrust_bounds(p)
             tau = ca.fmin(ca.fmax(free, least), most)
             return tau, following, ca.mmax(ca.fabs(free - tau) > _CLIPPED), clamped

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
         save_parallel,
         save_priority,
         save_run,
-        save_sensitivity,
         save_sonar_replay,
         save_tuning,
     )
@@ -50,7 +49,7 @@ if TYPE_CHECKING:
     from surctl.marine.report.sections import ExportSummary, ReportData
     from surctl.marine.report.signals import plot_priority, plot_run_signals
     from surctl.marine.report.sonar_plots import plot_calibration, plot_replay_sensor, plot_sonar_replay
-    from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel, plot_sensitivity
+    from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel
     from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction, save_attainable, save_prediction
     from surctl.marine.report.verify_files import plot_region, save_margins, save_regions, save_verdicts
 
@@ -91,7 +90,6 @@ __all__ = [
     "plot_replay_sensor",
     "plot_run",
     "plot_run_signals",
-    "plot_sensitivity",
     "plot_series",
     "plot_sonar_replay",
     "render_page",
@@ -108,7 +106,6 @@ __all__ = [
     "save_priority",
     "save_regions",
     "save_run",
-    "save_sensitivity",
     "save_sonar_replay",
     "save_tuning",
     "save_verdicts",
@@ -120,7 +117,7 @@ load_at_first_use(
     {
         "animation": "check_animation check_film film_frames film_pictures moment_of save_animation save_film",
         "evidence_sections": "runs_section",
-        "files": "save_calibrations save_heat_map save_locus save_parallel save_priority save_run save_sensitivity"
+        "files": "save_calibrations save_heat_map save_locus save_parallel save_priority save_run"
         " save_sonar_replay save_tuning",
         "goals": "GoalBars GoalView goal_bars goal_view plot_front plot_goal_bars plot_goal_view",
         "map_view": "MapView map_view plot_map plot_maps",
@@ -131,7 +128,7 @@ load_at_first_use(
         "sections": "ExportSummary ReportData",
         "signals": "plot_priority plot_run_signals",
         "sonar_plots": "plot_calibration plot_replay_sensor plot_sonar_replay",
-        "sweep_plots": "plot_heat_map plot_parallel plot_sensitivity",
+        "sweep_plots": "plot_heat_map plot_parallel",
         "vehicle_plots": "plot_attainable plot_prediction save_attainable save_prediction",
         "verify_files": "plot_region save_margins save_regions save_verdicts",
     },

@@ -10,10 +10,10 @@ from surctl.marine.report.margin_plots import plot_locus
 from surctl.marine.report.plan_view import describe, plot_run
 from surctl.marine.report.signals import plot_priority, plot_run_signals
 from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
-from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel, plot_sensitivity
+from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel
 from surctl.marine.sensing import Replay, SensorCalibration, file_stems
 from surctl.marine.simulation import Run, priority_timeline
-from surctl.marine.tuning import Sensitivity, SweepTable, Tuning
+from surctl.marine.tuning import SweepTable, Tuning
 from surctl.marine.verification import Locus
 from surctl.report.theme import new_figure, save_figure
 
@@ -24,7 +24,6 @@ __all__ = [
     "save_parallel",
     "save_priority",
     "save_run",
-    "save_sensitivity",
     "save_sonar_replay",
     "save_tuning",
 ]
@@ -120,24 +119,6 @@ def save_parallel(table: SweepTable, folder: Path | str) -> Path:
         'sweep-parallel.png'
     """
     return save_figure(plot_parallel(table).figure.figure, Path(folder), ("sweep", "parallel"))
-
-
-def save_sensitivity(result: Sensitivity, folder: Path | str) -> Path:
-    """Write a plot of Sobol' indices as a PNG; return its path. InputError if the folder cannot be written.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import save_sensitivity
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import build_cases, sensitivity, sweep
-        >>> from surctl.tuning import parse_axis, saltelli
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
-        >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
-        >>> print(save_sensitivity(found, "pictures").name)
-        sensitivity-time_s.png
-    """
-    return save_figure(plot_sensitivity(result).figure.figure, Path(folder), ("sensitivity", result.column))
 
 
 def save_locus(data: Locus, folder: Path | str, *, unit: str = "", picked: float | None = None) -> Path:

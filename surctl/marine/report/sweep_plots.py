@@ -1,4 +1,4 @@
-"""Plots of sweeps over any number of axes: parallel coordinates, and bars of Sobol' indices."""
+"""Plots of sweeps over any number of axes: heat maps and parallel coordinates."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.marine.tuning import Sensitivity, SweepTable, SweptAxis
+from surctl.marine.tuning import SweepTable, SweptAxis
 from surctl.report.cost_map import draw_cells, draw_frame
 from surctl.report.theme import AVOIDING, INK, MUTED, OBSTACLE, ROBOT, dress, finite, legend_below, new_axes, printable
 
-__all__ = ["COLUMN_TITLES", "axis_title", "plot_heat_map", "plot_parallel", "plot_sensitivity"]
+__all__ = ["COLUMN_TITLES", "axis_title", "plot_heat_map", "plot_parallel"]
 
 COLUMN_TITLES = {
     "score": "score (low is good)",
@@ -165,51 +165,6 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
     if table.picked is not None:
         handles.append(Line2D([], [], color=AVOIDING, linewidth=2.6, label="picked"))
     legend_below(ax, columns=3, handles=handles)
-    return ax
-
-
-def plot_sensitivity(result: Sensitivity, ax: Axes | None = None) -> Axes:
-    """Plot the first-order and total Sobol' indices of each parameter with their confidence intervals.
-
-    Args:
-        result: the Sobol' indices.
-        ax: axes to draw in.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.report import plot_sensitivity
-        >>> from surctl.marine.simulation import load_scenario
-        >>> from surctl.marine.tuning import build_cases, sensitivity, sweep
-        >>> from surctl.tuning import parse_axis, saltelli
-        >>> cases = build_cases([load_scenario("pool-behind")], gains=load_gains("default"), law="closed_form")
-        >>> design = saltelli([parse_axis("scenario.cruise=0.1..0.2"), parse_axis("k_v=1.2..3")], base=16)
-        >>> found = sensitivity(sweep(cases, design, linear=False), "time_s")
-        >>> ax = plot_sensitivity(found)
-        >>> ax.get_title("left"), ax.get_xlabel(), [label.get_text() for label in ax.get_yticklabels()]
-        ('What time_s depends on', 'share of the variance [1]', ['scenario.cruise', 'k_v'])
-    """
-    ax = ax or new_axes(6.4, 1.5 + 0.55 * len(result.axes))
-    title = f"What {result.column} depends on"
-    dress(ax, title=f"{title}: it is constant" if result.constant else title, x="share of the variance [1]")
-    at = np.arange(len(result.axes))[::-1]
-    series = (
-        ("alone (first order)", result.first, result.first_interval, ROBOT, 0.19, None),
-        ("with others (total order)", result.total, result.total_interval, AVOIDING, -0.19, "///"),
-    )
-    for label, values, intervals, colour, offset, hatch in series:
-        heights = np.array(values)
-        ax.barh(
-            at + offset, heights, 0.34, color="white" if hatch else colour, edgecolor=colour, hatch=hatch, label=label
-        )
-        # a bootstrap interval need not contain the estimate
-        errors = np.abs(np.array(intervals).T - heights)
-        ax.errorbar(heights, at + offset, xerr=errors, fmt="none", ecolor=INK, elinewidth=1.1, capsize=2.5)
-    ax.set_yticks(at, [printable(name) for name in result.axes])
-    ends = [v for pair in (*result.first_interval, *result.total_interval) for v in pair]
-    ax.set_xlim(min(0.0, *ends) - 0.02, max(1.0, *ends) + 0.02)
-    ax.axvline(0.0, color=MUTED, linewidth=0.8)
-    handles, _ = ax.get_legend_handles_labels()
-    legend_below(ax, columns=2, handles=handles)
     return ax
 
 

@@ -316,7 +316,7 @@ def _braking(scenario: Scenario, vehicle: Vehicle) -> list[Finding]:
             continue
         why = f"stopping before it from the speed cap takes {needed:.2f} m, but the sonars reach {sight:g} m"
         if speed >= most:
-            why = f"braking guarantees nothing against obstacles faster than {most:.3f} m/s"
+            why = f"drag equals the least thrust at {most:.3f} m/s"
         text = f"braking cannot avoid obstacle {o.name!r} at {speed:g} m/s: evasion must; with {vehicle.name} {why}"
         results.append(Finding("info", f"obstacles.{o.name}.speed_m_per_s", text))
     return results

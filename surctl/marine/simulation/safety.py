@@ -276,7 +276,10 @@ def safety_claim(
             "speed over the bound, at the cap, at which the velocity loop commands the least thrust",
         ),
         Figure(
-            "fastest obstacle", fastest_obstacle(brakes), "m/s", "obstacle speed above which braking guarantees nothing"
+            "drag equals thrust at",
+            fastest_obstacle(brakes),
+            "m/s",
+            "obstacle speed from which no margin or range suffices; claims that assume more have a lower one",
         ),
     )
     what = "an obstacle at rest" if movers == "predict" else f"an obstacle that approaches at up to {covered:.3g} m/s"

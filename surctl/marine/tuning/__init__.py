@@ -39,17 +39,15 @@ if TYPE_CHECKING:
     from surctl.marine.tuning.refine import Refinement, refine
     from surctl.marine.tuning.rounds import Round
     from surctl.marine.tuning.search import search
-    from surctl.marine.tuning.sensitivity import Sensitivity, sensitivity
     from surctl.marine.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
     from surctl.marine.tuning.start import lqr_start
-    from surctl.marine.tuning.sweep import TABLE, sweep
+    from surctl.marine.tuning.sweep import sweep
     from surctl.marine.tuning.table import SweepTable, SweptAxis, load_sweep
 
 __all__ = [
     "ASSESSED",
     "CHECKED",
     "SURROGATES",
-    "TABLE",
     "TUNED",
     "Condition",
     "Counterexample",
@@ -65,7 +63,6 @@ __all__ = [
     "Refinement",
     "Request",
     "Round",
-    "Sensitivity",
     "SweepTable",
     "SweptAxis",
     "Tuning",
@@ -98,7 +95,6 @@ __all__ = [
     "refine",
     "scope",
     "search",
-    "sensitivity",
     "shared_gains",
     "summary",
     "sweep",
@@ -128,10 +124,9 @@ load_at_first_use(
         "refine": "Refinement refine",
         "rounds": "Round",
         "search": "search",
-        "sensitivity": "Sensitivity sensitivity",
         "space": "GainRange TUNED default_tuned gain_ranges",
         "start": "lqr_start",
-        "sweep": "TABLE sweep",
+        "sweep": "sweep",
         "table": "SweepTable SweptAxis load_sweep",
     },
 )

@@ -15,11 +15,12 @@ from surctl.marine.tuning.claim_points import ClaimPoint, refuted_claims
 from surctl.marine.tuning.conflict import conflict
 from surctl.marine.tuning.evaluation import check_goals
 from surctl.marine.tuning.montecarlo import APART, MOST_SEED, fresh, monte_carlo
-from surctl.marine.tuning.pool import Pool, Progress, Request, joined
-from surctl.marine.tuning.rounds import Record, Round
+from surctl.marine.tuning.pool import Pool, Request, joined_pools
+from surctl.marine.tuning.rounds import Round, RoundsFile
 from surctl.marine.tuning.screening import TRAINING, Screened, harder, reduced_pool, screen
 from surctl.marine.tuning.search import BATCH, search
 from surctl.marine.tuning.start import starting_sets
+from surctl.tuning.chunked import Progress
 from surctl.tuning.journal import Journal
 
 __all__ = ["Tuning", "tune"]
@@ -128,7 +129,7 @@ def tune(
     """
     _check(request, trials, rounds, runs)
     request = replace(request, begun="descent" if descend else "")  # a descent changes the trials
-    record = Record(folder, f"{request.digest} {trials} {runs}")
+    record = RoundsFile(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(None if folder is None else folder / "trials.journal")
     if not journal.trials(request.digest):  # a file of best gains from the first moment on
         journal.note_best(write_gains(request.base, warning="the start gains of a tuning without a finished trial"))
@@ -243,7 +244,7 @@ def _searched(
     conditions = tuple(c for c in request.conditions if c.goals is None or names & set(c.goals))
     alone = replace(request, goals=hard, conditions=conditions)
     leading = _leading(search(alone, trials=trials, first=_leading(pool), journal=journal, progress=progress))
-    return joined(
+    return joined_pools(
         [pool, request.judge({s.name: np.array([gains[s.name] for gains in leading]) for s in request.space})]
     )
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 from surctl.marine.tuning.evaluation import Condition, merged
 from surctl.marine.tuning.goals import Goal
-from surctl.marine.tuning.pool import Pool, Progress, Request, joined
+from surctl.marine.tuning.pool import Pool, Request, joined_pools
 from surctl.marine.tuning.search import search
+from surctl.tuning.chunked import Progress
 
 __all__ = ["Demand", "conflict", "demands", "minimal_subset"]
 
@@ -116,7 +117,7 @@ def conflict(
         part = _of(request, [every[k] for k in subset])
         result = search(part, trials=trials, first=[known.gains(_nearest(known, subset))])
         best = result.best(result.evaluation.normalised[0])
-        known = joined([known, whole.judge(result.subset([best]).sets)])
+        known = joined_pools([known, whole.judge(result.subset([best]).sets)])
         met = bool(result.feasible[best])
         progress(f"{len(subset)} of {len(every)} demands together: {'met' if met else 'not met'}")
         return met

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.tuning.evaluation import Figures, scope
-from surctl.marine.tuning.pool import CAP, Pool, Progress, Request, joined
+from surctl.marine.tuning.pool import CAP, Pool, Request, joined_pools
 from surctl.marine.tuning.trials import frozen, remembered
+from surctl.tuning.chunked import Progress
 from surctl.tuning.journal import Journal
 
 __all__ = ["descend"]
@@ -70,7 +71,7 @@ def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progre
         if at.step < _LAST:
             visited.append(at.place)
             at = _next(request, pool, visited, start)
-    whole = joined(pools)
+    whole = joined_pools(pools)
     progress(f"descended in {sum(p.evaluation.effort.size for p in pools[1:])} trials: {whole.standing(start)}")
     return whole
 
@@ -102,7 +103,7 @@ def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
 
     lines = (objective[-1], slope(objective)), (constraint[-1], slope(constraint))
     proposed = np.array([_least(at.place, *lines, factor * at.step) for factor in _STEP_FACTORS])
-    return joined([near.subset(range(len(beside))), request.judge(_sets(request, proposed))])
+    return joined_pools([near.subset(range(len(beside))), request.judge(_sets(request, proposed))])
 
 
 def _beside(at: _At) -> Array:

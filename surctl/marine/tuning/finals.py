@@ -14,8 +14,8 @@ from surctl.marine.tuning.assessed import PART_OF
 from surctl.marine.tuning.cegis import Tuning
 from surctl.marine.tuning.goals import Goal
 from surctl.marine.tuning.montecarlo import APART, fresh, monte_carlo
-from surctl.marine.tuning.pool import Progress
 from surctl.marine.tuning.rounds import Round
+from surctl.tuning.chunked import Progress
 
 __all__ = ["CHECKED", "Finals", "check_finals"]
 

@@ -36,8 +36,8 @@ __all__ = [
     "LINEAR_COLUMNS",
     "RUN_COLUMNS",
     "Case",
-    "Evaluation",
-    "Quantity",
+    "ColumnSpec",
+    "SweepEvaluation",
     "build_cases",
     "case_parameters",
     "check_column",
@@ -56,7 +56,7 @@ _OFTEN_ABSENT = ("path_error_m", "crab_angle_deg", "max_crab_angle_deg", "headin
 
 
 @dataclass(frozen=True)
-class Quantity:
+class ColumnSpec:
     """Unit and meaning of a column of results."""
 
     unit: str
@@ -65,32 +65,34 @@ class Quantity:
 
 _AVERAGED = {name: spec for name, spec in METRICS.items() if spec.better is not None}  # a status code has no mean
 
-CASE_COLUMNS: Mapping[str, Quantity] = {
-    **{name: Quantity(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
-    **{name + _WORST: Quantity(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
+CASE_COLUMNS: Mapping[str, ColumnSpec] = {
+    **{name: ColumnSpec(spec.unit, f"{spec.meaning}, mean") for name, spec in _AVERAGED.items()},
+    **{name + _WORST: ColumnSpec(spec.unit, f"{spec.meaning}, worst") for name, spec in _AVERAGED.items()},
 }
 """Closed-loop columns, for one case over its seeds and for all runs at a point: mean and worst value of every metric
 for which low or high is better. In a mean all cases have the same weight. Runs without a path error do not count in its
 mean; any other NaN makes the result NaN."""
 
-RUN_COLUMNS: Mapping[str, Quantity] = {
+RUN_COLUMNS: Mapping[str, ColumnSpec] = {
     **CASE_COLUMNS,
-    "strayed": Quantity("1", "rms horizontal distance to the path in hull radii, mean"),
-    "time_ratio": Quantity("1", "arrival time divided by the ideal time (path length / cruise speed), worst"),
+    "strayed": ColumnSpec("1", "rms horizontal distance to the path in hull radii, mean"),
+    "time_ratio": ColumnSpec("1", "arrival time divided by the ideal time (path length / cruise speed), worst"),
 }
 """Columns over all runs at a point."""
 
-LINEAR_COLUMNS: Mapping[str, Quantity] = {
-    name: Quantity(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
+LINEAR_COLUMNS: Mapping[str, ColumnSpec] = {
+    name: ColumnSpec(spec.unit, f"{spec.meaning}; worst vehicle") for name, spec in LINEAR_METRICS.items()
 }
 """Columns of the linearised loops at each vehicle's largest cruise speed, or the worst over the sweep's speeds."""
 
-WORST_SPEED = {"disk_margin_at_m_per_s": Quantity("m/s", "cruise speed at which the disk margin of the loops is least")}
+WORST_SPEED = {
+    "disk_margin_at_m_per_s": ColumnSpec("m/s", "cruise speed at which the disk margin of the loops is least")
+}
 """Additional column if the sweep names cruise speeds."""
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class SweepEvaluation:
     """Function object that evaluates chunks of points; other processes can run it, because it can be pickled.
 
     Attributes:
@@ -121,7 +123,7 @@ class Evaluation:
         return self._simulated(index, values, len(points))
 
     @property
-    def linear_columns(self) -> Mapping[str, Quantity]:
+    def linear_columns(self) -> Mapping[str, ColumnSpec]:
         """Columns of results that describe the linearised loops."""
         return {**LINEAR_COLUMNS, **(WORST_SPEED if self.cruise else {})}
 
@@ -295,7 +297,7 @@ def check_request(cases: Sequence[Case], design: Design, seeds: Sequence[int], c
         check_speeds(case, {name: design.points[:, k] for k, name in enumerate(design.names)})
 
 
-def request_digest(evaluation: Evaluation, design: Design, *, linear: int, chunk: int) -> str:
+def request_digest(evaluation: SweepEvaluation, design: Design, *, linear: int, chunk: int) -> str:
     """Return the SHA-256 of all inputs that determine the results of a sweep and their division into chunks.
 
     Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,9 +19,7 @@ from surctl.marine.tuning.goals import Goal
 from surctl.marine.tuning.measure import law_digest
 from surctl.marine.tuning.space import GainRange
 
-__all__ = ["Pool", "Progress", "Request", "joined"]
-
-Progress = Callable[[str], None]
+__all__ = ["Pool", "Request", "joined_pools"]
 
 CAP = 10.0  # upper limit of a normalised value in a score, so that one hopeless goal does not hide the others
 _PENALTY = 10.0  # penalty of one unit of violation, relative to the score
@@ -190,7 +188,7 @@ class Pool:
         return row(self.sets, k)
 
 
-def joined(pools: Sequence[Pool]) -> Pool:
+def joined_pools(pools: Sequence[Pool]) -> Pool:
     """Join several pools with the same goals into one pool."""
     sets = {name: np.concatenate([p.sets[name] for p in pools]) for name in pools[0].sets}
     e = [p.evaluation for p in pools]

@@ -13,7 +13,7 @@ from surctl.files import write_file
 from surctl.marine.tuning.claim_points import ClaimPoint
 from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
 
-__all__ = ["Record", "Round"]
+__all__ = ["Round", "RoundsFile"]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Round:
         }
 
 
-class Record:
+class RoundsFile:
     """JSON file with the finished rounds of one request; the whole file is written again after each round.
 
     Args:

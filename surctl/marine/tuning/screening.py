@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from surctl.marine.tuning.claim_points import ClaimPoint
 from surctl.marine.tuning.evaluation import figures, merged
 from surctl.marine.tuning.montecarlo import APART, Counterexample, fresh, monte_carlo
-from surctl.marine.tuning.pool import Pool, Progress, Request
+from surctl.marine.tuning.pool import Pool, Request
+from surctl.tuning.chunked import Progress
 
 __all__ = ["TRAINING", "Screened", "harder", "reduced_pool", "screen"]
 

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from surctl.marine.control import write_gains
 from surctl.marine.tuning.descent import descend
 from surctl.marine.tuning.evaluation import row
-from surctl.marine.tuning.pool import Pool, Progress, Request, joined
+from surctl.marine.tuning.pool import Pool, Request, joined_pools
 from surctl.marine.tuning.trials import distributions, objectives, remembered, user_attributes
+from surctl.tuning.chunked import Progress
 from surctl.tuning.journal import Journal, quiet_optuna
 
 if TYPE_CHECKING:
@@ -79,11 +80,11 @@ def search(
         shelf.append(name, finished[max(0, len(done) - k * BATCH) :])
         known += finished
         pools.append(pool)
-        whole = joined(pools)
+        whole = joined_pools(pools)
         best = request.base.with_values(whole.gains(whole.best(start)), how="so-far")
         shelf.note_best(write_gains(best, warning="the best gains of an unfinished tuning"))
         clock.report(k + 1, whole, start)
-    whole = joined(pools)
+    whole = joined_pools(pools)
     return descend(request, whole, trials=trials, shelf=shelf, progress=progress)
 
 

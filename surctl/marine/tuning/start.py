@@ -9,12 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.marine.simulation import Case, simulate_batch
-from surctl.marine.tuning.pool import Progress, Request
+from surctl.marine.tuning.pool import Request
 from surctl.marine.tuning.refine import refine
 from surctl.marine.vehicle import Vehicle, linearise, plant_parameters
 from surctl.marine.verification import CASCADE_GAINS, build_cascade, linear_table
 from surctl.marine.verification.cascade import build_cascades, has_cascade
 from surctl.marine.verification.linear import slowest_mode
+from surctl.tuning.chunked import Progress
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
 __all__ = ["lqr_start", "starting_sets"]

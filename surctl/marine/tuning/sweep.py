@@ -3,40 +3,35 @@
 from __future__ import annotations
 
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.simulation import Case
-from surctl.marine.simulation.store import ChunkStore, cannot_write
 from surctl.marine.tuning.measure import (
     CASE_COLUMNS,
     LINEAR_COLUMNS,
     RUN_COLUMNS,
-    Evaluation,
-    Quantity,
+    ColumnSpec,
+    SweepEvaluation,
     check_request,
     linear_names,
     request_digest,
 )
-from surctl.marine.tuning.netcdf import Column, provenance, request_of, write_netcdf
+from surctl.marine.tuning.netcdf import coordinates, provenance, sizes_of
 from surctl.marine.tuning.table import SweepTable, judged, load_sweep
+from surctl.recorded_write import Column, write_netcdf
+from surctl.tuning.chunked import TABLE, Columns, Progress, SweepStage, chunk_size, evaluated_chunks, finished_table
 from surctl.tuning.design import Design
-from surctl.tuning.executors import Chunk, Evaluator, Executor, LocalExecutor
+from surctl.tuning.executors import Executor, LocalExecutor
 
-__all__ = ["TABLE", "Progress", "run_chunks", "sweep"]
+__all__ = ["sweep"]
 
 Floats = NDArray[np.float64]
-Progress = Callable[[str], None]
 
-TABLE = "sweep.nc"
-_MOST_CHUNKS = 64  # chunks of a small sweep, so that an interruption loses little and every worker has work
 _MOST_RUNS = 4096  # runs in one chunk
 _MOST_LINEAR = 64  # points in one chunk of linear metrics
 _LEAST_LINEAR = 16  # as long as there are so many: together they take little longer than one
@@ -89,7 +84,7 @@ def sweep(
     """
     cases, seeds = tuple(cases), tuple(int(s) for s in seeds)
     check_request(cases, design, seeds, cruise)
-    job = _Job(Evaluation(cases, design.names, seeds, cruise=tuple(cruise)), design, linear)
+    job = _Job(SweepEvaluation(cases, design.names, seeds, cruise=tuple(cruise)), design, linear)
     if out is not None:
         return _stored_sweep(job, out, executor or LocalExecutor(), progress)
     with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as folder:
@@ -100,181 +95,83 @@ def sweep(
         return SweepTable(loaded)
 
 
-def run_chunks(
-    function: Evaluator,
-    chunks: Sequence[Chunk],
-    *,
-    store: ChunkStore,
-    executor: Executor,
-    finished: Callable[[int], None] = lambda _: None,
-) -> None:
-    """Evaluate chunks, and store each result as soon as it is available.
-
-    Args:
-        function: the evaluator of a chunk.
-        chunks: chunks that the store does not contain yet.
-        store: open store of finished chunks.
-        executor: executor of the chunks.
-        finished: function that receives the index of each chunk once the chunk is stored.
-
-    Raises:
-        InputError: a chunk cannot be written.
-    """
-    with closing(executor.map_chunks(function, chunks)) as results:  # after an error here the workers stop too
-        for index, table in results:
-            store.write(index, table)
-            finished(index)
-
-
 @dataclass
 class _Job:
     # first the chunks of linear metrics, then the chunks of simulated runs
-    evaluation: Evaluation
+    evaluation: SweepEvaluation
     design: Design
     linear: bool
-    chunks: list[Chunk] = field(init=False)
-    linear_count: int = field(init=False, default=0)
+    stages: list[SweepStage] = field(init=False)
     inverse: NDArray[np.int64] = field(init=False)
     request: str = field(init=False)
 
     def __post_init__(self) -> None:
         points, names = self.design.points, self.design.names
-        self.chunks, together = [], 0
+        self.stages, together, chunks = [], 0, 0
         if self.linear:
             matter = [k for k, name in enumerate(names) if name in linear_names(names)]
             different, inverse = np.unique(points[:, matter], axis=0, return_inverse=True)
             self.inverse = inverse.reshape(-1)
             whole = np.tile(points[:1], (len(different), 1))  # the values of the other axes do not matter
             whole[:, matter] = different
-            together = max(_LEAST_LINEAR, _size(len(different), _MOST_LINEAR))
-            self.chunks += _cut(whole, together, first=0)
-            self.linear_count = len(self.chunks)
-        size = _size(len(points), max(1, _MOST_RUNS // self.evaluation.runs_per_point))
-        self.chunks += _cut(points, size, first=self.linear_count)
+            together = max(_LEAST_LINEAR, chunk_size(len(different), most=_MOST_LINEAR))
+            width, chunks = len(self.evaluation.linear_columns), -(-len(whole) // together)
+            self.stages.append(SweepStage(whole, together, width, "linear figures of", "sets"))
+        runs = self.evaluation.runs_per_point
+        size = chunk_size(len(points), most=max(1, _MOST_RUNS // runs))
+        width = len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
+        self.stages.append(SweepStage(points, size, width, each=runs))
         self.request = request_digest(self.evaluation, self.design, linear=together, chunk=size)
-        self.evaluation = replace(self.evaluation, linear_chunks=self.linear_count)
+        self.evaluation = replace(self.evaluation, linear_chunks=chunks)
 
-    def width(self, index: int) -> int:
-        if index < self.linear_count:
-            return len(self.evaluation.linear_columns)
-        return len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
-
-    def columns(self, store: ChunkStore) -> Iterator[Column]:
-        # the values of a column are read from the stored chunks only when needed
+    def columns(self, stored: Columns) -> Iterator[tuple[str, Column]]:
+        # a column is read from the stored chunks only when it is written
         inputs: dict[str, Floats] = {}
-        run_parts = self.chunks[self.linear_count :]
+        point = tuple(sizes_of(self.design))
+
+        def described(quantity: ColumnSpec, values: Floats, *, by_case: bool = False) -> Column:
+            meaning = quantity.meaning + ", by case" * by_case
+            return Column(values, quantity.unit, meaning, ("case", *point) if by_case else point)
 
         def of_runs(k: int) -> Floats:
-            return np.concatenate([store.column(i, (len(p), self.width(i)), k) for i, p in run_parts])
+            return stored(len(self.stages) - 1, k)
 
         def of_loops(k: int) -> Floats:
-            parts = [store.column(i, (len(p), self.width(i)), k) for i, p in self.chunks[: self.linear_count]]
-            return np.asarray(np.concatenate(parts)[self.inverse])
+            return np.asarray(stored(0, k)[self.inverse])
 
+        yield from coordinates(self.design, self.evaluation.cases)
         for k, (name, quantity) in enumerate(RUN_COLUMNS.items()):
-            yield name, quantity, [partial(of_runs, k)], False
+            yield name, described(quantity, of_runs(k))
         for k, (name, quantity) in enumerate(self.evaluation.linear_columns.items() if self.linear else ()):
-            yield name, quantity, [partial(of_loops, k)], False
+            yield name, described(quantity, of_loops(k))
         for name in ("strayed", "time_ratio", "reached_worst", "min_clearance_m_worst"):
             inputs[name] = of_runs(list(RUN_COLUMNS).index(name))
         for name in ("delay_margin_s", "disk_margin") if self.linear and self.evaluation.has_margins else ():
             inputs[name] = of_loops(list(LINEAR_COLUMNS).index(name))
         verdict = judged(inputs)
         meaning = "mean deviation in hull radii plus worst time ratio"
-        yield "score", Quantity("1", meaning), [lambda: verdict["score"]], False
-        yield (
-            "feasible",
-            Quantity("1", "1 if the point may be picked, otherwise 0"),
-            [lambda: verdict["feasible"]],
-            False,
-        )
+        yield "score", described(ColumnSpec("1", meaning), verdict["score"])
+        meaning = "1 if the point may be picked, otherwise 0"
+        yield "feasible", described(ColumnSpec("1", meaning), verdict["feasible"])
         count = len(self.evaluation.cases)
         for k, (name, quantity) in enumerate(CASE_COLUMNS.items()):
             places = [len(RUN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
-            by_case = Quantity(quantity.unit, f"{quantity.meaning}, by case")
-            yield f"case_{name}", by_case, [partial(of_runs, place) for place in places], True
+            yield f"case_{name}", described(quantity, np.concatenate([of_runs(p) for p in places]), by_case=True)
 
 
 def _stored_sweep(job: _Job, out: Path, executor: Executor, progress: Progress) -> SweepTable:
-    target = out / TABLE
-    aside = out / f"sweep-{job.request[:12]}.nc"
-    for path in (target, aside):
-        if path.exists() and request_of(path) == job.request:
-            progress(f"sweep {len(job.design.points)}/{len(job.design.points)} points: {path} has them all")
-            return load_sweep(path)
-    store = ChunkStore(out / "sweep.chunks" / job.request[:16], job.request)
-    with store.open():
-        todo = [(i, p) for i, p in job.chunks if not store.has(i, (len(p), job.width(i)))]
-        pace = _Pace(job, todo, progress)
-        run_chunks(job.evaluation, todo, store=store, executor=executor, finished=pace.finished)
-        _set_aside(target, progress)
-        attributes = provenance(job.evaluation, job.design, request=job.request)
-        write_netcdf(target, job.design, job.columns(store), evaluation=job.evaluation, attributes=attributes)
-    store.remove()
-    return load_sweep(target)
-
-
-def _set_aside(target: Path, progress: Progress) -> None:
-    # the file belongs to another request
-    if not target.exists():
-        return
-    other = target.with_name(f"sweep-{(request_of(target) or 'unreadable')[:12]}.nc")
-    try:
-        target.replace(other)
-    except OSError as error:
-        raise cannot_write(target, error) from None
-    progress(f"{target} contained the table of another request; it is now {other}")
-
-
-def _size(count: int, most: int) -> int:
-    # does not depend on the executor, so that any executor can resume a sweep
-    return max(1, min(most, -(-count // _MOST_CHUNKS)))
-
-
-def _cut(points: Floats, size: int, *, first: int) -> list[Chunk]:
-    return [(first + k, points[at : at + size]) for k, at in enumerate(range(0, len(points), size))]
-
-
-class _Pace:
-    # at most two lines a second
-    def __init__(self, job: _Job, todo: Sequence[Chunk], progress: Progress) -> None:
-        self.progress, self.linear_count = progress, job.linear_count
-        self.left = {index: len(points) for index, points in todo}
-        self.stages = []
-        for name, unit, each, chunks in (
-            ("linear figures of", "sets", 1, job.chunks[: job.linear_count]),
-            ("sweep", "runs", job.evaluation.runs_per_point, job.chunks[job.linear_count :]),
-        ):
-            whole = sum(len(points) for _, points in chunks)
-            self.stages.append(_Stage(name, unit, each, whole, whole - sum(self.left.get(i, 0) for i, _ in chunks)))
-        self.last = time.monotonic()
-        self.progress(f"sweep {self.stages[1].done}/{self.stages[1].whole} points")
-
-    def finished(self, index: int) -> None:
-        linear, simulated = self.stages
-        stage = linear if index < self.linear_count else simulated
-        stage.done += self.left.pop(index)
-        now = time.monotonic()
-        if stage is linear:
-            simulated.start = now
-        if not self.left or now - self.last >= 0.5:
-            self.last = now
-            self.progress(stage.line(now))
-
-
-@dataclass
-class _Stage:
-    name: str
-    unit: str
-    each: int
-    whole: int
-    done: int
-
-    def __post_init__(self) -> None:
-        self.before, self.start = self.done, time.monotonic()
-
-    def line(self, now: float) -> str:
-        rate = (self.done - self.before) / max(now - self.start, 1e-9)
-        left = round((self.whole - self.done) / rate)
-        eta = f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
-        return f"{self.name} {self.done}/{self.whole} points, {rate * self.each:.3g} {self.unit}/s, ETA {eta}"
+    path = finished_table(out, job.request, progress=progress)
+    if path is not None:
+        return load_sweep(path)
+    stages, request = job.stages, job.request
+    with evaluated_chunks(
+        job.evaluation, stages, out=out, request=request, executor=executor, progress=progress
+    ) as stored:
+        path = write_netcdf(
+            out / TABLE,
+            job.columns(stored),
+            sizes={**sizes_of(job.design), "case": len(job.evaluation.cases)},
+            attributes=provenance(job.evaluation, job.design, request=request),
+            checksums=True,
+        )
+    return load_sweep(path)

@@ -1,11 +1,11 @@
 """A check, after the solver, that the velocity v of a compiled priority step is optimal for its mode.
 
 The check uses only inputs and results of the step, so it serves any solver. It treats one objective after another: the
-residual of each strict level (level 1 in mode projected, all in lexicographic, none in filter), then the distance to
-the target. Let g be the negative gradient of half the squared objective at v, N the projector on the velocities that
-leave the levels above unchanged, and d the vector nearest to ĝ = N g/|g| for which v + d satisfies the opened limits.
-Then ĝ − d is a combination, with weights u ≥ 0, of the normals of limits that v + d reaches. So for every w = v + N y
-that satisfies the opened limits and is at most D from v,
+residual of each strict level (level 1 in mode projected, none in filter), then the distance to the target. Let g be the
+negative gradient of half the squared objective at v, N the projector on the velocities that leave the levels above
+unchanged, and d the vector nearest to ĝ = N g/|g| for which v + d satisfies the opened limits. Then ĝ − d is a
+combination, with weights u ≥ 0, of the normals of limits that v + d reaches. So for every w = v + N y that satisfies
+the opened limits and is at most D from v,
 
     g·(w − v) ≤ |g| (|d| D + (ĝ − d)·d + (1 + Σ u) κ ε D),
 

@@ -3,7 +3,7 @@
 nsb: the NSB law, equation (16) of the paper, as projections from the lowest level to level 1, without limits.
 filter: the velocity that satisfies the limits and is nearest to the velocity of nsb.
 projected: the projections of nsb from the lowest level to level 2, then the projection on level 1 within the limits.
-lexicographic: strict priority within the limits.
+lexicographic: strict priority within the limits, by the kernel in package `hierarchy`.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
-from surctl.priority.compiled.cascade import cascade
 from surctl.priority.compiled.confirmation import confirmation
 from surctl.priority.compiled.last_projection import last_projection
 from surctl.priority.compiled.level_shape import LevelShape, StackShape
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
+from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
 from surctl.priority.solver.fallback import CLAMPED, MET, safe_step
 from surctl.priority.solver.precision import FLOAT64, Precision
@@ -74,7 +74,8 @@ def priority_step(
 
     UNCONFIRMED replaces MET, LIMITED and RELAXED if v satisfies the limits but was not shown to be optimal: the
     residual of a strict level, the distance to the target, or the opening may be more than `optimality.LOSS`·(1 +
-    value) above the least possible. This check runs after the solver and uses only its result (module `confirmation`).
+    value) above the least possible. This check runs after the solver and uses only its result (module `confirmation`);
+    the kernel of mode lexicographic has its own (module `hierarchy.proof`).
 
     With damping λ, every projection of a velocity w on a level minimises λ²‖z − w‖² + ‖J z − x‖² over z; in mode
     projected this includes the last projection, within the limits. The result is exact while ‖J‖ of the first level is
@@ -96,8 +97,8 @@ def priority_step(
             runs; the other modes use the tolerances for double.
         named: if False, mode projected does not list in `active` the constraint rows that limit task 1, which saves
             time.
-        confirm: if False, the status is never UNCONFIRMED, which saves time. The bounded fallback, tolerances for float
-            and mode nsb have no such check.
+        confirm: if False, the status is never UNCONFIRMED in modes filter and projected, which saves time. The bounded
+            fallback, tolerances for float and mode nsb have no such check; mode lexicographic always has it.
         fallback: "exact", or "bounded" for modes filter and projected without damping. If limits and task 1 are
             incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not optimal, at constant
             cost; see module `solver.bounded`.
@@ -129,15 +130,19 @@ def priority_step(
         )
     if not isinstance(rows, int | np.integer) or rows < 1:
         raise InputError("must be a whole number of at least 1", key="rows", value=rows, remedy="give 1 or more")
-    steps = _MODES[mode](shape, rows, settings)
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
+    if mode == "lexicographic":
+        kernel = hierarchy(shape, rows)
+        return Routine(f"{mode}_step", inputs, (Call(kernel, tuple(name for name, _ in inputs), OUTPUTS),), OUTPUTS)
+    steps = _MODES[mode](shape, rows, settings)
     start = Call(gate(shape), _STACK, ("sound", "zero", "none"))
     finish = _finish(n, boxed=mode != "nsb")
     if mode == "nsb" or not confirm or fallback != "exact" or precision != FLOAT64:
         end: tuple[Step, ...] = (Call(finish, (*_RAW, "sound", "box"), OUTPUTS),)
     else:
-        strict = {"filter": 0, "projected": 1, "lexicographic": len(levels)}[mode]
-        last = confirmation(shape, rows, strict=strict, damping=damping if mode == "projected" else 0.0)
+        last = confirmation(
+            shape, rows, strict=int(mode == "projected"), damping=damping if mode == "projected" else 0.0
+        )
         raw = tuple("status_found" if name == "status" else name for name in OUTPUTS)
         checked = (*_STACK, "rows", "v", "opening", "status_found", "target")
         end = (Call(finish, (*_RAW, "sound", "box"), raw), Call(last, checked, ("status",)))
@@ -192,12 +197,8 @@ def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step,
     return (Loop(turn, settings.sweeps, state, _RAW, fixed=fixed),)
 
 
-def _lexicographic(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
-    return (Call(cascade(shape, rows), (*_STACK, "rows", "box", "sound"), _RAW),)
-
-
 _MODES: Mapping[Mode, Callable[[StackShape, int, _Settings], tuple[Step, ...]]] = MappingProxyType(
-    {"nsb": _nsb, "filter": _filter, "projected": _projected, "lexicographic": _lexicographic}
+    {"nsb": _nsb, "filter": _filter, "projected": _projected}
 )
 
 

@@ -16,7 +16,6 @@ from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
 from surctl.priority.rowspace import ZERO_ROW
 from surctl.priority.settings import Settings
 from surctl.priority.solver.dual_step import OPTIMAL, Space
-from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.kernel import kernel, row_by_row
 from surctl.priority.solver.precision import FLOAT64, LONGEST, Precision
 from surctl.priority.symbolic import projection
@@ -25,13 +24,11 @@ __all__ = [
     "HUGE",
     "gate",
     "holding",
-    "holding_row",
     "into",
     "largest",
     "longer_row",
     "merged",
     "opened_row",
-    "reduced_row",
     "sweep",
     "swept",
 ]
@@ -103,9 +100,6 @@ def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
     return ca.vertcat(*moved)
 
 
-_FLAT = 1e-12  # if N leaves less than this of a row of length 1, the row does not bound y
-
-
 def opened_row(n: int) -> Program:
     """Return a program that scales a row to length 1, moves its bounds outwards if soft, and makes the row hard.
 
@@ -119,27 +113,6 @@ def opened_row(n: int) -> Program:
     low, high = a[n] - widening, a[n + 1] + widening
     low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
     return lower(ca.Function("opened_row", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
-
-
-def holding_row(n: int) -> Program:
-    """Return a program that widens the bounds of a row so that the velocity v satisfies the row exactly."""
-    row, v = ca.SX.sym("row", n + 3), ca.SX.sym("v", n)
-    value = ca.dot(row[:n], v)
-    bounds = [ca.fmin(row[n], value), ca.fmax(row[n + 1], value)]
-    return lower(ca.Function("holding_row", [row, v], [ca.vertcat(row[:n], *bounds, row[n + 2])]))
-
-
-def reduced_row(n: int) -> Program:
-    """Return a program that converts a row of length 1 on v + N y to a constraint row on y.
-
-    The program takes the row, v and N, and widens the bounds so that y = 0 satisfies the new row.
-    """
-    row, v, N = ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("N", n * n)
-    a, value = as_matrix(N, n) @ row[:n], ca.dot(row[:n], v)
-    flat = ca.sqrt(ca.sumsqr(a)) <= _FLAT
-    low, high = ca.fmin(row[n] - value, 0), ca.fmax(row[n + 1] - value, 0)
-    outputs = ca.vertcat(ca.if_else(flat, 0, a), ca.if_else(flat, -HUGE, low), ca.if_else(flat, HUGE, high), 0)
-    return lower(ca.Function("reduced_row", [row, v, N], [ca.densify(outputs)]))
 
 
 def longer_row(n: int, more: int) -> Program:

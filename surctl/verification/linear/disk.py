@@ -57,7 +57,8 @@ _LITTLE = 1e-6  # the passes end if they change all squared scalings by at most 
 _ROUNDS = 40
 _STEPS = 400
 _ON_AXIS = 1e-7  # an eigenvalue nearer to the imaginary axis than this share of its modulus counts as on the axis
-_WIDEST = 1e8  # largest ratio of two scalings
+_WIDEST = 1e8  # largest scaling
+_UNCOUPLED = 1e-10  # square of an entry of D M D⁻¹ that counts as 0: a wider D would only cause rounding errors
 _FLAT = 1e-8  # slope at which a scaling counts as optimal; the value is convex in the logarithm of the scaling
 
 
@@ -247,11 +248,10 @@ def _balanced(M: Complex) -> tuple[Array, Array]:
     for _ in range(_SWEEPS):
         before = square.copy()
         for k in range(M.shape[1]):
-            row = np.einsum("nj,nj->n", size[:, k], 1 / square)
-            column = np.einsum("nj,nj->n", size[:, :, k], square)
-            # a channel with an empty row or column is scaled to the limit of the ratio
-            floor = 1e-300
-            square[:, k] = np.clip(np.sqrt((column + floor) / (row + floor)), 1 / _WIDEST**2, _WIDEST**2)
+            row = np.einsum("nj,nj->n", size[:, k], 1 / square) * square[:, k]
+            column = np.einsum("nj,nj->n", size[:, :, k], square) / square[:, k]
+            square[:, k] *= np.sqrt((column + _UNCOUPLED) / (row + _UNCOUPLED))
+            square[:, k] = np.clip(square[:, k], 1 / _WIDEST**2, _WIDEST**2)
         if (np.abs(square - before) <= _LITTLE * before).all():
             break
     d = np.sqrt(square)

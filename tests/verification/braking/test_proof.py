@@ -139,6 +139,17 @@ def test_before_what_is_too_fast_nothing_is_guaranteed() -> None:
     assert proof.verdict == "unknown" and "0.2268 m/s" in proof.sentence
 
 
+@pytest.mark.parametrize("share", [0.5, 1.5])
+def test_a_claim_without_force_to_brake_names_the_forces_that_it_assumes(share: float) -> None:
+    plain = claimed("braking-rule-20")
+    force = round(share * plain.brakes.least, 2)
+    pushed = replace(plain, brakes=replace(plain.brakes, disturbance=force), obstacles=(0.3,))
+    reason = prove_braking(pushed).reason
+    assert f"a braking force of {plain.brakes.least:.3g} N" in reason and f"{force:.3g} N against it" in reason
+    limit = largest_obstacle(pushed)
+    assert ("even at rest" if share > 1 else f"leaves none from {limit:.4g} m/s") in reason
+
+
 def test_current_and_other_forces_lengthen_the_way() -> None:
     plain = claimed("braking-rule-20")
     for brakes in (replace(plain.brakes, current=0.05), replace(plain.brakes, disturbance=0.5)):

@@ -49,6 +49,23 @@ def test_loops_that_do_not_touch_have_the_least_of_theirs() -> None:
     assert both.reached == pytest.approx(disk_margin(of(other)).reached, rel=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_loop_that_only_drives_another_takes_nothing_from_its_margin(seed: int) -> None:
+    # the scaling that decouples a triangular M has no bound; channels have units of their own
+    rng = np.random.default_rng(seed)
+    loops = [control.ss(control.tf([k], [1.0, 3.0, 3.0, 1.0])) for k in rng.uniform(1.0, 6.0, 3)]
+    chain = of(control.append(*loops))
+    units = 10.0 ** rng.uniform(-6, 6, 3)
+    for driven, driver in ((1, 0), (2, 0), (2, 1)):
+        ahead = rng.normal(0.0, 2.0, 3)  # static forces of one loop's states on the next
+        chain.A[3 * driven : 3 * driven + 3, 3 * driver : 3 * driver + 3] += np.outer(ahead, rng.normal(0.0, 1.0, 3))
+    chain = OpenLoop(chain.A, chain.B / units, units[:, None] * chain.C, chain.D)
+    least = min(disk_margin(of(one)).reached for one in loops)
+    result = disk_margin(chain)
+    assert result.reached == pytest.approx(least, rel=1e-3)
+    assert result.guaranteed == pytest.approx(least, rel=3e-3)
+
+
 def test_the_satellite_bears_far_less_in_all_loops_than_in_each() -> None:
     loop = satellite()
     together = disk_margin(loop)

@@ -9,7 +9,7 @@ from surctl.marine.simulation.campaign.campaign import (
     load_replay,
     run_campaign,
 )
-from surctl.marine.simulation.campaign.summary import RunTable, Share, Summary, assumptions, summarise
+from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumptions, summarise
 from surctl.marine.simulation.campaign.worlds import (
     WORLDS_VEHICLE,
     MonteCarlo,
@@ -33,7 +33,6 @@ __all__ = [
     "Replay",
     "RunTable",
     "SampledRun",
-    "Share",
     "Summary",
     "assumptions",
     "draw_plant",

@@ -31,11 +31,11 @@ from surctl.marine.simulation.metrics import METRICS
 from surctl.marine.simulation.run import Run, Sensing
 from surctl.marine.simulation.scenario import scenario_from_table
 from surctl.marine.simulation.scenario_table import scenario_table
-from surctl.marine.simulation.store import ChunkStore, cannot_write
 from surctl.marine.simulation.toml_text import toml_text
 from surctl.marine.vehicle import Vehicle, parameter_spec
 from surctl.marine.vehicle.parameters import vehicle_from_table
 from surctl.priority import Mode
+from surctl.store import ChunkStore, cannot_write
 
 __all__ = ["CHUNK", "FASTEST", "Campaign", "CampaignFolder", "Replay", "load_replay", "run_campaign"]
 

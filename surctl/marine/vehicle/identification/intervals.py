@@ -81,18 +81,31 @@ def spread_of(parts: list[tuple[Array, Array]], present: list[NDArray[np.bool_]]
     slopes = [slope for slope, _, _ in split]
     known = np.diag(prior) + np.sum([through for _, _, through in split], axis=0)
     inverse = _inverse(known + sum(_over_rows(s, s) for s in slopes))
-    root = np.linalg.cholesky(inverse)
+    root = np.asarray(np.linalg.cholesky(inverse), dtype=np.float64)
     fitted = [np.concatenate([slope @ root, own], axis=-1) for slope, own, _ in split]
     correlation, lag, independent = _correlation([e for e, _ in parts], present, fitted, size)
     freedom = independent - size - len(first) * len(parts)
     if not lag:
         return Spread(inverse, freedom)
     coloured = inverse @ (known + _meat(slopes, correlation)) @ inverse
+    if np.diag(coloured).min() <= 0:
+        coloured = _semidefinite(coloured, root)
     rows = sum(len(e) for e, _ in parts)
     freedom = min(freedom, 2.0 * rows / (2.0 * float(np.sum(_window(lag) ** 2)) - 1.0))
     # an estimate of M may be too small; the residuals count as white noise at least
     larger = np.sqrt(np.maximum(np.diag(inverse) / np.maximum(np.diag(coloured), 1e-300), 1.0))
     return Spread(coloured * np.outer(larger, larger), freedom)
+
+
+def _semidefinite(coloured: Array, root: Array) -> Array:
+    """Return a covariance without the negative variances that a flat-top window may cause (Politis 2011).
+
+    The eigenvalues are those relative to the covariance `root root'` for white noise.
+    """
+    relative = np.linalg.solve(root, np.linalg.solve(root, coloured).T)
+    values, vectors = np.linalg.eigh((relative + relative.T) / 2)
+    scaled = root @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    return np.asarray(scaled @ scaled.T)
 
 
 def _without_initial(slope: Array, size: int, first: Array) -> tuple[Array, Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import replace
@@ -224,6 +225,7 @@ def _numbers(table: Recorded, name: str) -> np.ndarray[tuple[int], np.dtype[np.f
 
 
 _HEADER = 16  # bytes
+_LONGEST = 10_000  # bytes of a message; a longer one is damage, as in pyulog
 
 
 def _read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
@@ -248,24 +250,46 @@ def _read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
             source = str(data.msg_id) if Stream(data.name, data.multi_id) in streams else ""
             time = np.asarray(data.data["timestamp"], dtype=float) * 1e-6
             streams[Stream(data.name, data.multi_id, source)] = topic_of(time, fields)
-    unknown, count = _unknown(raw) if log.file_corruption else (0, 0)
-    notes = [f"{count - unknown} of {count} messages could be read: {path.name} does not say what the others are"]
-    return recording_of(path, streams, notes if unknown else ())
+    return recording_of(path, streams, _ulog_notes(path.name, raw, log, whole=topics is None))
 
 
-def _unknown(raw: bytes) -> tuple[int, int]:
-    """Return the number of data messages that have no subscription, and of all data messages."""
-    at, known, unknown, count = _HEADER, set[bytes](), 0, 0
+def _ulog_notes(name: str, raw: bytes, log: Any, *, whole: bool) -> list[str]:
+    """Return what a ULog lacks: messages without subscription or of a wrong length, lost ones, and damage.
+
+    `whole`: all topics were read.
+    """
+    at, known, dropouts = _HEADER, set[bytes](), list[int]()
+    messages, read = Counter[bytes](), {data.msg_id: len(data.data["timestamp"]) for data in log.data_list}
     while at + 3 <= len(raw):
         size, kind = struct.unpack_from("<Hc", raw, at)
         body = raw[at + 3 : at + 3 + size]
+        if not (0 < size <= _LONGEST and kind.isalpha()) or len(body) < size:
+            break
         if kind == b"A":
             known.add(body[1:3])
         elif kind == b"D":
-            count += 1
-            unknown += body[:2] not in known
+            messages[body[:2]] += 1
+        elif kind == b"O":
+            dropouts.append(int.from_bytes(body[:2], "little"))
         at += 3 + size
-    return unknown, count
+    count, unknown, wrong = messages.total(), 0, 0
+    for key, number in messages.items():
+        code = int.from_bytes(key, "little")
+        if key not in known:
+            unknown += number
+        elif whole or code in read:
+            wrong += number - read.get(code, 0)
+    notes = [f"{count - unknown} of {count} messages could be read: {name} does not say what the others are"]
+    notes = notes if unknown else []
+    if at != len(raw):
+        notes.append(f"{name} is damaged or cut at byte {at} of {len(raw)}: messages after it may be missing")
+    elif wrong > 0:
+        notes.append(f"{wrong} of {count} messages have a wrong length: not used")
+    elif log.file_corruption and not unknown:
+        notes.append(f"{name} is damaged: messages may be missing")
+    if dropouts:
+        notes.append(f"{len(dropouts)} dropouts, {1e-3 * sum(dropouts):g} s in all: the autopilot lost messages")
+    return notes
 
 
 READERS: dict[str, Reader] = {

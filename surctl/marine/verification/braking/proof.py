@@ -295,8 +295,10 @@ def prove_braking(claim: BrakingClaim) -> BrakingProof:
 def _attempt(claim: BrakingClaim, began: float) -> BrakingProof:
     limit = largest_obstacle(claim)
     if max(claim.obstacles) >= limit:
-        at = f"obstacles that approach at {limit:.4g} m/s or more" if limit > 0 else "any obstacle, even at rest"
-        reason = f"the braking force does not exceed drag and disturbances, so braking guarantees nothing for {at}"
+        pushed = _disturbance(claim, claim.brakes.current)
+        reason = f"this claim assumes a braking force of {claim.brakes.least:.3g} N and up to {pushed:.3g} N against it"
+        reason += " by disturbances, turning, unequal masses and thrust across"
+        reason += f", so that drag leaves none from {limit:.4g} m/s on" if limit > 0 else ": none is left, even at rest"
         return BrakingProof(claim, "unknown", {}, reason, 0.0, time.perf_counter() - began, 0.0)
     tables = [distance_table(claim, obstacle) for obstacle in claim.obstacles]
     table = figures(claim, tables)

@@ -2,7 +2,7 @@ import pytest
 from scipy.stats import binom
 
 from surctl.errors import InputError
-from surctl.marine.simulation.campaign import Share
+from surctl.tuning import Share
 
 
 @pytest.mark.parametrize("runs", [1, 100, 10_000])

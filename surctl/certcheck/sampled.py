@@ -1,0 +1,175 @@
+"""Check of a region of a sampled loop: a plant in continuous time under a controller that is evaluated once a period.
+
+At each sampling instant the states of the controller take their next values, and the commands are computed; both are
+functions of the states before the instant. Then the states of the plant follow their rates for one period T while the
+commands u are held. The parameters may take any value of their ranges at any time.
+
+The region is V(ξ) = ξᵀ P ξ < level at the sampling instants, ξ = x − x*. In between, W(τ, ζ) = ζᵀ Q(τ)⁻¹ ζ with
+ζ = (x − x*, u − u*) and the time τ since the last instant, where Q(τ) ≻ 0 is linear between equidistant knots. With the
+slopes of `surctl.certcheck.slope_rows` on {V ≤ level} and on {W ≤ level}, three inequalities are shown:
+
+1. ζ⁺ = J(θ) ξ at an instant: W(0, ζ⁺) < (1 − rate) V(ξ), from [[(1 − rate) P, Jᵀ], [J, Q(0)]] ≻ 0;
+2. ζ' = A(θ) ζ in between: W decreases, from Q' − A Q − Q Aᵀ ≻ 0, as dW/dτ = −ηᵀ (Q' − A Q − Q Aᵀ) η with
+   η = Q⁻¹ ζ. On a piece Q' is constant and Q lies between the knots, so that both ends and all vertices of θ decide;
+3. V(ξ) ≤ W(T, ζ), from P⁻¹ − Π Q(T) Πᵀ ⪰ 0: the ellipsoid of W, projected on the states, lies in that of V.
+
+Slopes of a piece hold on {W ≤ level}, as the extent ζᵀ Q⁻¹ ζ ≤ level in a direction c is √(level cᵀ Q c), which is
+greatest at a knot. A held command lies in the range that it has on {V ≤ level}. So V falls by the factor 1 − rate, or a
+smaller one, in each period, and W ≤ level in between. (Clock-dependent Lyapunov functions: Briat, Automatica 49 (11),
+2013; in the inverse: Hu, Lin and Chen, IEEE Transactions on Automatic Control 47 (3), 2002.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from itertools import pairwise
+from math import inf, nextafter
+from typing import Any
+
+from mpmath import libmp
+
+from surctl.certcheck.document import Rejected, listed, number, record
+from surctl.certcheck.enclosure import Undefined, greatest, least, span
+from surctl.certcheck.expressions import ExpressionTable
+from surctl.certcheck.inequality import Box
+from surctl.certcheck.interval import printable, variables_of
+from surctl.certcheck.motion import Motion, require_loop, rest_of
+from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
+from surctl.certcheck.slope_rows import Number, Rows
+from surctl.certcheck.slopes import constants, is_definite, multiplied, quadratic_form, require_in_box
+
+__all__ = ["check"]
+
+_CLAIM = {
+    "name", "time", "property", "about", "states", "parameters", "commands", "dynamics", "next", "period_s", "function",
+    "level", "rate", "equilibrium",
+}  # fmt: skip
+_MOST_KNOTS = 65
+
+
+def check(document: Mapping[str, Any]) -> None:
+    """Raise Rejected unless the certificate proves its claim about a sampled loop."""
+    claim = record(document["claim"], _CLAIM, "claim")
+    record(document, {"format", "version", "kind", "claim", "sha256", "knots", "feedbacks"}, "the certificate")
+    printable(claim["name"])
+    if claim["property"] != "stability":
+        raise Rejected("a sampled loop has the property stability only")
+    if claim["about"]:
+        require_loop(claim["about"])
+    commands = [record(row, {"name", "unit", "value"}, "a command") for row in listed(claim["commands"])]
+    rows = [{"name": row["name"], "unit": row["unit"], "lower": 0.0, "upper": 0.0} for row in commands]
+    states, box = variables_of(claim["states"])
+    names, whole = variables_of([*claim["states"], *rows, *listed(claim["parameters"])])
+    n, size = len(states), len(states) + len(rows)
+    flow, after = claim["dynamics"], claim["next"]
+    if sorted([*flow, *after]) != sorted(states):
+        raise Rejected("each state must have either a rate or a next value")
+    if set(claim["equilibrium"]) != set(names[:size]):
+        raise Rejected("the equilibrium does not name every state and command once")
+    centre = [rest_of(claim["equilibrium"][name])[1] for name in names[:size]]
+    period, level, rate = (
+        Fraction(repr(number(claim[key]))) if claim[key] is not None else Fraction(0)
+        for key in ("period_s", "level", "rate")
+    )
+    if not period > 0 or (claim["rate"] is not None and not 0 < rate <= 1):
+        raise Rejected("the period is not positive, or the rate is not positive, or exceeds 1")
+    p = quadratic_form(states, claim["function"], centre[:n])
+    knots = [_symmetric(knot, size) for knot in listed(document["knots"])]
+    if not 2 <= len(knots) <= _MOST_KNOTS:
+        raise Rejected(f"there are not 2 to {_MOST_KNOTS} knots")
+    cover = inverse(p)
+    for shape in (cover, *knots):
+        require_in_box(shape, centre, level, box)
+    last = [[x - y for x, y in zip(*pair, strict=False)] for pair in zip(cover, knots[-1], strict=False)]
+    if not is_positive_definite(last):
+        raise Rejected("V may exceed W at the end of a period")
+    at_samples = [*states, *names[size:]], [*box, *whole[size:]]
+    feedbacks = [_exact(row) for row in listed(document["feedbacks"])]
+    texts = [*(after.get(name, name) for name in states), *(row["value"] for row in commands)]
+    ranges = _instant(at_samples, texts, centre, level, rate, (p, cover, knots[0]), feedbacks)
+    rates = [flow.get(name, "0") for name in names[:size]]  # a command is held
+    between = Motion(names[:size], names, [*box, *ranges[n:], *whole[size:]], rates, discrete=False)
+    table = ExpressionTable(names)
+    between.require_continuous(table, [table.read(text) for text in between.rates], "the dynamics contain")
+    for first, second in pairwise(knots):
+        _piece(between, centre, level, (first, second), period / (len(knots) - 1))
+
+
+def _instant(
+    variables: tuple[Sequence[str], Box],
+    texts: Sequence[str],
+    centre: Sequence[Fraction],
+    level: Fraction,
+    rate: Fraction,
+    shapes: tuple[Matrix, Matrix, Matrix],
+    feedbacks: Sequence[Sequence[Fraction]],
+) -> Box:
+    """Raise Rejected unless W(0) < (1 − rate) V after an instant; return ranges of the texts on {V ≤ level}."""
+    names, box = variables
+    p, cover, knot = shapes
+    n, size = len(p), len(texts)
+    rows = _rows(names, box, texts, [cover], centre[:n], level, feedbacks, centre)
+    whole = constants([[Fraction(0)] * (n + size) for _ in range(n + size)])
+    for i, row in enumerate(p):
+        whole[i][:n] = constants([[(1 - rate) * x for x in row]])[0]
+    for i, row in enumerate(knot):
+        whole[n + i] = [*rows.rows[i], *constants([row])[0]]
+        for j in range(n):
+            whole[j][n + i] = rows.rows[i][j]
+    if not is_definite(rows, whole):
+        raise Rejected("the slope rule does not show that the function decreases at a sampling instant")
+    ends = [(least(a, b)[0], greatest(a, b)[1]) for a, b in ((rows.range[k], rows.rest[k]) for k in rows.roots)]
+    return [(nextafter(libmp.to_float(low), -inf), nextafter(libmp.to_float(high), inf)) for low, high in ends]
+
+
+def _piece(
+    between: Motion, centre: Sequence[Fraction], level: Fraction, knots: tuple[Matrix, Matrix], time: Fraction
+) -> None:
+    """Raise Rejected unless W decreases while Q goes from one knot to the next in this time."""
+    still = [Fraction(0)] * len(centre)
+    rows = _rows(between.names, between.box, between.rates, knots, centre, level, (), still)
+    for knot in knots:
+        loss = [[(y - x) / time for x, y in zip(*pair, strict=True)] for pair in zip(*knots, strict=True)]
+        moved = multiplied(rows, knot, [list(row) for row in zip(*rows.rows, strict=True)])  # Q Aᵀ
+        whole = constants(loss)
+        for i, row in enumerate(moved):
+            for j, entry in enumerate(row):
+                lost = rows.times(Number({(): Fraction(-1)}), entry)
+                whole[i][j] = rows.plus(whole[i][j], lost)
+                whole[j][i] = rows.plus(whole[j][i], lost)  # the diagonal loses twice
+        if not is_definite(rows, whole):
+            raise Rejected("the slope rule does not show that W decreases between the sampling instants")
+
+
+def _rows(
+    names: Sequence[str],
+    box: Box,
+    texts: Sequence[str],
+    covers: Sequence[Matrix],
+    centre: Sequence[Fraction],
+    level: Fraction,
+    feedbacks: Sequence[Sequence[Fraction]],
+    rests: Sequence[Fraction],
+) -> Rows:
+    """Return rows of texts that have exactly the values `rests` at x*; raise Rejected if they have not."""
+    try:
+        rows = Rows(names, [span(*ends) for ends in box], texts, covers, centre, level, (), feedbacks)
+        moves = [rows.resting(k, rest) for k, rest in enumerate(rests)]
+    except Undefined as reason:
+        raise Rejected(f"an expression is not defined on the region: {reason}") from None
+    if any(entry.poly or entry.error for entry in moves):
+        raise Rejected("the loop does not rest at the equilibrium for all parameters")
+    return rows
+
+
+def _exact(row: object) -> list[Fraction]:
+    return [Fraction(repr(number(x))) for x in listed(row)]
+
+
+def _symmetric(stated: object, size: int) -> Matrix:
+    """Return a positive definite matrix (size, size) of the certificate."""
+    matrix = [_exact(row) for row in listed(stated)]
+    if [len(row) for row in matrix] != [size] * size or not is_positive_definite(matrix):
+        raise Rejected("a knot is not a positive definite matrix of the states and commands")
+    return matrix

@@ -1,0 +1,450 @@
+"""Factors of the priority kernel: the table T behind the active limits W, and the levels eliminated behind W."""
+
+from __future__ import annotations
+
+from surctl.ir.procedure import back, fabs, sqrt, within
+from surctl.priority.hierarchy.memory import Memory
+
+__all__ = [
+    "along",
+    "eliminate_left",
+    "enter",
+    "leave",
+    "multipliers",
+    "optimum",
+    "pivots",
+    "reflect_levels",
+    "reflect_table",
+    "reflection",
+    "solve_left",
+    "solve_level",
+    "take_off",
+]
+
+
+def reflection(s: Memory, lo: int, hi: int) -> float:
+    """Turn h[lo:hi] into the normal of a reflection to its first axis; return that entry, set `factor`."""
+    square = 0.0
+    for i in within(lo, hi, s.x):
+        square += s.h[i] * s.h[i]
+    if not square > 0.0:
+        s.factor = 0.0
+        return 0.0
+    length = sqrt(square)
+    to = -length if s.h[lo] > 0.0 else length
+    s.h[lo] = s.h[lo] - to
+    s.factor = 1.0 / (length * fabs(s.h[lo]))
+    return to
+
+
+def reflect_table(s: Memory, lo: int, hi: int) -> None:
+    """Apply the reflection h to the columns lo … hi of T."""
+    for r in range(s.r):
+        s.sums[r] = 0.0
+    for j in within(lo, hi, s.x):
+        e = s.h[j]
+        for r in range(s.r):
+            s.sums[r] += s.T[j * s.r + r] * e
+    for r in range(s.r):
+        s.sums[r] = s.sums[r] * s.factor
+    for j in within(lo, hi, s.x):
+        e = s.h[j]
+        for r in range(s.r):
+            s.T[j * s.r + r] -= s.sums[r] * e
+
+
+def reflect_levels(s: Memory, number: int, lo: int, hi: int, begin: int, end: int) -> None:
+    """Apply reflection `number` to the columns lo … hi and rows begin … end of B."""
+    for r in within(begin, end, s.k):
+        s.sums[r] = 0.0
+    for j in within(lo, hi, s.x):
+        e = s.V[number * s.x + j]
+        for r in within(begin, end, s.k):
+            s.sums[r] += s.B[j * s.k + r] * e
+    t = s.tau[number]
+    for r in within(begin, end, s.k):
+        s.sums[r] = s.sums[r] * t
+    for j in within(lo, hi, s.x):
+        e = s.V[number * s.x + j]
+        for r in within(begin, end, s.k):
+            s.B[j * s.k + r] -= s.sums[r] * e
+
+
+def along(s: Memory, j: int) -> float:
+    """Return d·q for column j of Q; d and q are padded with zeros."""
+    a = 0.0
+    b = 0.0
+    c = 0.0
+    e = 0.0
+    for i in range(s.quarter):
+        at = j * s.r + s.k + 4 * i
+        a += s.d[4 * i] * s.T[at]
+        b += s.d[4 * i + 1] * s.T[at + 1]
+        c += s.d[4 * i + 2] * s.T[at + 2]
+        e += s.d[4 * i + 3] * s.T[at + 3]
+    return (a + b) + (c + e)
+
+
+def enter(s: Memory, i: int, side: int) -> int:
+    """Take limit i at its upper (1) or lower (−1) bound into W; return 0 if it depends on W."""
+    if s.w >= s.N:
+        return 0
+    for j in range(s.n):
+        s.d[j] = s.At[j * s.m + i]
+    for j in within(s.n, s.x, s.x):
+        s.d[j] = 0.0
+    if s.column[i] >= 0:
+        s.d[s.column[i]] = -1.0 * side
+    for j in within(0, s.N, s.x):
+        s.h[j] = along(s, j)
+    for j in within(0, s.w, s.x):
+        s.L[s.w * s.x + j] = s.h[j]
+    to = reflection(s, s.w, s.N)
+    if not fabs(to) >= 1e-12:
+        return 0
+    s.L[s.w * s.x + s.w] = to
+    reflect_table(s, s.w, s.N)
+    s.valid = 0
+    s.W[s.w] = i
+    s.side[s.w] = side
+    s.inside[i] = side
+    s.w += 1
+    return 1
+
+
+def leave(s: Memory, place: int) -> None:
+    """Drop entry `place` of W; rotations make L triangular again."""
+    s.valid = 0
+    s.inside[s.W[place]] = 0
+    for i in within(place + 1, s.w, s.x):
+        for j in within(0, i + 1, s.x):
+            s.L[(i - 1) * s.x + j] = s.L[i * s.x + j]
+        s.W[i - 1] = s.W[i]
+        s.side[i - 1] = s.side[i]
+    s.w -= 1
+    for i in within(place, s.w, s.x):
+        a = s.L[i * s.x + i]
+        b = s.L[i * s.x + i + 1]
+        length = sqrt(a * a + b * b)
+        if length > 0.0:
+            cosine = a / length
+            sine = b / length
+            s.L[i * s.x + i] = length
+            for j in within(i + 1, s.w, s.x):
+                a = s.L[j * s.x + i]
+                b = s.L[j * s.x + i + 1]
+                s.L[j * s.x + i] = cosine * a + sine * b
+                s.L[j * s.x + i + 1] = cosine * b - sine * a
+            for q in range(s.r):
+                s.sums[q] = cosine * s.T[i * s.r + q] + sine * s.T[(i + 1) * s.r + q]
+                s.other[q] = cosine * s.T[(i + 1) * s.r + q] - sine * s.T[i * s.r + q]
+            for q in range(s.r):
+                s.T[i * s.r + q] = s.sums[q]
+            for q in range(s.r):
+                s.T[(i + 1) * s.r + q] = s.other[q]
+
+
+def eliminate_left(s: Memory, level: int, cols: int) -> float:
+    """QR from the left of the level's rows in `cols` columns; return the smallest |diagonal| entry."""
+    base = s.first[level]
+    cnt = s.many[level]
+    least = 1e30
+    for i in within(0, cnt, s.k):
+        row = s.pivot[base + i]
+        s.side_d[i] = s.rest[row]
+        for j in within(0, cols, s.x):
+            s.QR[(base + i) * s.x + j] = s.B[(s.start[level] + j) * s.k + row]
+    for j in within(0, cols, s.x):
+        square = 0.0
+        for i in within(j, cnt, s.k):
+            e = s.QR[(base + i) * s.x + j]
+            square += e * e
+        length = sqrt(square)
+        head = s.QR[(base + j) * s.x + j]
+        to = -length if head > 0.0 else length
+        s.QR[(base + j) * s.x + j] = head - to
+        t = 1.0 / (length * fabs(head - to)) if length > 0.0 else 0.0
+        s.diagonal[level * s.x + j] = to
+        s.weight[level * s.x + j] = t
+        if not length >= least:
+            least = length
+        total = 0.0
+        for q in within(j + 1, cols, s.x):
+            s.sums[q] = 0.0
+        for i in within(j, cnt, s.k):
+            e = s.QR[(base + i) * s.x + j]
+            total += e * s.side_d[i]
+            for q in within(j + 1, cols, s.x):
+                s.sums[q] += e * s.QR[(base + i) * s.x + q]
+        for q in within(j + 1, cols, s.x):
+            s.sums[q] = s.sums[q] * t
+        total = total * t
+        for i in within(j, cnt, s.k):
+            e = s.QR[(base + i) * s.x + j]
+            s.side_d[i] -= total * e
+            for q in within(j + 1, cols, s.x):
+                s.QR[(base + i) * s.x + q] -= s.sums[q] * e
+    return least
+
+
+def solve_left(s: Memory, level: int, cols: int) -> None:
+    """Solve the triangular system of the QR from the left."""
+    base = s.first[level]
+    at = s.w + s.start[level]
+    for j in back(0, cols, s.x):
+        e = s.side_d[j]
+        for q in within(j + 1, cols, s.x):
+            e -= s.QR[(base + j) * s.x + q] * s.y[at + q]
+        to = s.diagonal[level * s.x + j]
+        s.y[at + j] = e / to if fabs(to) > 0.0 else 0.0
+
+
+def take_off(s: Memory, begin: int, end: int, low: int, high: int) -> None:
+    """Subtract the columns low … high of B, times y, from the remainders of the rows begin … end."""
+    for j in within(low, high, s.x):
+        e = s.y[s.w + j]
+        for row in within(begin, end, s.k):
+            s.rest[row] -= s.B[j * s.k + row] * e
+
+
+def pivots(s: Memory, level: int, free: int, end: int) -> None:
+    """Eliminate the rows of a level from the right, longest remaining row first."""
+    base = s.first[level]
+    cnt = s.many[level]
+    for row in within(base, s.first[level + 1], s.k):
+        s.sums[row] = 0.0
+    for j in within(s.start[level], free, s.x):
+        for row in within(base, s.first[level + 1], s.k):
+            s.sums[row] += s.B[j * s.k + row] * s.B[j * s.k + row]
+    for i in within(0, cnt, s.k):
+        s.norms[i] = s.sums[s.pivot[base + i]]
+    cut = 1e-10 * s.scale[level]
+    number = s.used[level]
+    column = s.start[level]
+    for done in within(0, cnt, s.k):
+        if column >= free:
+            break
+        best = done
+        for i in within(done + 1, cnt, s.k):
+            if s.norms[i] > s.norms[best]:
+                best = i
+        row = s.pivot[base + best]
+        square = 0.0
+        for j in within(column, free, s.x):
+            s.h[j] = s.B[j * s.k + row]
+            square += s.h[j] * s.h[j]
+        if square < s.norms[best] * 1e-4 and square < 1e-6 * s.scale[level] * s.scale[level]:
+            # cancellation: the lengths are computed anew
+            for i in within(done, cnt, s.k):
+                s.norms[i] = 0.0
+                for j in within(column, free, s.x):
+                    e = s.B[j * s.k + s.pivot[base + i]]
+                    s.norms[i] += e * e
+            best = done
+            for i in within(done + 1, cnt, s.k):
+                if s.norms[i] > s.norms[best]:
+                    best = i
+            row = s.pivot[base + best]
+            square = s.norms[best]
+            for j in within(column, free, s.x):
+                s.h[j] = s.B[j * s.k + row]
+        if not square > cut * cut:
+            break
+        s.pivot[base + best] = s.pivot[base + done]
+        s.pivot[base + done] = row
+        s.norms[best] = s.norms[done]
+        to = reflection(s, column, free)
+        for j in within(column, free, s.x):
+            s.V[number * s.x + j] = s.h[j]
+        s.tau[number] = s.factor
+        reflect_levels(s, number, column, free, base, end)
+        s.B[column * s.k + row] = to
+        for j in within(column + 1, free, s.x):
+            s.B[j * s.k + row] = 0.0
+        for i in within(done + 1, cnt, s.k):
+            e = s.B[column * s.k + s.pivot[base + i]]
+            s.norms[i] -= e * e
+        number += 1
+        column += 1
+    s.used[level + 1] = number
+    s.rank[level] = column - s.start[level]
+
+
+def solve_level(s: Memory, level: int, end: int) -> None:
+    """Eliminate one level behind those above, and find its part of y."""
+    base = s.first[level]
+    free = s.N - s.w
+    cnt = 0
+    for row in within(base, s.first[level + 1], s.k):
+        if s.on[row] != 0:
+            s.pivot[base + cnt] = row
+            cnt += 1
+    s.many[level] = cnt
+    s.left[level] = 0
+    s.rank[level] = 0
+    s.used[level + 1] = s.used[level]
+    begin = s.start[level]
+    s.start[level + 1] = begin
+    if cnt == 0 or begin >= free:
+        return
+    if cnt >= free - begin:
+        s.rank[level] = free - begin
+        if eliminate_left(s, level, free - begin) > 1e-6 * s.scale[level]:
+            s.left[level] = 1
+            s.start[level + 1] = free
+            solve_left(s, level, free - begin)
+            take_off(s, base, end, begin, free)
+            return
+    pivots(s, level, free, end)
+    rank = s.rank[level]
+    s.start[level + 1] = begin + rank
+    if rank == 0:
+        return
+    if cnt == rank:
+        for i in within(0, rank, s.x):
+            row = s.pivot[base + i]
+            e = s.rest[row]
+            for j in within(0, i, s.x):
+                e -= s.B[(begin + j) * s.k + row] * s.y[s.w + begin + j]
+            s.y[s.w + begin + i] = e / s.B[(begin + i) * s.k + row]
+    else:
+        s.left[level] = 1
+        eliminate_left(s, level, rank)
+        solve_left(s, level, rank)
+    take_off(s, base, end, begin, begin + rank)
+
+
+def optimum(s: Memory, top: int) -> None:
+    """Write the optimum of the levels before `top` on W into `goal`; what none fixes keeps its value, or is short."""
+    levels = top if top < s.p else s.p
+    end = s.first[levels]
+    free = s.N - s.w
+    known = s.valid if s.valid < levels else levels
+    begin = s.first[s.valid]
+    if s.valid == 0:
+        for i in within(0, s.w, s.x):
+            e = s.up[s.W[i]] if s.side[i] > 0 else s.lo[s.W[i]]
+            for j in within(0, i, s.x):
+                e -= s.L[i * s.x + j] * s.y[j]
+            s.y[i] = e / s.L[i * s.x + i]
+    if end > begin:
+        for row in within(begin, end, s.k):
+            s.rest[row] = s.rhs[row]
+        for j in within(0, s.w, s.x):
+            e = s.y[j]
+            for row in within(begin, end, s.k):
+                s.rest[row] -= s.T[j * s.r + row] * e
+        for j in within(0, free, s.x):
+            for row in within(begin, end, s.k):
+                s.B[j * s.k + row] = s.T[(s.w + j) * s.r + row]
+        for number in within(0, s.used[s.valid], s.x):
+            reflect_levels(s, number, number, free, begin, end)
+        take_off(s, begin, end, 0, s.start[s.valid])
+    for level in within(known, levels, s.p):
+        solve_level(s, level, end)
+    if s.valid < levels:
+        s.valid = levels
+    rank = s.start[levels]
+    number = s.used[levels]
+    for j in within(0, rank, s.x):
+        s.z[j] = s.y[s.w + j]
+    for j in within(rank, free, s.x):
+        s.z[j] = 0.0
+    if top <= s.p and rank < free:
+        for j in range(s.x):
+            s.d[j] = 0.0
+        for j in within(0, s.N, s.x):
+            s.d[j] = s.v[j]
+        for j in within(0, free, s.x):
+            s.g[j] = along(s, s.w + j)
+        for i in within(0, number, s.x):
+            e = 0.0
+            for j in within(i, free, s.x):
+                e += s.V[i * s.x + j] * s.g[j]
+            e = e * s.tau[i]
+            for j in within(i, free, s.x):
+                s.g[j] -= e * s.V[i * s.x + j]
+        for j in within(rank, free, s.x):
+            s.z[j] = s.g[j]
+    for i in back(0, number, s.x):
+        e = 0.0
+        for j in within(i, free, s.x):
+            e += s.V[i * s.x + j] * s.z[j]
+        e = e * s.tau[i]
+        for j in within(i, free, s.x):
+            s.z[j] -= e * s.V[i * s.x + j]
+    for i in range(s.x):
+        s.goal[i] = 0.0
+    for j in within(0, s.N, s.x):
+        e = s.y[j] if j < s.w else s.z[j - s.w]
+        for i in range(s.x):
+            s.goal[i] += s.T[j * s.r + s.k + i] * e
+
+
+def multipliers(s: Memory, level: int) -> None:
+    """Find lam of W and mu of the levels above for the objective of a level; number p is the length of v."""
+    above = s.start[level]
+    if level < s.p:
+        for j in within(0, s.w, s.x):
+            e = 0.0
+            for row in within(s.first[level], s.first[level + 1], s.k):
+                if s.on[row] != 0:
+                    e += s.T[j * s.r + row] * s.rest[row]
+            s.g[j] = e
+        for j in within(0, above, s.x):
+            e = 0.0
+            for row in within(s.first[level], s.first[level + 1], s.k):
+                if s.on[row] != 0:
+                    e += s.B[j * s.k + row] * s.rest[row]
+            s.g[s.w + j] = e
+    else:
+        for j in within(0, s.w + above, s.x):
+            s.g[j] = -s.y[j]
+    for a in back(0, level, s.p):
+        base = s.first[a]
+        cnt = s.many[a]
+        rank = s.rank[a]
+        at = s.w + s.start[a]
+        for row in within(base, s.first[a + 1], s.k):
+            s.mu[row] = 0.0
+        if rank == 0:
+            continue
+        if s.left[a] == 0:
+            for i in back(0, rank, s.x):
+                e = s.g[at + i]
+                for q in within(i + 1, rank, s.x):
+                    e -= s.B[(s.start[a] + i) * s.k + s.pivot[base + q]] * s.mu[s.pivot[base + q]]
+                s.mu[s.pivot[base + i]] = e / s.B[(s.start[a] + i) * s.k + s.pivot[base + i]]
+        else:
+            for j in within(0, rank, s.x):
+                e = s.g[at + j]
+                for q in within(0, j, s.x):
+                    e -= s.QR[(base + q) * s.x + j] * s.side_d[q]
+                to = s.diagonal[a * s.x + j]
+                s.side_d[j] = e / to if fabs(to) > 0.0 else 0.0
+            for i in within(rank, cnt, s.k):
+                s.side_d[i] = 0.0
+            for j in back(0, rank, s.x):
+                e = 0.0
+                for i in within(j, cnt, s.k):
+                    e += s.QR[(base + i) * s.x + j] * s.side_d[i]
+                e = e * s.weight[a * s.x + j]
+                for i in within(j, cnt, s.k):
+                    s.side_d[i] -= e * s.QR[(base + i) * s.x + j]
+            for i in within(0, cnt, s.k):
+                s.mu[s.pivot[base + i]] = s.side_d[i]
+        for j in within(0, s.w, s.x):
+            e = 0.0
+            for i in within(0, cnt, s.k):
+                e += s.T[j * s.r + s.pivot[base + i]] * s.mu[s.pivot[base + i]]
+            s.g[j] -= e
+        for j in within(0, s.start[a], s.x):
+            e = 0.0
+            for i in within(0, cnt, s.k):
+                e += s.B[j * s.k + s.pivot[base + i]] * s.mu[s.pivot[base + i]]
+            s.g[s.w + j] -= e
+    for c in back(0, s.w, s.x):
+        e = s.g[c]
+        for i in within(c + 1, s.w, s.x):
+            e -= s.L[i * s.x + c] * s.lam[i]
+        s.lam[c] = e / s.L[c * s.x + c]

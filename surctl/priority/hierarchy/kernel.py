@@ -1,0 +1,150 @@
+"""Strict priority within limits: one primal active set over all levels (Escande, Mansard and Wieber 2014).
+
+Given limits l ≤ a·v ≤ u (rows of length 1, hard or soft) and levels J v = x or l ≤ J v ≤ u, the kernel finds
+
+1. the smallest opening of the hard limits, then of the soft limits, for which some v satisfies them;
+2. level by level, among the v that are optimal for the levels above, those with the smallest ‖J v − x‖, for a
+   set-based level with the smallest distance of J v from its interval;
+3. among these, the shortest v.
+
+Openings are unknowns of their own (columns n and n + 1), and `opening = 0` are the levels 0 and 1, so v = 0 clipped to
+the box is always feasible to begin with. W is the set of active limits, A_W Q = [L 0] with Q orthogonal. The table T =
+[J; I] Q is updated when a limit enters W (one reflection) or leaves it (Givens rotations). Behind the columns of W, a
+copy B of the table's rows J is eliminated level by level by reflections from the right, with the longest remaining row
+as pivot; singular values below 1e-10·‖J‖ count as 0. A level with more rows than its rank needs a QR from the left too
+(elimination of all levels: Dimitrov, Sherikov and Wieber 2015). Each iteration goes to the optimum on W or to the first
+limit on the way. After a full step, the multipliers of the level say which limit leaves W; limits with a positive
+multiplier are locked, because they are active at every optimum of the level.
+
+The functions are the source of a `Procedure`; `hierarchy` returns it.
+"""
+
+from __future__ import annotations
+
+from surctl.ir.procedure import Procedure, fabs, within
+from surctl.priority.compiled.level_shape import StackShape
+from surctl.priority.hierarchy import factors, proof, search
+from surctl.priority.hierarchy.factors import optimum
+from surctl.priority.hierarchy.memory import Memory
+from surctl.priority.hierarchy.proof import judge
+from surctl.priority.hierarchy.search import at_once, descend, prepare, restore
+
+__all__ = ["hierarchy"]
+
+
+def arrange(_s: Memory) -> None:
+    """Write the structure of the levels; `hierarchy` puts a function for its levels in the place of this one."""
+
+
+def sound(s: Memory) -> int:
+    """Return whether the numbers of the levels are finite and their bounds in order."""
+    good = 1
+    for level in within(2, s.p, s.p):
+        for row in within(s.first[level] - 2, s.first[level + 1] - 2, s.k):
+            for j in range(s.n):
+                if not fabs(s.J[row * s.n + j]) <= 1e140:
+                    good = 0
+            if s.is_set[level] != 0:
+                if not s.lower[row] <= s.upper[row] or not s.lower[row] <= 1e300 or not s.upper[row] >= -1e300:
+                    good = 0
+            elif not fabs(s.lower[row]) <= 1e300 or s.lower[row] != s.upper[row]:
+                good = 0
+    return good
+
+
+def solution(s: Memory) -> None:
+    """Solve the problem and write the outputs."""
+    arrange(s)
+    for j in range(s.n):
+        s.active[j] = 0.0
+        s.multipliers[j] = 0.0
+        s.target[j] = 0.0
+    s.opening[0] = 0.0
+    s.status[0] = 4.0
+    s.count[0] = 0.0
+    prepare(s)
+    if s.bad == 0 and sound(s) != 0:
+        s.turns = 1
+        s.reached = 1
+        if s.hard >= 0 or s.soft >= 0 or at_once(s) == 0:
+            s.reached = descend(s)
+        restore(s)
+        if s.valid < s.p:
+            optimum(s, s.p + 1)
+        outcome = judge(s)
+        far = s.v[s.hard] if s.hard >= 0 else 0.0
+        wide = s.v[s.soft] if s.soft >= 0 else 0.0
+        s.opening[0] = wide if wide > 1e-12 * s.size else 0.0
+        s.status[0] = 3.0 if s.opening[0] > 0.0 else 2.0 if outcome >= 2 else 1.0
+        if outcome == 0 or outcome == 2:
+            s.status[0] = 6.0
+        if far > 1e-9 * s.size:
+            s.status[0] = 4.0
+        s.count[0] = 1.0 * s.turns
+    finite = 1
+    for j in range(s.n):
+        if not fabs(s.v[j]) <= 1e300 or s.count[0] == 0.0:
+            finite = 0
+    for j in range(s.n):
+        e = s.v[j] if finite != 0 else 0.0
+        e = e if e >= s.box[j] else s.box[j]
+        e = e if e <= s.box[s.n + j] else s.box[s.n + j]
+        s.velocity[j] = e if fabs(e) <= 1e300 else 0.0
+    if finite == 0:
+        s.status[0] = 4.0
+    if s.status[0] == 4.0:
+        s.opening[0] = 0.0
+        for j in range(s.n):
+            s.active[j] = 0.0
+            s.multipliers[j] = 0.0
+
+
+_FUNCTIONS = (
+    factors.reflection, factors.reflect_table, factors.reflect_levels, factors.along, factors.enter, factors.leave,
+    factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
+    factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
+    search.at_once, search.ratio, search.move_limits, search.advance, search.release, search.descend, search.restore,
+    proof.jacobian, proof.bound_loss, proof.remember, proof.judge, sound, solution,
+)  # fmt: skip
+
+
+def hierarchy(shape: StackShape, rows: int) -> Procedure:
+    """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`."""
+    n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
+    p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
+    r = k + x
+    arranged = ["def arrange(s):"]
+    arranged += [f"    s.first[{level}] = {start}" for level, start in enumerate(starts)]
+    for level in range(p):
+        arranged.append(f"    s.is_set[{level}] = {int(level > 1 and shape.levels[level - 2].is_set)}")
+        arranged += [f"    s.level_of[{row}] = {level}" for row in range(starts[level], starts[level + 1])]
+    return Procedure.of(
+        "hierarchy",
+        ["\n".join(arranged), *_FUNCTIONS],
+        inputs=(*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),
+        outputs=(
+            ("velocity", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1),
+            ("target", n),
+        ),
+        sizes={"n": n, "x": x, "quarter": x // 4, "m": rows, "k": k, "p": p, "r": r, "cap": 2 * (n + rows) + p},
+        reals={
+            "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
+            "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "other": r, "y": x, "z": x, "g": x, "QR": k * x,
+            "diagonal": p * x, "weight": p * x, "side_d": k, "norms": k, "rhs": k, "rest": k, "scale": p, "v": x,
+            "goal": x, "step": x, "lam": x, "mu": k, "speed": rows, "value": rows, "slack": rows, "slack_set": k,
+            "speed_set": k, "gap": rows, "gap_set": k, "spread": p, "d": x, "factor": 0, "size": 0,
+        },
+        wholes={
+            "first": p + 1, "is_set": p, "level_of": k, "column": rows, "pivot": k, "many": p, "start": p + 1,
+            "used": p + 1, "left": p, "rank": p, "on": k, "lock": rows, "lock_set": k, "inside": rows, "W": x,
+            "side": x, "toward": rows, "toward_set": k,
+            **dict.fromkeys(
+                ("N", "w", "valid", "hard", "soft", "top", "moved", "still", "bad", "reached", "block", "block_set",
+                 "block_side", "turns"), 0,
+            ),
+        },
+    )  # fmt: skip
+
+
+def _padded(size: int) -> int:
+    return -(-size // 4) * 4

@@ -1,0 +1,437 @@
+"""The search of the priority kernel: from the first v to the optimum, with one limit or one level at a time."""
+
+from __future__ import annotations
+
+from surctl.ir.procedure import fabs, sqrt, within
+from surctl.priority.hierarchy.factors import enter, leave, multipliers, optimum
+from surctl.priority.hierarchy.memory import Memory
+
+__all__ = [
+    "advance",
+    "at_goal",
+    "at_once",
+    "at_v",
+    "descend",
+    "move_limits",
+    "prepare",
+    "ratio",
+    "release",
+    "restore",
+    "switch_set",
+]
+
+
+def at_goal(s: Memory, row: int) -> float:
+    """Return J·goal of a row."""
+    e = 0.0
+    for j in range(s.n):
+        e += s.J[(row - 2) * s.n + j] * s.goal[j]
+    return e
+
+
+def at_v(s: Memory, row: int) -> float:
+    """Return J·v of a row; of an opening, the opening."""
+    if row < 2:
+        place = s.hard if row == 0 else s.soft
+        return s.v[place] if place >= 0 else 0.0
+    e = 0.0
+    for j in range(s.n):
+        e += s.J[(row - 2) * s.n + j] * s.v[j]
+    return e
+
+
+def prepare(s: Memory) -> None:
+    """Copy the problem into the arrays, choose the unknowns and the first v."""
+    s.bad = 0
+    for j in range(s.x):
+        s.v[j] = 0.0
+    for j in range(s.n):
+        e = 0.0
+        e = s.box[j] if e < s.box[j] else e
+        e = s.box[s.n + j] if e > s.box[s.n + j] else e
+        s.v[j] = e
+    far = 0.0
+    wide = 0.0
+    for i in range(s.m):
+        square = 0.0
+        for j in range(s.n):
+            square += s.rows[i * (s.n + 3) + j] * s.rows[i * (s.n + 3) + j]
+        length = sqrt(square)
+        if not length <= 1e150:
+            s.bad = 1
+        inverse = 1.0 / length if length > 1e-12 else 0.0
+        value = 0.0
+        for j in range(s.n):
+            e = s.rows[i * (s.n + 3) + j] * inverse
+            s.At[j * s.m + i] = e
+            value += e * s.v[j]
+        inverse = inverse if length > 1e-12 else 1.0
+        s.lo[i] = s.rows[i * (s.n + 3) + s.n] * inverse
+        s.up[i] = s.rows[i * (s.n + 3) + s.n + 1] * inverse
+        if not s.lo[i] <= 1e299 or not s.up[i] >= -1e299:
+            s.bad = 1
+        s.inside[i] = 0
+        s.lock[i] = 0
+        miss = value - s.up[i] if value - s.up[i] > s.lo[i] - value else s.lo[i] - value
+        if s.rows[i * (s.n + 3) + s.n + 2] > 0.0:
+            s.column[i] = 1
+            wide = miss if miss > wide else wide
+        else:
+            s.column[i] = 0
+            far = miss if miss > far else far
+    s.N = s.n
+    s.hard = -1
+    s.soft = -1
+    if far > 0.0:
+        s.hard = s.N
+        s.v[s.N] = far
+        s.N += 1
+    if wide > 0.0:
+        s.soft = s.N
+        s.v[s.N] = wide
+        s.N += 1
+    for i in range(s.m):
+        s.column[i] = s.soft if s.column[i] == 1 else s.hard
+    for j in range(s.x):
+        for q in range(s.r):
+            s.T[j * s.r + q] = 0.0
+        s.T[j * s.r + s.k + j] = 1.0
+    for j in range(s.n):
+        for row in within(2, s.first[s.p], s.k):
+            s.T[j * s.r + row] = s.J[(row - 2) * s.n + j]
+    for row in range(s.k):
+        s.on[row] = 0
+        s.lock_set[row] = 0
+        s.rhs[row] = 0.0
+    if s.hard >= 0:
+        s.T[s.hard * s.r] = 1.0
+        s.on[0] = 1
+    if s.soft >= 0:
+        s.T[s.soft * s.r + 1] = 1.0
+        s.on[1] = 1
+    for level in range(s.p):
+        s.scale[level] = 1.0
+        largest = 0.0
+        for row in within(s.first[level], s.first[level + 1], s.k):
+            if row >= 2:
+                square = 0.0
+                for j in range(s.n):
+                    square += s.J[(row - 2) * s.n + j] * s.J[(row - 2) * s.n + j]
+                largest = square if square > largest else largest
+                if s.is_set[level] == 0:
+                    s.on[row] = 1
+                    s.rhs[row] = s.lower[row - 2]
+        if largest > 0.0:
+            s.scale[level] = sqrt(largest)
+    s.w = 0
+    s.valid = 0
+    s.start[0] = 0
+    s.used[0] = 0
+    s.moved = 0
+    s.still = 0
+
+
+def switch_set(s: Memory, level: int) -> int:
+    """Choose which rows of a set-based level are at a bound; return 0 if v is inside all of them."""
+    any_on = 0
+    for row in within(s.first[level], s.first[level + 1], s.k):
+        value = at_v(s, row)
+        now = -1 if value < s.lower[row - 2] else 1 if value > s.upper[row - 2] else 0
+        if now != 0:
+            any_on = 1
+            s.rhs[row] = s.lower[row - 2] if now < 0 else s.upper[row - 2]
+        if now != 0 or s.on[row] != 0:
+            s.valid = s.valid if s.valid < level else level
+        s.on[row] = now
+    return any_on
+
+
+def at_once(s: Memory) -> int:
+    """Try the optimum of all levels without active limits; return 1 if it satisfies all limits."""
+    optimum(s, s.p + 1)
+    size = 1.0
+    for j in range(s.n):
+        size = fabs(s.goal[j]) if fabs(s.goal[j]) > size else size
+    for i in range(s.m):
+        s.value[i] = 0.0
+    for j in range(s.n):
+        e = s.goal[j]
+        for i in range(s.m):
+            s.value[i] += s.At[j * s.m + i] * e
+    over = 0
+    for i in range(s.m):
+        if not s.value[i] <= s.up[i] + 1e-13 * size or not s.value[i] >= s.lo[i] - 1e-13 * size:
+            over = 1
+    for level in within(2, s.p, s.p):
+        if s.is_set[level] != 0:
+            for row in within(s.first[level], s.first[level + 1], s.k):
+                value = at_goal(s, row)
+                if not value <= s.upper[row - 2] or not value >= s.lower[row - 2]:
+                    over = 1
+    if over == 0:
+        for j in range(s.x):
+            s.v[j] = s.goal[j]
+    return 1 - over
+
+
+def ratio(s: Memory, limit: int) -> float:
+    """Find the first limit between v and v + step, of nearly equal ones the one that is approached fastest."""
+    s.block = -1
+    s.block_set = 0
+    square = 0.0
+    for j in within(0, s.N, s.x):
+        square += s.step[j] * s.step[j]
+    tiny = 1e-10 * sqrt(square)
+    tiny = tiny if tiny > 1e-13 * s.size else 1e-13 * s.size
+    more = 1e-13 * s.size
+    nearest = 1.0
+    for i in range(s.m):
+        s.speed[i] = 0.0
+        s.value[i] = 0.0
+    for j in range(s.n):
+        e = s.step[j]
+        f = s.v[j]
+        for i in range(s.m):
+            s.speed[i] += s.At[j * s.m + i] * e
+            s.value[i] += s.At[j * s.m + i] * f
+    for i in range(s.m):
+        s.toward[i] = 0
+        if s.inside[i] != 0:
+            continue
+        opened = s.v[s.column[i]] if s.column[i] >= 0 else 0.0
+        opening = s.step[s.column[i]] if s.column[i] >= 0 else 0.0
+        above = s.speed[i] - opening
+        below = -s.speed[i] - opening
+        if above > tiny and s.up[i] < 1e299:
+            distance = s.up[i] + opened - s.value[i]
+            distance = distance if distance > 0.0 else 0.0
+            if distance + more < above * nearest:
+                nearest = (distance + more) / above
+            if distance < above:
+                s.toward[i] = 1
+                s.slack[i] = distance
+                s.speed[i] = above
+        if below > tiny and s.lo[i] > -1e299:
+            distance = s.value[i] - s.lo[i] + opened
+            distance = distance if distance > 0.0 else 0.0
+            if distance + more < below * nearest:
+                nearest = (distance + more) / below
+            if distance < below and (s.toward[i] == 0 or distance * s.speed[i] < s.slack[i] * below):
+                s.toward[i] = -1
+                s.slack[i] = distance
+                s.speed[i] = below
+    for level in within(2, limit, s.p):
+        if s.is_set[level] == 0:
+            continue
+        for row in within(s.first[level], s.first[level + 1], s.k):
+            s.toward_set[row] = 0
+            if s.on[row] != 0:
+                continue
+            value = at_v(s, row)
+            change = 0.0
+            for j in range(s.n):
+                change += s.J[(row - 2) * s.n + j] * s.step[j]
+            distance = 0.0
+            if change > tiny:
+                s.toward_set[row] = 1
+                distance = s.upper[row - 2] - value
+            elif change < -tiny:
+                s.toward_set[row] = -1
+                distance = value - s.lower[row - 2]
+                change = -change
+            else:
+                continue
+            distance = distance if distance > 0.0 else 0.0
+            s.slack_set[row] = distance
+            s.speed_set[row] = change
+            if distance + more < change * nearest:
+                nearest = (distance + more) / change
+    if not nearest < 1.0:
+        return 1.0
+    fastest = 0.0
+    share = 1.0
+    for i in range(s.m):
+        if s.toward[i] != 0 and s.speed[i] > fastest and s.slack[i] <= nearest * s.speed[i]:
+            fastest = s.speed[i]
+            share = s.slack[i] / s.speed[i]
+            s.block = i
+            s.block_side = s.toward[i]
+    for level in within(2, limit, s.p):
+        if s.is_set[level] == 0:
+            continue
+        for row in within(s.first[level], s.first[level + 1], s.k):
+            if s.toward_set[row] == 0 or not s.speed_set[row] > fastest:
+                continue
+            if s.slack_set[row] <= nearest * s.speed_set[row] and s.slack_set[row] < s.speed_set[row]:
+                fastest = s.speed_set[row]
+                share = s.slack_set[row] / s.speed_set[row]
+                s.block = row
+                s.block_set = 1
+                s.block_side = s.toward_set[row]
+    return share
+
+
+def move_limits(s: Memory) -> None:
+    """After several steps of length 0, move all limits outwards by different amounts of 1e-10 to 2e-10."""
+    s.still = 0
+    if s.moved == 0:
+        for i in range(s.m):
+            s.lo_true[i] = s.lo[i]
+            s.up_true[i] = s.up[i]
+    if s.moved >= 6:
+        return
+    s.moved += 1
+    part = 0.13 * s.moved
+    for i in range(s.m):
+        part = part + 0.6180339887498949
+        part = part - 1.0 if part >= 1.0 else part
+        s.lo[i] -= 1e-10 * s.size * (1.0 + part)
+        s.up[i] += 1e-10 * s.size * (1.0 + part)
+    s.valid = 0
+
+
+def advance(s: Memory) -> int:
+    """Go to the optimum on W, or to the first limit on the way; return 1 for a full step, −1 if W cannot grow."""
+    optimum(s, s.top)
+    levels = s.top if s.top < s.p else s.p
+    longest = 0.0
+    s.size = 1.0
+    for j in within(0, s.N, s.x):
+        s.step[j] = s.goal[j] - s.v[j]
+        longest = fabs(s.step[j]) if fabs(s.step[j]) > longest else longest
+        s.size = fabs(s.goal[j]) if fabs(s.goal[j]) > s.size else s.size
+    s.block = -1
+    share = 1.0
+    if longest > 1e-15 * s.size:
+        share = ratio(s, levels)
+    if s.block < 0:
+        for j in within(0, s.N, s.x):
+            s.v[j] = s.goal[j]
+        if longest > 1e-9 * s.size:
+            s.still = 0
+        return 1
+    for j in within(0, s.N, s.x):
+        s.v[j] += share * s.step[j]
+    if share * longest > 1e-12 * s.size:
+        s.still = 0
+    else:
+        s.still += 1
+        if s.still > 5:
+            move_limits(s)
+    if s.block_set != 0:
+        level = s.level_of[s.block]
+        s.valid = s.valid if s.valid < level else level
+        s.on[s.block] = s.block_side
+        s.rhs[s.block] = s.upper[s.block - 2] if s.block_side > 0 else s.lower[s.block - 2]
+        return 0
+    return 0 if enter(s, s.block, s.block_side) != 0 else -1
+
+
+def release(s: Memory) -> int:
+    """Drop the limit with the worst multiplier and return 1; lock those with a positive one and return 0 if none."""
+    level = s.top - 1
+    worst = 0.0
+    which = -1
+    from_set = 0
+    largest = 0.0
+    if level < s.p:
+        square = 0.0
+        for row in within(s.first[level], s.first[level + 1], s.k):
+            if s.on[row] != 0:
+                square += s.rest[row] * s.rest[row]
+        largest = sqrt(square)
+        if s.is_set[level] != 0:
+            for row in within(s.first[level], s.first[level + 1], s.k):
+                if s.on[row] != 0:
+                    e = -s.rest[row] * s.on[row]
+                    if e < -1e-12 * s.size and e < worst:
+                        worst = e
+                        which = row
+                        from_set = 1
+                    else:
+                        s.lock_set[row] = 1 if e > 1e-11 * s.size else 0
+        if which < 0 and (not largest > 1e-12 * s.size or (s.w == 0 and level <= 2)):
+            return 0
+    else:
+        for j in within(0, s.w + s.start[s.p], s.x):
+            largest = fabs(s.y[j]) if fabs(s.y[j]) > largest else largest
+        if not largest > 0.0:
+            return 0
+    if which < 0:
+        multipliers(s, level)
+        unit = s.scale[level] if level < s.p else 1.0
+        limit = 1e-11 * largest * unit
+        if level < s.p and limit < 1e-14 * s.size * unit:
+            limit = 1e-14 * s.size * unit
+        for i in within(0, s.w, s.x):
+            if s.lock[s.W[i]] == 0:
+                e = s.lam[i] * s.side[i]
+                if e < -limit and e < worst:
+                    worst = e
+                    which = i
+        for a in within(2, level, s.p):
+            if s.is_set[a] != 0:
+                for row in within(s.first[a], s.first[a + 1], s.k):
+                    if s.on[row] != 0 and s.lock_set[row] == 0:
+                        e = s.mu[row] * s.on[row]
+                        if e < -limit and e < worst:
+                            worst = e
+                            which = row
+                            from_set = 1
+        if which < 0:
+            for i in within(0, s.w, s.x):
+                if s.lam[i] * s.side[i] > limit:
+                    s.lock[s.W[i]] = 1
+            for a in within(2, level, s.p):
+                if s.is_set[a] != 0:
+                    for row in within(s.first[a], s.first[a + 1], s.k):
+                        if s.on[row] != 0 and s.mu[row] * s.on[row] > limit:
+                            s.lock_set[row] = 1
+            return 0
+    if from_set != 0:
+        s.on[which] = 0
+        a = s.level_of[which]
+        s.valid = s.valid if s.valid < a else a
+    else:
+        leave(s, which)
+    return 1
+
+
+def descend(s: Memory) -> int:
+    """Take in the levels one after another; return 1 at the end, 0 if the iterations do not suffice."""
+    s.top = 1
+    fresh = 1
+    for turn in range(s.cap):
+        s.turns = turn + 1
+        if fresh != 0:
+            fresh = 0
+            for a in within(s.top - 1, s.p, s.p):
+                if s.is_set[a] != 0:
+                    if switch_set(s, a) != 0:
+                        break
+                elif s.on[s.first[a]] != 0:
+                    break
+                s.top += 1
+        done = advance(s)
+        if done < 0:
+            return 0
+        if done > 0 and release(s) == 0:
+            if s.top > s.p:
+                return 1
+            s.top += 1
+            fresh = 1
+    return 0
+
+
+def restore(s: Memory) -> None:
+    """Bring moved limits back, and compute v on the same W."""
+    if s.moved == 0:
+        return
+    for i in range(s.m):
+        s.lo[i] = s.lo_true[i]
+        s.up[i] = s.up_true[i]
+    s.valid = 0
+    if s.reached != 0:
+        optimum(s, s.p + 1)
+        for j in within(0, s.N, s.x):
+            s.v[j] = s.goal[j]

@@ -1,0 +1,213 @@
+"""Evaluate the points of a sweep in chunks; finished chunks are stored, so that an interrupted sweep resumes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surctl.errors import InputError
+from surctl.store import ChunkStore, cannot_write
+from surctl.tuning.executors import Chunk, Evaluator, Executor
+
+__all__ = [
+    "TABLE",
+    "Columns",
+    "Progress",
+    "SweepStage",
+    "chunk_size",
+    "evaluated_chunks",
+    "finished_table",
+    "run_chunks",
+]
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str], None]
+Columns = Callable[[int, int], Floats]
+"""Function (index of the stage, index of the column) → values (rows of the stage,), read from the stored chunks."""
+
+TABLE = "sweep.nc"
+"""Name of the file of a finished sweep."""
+_MOST_CHUNKS = 64  # chunks of a small sweep, so that an interruption loses little and every worker has work
+
+
+@dataclass(frozen=True, eq=False)
+class SweepStage:
+    """Rows that a sweep evaluates in chunks.
+
+    Attributes:
+        rows: (n, axes) values of the parameters.
+        size: rows in a chunk.
+        width: number of columns of results.
+        name: what is computed, for the progress.
+        unit: what is counted in the rate of the progress.
+        each: how many of these belong to a row.
+        counted: what the rows are, for the progress.
+    """
+
+    rows: Floats = field(repr=False)
+    size: int
+    width: int
+    name: str = "sweep"
+    unit: str = "runs"
+    each: int = 1
+    counted: str = "points"
+
+
+def chunk_size(count: int, *, most: int) -> int:
+    """Return the number of rows in a chunk, for `count` rows in all and at most `most` rows in a chunk.
+
+    It does not depend on the executor, so that any executor can resume a sweep.
+    """
+    return max(1, min(most, -(-count // _MOST_CHUNKS)))
+
+
+@contextmanager
+def evaluated_chunks(
+    function: Evaluator,
+    stages: Sequence[SweepStage],
+    *,
+    out: Path,
+    request: str,
+    executor: Executor,
+    progress: Progress,
+) -> Iterator[Columns]:
+    """Evaluate all rows of all stages, and yield a function that returns columns of the results.
+
+    Chunks are numbered through all stages. Chunks that an interrupted process left for the same request are not
+    evaluated again. When all are finished, a `TABLE` of another request is renamed. After the `with` statement, all
+    stored chunks are deleted, unless it raised an error.
+
+    Args:
+        function: evaluator of a chunk.
+        stages: the rows; those of the last stage are the points of the sweep.
+        out: folder of the sweep.
+        request: digest of everything that the results depend on.
+        executor: executor of the chunks.
+        progress: function that receives one line of text at each step of the work.
+
+    Raises:
+        InputError: the folder cannot be written, or the disk is full. Finished chunks remain.
+    """
+    chunks: list[list[Chunk]] = []
+    for stage in stages:
+        first = sum(map(len, chunks))
+        chunks.append([(first + k, stage.rows[at : at + stage.size]) for k, at in _starts(stage)])
+    shapes = {i: (len(points), s.width) for s, part in zip(stages, chunks, strict=True) for i, points in part}
+    store = ChunkStore(out / "sweep.chunks" / request[:16], request)
+
+    def column(stage: int, k: int) -> Floats:
+        return np.concatenate([store.column(i, shapes[i], k) for i, _ in chunks[stage]])
+
+    with store.open():
+        todo = [(i, points) for part in chunks for i, points in part if not store.has(i, shapes[i])]
+        pace = _Pace(stages, chunks, todo, progress)
+        run_chunks(function, todo, store=store, executor=executor, finished=pace.finished)
+        _set_aside(out / TABLE, progress)
+        try:
+            yield column
+        except InputError as error:
+            problem, remedy = f"{error.problem}; finished chunks are kept", f"{error.remedy}; the same command resumes"
+            raise InputError(problem, file=error.file, key=error.key, value=error.value, remedy=remedy) from None
+    store.remove()
+
+
+def _starts(stage: SweepStage) -> Iterator[tuple[int, int]]:
+    return enumerate(range(0, len(stage.rows), stage.size))
+
+
+def run_chunks(
+    function: Evaluator,
+    chunks: Sequence[Chunk],
+    *,
+    store: ChunkStore,
+    executor: Executor,
+    finished: Callable[[int], None] = lambda _: None,
+) -> None:
+    """Evaluate chunks, and store each result as soon as it is available.
+
+    Args:
+        function: the evaluator of a chunk.
+        chunks: chunks that the store does not contain yet.
+        store: open store of finished chunks.
+        executor: executor of the chunks.
+        finished: function that receives the index of each chunk once the chunk is stored.
+
+    Raises:
+        InputError: a chunk cannot be written.
+    """
+    with closing(executor.map_chunks(function, chunks)) as results:  # after an error here the workers stop too
+        for index, table in results:
+            store.write(index, table)
+            finished(index)
+
+
+def finished_table(out: Path, request: str, *, progress: Progress) -> Path | None:
+    """Return the file in the folder that holds the finished sweep of a request; None if there is none."""
+    for path in (out / TABLE, out / f"sweep-{request[:12]}.nc"):
+        if path.exists() and _request_of(path) == request:
+            progress(f"sweep: {path} has all points")
+            return path
+    return None
+
+
+def _set_aside(target: Path, progress: Progress) -> None:
+    """Rename the file of another request."""
+    if not target.exists():
+        return
+    other = target.with_name(f"sweep-{(_request_of(target) or 'unreadable')[:12]}.nc")
+    try:
+        target.replace(other)
+    except OSError as error:
+        raise cannot_write(target, error) from None
+    progress(f"{target} contained the table of another request; it is now {other}")
+
+
+def _request_of(path: Path) -> str | None:
+    """Return the request digest stored in a finished sweep file; None if the file is damaged or is no sweep file."""
+    import netCDF4
+
+    try:
+        with netCDF4.Dataset(path) as file:
+            for variable in file.variables.values():
+                _ = variable[:]  # reading verifies the stored checksums
+            return str(file.getncattr("request"))
+    except (OSError, RuntimeError, AttributeError):
+        return None
+
+
+class _Pace:
+    """Lines about the progress of a sweep, at most two a second."""
+
+    def __init__(
+        self, stages: Sequence[SweepStage], chunks: Sequence[Sequence[Chunk]], todo: Sequence[Chunk], progress: Progress
+    ) -> None:
+        self.progress, self.stages = progress, stages
+        self.stage_of = {index: k for k, part in enumerate(chunks) for index, _ in part}
+        self.left = {index: len(points) for index, points in todo}
+        waiting = [sum(self.left.get(i, 0) for i, _ in part) for part in chunks]
+        self.before = [len(stage.rows) - left for stage, left in zip(stages, waiting, strict=True)]
+        self.done = list(self.before)
+        self.last = time.monotonic()
+        self.start = [self.last] * len(stages)
+        self.progress(f"{stages[-1].name} {self.done[-1]}/{len(stages[-1].rows)} {stages[-1].counted}")
+
+    def finished(self, index: int) -> None:
+        k, now = self.stage_of[index], time.monotonic()
+        self.done[k] += self.left.pop(index)
+        self.start[k + 1 :] = [now] * len(self.start[k + 1 :])
+        if not self.left or now - self.last >= 0.5:
+            self.last = now
+            self.progress(self._line(k, now))
+
+    def _line(self, k: int, now: float) -> str:
+        stage, whole = self.stages[k], len(self.stages[k].rows)
+        rate = (self.done[k] - self.before[k]) / max(now - self.start[k], 1e-9)
+        left = round((whole - self.done[k]) / rate)
+        eta = f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
+        return f"{stage.name} {self.done[k]}/{whole} {stage.counted}, {rate * stage.each:.3g} {stage.unit}/s, ETA {eta}"

@@ -1,0 +1,95 @@
+"""Regions of sampled systems: a crane with a limited force, an integrator and an uncertain load; what is left out."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import pytest
+
+from surctl.ir import Layout, Port
+from surctl.lyapunov import Problem, continuous_dynamics, find_stability, sampled_dynamics, solve
+from surctl.lyapunov.sampled import SampledStability
+from surctl.system import Controller, Plant, System
+
+GALLERY = Path(__file__).parents[2] / "notebooks" / "gallery"
+
+
+@pytest.fixture(scope="module")
+def crane() -> Any:
+    spec = importlib.util.spec_from_file_location("crane", GALLERY / "crane.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_crane_has_a_region_with_a_force_limit_that_acts_in_it(crane: Any) -> None:
+    solution = solve(Problem(sampled_dynamics(crane.build(), crane.WITHIN), "lyapunov"), first=True)
+    assert solution.verdict == "proved" and solution.sampled
+    claim = solution.decision.claim  # type: ignore[union-attr]
+    assert claim.dynamics.box[1, 0] > 0.9
+    # at 1 m from the target, the controller asks for 51 N, and the limit is 10 N
+    assert solution.limits == ""
+
+
+def cart(law: Any, **ranges: tuple[float, float]) -> System:
+    place, speed, force = (Port(name, (1,), unit, "") for name, unit in (("x", "m"), ("v", "m/s"), ("u", "N")))
+    mass, gain = Port("mass", (1,), "kg", "", 1.0), Port("k", (1,), "N/m", "", 4.0)
+    plant = Plant(
+        "cart", Layout((place, speed)), Layout((force,)), parameters=Layout((mass,)),
+        ode=lambda x, f, d, p: {"x": x["v"], "v": f["u"] / p["mass"]},
+    )  # fmt: skip
+    named = {name.replace("_", "."): ends for name, ends in ranges.items()}
+    return System(plant, Controller("hold", 0.2, plant.state, plant.inputs, law, gains=Layout((gain,))), ranges=named)
+
+
+WITHIN = {"x": (-1.0, 1.0), "v": (-2.0, 2.0)}
+
+
+def limited(x: Any, u: Any, p: Any) -> Any:
+    return ca.fmax(-1, ca.fmin(1, -p["k"] * u["x"] - 3 * u["v"]))
+
+
+def test_sampling_limits_and_ranges_come_from_the_system() -> None:
+    system = cart(limited, plant_mass=(0.9, 1.1))
+    dynamics = sampled_dynamics(system, WITHIN)
+    assert [w.name for w in dynamics.parameters] == ["plant_mass"]
+    assert sampled_dynamics(system, WITHIN, ranges={"plant.mass": (0.8, 1.0)}).parameters[0].upper == 1.0
+    plain = find_stability(dynamics).claim.plain()  # type: ignore[union-attr]
+    assert plain["time"] == "sampled" and plain["period_s"] == 0.2
+    assert plain["dynamics"] == {"x": "v", "v": "u/plant_mass"}
+    assert plain["commands"] == [{"name": "u", "unit": "N", "value": "max(-1, min(1, -4*x - 3*v))"}]
+    assert continuous_dynamics(system, WITHIN).sampling is None
+
+
+def test_the_law_in_continuous_time_is_named_if_it_is_what_is_proved() -> None:
+    # stable as a law in continuous time, unstable if it is sampled every 0.2 s
+    fast = cart(lambda x, u, p: -p["k"] * 10 * u["x"] - 12 * u["v"])
+    result = find_stability(sampled_dynamics(fast, WITHIN), first=True)
+    assert result.verdict == "proved" and not isinstance(result.claim, SampledStability)
+    stated = find_stability(sampled_dynamics(cart(limited), WITHIN), first=True, rate=0.05)
+    assert isinstance(stated.claim, SampledStability)
+    assert stated.claim.rate == pytest.approx(0.05 * 0.2)
+    assert "by at least 0.01 of its value" in stated.claim.statement
+
+
+def test_a_command_with_the_name_of_a_state_has_another_one() -> None:
+    place, pair = Port("u_0", (1,), "m", ""), Port("u", (2,), "m/s", "")
+    plant = Plant("cart", Layout((place,)), Layout((pair,)), lambda x, f, d, p: {"u_0": f["u"][0] + f["u"][1]})
+    law = Controller("hold", 0.2, plant.state, plant.inputs, lambda x, u, p: {"u": [-u["u_0"], 0 * u["u_0"]]})
+    sampling = sampled_dynamics(System(plant, law), {"u_0": (-1.0, 1.0)}).sampling
+    assert sampling is not None and [c.name for c in sampling.commands] == ["command_u_0", "command_u_1"]
+
+
+def test_a_state_that_a_held_command_may_move_leaves_sampling_out() -> None:
+    law = Controller
+    place, other, rate = Port("x", (1,), "m", ""), Port("y", (1,), "m", ""), Port("u", (1,), "m/s", "")
+    plant = Plant(
+        "pair", Layout((place, other)), Layout((rate,)), lambda x, f, d, p: {"x": f["u"], "y": f["u"] + x["x"]}
+    )
+    system = System(plant, law("hold", 0.2, plant.state, plant.inputs, lambda x, u, p: -u["x"]))
+    assert sampled_dynamics(system, {"x": (-1.0, 1.0)}).sampling is None
+    assert sampled_dynamics(system, {"x": (-1.0, 1.0), "y": (-1.0, 1.0)}).sampling is not None

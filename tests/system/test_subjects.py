@@ -1,0 +1,107 @@
+"""A package registers a robot of its own; commands take it by name, and other processes too."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from surctl.cli.app import app
+from surctl.errors import InputError
+from surctl.system import System
+from surctl.system.subjects import _registered, load_subject, registered_subjects
+from surctl.tuning import LocalExecutor, grid, parse_axis, sweep_system
+from tests.tools import need_compiler
+
+LOOPS = """
+from surctl.ir import Layout, Port
+from surctl.system import Controller, Cost, Plant, System
+from .parts import X
+
+U = Port("u", (1,), "m/s", "")
+print("loading")
+
+def build():
+    print("building")
+    plant = Plant("heron", Layout((X,)), Layout((U,)), lambda x, f, d, p: {"x": f["u"]})
+    gains = Layout((Port("k", (1,), "1/s", "", 2.0),))
+    law = Controller("hold", 0.1, Layout((X,)), Layout((U,)), lambda x, u, p: -p["k"] * u["x"], gains=gains)
+    return System(plant, law, costs={"final": Cost(lambda s: s.x["x"], "final", "m")})
+
+def fails():
+    return 1 / 0
+
+def number():
+    return 1.0
+"""
+ENTRIES = """[surctl.subjects]
+heron = heron_robot.loops:build
+broken = heron_robot.loops:fails
+number = heron_robot.loops:number
+nowhere = heron_robot.nothing:build
+twice = heron_robot.loops:build
+"""
+
+
+@pytest.fixture
+def heron(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    package = tmp_path / "site" / "heron_robot"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("")
+    (package / "parts.py").write_text('from surctl.ir import Port\n\nX = Port("x", (1,), "m", "", 1.0)\n')
+    (package / "loops.py").write_text(LOOPS)
+    for name, entries in (("heron_robot", ENTRIES), ("other", "[surctl.subjects]\ntwice = other:build\n")):
+        about = tmp_path / "site" / f"{name}-1.0.dist-info"
+        about.mkdir()
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (about / "entry_points.txt").write_text(entries)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.chdir(tmp_path)
+    _registered.cache_clear()
+    return package
+
+
+def data(*words: str) -> dict:
+    done = CliRunner().invoke(app, [*words, "--json"])
+    assert done.exit_code == 0, (done.output, done.exception)
+    return json.loads(done.stdout)
+
+
+def test_commands_take_the_system_of_a_package_by_its_name(heron: Path) -> None:
+    need_compiler()
+    assert registered_subjects()["heron"] == "heron_robot.loops:build"
+    assert "subject:heron" in data("list")["subjects"]
+    run = data("simulate", "subject:heron", "k=1", "--seconds", "1")
+    assert (run["system"], run["plant"], run["costs"]["final"]["unit"]) == ("subject:heron", "heron", "m")
+    swept = data("sweep", "subject:heron", "k=1,2", "--seconds", "1", "--out", "swept")
+    assert swept["best"]["final"]["at"] == {"k": 2.0} and "subject:heron k=2.0" in swept["next"][0]
+    assert data("verify", "subject:heron")["stable"]
+    assert data("export", "subject:heron", "--seconds", "1", "--out", "c")["sil"]["passed"]
+
+
+def test_other_processes_load_the_package(heron: Path) -> None:
+    need_compiler()
+    subject, design = load_subject("subject:heron"), grid([parse_axis("k=0.5..4:100")])
+    assert isinstance(subject.system, System) and load_subject("subject:heron").system is subject.system
+    spread = LocalExecutor(2, alone_s=0.0)
+    swept = sweep_system(subject.system, design, 1.0, source="subject:heron", executor=spread)
+    np.testing.assert_array_equal(swept.worst("final"), sweep_system(subject.system, design, 1.0).worst("final"))
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("heorn", "system = 'heorn': no installed package registers it; did you mean 'heron'"),
+        ("broken", "heron_robot.loops:fails fails with ZeroDivisionError: division by zero; correct the package"),
+        ("number", "heron_robot.loops:number returns float, not System; return a surctl System"),
+        ("nowhere", "heron_robot.nothing:build fails with ModuleNotFoundError"),
+        ("twice", "is registered twice, as heron_robot.loops:build and other:build; uninstall one"),
+    ],
+)
+def test_a_wrong_name_or_package_is_one_line(heron: Path, name: str, text: str) -> None:
+    done = CliRunner().invoke(app, ["simulate", f"subject:{name}", "--seconds", "1"])
+    assert isinstance(done.exception, InputError) and done.stdout == ""
+    assert text in str(done.exception) and "\n" not in str(done.exception)
