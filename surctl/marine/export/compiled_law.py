@@ -30,6 +30,7 @@ from surctl.ir import (
     Port,
     Program,
     Real,
+    Routine,
     Step,
     compile_block,
     lower,
@@ -38,6 +39,7 @@ from surctl.ir import (
     with_constants,
     without_libm,
 )
+from surctl.ir.procedure import Procedure
 from surctl.marine.control import NONFINITE, Law, LawStep, in_real
 from surctl.marine.simulation import GONE, LATE
 from surctl.noise import NoiseStream
@@ -147,9 +149,13 @@ def _with_constant_input(block: Block, at: int, constants: Vector) -> Block:
             for i in folded.instructions
         ]
         return replace(folded, inputs=left, instructions=tuple(moved))
+    if isinstance(block, Procedure):  # as a step, it reads the array of the constants
+        results = tuple(own for own, _ in block.outputs)
+        call = Call(block, tuple(own for own, _ in block.inputs), results)
+        block = Routine(f"{block.name}_folded", block.inputs, (call,), results)
     steps: list[Step] = []
     for step in block.steps:
-        if isinstance(step, Call) and name in step.args:
+        if isinstance(step, Call) and name in step.args and not isinstance(step.block, Procedure):
             here = step.args.index(name)
             args = tuple(arg for k, arg in enumerate(step.args) if k != here)
             steps.append(Call(_with_constant_input(step.block, here, constants), args, step.results))
