@@ -9,7 +9,7 @@ import pytest
 
 from surctl.certcheck import barrier, check_document, lyapunov
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.motion import Motion, Obligation, _require_loop, check_all, read_motion, rest_of
+from surctl.certcheck.motion import Motion, Obligation, check_all, read_motion, require_loop, rest_of
 from surctl.certcheck.patience import patient
 from tests.certcheck.test_lyapunov import LOOP, _case, _changed, _state
 
@@ -123,8 +123,8 @@ def test_dynamics_that_are_not_complete(change: dict[str, Any], says: str) -> No
     ],
 )
 def test_a_loop_that_is_not_complete(change: dict[str, Any], says: str) -> None:
-    _require_loop(LOOP | {"gains": {"k": [1.0, "k"]}, "disturbance": ["d", 1]})
-    refuses(says, _require_loop, LOOP | change)
+    require_loop(LOOP | {"gains": {"k": [1.0, "k"]}, "disturbance": ["d", 1]})
+    refuses(says, require_loop, LOOP | change)
 
 
 @pytest.mark.parametrize("text", ["1e5", "٣", "0x1", "1.", ".5", "+1", "", " 1", "1" * 401, "1\n"])
