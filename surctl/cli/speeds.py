@@ -7,7 +7,7 @@ import click
 __all__ = ["SPEEDS", "Speeds"]
 
 
-class Speeds(click.ParamType[tuple[float, ...]]):
+class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
     """Cruise speeds [m/s], written like a sweep axis: one value, several values, or a range with a count."""
 
     name = "V1,V2,...|LOW..HIGH:COUNT"

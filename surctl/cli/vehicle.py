@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["vehicle"]
 
 
-class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+class _Measured(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
     # a number with unit, such as "54 cm"; without a unit, the unit that the help names applies
     def __init__(self, unit: str) -> None:
         self.unit, self.name = unit, unit
