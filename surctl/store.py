@@ -109,7 +109,14 @@ class ChunkStore:
 
 
 def cannot_write(place: Path, error: Exception) -> InputError:
-    """Return the InputError for a full disk or for a folder in which no file can be written."""
+    """Return the InputError for a full disk or for a folder in which no file can be written.
+
+    Example:
+        >>> from pathlib import Path
+        >>> from surctl.store import cannot_write
+        >>> cannot_write(Path("out"), OSError(28, "No space left on device")).problem
+        'cannot be written (No space left on device); finished chunks are kept'
+    """
     reason = getattr(error, "strerror", None) or str(error)
     return InputError(
         f"cannot be written ({reason}); finished chunks are kept",

@@ -185,7 +185,7 @@ def test_sweep_finishes_and_picks(tmp_path):
         "sweep.nc", "gains.toml", "sweep-lookahead-vehicle.m11-score.png", "sweep-parallel.png",
     }  # fmt: skip
     again = surctl(*words, "--out", "a", cwd=tmp_path)
-    assert "has them all" in again.err and again.json == first.json
+    assert "has all points" in again.err and again.json == first.json
     none = surctl("sweep", "k_v=0.02", *loop, "--out", "c", cwd=tmp_path)
     assert (none.status, none.json["picked"], none.json["gains"]) == (1, None, None)
     assert not (tmp_path / "c" / "gains.toml").exists()
