@@ -63,6 +63,7 @@ def prove_all(
         proofs.append(proof)
         if out is not None and proof.verdict == "proved":
             with saving(f"certificate of {claim.name}"):
+                out.mkdir(parents=True, exist_ok=True)
                 file = out / f"{claim.name}.json"
                 proof.write(file)
                 files.append(file)

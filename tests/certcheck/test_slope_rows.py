@@ -11,7 +11,8 @@ from mpmath import libmp
 from numpy.typing import NDArray
 
 from surctl.certcheck import Rejected
-from surctl.certcheck.enclosure import Undefined
+from surctl.certcheck.enclosure import Undefined, span
+from surctl.certcheck.region_exact import inverse
 from surctl.certcheck.slope_rows import Number, Rows, up
 from surctl.verification.formula import parse, values_of, variable
 
@@ -31,7 +32,8 @@ EXPRESSIONS = (
 
 def rows_of(first: str, second: str = "0*x", level: float = 1.0, **further: object) -> Rows:
     settings = {"p": P, "centre": CENTRE, "disturbances": ["w"], "box": BOX} | further
-    return Rows(NAMES, rates=[first, second], level=Fraction(level), **settings)
+    box, covers = [span(*ends) for ends in settings.pop("box")], [inverse(settings.pop("p"))]
+    return Rows(NAMES, box, [first, second], covers, level=Fraction(level), **settings)
 
 
 def samples(count: int = 400) -> Array:
