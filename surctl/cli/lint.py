@@ -169,14 +169,18 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
         word = choose_vehicle(vehicle, (scenario.name, scenario.vehicle)).word
         robot = load_vehicle(word)
         gains, derivation = gains_for(None, robot, cruise=scenario.cruise)
-        mission = Mission(robot, gains, scenario.cruise, scenario.cap, scenarios=(scenario,))
+        problems = findings(scenario, robot)
+        wrong = any(one.level == "error" for one in problems)  # no claim is about it then
+        mission = Mission(robot, gains, scenario.cruise, scenario.cap, scenarios=() if wrong else (scenario,))
         about_loop, derive = _loop_findings(mission, word if derivation else None)
-        problems = [*findings(scenario, robot), *about_loop]
+        problems += about_loop
     elif kind == "study":
         plan = load_plan(path)
         for leg in plan.legs:
             problems += findings(leg.scenario, leg.vehicle)
-        if has_cascade(plan.law, plan.guidance):  # another law is linearised about its runs, which `study` simulates
+        wrong = any(one.level == "error" for one in problems)
+        # another law is linearised about its runs, which `study` simulates
+        if not wrong and has_cascade(plan.law, plan.guidance):
             source = Path(plan.vehicle.source)
             word = plan.vehicle.name if source.parent == VEHICLES else str(source)
             about_loop, derive = _loop_findings(assessed(plan, plan.gains), word if plan.derivation else None)
