@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from typing import Any
 
 import casadi
@@ -77,6 +78,15 @@ class Dropped:
         signal.raise_signal(signal.SIGINT)
 
 
+@pytest.fixture
+def _usual_interrupt() -> Iterator[None]:
+    """Let Ctrl-C raise, also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("_usual_interrupt")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_an_interrupt_that_is_lost_comes_with_the_next_progress() -> None:
     with noting_interrupts():
