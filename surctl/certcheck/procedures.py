@@ -86,8 +86,8 @@ def _checked(tree: ast.Module, fields: set[str], sizes: Mapping[str, int]) -> tu
         if isinstance(node, ast.Attribute) and not (_is_name(node.value, "s") and node.attr in fields):
             raise ValueError(f"a procedure with an attribute {node.attr}")
         if isinstance(node, ast.Name | ast.arg):
-            name = node.id if isinstance(node, ast.Name) else node.arg
-            if name.startswith("_") or (isinstance(node, ast.Name) and name in _KNOWN and _stored(node)):
+            name, bound = (node.id, _stored(node)) if isinstance(node, ast.Name) else (node.arg, True)
+            if name.startswith("_") or (bound and name in _KNOWN):
                 raise ValueError(f"a procedure with a name {name}")
         if isinstance(node, ast.AugAssign) and not isinstance(node.op, ast.Add | ast.Sub):
             raise ValueError("a procedure with a product in place")

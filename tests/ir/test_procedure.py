@@ -190,6 +190,12 @@ def test_the_checker_executes_nothing_else(line: str) -> None:
         read_list(text)
 
 
+def test_the_checker_refuses_an_argument_named_like_a_function() -> None:
+    text = "procedure p\nout y 1\nwhole k 0\ndef f(s, range):\n    for i in range(2):\n        s.k = i\n"
+    with pytest.raises(Rejected, match="a procedure with a name range"):
+        read_list(text)
+
+
 def test_the_checker_ends_numbers_that_grow() -> None:
     text = "procedure p\nout y 1\nwhole k 0\ndef f(s):\n    s.k = 3\n    for i in range(99):\n        s.k = s.k * s.k\n"
     with pytest.raises(ValueError, match="too large"):
