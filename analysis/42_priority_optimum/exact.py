@@ -30,17 +30,27 @@ SLACK = Decimal("1e-14")
 STEPS = 600
 
 
-def least_residuals(problem: PriorityProblem, strict: int, v: NDArray[np.float64]) -> list[float] | None:
-    """Return the least residuals of the first `strict` levels, one after the other, within the limits that v satisfies.
+def least_residuals(
+    problem: PriorityProblem, strict: int, v: NDArray[np.float64], moved: bool = True
+) -> list[float] | None:
+    """Return the least residuals of the first `strict` levels, one after the other; the active set begins at v.
 
-    Limits that v violates are moved to v, and all of them outwards by 1e-14, so that v itself is one of the candidates,
-    and rounding makes no contradiction of limits that meet. None if the active set does not settle in 600 steps.
+    Limits that v violates are moved to v, so that v itself is one of the candidates; or, if not `moved`, all limits
+    stay where they are, or are opened by the least amount that leaves a velocity. Either way they are opened by 1e-14,
+    so that rounding makes no contradiction of limits that meet. None if the active set does not settle in 600 steps.
     """
     with localcontext() as context:
         context.prec = DIGITS
         y, Z = _exact(v), _exact(np.eye(problem.width))
         G, h = _limits(problem)
-        h = np.maximum(h, G @ y) + SLACK
+        if moved:
+            h = np.maximum(h, G @ y)
+        else:
+            inside = _inside(G, h, y)
+            if inside is None:
+                return None
+            y, h = inside[:-1], h + inside[-1]
+        h = h + SLACK
         residuals = []
         for level in problem.levels[:strict]:
             J = _exact(level.J)
@@ -68,6 +78,14 @@ def least_residuals(problem: PriorityProblem, strict: int, v: NDArray[np.float64
             G = np.vstack([G, J, -J])
             h = np.concatenate([h, np.maximum(high, J @ y), -np.minimum(lower, J @ y)])
         return residuals
+
+
+def _inside(G: Exact, h: Exact, y: Exact) -> Exact | None:
+    """Return a y, and behind it the least t >= 0 with G y <= h + t."""
+    one = _exact(np.eye(len(y) + 1)[-1:])
+    wide = np.vstack([np.hstack([G, -_exact(np.ones((len(G), 1)))]), -one])
+    start = np.append(y, max(Decimal(0), *(G @ y - h)))
+    return _nearest(one, _exact(np.zeros(1)), start, _exact(np.eye(len(start))), wide, np.append(h, Decimal(0)))
 
 
 def _nearest(C: Exact, d: Exact, y: Exact, Z: Exact, G: Exact, h: Exact) -> Exact | None:

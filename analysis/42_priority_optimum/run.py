@@ -123,6 +123,9 @@ def _judged(
         least = least_residuals(allowed, strict, v)
         decided = proved or least is not None
         lost = lost if least is None else worse(found, least)
+        if lost:  # limits that almost contradict each other: 1e-10 beyond one of them may be worth 1e-5 of a residual
+            within = least_residuals(allowed, strict, v, moved=False)
+            lost = within is None or any(r > o + TOLERANCE * (1.0 + o) for r, o in zip(found, within, strict=True))
     lost = lost or violation(allowed, v) > VIOLATED
     if opening > 0.0:
         lost = lost or opening > least_opening(problem) + TOLERANCE * (1.0 + opening)
