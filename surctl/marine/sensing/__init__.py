@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from surctl.marine.sensing.localisation.own_state import OwnEstimate, OwnStateFilter
     from surctl.marine.sensing.mapping.contacts import ContactMemory, Contacts, expected_range, sonar_contacts
     from surctl.marine.sensing.mapping.local_map import LocalMap
-    from surctl.marine.sensing.mapping.numbers import map_step, map_view
     from surctl.marine.sensing.ranging.filters import (
         FilterUpdate,
         LmsStep,
@@ -178,8 +177,6 @@ __all__ = [
     "gate",
     "level_range",
     "lms_step",
-    "map_step",
-    "map_view",
     "mover_step",
     "pick_calibration",
     "read_readings",
@@ -210,7 +207,6 @@ load_at_first_use(
         "localisation.own_state": "OwnEstimate OwnStateFilter",
         "mapping.contacts": "ContactMemory Contacts expected_range sonar_contacts",
         "mapping.local_map": "LocalMap",
-        "mapping.numbers": "map_step map_view",
         "ranging.filters": "FilterUpdate LmsStep SensorFilter gate lms_step weighted_average",
         "ranging.tracker": "RangeTracker Ranging",
         "replay": "Readings Recording Replay SensorSummary Tracked filtered_rows read_readings replay_readings"
