@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surctl.marine.sensing import SonarArray, true_range
+from surctl.marine.sensing import SonarArray
 from surctl.marine.world import Box, Disc, Wall
+from tests.oracles.echoes import true_range
 from tests.oracles.local_map import map_step
 
 HULL = 0.27

@@ -10,18 +10,9 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import (
-    SolidBox,
-    SolidDisc,
-    SolidWalls,
-    SonarArray,
-    beam_of,
-    echo_range,
-    echo_samples,
-    firing_samples,
-    true_range,
-)
-from surctl.marine.world import Box, Disc, nearest_echo, site_walls
+from surctl.marine.sensing import SolidBox, SolidDisc, SolidWalls, SonarArray, beam_of, echo_range, echo_samples
+from surctl.marine.world import Box, Disc, site_walls
+from tests.oracles.echoes import firing_samples, nearest_echo, true_range
 from tests.raycasting import corners, nearest_by_rays
 
 WEBOTS = math.radians(22.5)

@@ -9,7 +9,8 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Layout
 from surctl.marine.sensing import ContactMemory, Contacts, SonarArray, expected_range, sonar_contacts
-from surctl.marine.world import Disc, nearest_echo, site_walls
+from surctl.marine.world import Disc, site_walls
+from tests.oracles.echoes import nearest_echo
 
 ARRAY = SonarArray()
 SITE = (0.0, 10.0, 0.0, 5.0)

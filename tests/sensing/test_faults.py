@@ -20,12 +20,10 @@ from surctl.marine.sensing import (
     check_faults,
     fault_ports,
     fault_slots,
-    fault_state,
-    faulty,
     faulty_samples,
-    firing_samples,
 )
 from surctl.noise import NoiseStream, draw_uniforms, noise_states
+from tests.oracles.echoes import fault_state, faulty, firing_samples
 
 
 class File(Strict):

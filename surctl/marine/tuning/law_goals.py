@@ -14,7 +14,8 @@ from surctl.errors import InputError, ToolMissing
 from surctl.ir import warn_slower
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Case, case_parameters, law_numbers, simulate
-from surctl.marine.simulation.batch.traces import law_input, trace_batch
+from surctl.marine.simulation.batch.traces import trace_batch
+from surctl.marine.simulation.loop import SingleRun
 from surctl.marine.tuning.goals import Goal
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import OperatingPoint, law_loop, steady_motion
@@ -128,7 +129,8 @@ def _motions(case: Case, runs: Sequence[tuple[Gains, Mapping[str, float]]]) -> l
             except InputError:
                 motions.append(_UNSTEADY)
                 continue
-            u = law_input(law, case.scenario, _varied(case, plant), trace.plant[k], step=k, p=p)
+            there = SingleRun(replace(case, vehicle=_varied(case, plant)), law, seed=0)
+            u = there.at(trace.plant[k], k, p=p)["u"]
             motions.append(operating_point(case.scenario, k * law.dt, eta[k], nu[k], x=trace.law[k], u=u, p=p))
     except ToolMissing as missing:
         warn_slower(missing)

@@ -17,12 +17,10 @@ from math import ceil, isfinite
 from statistics import NormalDist
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["BaseStation", "Delivery", "OwnState", "delayed", "delayed_symbols", "whole_steps"]
+__all__ = ["BaseStation", "Delivery", "OwnState", "delayed_symbols", "whole_steps"]
 
 _ALWAYS = 1e300  # bound that no standard normal number reaches
 _ROUNDING = 1e-9  # [1] tolerance of a number of steps
@@ -74,23 +72,6 @@ class Delivery:
         """Return the number of control periods dt [s] between two measurements; InputError if not a whole number."""
         return whole_steps("delivery.period", self.period, dt=dt)
 
-    def arrives(self, step: int, *, chance: float, dt: float) -> bool:
-        """Return whether a message that was measured `late(dt)` control periods before arrives at period `step`.
-
-        The first measurement takes place at control period 0.
-
-        Args:
-            step: number of the control period, from 0.
-            chance: a standard normal number that decides the loss, drawn anew for each control period.
-            dt: control period [s].
-
-        Raises:
-            InputError: if period or latency is not a multiple of dt.
-        """
-        measured = step - self.late(dt)
-        due = measured >= 0 and measured % self.every(dt) == 0
-        return due and chance >= self.lost_below and not any(a <= measured < b for a, b in self._blind(dt))
-
     def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
         """Return 1 if a message arrives at control period `step`, else 0, as `arrives` does, in CasADi symbols."""
         measured, every = step - self.late(dt), self.every(dt)
@@ -115,25 +96,6 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
     if abs(time / dt - count) > 1e-6:
         raise InputError(f"is not a multiple of the control period of {dt:g} s", key=key, value=time)
     return count
-
-
-def delayed(ring: NDArray[np.float64], now: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the value (n,) from k steps ago, and the updated ring buffer (k, n) of the last k values.
-
-    Args:
-        ring: (k, n) ring buffer of the last k values, newest first; with k = 0 there is no delay.
-        now: (n,) present value.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import delayed
-        >>> ring = np.array([[0.2], [0.1]])  # the last two depths, newest first
-        >>> then, ring = delayed(ring, np.array([0.3]))
-        >>> then.tolist(), ring.tolist()
-        ([0.1], [[0.3], [0.2]])
-    """
-    known = np.vstack([np.reshape(now, (1, -1)), ring])
-    return known[-1], known[:-1]
 
 
 def delayed_symbols(ring: ca.SX, now: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -169,54 +131,6 @@ class BaseStation:
         _check("base_station.position_sd", self.position_sd, unit="m")
         _check("base_station.velocity_sd", self.velocity_sd, unit="m/s")
 
-    def observe(
-        self, positions: NDArray[np.float64], velocities: NDArray[np.float64], *, noise: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the measured positions (K, 2) [m] and velocities (K, 2) [m/s] of K ≥ 0 obstacles in {E}.
-
-        Args:
-            positions: (K, 2) true positions [m] in {E}.
-            velocities: (K, 2) true velocities [m/s] in {E}.
-            noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
-
-        Raises:
-            InputError: if `positions` or `velocities` is not (K, 2), or `noise` is not (K, 4).
-        """
-        where, speed = np.asarray(positions, dtype=float), np.asarray(velocities, dtype=float)
-        if where.ndim != 2 or where.shape[1] != 2 or where.shape != speed.shape:
-            raise InputError(
-                f"have shapes {where.shape} and {speed.shape}", key="positions, velocities", remedy="give (K, 2) both"
-            )
-        if np.shape(noise) != (len(where), 4):
-            raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({len(where)}, 4)")
-        return where + self.position_sd * noise[:, :2], speed + self.velocity_sd * noise[:, 2:]
-
-    def message(
-        self, past: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
-    ) -> tuple[NDArray[np.float64], bool]:
-        """Return the message (K, 6) about K obstacles that arrives at a control period, and whether one arrives.
-
-        Without a message, all numbers are 0.
-
-        Args:
-            past: (K, 6) true states of the obstacles in {E} at the time of measurement, `messages.latency` earlier: x,
-                y, radius, vx, vy, valid.
-            step: number of the control period, from 0.
-            noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
-            chance: a standard normal number that decides whether the whole message is lost.
-            dt: control period [s].
-
-        Raises:
-            InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
-        """
-        rows = np.array(past, dtype=float)
-        if rows.ndim != 2 or rows.shape[1] != 6:
-            raise InputError(f"has shape {rows.shape}", key="past", remedy="give (K, 6)")
-        rows[:, :2], rows[:, 3:5] = self.observe(rows[:, :2], rows[:, 3:5], noise=noise)
-        rows[rows[:, 5] < 0.5] = 0.0
-        arrived = self.messages.arrives(step, chance=chance, dt=dt)
-        return (rows if arrived else np.zeros_like(rows)), arrived
-
     def message_symbols(
         self, past: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
     ) -> tuple[ca.SX, ca.SX]:
@@ -250,77 +164,14 @@ class OwnState:
         _check("own_state.yaw_sd", self.yaw_sd, unit="rad")
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
 
-    def fix(
-        self, past: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
-    ) -> tuple[NDArray[np.float64], bool]:
-        """Return the position fix (3,) [m] in {E} that arrives at a control period, and whether one arrives.
-
-        Without a fix, the three numbers are 0.
-
-        Args:
-            past: (3,) true x, y, z of the robot [m] in {E} at the time of measurement, `fixes.latency` earlier.
-            step: number of the control period, from 0.
-            noise: (4,) standard normal numbers: three for x, y, z, and one that decides whether the fix is lost.
-            dt: control period [s].
-
-        Raises:
-            InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
-        """
-        place = np.asarray(past, dtype=float)
-        if place.shape != (3,) or np.shape(noise) != (4,):
-            raise InputError(
-                f"have shapes {place.shape} and {np.shape(noise)}", key="past, noise", remedy="give (3,) and (4,)"
-            )
-        arrived = self.fixes.arrives(step, chance=float(noise[3]), dt=dt)
-        return (place + self.position_sd * noise[:3] if arrived else np.zeros(3)), arrived
-
     def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
         """Return the position fix (3,), and 1 if a fix arrives, else 0, as `fix` does, in CasADi symbols."""
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, past + self.position_sd * noise[:3], 0.0), arrived
 
-    def imu(
-        self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
-    ) -> tuple[float, float]:
-        """Return the measured yaw ψ [rad] and yaw rate r [rad/s].
-
-        `eta` (4,) is the true pose x, y, z, ψ; `nu` (4,) is the true velocity u, v, w, r; `noise` holds two standard
-        normal numbers.
-        """
-        if np.shape(eta) != (4,) or np.shape(nu) != (4,) or np.shape(noise) != (2,):
-            raise InputError(
-                f"have shapes {np.shape(eta)}, {np.shape(nu)} and {np.shape(noise)}",
-                key="eta, nu, noise",
-                remedy="give (4,), (4,) and (2,)",
-            )
-        return float(eta[3] + self.yaw_sd * noise[0]), float(nu[3] + self.rate_sd * noise[1])
-
     def imu_symbols(self, eta: ca.SX, nu: ca.SX, *, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the measured yaw ψ [rad] and yaw rate r [rad/s], as `imu` does, in CasADi symbols."""
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
-
-    def measure(
-        self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the measured pose η (4,) in {E} [m, rad], and the noise-free velocity ν (4,) in {B} [m/s, rad/s].
-
-        Args:
-            eta: (4,) true pose η: x, y, z, ψ.
-            nu: (4,) true velocity ν: u, v, w, r.
-            noise: (4,) standard normal numbers, for x, y, z and ψ.
-
-        Raises:
-            InputError: if the shape of an argument is not (4,).
-        """
-        pose, velocity = np.asarray(eta, dtype=float), np.array(nu, dtype=float)
-        if pose.shape != (4,) or velocity.shape != (4,) or np.shape(noise) != (4,):
-            raise InputError(
-                f"have shapes {pose.shape}, {velocity.shape} and {np.shape(noise)}",
-                key="eta, nu, noise",
-                remedy="give (4,) each",
-            )
-        spread = np.array((self.position_sd, self.position_sd, self.position_sd, self.yaw_sd))
-        return pose + spread * noise, velocity
 
 
 def _check(key: str, value: float, *, unit: str) -> None:

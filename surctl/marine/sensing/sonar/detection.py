@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.noise import noise_states
 
-__all__ = ["ECHO_KEY", "echo_keys", "echo_uniform", "firing_block", "firing_block_symbols", "uniform_symbols"]
+__all__ = ["ECHO_KEY", "echo_keys", "firing_block_symbols", "uniform_symbols"]
 
 ECHO_KEY = 6
 """Number of values in the key of a run: whole numbers below 2^26."""
@@ -34,39 +34,6 @@ def echo_keys(seeds: ArrayLike) -> NDArray[np.float64]:
         (2, 6)
     """
     return np.asarray(noise_states(seeds) % _P, dtype=float)
-
-
-def firing_block(key: NDArray[np.float64], instant: int, sensor: int) -> int:
-    """Return the state of a firing, from which `echo_uniform` makes the numbers of its echoes.
-
-    Args:
-        key: (`ECHO_KEY`,) key of the run.
-        instant: number of the firing instant, 0 to 6e7.
-        sensor: index of the sensor that fires.
-
-    Example:
-        >>> from surctl.marine.sensing import echo_keys, firing_block
-        >>> firing_block(echo_keys([7])[0], 40, 1) < 2**26
-        True
-    """
-    return _mixed(_mixed(instant, key, 0) + sensor, key, 1)
-
-
-def echo_uniform(key: NDArray[np.float64], block: int, echo: int) -> float:
-    """Return the uniform random number in (0, 1) of one echo of a firing.
-
-    Args:
-        key: (`ECHO_KEY`,) key of the run.
-        block: state of the firing, from `firing_block`.
-        echo: number of the echo, 0 to 2^22.
-
-    Example:
-        >>> from surctl.marine.sensing import echo_keys, echo_uniform, firing_block
-        >>> key = echo_keys([7])[0]
-        >>> [round(echo_uniform(key, firing_block(key, 40, 1), echo), 4) for echo in (0, 1)]
-        [0.1932, 0.2188]
-    """
-    return (_mixed(block + echo, key, 2) + 0.5) / _P
 
 
 def firing_block_symbols(key: ca.SX, instant: ca.SX, sensor: ca.SX) -> ca.SX:
@@ -93,12 +60,6 @@ def uniform_symbols(key: ca.SX, block: ca.SX, echo: ca.SX | int) -> ca.SX:
         True
     """
     return (_mixed_symbols(block + echo, key, 2) + 0.5) / float(_P)
-
-
-def _mixed(x: int, key: NDArray[np.float64], counter: int) -> int:
-    for k in range(counter * _ROUNDS, (counter + 1) * _ROUNDS):
-        x = pow(x + int(key[k % ECHO_KEY]) + _CONSTANTS[k], 3, _P)
-    return x
 
 
 def _mixed_symbols(x: ca.SX, key: ca.SX, counter: int) -> ca.SX:

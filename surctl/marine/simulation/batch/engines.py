@@ -35,17 +35,19 @@ from surctl.own_code import is_own
 
 __all__ = [
     "ENGINES",
+    "SOURCES",
     "BatchResult",
     "Engine",
     "SlowerEngine",
     "StoredLoop",
     "broadcast",
     "compiled_loop",
+    "metrics_table",
     "simulate_batch",
     "stored_loop",
 ]
 
-_SOURCES = (
+SOURCES = (
     *LAW_SOURCES,
     *(f"surctl.{name}" for name in ("files", "own_code", "units")),
     *(f"surctl.marine.{name}" for name in ("allocation", "simulation", "world")),
@@ -75,7 +77,7 @@ def stored_loop(structure: Structure) -> StoredLoop:
     if is_own(structure.law) or structure.actuators is not None:
         return _built(structure)
     try:
-        sources = source_digest(*_SOURCES)
+        sources = source_digest(*SOURCES)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached loop
         return _built(structure)
     key = hashlib.sha256(f"{sources}\0{structure!r}".encode()).hexdigest()
@@ -168,12 +170,12 @@ def simulate_batch(
         try:
             compiled = compiled_loop(loop.structure)
             final = compiled.run(packed.state, packed.parameters, steps=packed.steps, threads=threads)
-            return BatchResult(_metrics(loop, final), "c")
+            return BatchResult(metrics_table(loop, final), "c")
         except ToolMissing as missing:
             if engine == "c":
                 raise
             warn_slower(missing)
-    return BatchResult(_metrics(loop, _through_machine(loop, packed)), "vm")
+    return BatchResult(metrics_table(loop, _through_machine(loop, packed)), "vm")
 
 
 @cache
@@ -244,8 +246,8 @@ def _crab(loop: Loop, s: Mapping[str, Columns]) -> dict[str, Columns]:
     }
 
 
-def _metrics(loop: Loop, final: Columns) -> Columns:
-    # (n, len(METRICS))
+def metrics_table(loop: Loop, final: Columns) -> Columns:
+    """Return the metrics (n, len(METRICS)) of n runs from their final states (n, …)."""
     s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
     rows, dt = s["step"] + 1, loop.law.dt
     error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)

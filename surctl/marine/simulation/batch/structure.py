@@ -103,12 +103,21 @@ class Mission:
 
     def steps(self, state: Layout, parameters: Layout) -> tuple[Step, ...]:
         """Return the steps that read state `s` and parameters `w` and write `x`, `p`, `first_next` and the rows."""
-        names = (*self._window, *self.around)
+        places, feed = self.programs(state, parameters)
         return (
-            Call(self._places(state, parameters), ("s", "w"), tuple(f"at_{name}" for name in names)),
-            *(Gather("w", f"at_{name}", ROW, name) for name in names),
-            Call(self._feed(state, parameters), ("s", "w", *self._window), ("x", "p", "first_next")),
+            Call(places, ("s", "w"), tuple(f"at_{name}" for name in self.rows)),
+            *(Gather("w", f"at_{name}", ROW, name) for name in self.rows),
+            Call(feed, ("s", "w", *self._window), ("x", "p", "first_next")),
         )
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the rows of the table that a control period reads."""
+        return (*self._window, *self.around)
+
+    def programs(self, state: Layout, parameters: Layout) -> tuple[Program, Program]:
+        """Return the programs `places`, to the numbers of the `rows`, and `feed`, to `x`, `p` and `first_next`."""
+        return self._places(state, parameters), self._feed(state, parameters)
 
     def _places(self, state: Layout, parameters: Layout) -> Program:
         # numbers of the pieces of w
@@ -117,10 +126,9 @@ class Mission:
         base = parameters.slice("mission").start // ROW
         numbers = [ca.SX(0), *(old["first"] + k for k in range(AHEAD + 1)), known["legs"]]
         numbers += [old["leg"] - 1 + k for k in range(_AROUND)]
-        names = (*self._window, *self.around)
         places = {
             f"at_{name}": base + ca.fmin(ca.fmax(number, 0), known["legs"])
-            for name, number in zip(names, numbers, strict=True)
+            for name, number in zip(self.rows, numbers, strict=True)
         }
         return lower_named("places", {"s": s, "w": w}, places)
 
@@ -129,7 +137,8 @@ class Mission:
         s, old = state.symbols("s")
         w, known = parameters.symbols("w")
         rows = {name: ca.SX.sym(name, ROW) for name in self._window}
-        x = law.state.split(old["law"])
+        alone = {} if "law" in old else {"x": ca.SX.sym("x", law.state.size)}
+        x = law.state.split(alone["x"] if alone else old["law"])
         table = ca.vertcat(*(rows[f"row{k}"].T for k in range(AHEAD + 1)))
         last = ca.fmax(1, known["legs"] - AHEAD)
         first, shift = window_next(old["first"], x["progress"], table, rows["start"][:2], last)
@@ -143,7 +152,7 @@ class Mission:
         fed = {"waypoints": window[:, :2], "depth": depth, "cruise": cruise, "visit": visit}
         p = law.gains.join({port.name: fed.get(port.name, known[port.name]) for port in law.gains})
         outputs = {"x": law.state.join(x), "p": p, "first_next": first}
-        return lower_named("feed", {"s": s, "w": w, **rows}, outputs)
+        return lower_named("feed", {"s": s, "w": w, **rows, **alone}, outputs)
 
     def progress(
         self, old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], rows: Mapping[str, ca.SX]

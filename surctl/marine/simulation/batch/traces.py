@@ -8,18 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surctl.marine.control import Law
 from surctl.marine.simulation.batch.case import Case, check_values
 from surctl.marine.simulation.batch.engines import broadcast, compiled_loop
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.pack import pack, structure_of
-from surctl.marine.simulation.loop import Loop
-from surctl.marine.simulation.scenario import Scenario
-from surctl.marine.simulation.world import build_world
-from surctl.marine.vehicle import Vehicle
-from surctl.noise import NoiseStream
 
-__all__ = ["Trace", "law_input", "trace_batch"]
+__all__ = ["Trace", "trace_batch"]
 
 Columns = NDArray[np.float64]
 _TOGETHER = 64  # runs whose signals are in memory at once
@@ -74,18 +68,3 @@ def trace_batch(case: Case, values: Mapping[str, ArrayLike], *, seeds: ArrayLike
         signals = [np.stack(rows, axis=1) for rows in (plants, laws, taus)]
         for run, count in enumerate(ended):
             yield Trace(*(signal[run, :count] for signal in signals))
-
-
-def law_input(law: Law, scenario: Scenario, vehicle: Vehicle, plant: Columns, *, step: int, p: Columns) -> Columns:
-    """Return the inputs (nu,) of a law for true positions at a state of the plant and a control step; seed 0.
-
-    Args:
-        law: the law.
-        scenario: the mission.
-        vehicle: the simulated vehicle.
-        plant: state of the plant.
-        step: number of the control step.
-        p: the law's parameters (np,).
-    """
-    world = build_world(scenario, vehicle, seed=0)
-    return Loop(world, vehicle, law, p, "truth", NoiseStream(0), law.step).inputs_from(plant, step)
