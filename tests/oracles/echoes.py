@@ -5,7 +5,7 @@ the shapes behind it. So `nearest_echo` cannot treat the shapes one by one. Inst
 directions, one of which contains the nearest echo. On each face, range and incidence both increase with the distance
 from the foot point, the point of the face nearest to the apex. So the nearest reflecting point of a face is its foot
 point if the foot point is visible; otherwise it lies where the visible part of the face ends: at a corner of the face,
-on an edge ray of the cone, or at the shadow of another shape's rim. `Shape.outlook` lists the directions to these
+on an edge ray of the cone, or at the shadow of another shape's rim. `rays.outlook` lists the directions to these
 points, and `nearest_echo` evaluates the first hit in each direction.
 
 The directions to corners and rims are turned by 1e-9 rad past the corner or rim, which changes a range r by less than
@@ -38,9 +38,10 @@ from surctl.marine.sensing.sonar.detection import _CONSTANTS, _P, _ROUNDS, ECHO_
 from surctl.marine.sensing.sonar.faults import _SLACK, LONGEST_DELAY, _delay_firings, _fault_end
 from surctl.marine.sensing.sonar.returns import _LEVEL
 from surctl.marine.world import Box, Disc, Shape, Vector2, Wall
+from tests.oracles.rays import hit, nearest_in_cone, outlook
 
 _TOUCHES = 1e-9  # [m] a shape that is nearer than a point by less than this does not hide it
-_IN_CONE = 1e-12  # tolerance of `Shape.nearest_in_cone`
+_IN_CONE = 1e-12  # tolerance of `nearest_in_cone`
 
 
 def nearest_echo(
@@ -63,7 +64,7 @@ def nearest_echo(
         InputError: an angle is out of range, or apex or axis is not finite.
     """
     if incidence_limit is None:
-        return min((shape.nearest_in_cone(apex, axis, half_angle=half_angle) for shape in shapes), default=inf)
+        return min((nearest_in_cone(shape, apex, axis, half_angle=half_angle) for shape in shapes), default=inf)
     _check(half_angle, incidence_limit)
     scene = list(shapes)
     return nearest_facing(scene, [cos(incidence_limit)] * len(scene), apex, axis, half_angle=half_angle)
@@ -88,10 +89,10 @@ def nearest_facing(
         return 0.0
     c, s, least = cos(axis), sin(axis), cos(half_angle) - _IN_CONE
     looks = [(cos(axis + turn), sin(axis + turn)) for turn in (half_angle, -half_angle)]
-    looks += [e for shape in shapes for e in shape.outlook(x, y) if e[0] * c + e[1] * s >= least]
+    looks += [e for shape in shapes for e in outlook(shape, x, y) if e[0] * c + e[1] * s >= least]
     nearest = inf
     for ex, ey in looks:
-        hits = ((*shape.hit(x, y, ex=ex, ey=ey), limit) for shape, limit in zip(shapes, faced, strict=True))
+        hits = ((*hit(shape, x, y, ex=ex, ey=ey), limit) for shape, limit in zip(shapes, faced, strict=True))
         distance, cosine, limit = min(hits, key=lambda hit: hit[:2], default=(inf, 0.0, 0.0))
         if cosine >= limit:
             nearest = min(nearest, distance)
@@ -104,7 +105,7 @@ def in_view(shapes: Iterable[Shape], apex: Vector2, point: Vector2) -> tuple[flo
     dx, dy = point[0] - x, point[1] - y
     distance = hypot(dx, dy)
     ex, ey = (dx / distance, dy / distance) if distance > 0.0 else (1.0, 0.0)
-    hidden = any(shape.hit(x, y, ex=ex, ey=ey)[0] < distance - _TOUCHES for shape in shapes)
+    hidden = any(hit(shape, x, y, ex=ex, ey=ey)[0] < distance - _TOUCHES for shape in shapes)
     return inf if hidden else distance, ex, ey
 
 
@@ -239,9 +240,9 @@ def certain_range(
     if not levels:
         return nearest
     ahead = (cos(axis), sin(axis))
-    for ex, ey in [ahead, *(ray for shape in scene for ray in shape.outlook(x, y))]:
+    for ex, ey in [ahead, *(ray for shape in scene for ray in outlook(shape, x, y))]:
         cosine = ex * ahead[0] + ey * ahead[1]
-        free = min((shape.hit(x, y, ex=ex, ey=ey)[0] for shape in scene), default=inf)
+        free = min((hit(shape, x, y, ex=ex, ey=ey)[0] for shape in scene), default=inf)
         for side, reflector, gap in levels:
             rise, level = rim(array, cosine, side=side)
             if rise >= max(reflector.faced(curved=False), _LEVEL) and free * rise > max(gap, 0.0) * level:
@@ -391,7 +392,7 @@ def faulty(
     """
     own = firing_samples(array, distance, noise=noise)
     active = next((f for f in faults if f.sensor == sensor and _acts(array, f, time)), None)
-    kind = active.kind if active else _strikes(chances, uniforms[0]) if chances else None
+    kind = active.kind if active else strikes(chances, uniforms[0]) if chances else None
     samples: NDArray[np.float64] | None = own
     if kind in ("dropout", "dead"):
         samples = None
@@ -418,7 +419,7 @@ def faulty(
     return samples, FaultState(last, history)
 
 
-def _strikes(chances: FaultChances, uniform: float) -> FaultKind | None:
+def strikes(chances: FaultChances, uniform: float) -> FaultKind | None:
     """Return the kind of random fault that a uniform random number in (0, 1) selects; None if no fault occurs."""
     passed = 0.0
     for kind, chance in zip(chances.kinds(), chances.numbers, strict=True):

@@ -7,20 +7,8 @@ from numpy.typing import NDArray
 
 from surctl.marine.control import Law
 from surctl.marine.simulation import Metrics, Record, Scenario
-from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, avoidance_intervals
+from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, avoidance_intervals, path_error
 from surctl.marine.simulation.record import path_depths
-
-
-def path_error(horizontal: NDArray[np.float64], vertical: NDArray[np.float64], excluded: NDArray[np.bool_]) -> float:
-    """Return the position error E_p = √(mean(Δh² + Δz²)) [m] over the samples that are not excluded.
-
-    Δh and Δz are the horizontal and the vertical distance to the path; erratum E14 explains the formula. The error is
-    NaN if all samples are excluded.
-    """
-    included = ~excluded
-    if not included.any():
-        return float("nan")
-    return float(np.sqrt(np.mean(horizontal[included] ** 2 + vertical[included] ** 2)))
 
 
 def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:

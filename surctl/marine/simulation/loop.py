@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError, nearest
-from surctl.ir import cached_bytes, on_vectors, source_digest, to_casadi
+from surctl.ir import cached_bytes, on_vectors, to_casadi
 from surctl.marine.control import (
     NONFINITE,
     WORKING,
@@ -31,7 +31,7 @@ from surctl.marine.control import (
 )
 from surctl.marine.guidance import ROW
 from surctl.marine.simulation.batch.case import Case
-from surctl.marine.simulation.batch.engines import SOURCES, metrics_table
+from surctl.marine.simulation.batch.engines import loop_sources, metrics_table
 from surctl.marine.simulation.batch.loop import Loop, loop_of
 from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.simulation.batch.structure import ABSENT, Mission, Structure
@@ -145,7 +145,7 @@ def simulate(
         if WORKING in law.inputs:
             run.part(WORKING)[:] = thrusters.working(time)
         seen = measured(time, 2 * index) if other is not None else {}
-        values = run.sense(seen) | seen
+        values = run.sense(seen)
         step = (stepper or law.step)(values["x"], values["u"], values["p"])
         state = run.plant if other is None else other.state
         rows.append((time, state, step.tau, values["clearance"], values["x"], values["u"], step.status, step.telemetry))
@@ -247,8 +247,8 @@ def _programs(structure: Structure, law: Law, *, measured: bool) -> tuple[Loop, 
         return json.dumps(stored).encode()
 
     try:
-        known = (structure, loop.state, loop.parameters, law.inputs, law.outputs, law.state, law.dt, measured)
-        text = f"{source_digest(*SOURCES)}\0{known!r}\0{law.perception is None}"
+        layouts = [tuple(layout) for layout in (loop.state, loop.parameters, law.inputs, law.outputs, law.state)]
+        text = f"{loop_sources()}\0{structure!r}\0{layouts!r}\0{law.dt}\0{law.perception is None}\0{measured}"
         stored = cached_bytes(hashlib.sha256(text.encode()).hexdigest(), ".single", build)
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify stored programs
         stored = build()
@@ -287,9 +287,9 @@ class SingleRun:
         part: Vector = self.parameters[self.loop.parameters.slice(name)]
         return part
 
-    def sense(self, more: Mapping[str, Vector] = {}) -> Values:
+    def sense(self, measured: Mapping[str, Vector] | None = None) -> Values:
         """Return what a control period begins with: the law's state x, its inputs u, its parameters p, and the rest."""
-        values: Values = {"s": self.state, "w": self.parameters, "x": self.law_state, **more}
+        values: Values = {"s": self.state, "w": self.parameters, "x": self.law_state, "law_state": self.law_state}
         if self.mission is None:
             values["p"] = self.parameters[: self.law.gains.size]
         else:
@@ -298,7 +298,8 @@ class SingleRun:
                 at = ROW * int(places[f"at_{name}"][0])
                 values[name] = self.parameters[at : at + ROW]
             values |= self.call["feed"](values)
-        return values | self.call["sense"](values)
+        measured = measured or {}
+        return values | self.call["sense"]({**values, **measured}) | measured
 
     @property
     def plant(self) -> Vector:

@@ -24,6 +24,7 @@ __all__ = [
     "MetricSpec",
     "Metrics",
     "avoidance_intervals",
+    "path_error",
 ]
 
 TUBE = 0.10  # [m] an avoidance interval ends only when |y_e| is at most this (*chosen*)
@@ -190,3 +191,15 @@ def avoidance_intervals(
         active = bool(commanded or (active and away > tube))
         out[k] = active
     return out
+
+
+def path_error(horizontal: NDArray[np.float64], vertical: NDArray[np.float64], excluded: NDArray[np.bool_]) -> float:
+    """Return the position error E_p = √(mean(Δh² + Δz²)) [m] over the samples that are not excluded.
+
+    Δh and Δz are the horizontal and the vertical distance to the path; erratum E14 explains the formula. The error is
+    NaN if all samples are excluded.
+    """
+    included = ~excluded
+    if not included.any():
+        return float("nan")
+    return float(np.sqrt(np.mean(horizontal[included] ** 2 + vertical[included] ** 2)))

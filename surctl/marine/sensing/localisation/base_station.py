@@ -73,7 +73,18 @@ class Delivery:
         return whole_steps("delivery.period", self.period, dt=dt)
 
     def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
-        """Return 1 if a message arrives at control period `step`, else 0, as `arrives` does, in CasADi symbols."""
+        """Return 1 if a message measured `late(dt)` control periods before arrives at period `step`, else 0.
+
+        The first measurement takes place at control period 0.
+
+        Args:
+            step: number of the control period, from 0.
+            chance: a standard normal number that decides the loss, drawn anew for each control period.
+            dt: control period [s].
+
+        Raises:
+            InputError: if period or latency is not a multiple of dt.
+        """
         measured, every = step - self.late(dt), self.every(dt)
         there = ca.logic_and(measured >= 0, measured - every * ca.floor(measured / every) == 0)
         there = ca.logic_and(there, chance >= self.lost_below)
@@ -99,7 +110,7 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
 
 
 def delayed_symbols(ring: ca.SX, now: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the delayed value (n, 1) and the ring buffer (k, n), as `delayed` does, in CasADi symbols.
+    """Return the value (n, 1) from k steps ago, and the updated ring buffer (k, n) of the last k values, newest first.
 
     Example:
         >>> import casadi as ca
@@ -119,7 +130,7 @@ class BaseStation:
     Attributes:
         position_sd: standard deviation of each measured coordinate [m].
         velocity_sd: standard deviation of each measured velocity component [m/s].
-        messages: period, latency and loss probability of the messages that `message` returns.
+        messages: period, latency and loss probability of the messages of `message_symbols`.
     """
 
     position_sd: float = 0.01
@@ -134,7 +145,18 @@ class BaseStation:
     def message_symbols(
         self, past: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
     ) -> tuple[ca.SX, ca.SX]:
-        """Return the message (K, 6), and 1 if a message arrives, else 0, as `message` does, in CasADi symbols."""
+        """Return the message (K, 6) about K obstacles, and 1 if one arrives at a control period, else 0.
+
+        Without a message, all numbers are 0.
+
+        Args:
+            past: (K, 6) true states of the obstacles in {E} at the time of measurement, `messages.latency` earlier: x,
+                y, radius, vx, vy, valid.
+            step: number of the control period, from 0.
+            noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
+            chance: a standard normal number that decides whether the whole message is lost.
+            dt: control period [s].
+        """
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = past[:, :2] + self.position_sd * noise[:, :2], past[:, 3:5] + self.velocity_sd * noise[:, 2:]
         rows = ca.horzcat(place, past[:, 2], speed, past[:, 5])
@@ -150,7 +172,7 @@ class OwnState:
         position_sd: standard deviation of measured x, y and z [m]; 0 gives exact values.
         yaw_sd: standard deviation of the measured yaw ψ [rad]; 0 gives exact values.
         rate_sd: standard deviation of the measured yaw rate r [rad/s] (design choice); 0 gives exact values.
-        fixes: period, latency and loss probability of the position fixes that `fix` returns.
+        fixes: period, latency and loss probability of the position fixes of `fix_symbols`.
     """
 
     position_sd: float = 0.01
@@ -165,12 +187,25 @@ class OwnState:
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
 
     def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """Return the position fix (3,), and 1 if a fix arrives, else 0, as `fix` does, in CasADi symbols."""
+        """Return the position fix (3,) [m] in {E}, and 1 if a fix arrives at a control period, else 0.
+
+        Without a fix, the three numbers are 0.
+
+        Args:
+            past: (3,) true x, y, z of the robot [m] in {E} at the time of measurement, `fixes.latency` earlier.
+            step: number of the control period, from 0.
+            noise: (4,) standard normal numbers: three for x, y, z, and one that decides whether the fix is lost.
+            dt: control period [s].
+        """
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, past + self.position_sd * noise[:3], 0.0), arrived
 
     def imu_symbols(self, eta: ca.SX, nu: ca.SX, *, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the measured yaw ψ [rad] and yaw rate r [rad/s], as `imu` does, in CasADi symbols."""
+        """Return the measured yaw ψ [rad] and yaw rate r [rad/s].
+
+        `eta` (4,) is the true pose x, y, z, ψ; `nu` (4,) is the true velocity u, v, w, r; `noise` (2,) holds standard
+        normal numbers.
+        """
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
 
 

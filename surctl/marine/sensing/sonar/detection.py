@@ -37,27 +37,38 @@ def echo_keys(seeds: ArrayLike) -> NDArray[np.float64]:
 
 
 def firing_block_symbols(key: ca.SX, instant: ca.SX, sensor: ca.SX) -> ca.SX:
-    """Return the state of a firing in CasADi symbols, as `firing_block`.
+    """Return the state of a firing, from which `uniform_symbols` makes the numbers of its echoes, in CasADi symbols.
+
+    Args:
+        key: (`ECHO_KEY`,) key of the run.
+        instant: number of the firing instant, 0 to 6e7.
+        sensor: index of the sensor that fires.
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.sensing import echo_keys, firing_block, firing_block_symbols
-        >>> key = echo_keys([7])[0]
-        >>> float(ca.evalf(firing_block_symbols(ca.SX(key), ca.SX(40), ca.SX(1)))) == firing_block(key, 40, 1)
+        >>> from surctl.marine.sensing import echo_keys, firing_block_symbols
+        >>> key = ca.SX(echo_keys([7])[0])
+        >>> float(ca.evalf(firing_block_symbols(key, ca.SX(40), ca.SX(1)))) < 2**26
         True
     """
     return _mixed_symbols(_mixed_symbols(instant, key, 0) + sensor, key, 1)
 
 
 def uniform_symbols(key: ca.SX, block: ca.SX, echo: ca.SX | int) -> ca.SX:
-    """Return the uniform random number of one echo in CasADi symbols, as `echo_uniform`.
+    """Return the uniform random number in (0, 1) of one echo of a firing in CasADi symbols.
+
+    Args:
+        key: (`ECHO_KEY`,) key of the run.
+        block: state of the firing, from `firing_block_symbols`.
+        echo: number of the echo, 0 to 2^22.
 
     Example:
         >>> import casadi as ca
-        >>> from surctl.marine.sensing import echo_keys, echo_uniform, uniform_symbols
-        >>> key = echo_keys([7])[0]
-        >>> float(ca.evalf(uniform_symbols(ca.SX(key), ca.SX(5), 3))) == echo_uniform(key, 5, 3)
-        True
+        >>> from surctl.marine.sensing import echo_keys, firing_block_symbols, uniform_symbols
+        >>> key = ca.SX(echo_keys([7])[0])
+        >>> block = firing_block_symbols(key, ca.SX(40), ca.SX(1))
+        >>> [round(float(ca.evalf(uniform_symbols(key, block, echo))), 4) for echo in (0, 1)]
+        [0.1932, 0.2188]
     """
     return (_mixed_symbols(block + echo, key, 2) + 0.5) / float(_P)
 

@@ -1,4 +1,4 @@
-"""One firing of a sonar and its faults: in NumPy for a single run, and as symbols for compiled loops.
+"""Faults of a sonar and the samples of a faulty firing, in CasADi symbols.
 
 A fault is scheduled for a sensor, a start time and a duration (`Fault`), or it is random with a probability per firing
 (`FaultChances`). At most one fault acts on a firing: the first scheduled fault that is active, otherwise the random
@@ -230,7 +230,7 @@ def faulty_samples(
     delays: bool,
     prefix: str = "",
 ) -> Arrival:
-    """Return the samples that arrive from one firing, and the next fault state; see `faulty`.
+    """Return the samples that arrive from one firing, and the next fault state.
 
     Args:
         array: the sonar array.

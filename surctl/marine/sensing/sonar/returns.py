@@ -1,9 +1,9 @@
-"""Returns of a beam: reflectors, the range at which an echo is certain or weak, in NumPy and as symbols.
+"""Returns of a beam: reflectors, and the range at which an echo is certain or weak, in CasADi symbols.
 
 Several surfaces in a beam answer the same ping, and the module measures the first echo that it detects. So the measured
-range is the minimum over the returns that are detected. `certain_range` gives the nearest return that is always
-detected. `weak_range` gives the nearest of the other returns, if detected in this firing: edges and cylinders, which
-are detected with a probability, and corners of the site.
+range is the minimum over the returns that are detected. `certain_range_symbols` gives the nearest return that is always
+detected. `weak_range_symbols` gives the nearest of the other returns, if detected in this firing: edges and cylinders,
+which are detected with a probability, and corners of the site.
 
 Upright surfaces are met in the horizontal plane of the sensor: for a beam with pitch 0 this is exact, because the
 nearest point of an upright surface in a circular cone about a horizontal axis lies in that plane. The water surface and
@@ -332,7 +332,7 @@ def weak_range_symbols(
 ) -> ca.SX:
     """Return the distance [m] to the nearest detected edge, cylinder or corner of the site, at most 2·maximum.
 
-    `bodies` are the obstacles with the numbers of their first echoes; see `weak_range`.
+    `bodies` are the obstacles with the numbers of their first echoes (`echo_number`).
 
     Example:
         >>> import casadi as ca

@@ -35,24 +35,28 @@ from surctl.own_code import is_own
 
 __all__ = [
     "ENGINES",
-    "SOURCES",
     "BatchResult",
     "Engine",
     "SlowerEngine",
     "StoredLoop",
     "broadcast",
     "compiled_loop",
+    "loop_sources",
     "metrics_table",
     "simulate_batch",
     "stored_loop",
 ]
 
-SOURCES = (
-    *LAW_SOURCES,
+_FURTHER = (
     *(f"surctl.{name}" for name in ("files", "own_code", "units")),
     *(f"surctl.marine.{name}" for name in ("allocation", "simulation", "world")),
 )
-"""Packages whose source code determines the instruction list of a closed loop."""
+"""Packages besides `LAW_SOURCES` whose source code determines the programs of a closed loop."""
+
+
+def loop_sources() -> str:
+    """Return a digest of the source code that determines the programs of a closed loop; raises as `source_digest`."""
+    return source_digest(*LAW_SOURCES) + source_digest(*_FURTHER)
 
 
 class StoredLoop(NamedTuple):
@@ -77,7 +81,7 @@ def stored_loop(structure: Structure) -> StoredLoop:
     if is_own(structure.law) or structure.actuators is not None:
         return _built(structure)
     try:
-        sources = source_digest(*SOURCES)
+        sources = loop_sources()
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached loop
         return _built(structure)
     key = hashlib.sha256(f"{sources}\0{structure!r}".encode()).hexdigest()

@@ -1,7 +1,4 @@
-"""Sensors of the closed loop as CasADi expressions: sonars, position measurement, and messages about obstacles.
-
-The module computes the same sensor values as the methods `_listen` and `_measurements` of `simulation.loop.Loop`.
-"""
+"""Sensors of the closed loop as CasADi expressions: sonars, position measurement, and messages about obstacles."""
 
 from __future__ import annotations
 
@@ -265,7 +262,7 @@ class Listening:
         return len(self._plan.sensors[0])
 
     def draw(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Draw the noise of one control step, as `simulation.loop._StepNoise` defines it.
+        """Draw the noise of one control step: for the sonars, the robot's own state, then every moving obstacle.
 
         The function returns three expressions: the noise of the own-state measurement, the noise of the base station's
         message, and the random number that decides whether the message is lost. It writes the noise of the sonars to

@@ -1,8 +1,7 @@
 """One control period of the closed loop (world, sensors, law, plant and metrics) as one CasADi function.
 
-The module writes the loop of `simulation.loop.simulate` as CasADi expressions, so that a whole run can be compiled,
-differentiated or run in CasADi's virtual machine. The two versions of the loop are written independently, and the tests
-compare their results.
+The module writes the loop as CasADi expressions: whole runs are compiled or run in CasADi's virtual machine, and
+`simulation.loop` steps a single run through the same programs.
 """
 
 from __future__ import annotations

@@ -137,8 +137,8 @@ class Mission:
         s, old = state.symbols("s")
         w, known = parameters.symbols("w")
         rows = {name: ca.SX.sym(name, ROW) for name in self._window}
-        alone = {} if "law" in old else {"x": ca.SX.sym("x", law.state.size)}
-        x = law.state.split(alone["x"] if alone else old["law"])
+        alone = {} if "law" in old else {"law_state": ca.SX.sym("law_state", law.state.size)}
+        x = law.state.split(alone["law_state"] if alone else old["law"])
         table = ca.vertcat(*(rows[f"row{k}"].T for k in range(AHEAD + 1)))
         last = ca.fmax(1, known["legs"] - AHEAD)
         first, shift = window_next(old["first"], x["progress"], table, rows["start"][:2], last)
