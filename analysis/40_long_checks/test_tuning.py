@@ -45,7 +45,7 @@ def test_a_craft_without_sway_force_arrives_beyond_its_limit_astern_in_both_loop
 
 def test_the_run_and_its_gradient_past_a_moving_obstacle() -> None:
     name = "tank-speed-015"
-    test_gradient.test_the_run_is_that_of_the_reference_loop(name)
+    test_gradient.test_the_run_is_that_of_the_loop_in_numpy(name)
     test_gradient.test_the_gradient_is_that_of_central_differences(name)
 
 

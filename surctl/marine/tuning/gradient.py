@@ -1,17 +1,17 @@
 """Exact gradients of a whole closed-loop run with respect to gains, by reverse-mode automatic differentiation.
 
 A run is a fixed number of control steps of the closed-form law and the plant, with true positions (`simulate` with
-sensing `truth`). The positions of the obstacles at each step are fixed in advance and do not depend on the gains. The
-metrics of a run are not smooth; the differentiated outputs are smooth surrogates of them (`SURROGATES`). The law itself
-is piecewise smooth. The law switches when the passing side, the active limits or the nearest obstacle change. Between
-two switches the gradient is exact; at a switch the result is the one-sided gradient. `DifferentiableRun.branches` shows
-whether two runs switch in the same way.
+sensing `truth`): the programs of the compiled loop, without its end. The metrics of a run are not smooth; the
+differentiated outputs are smooth surrogates of them (`SURROGATES`). The law itself is piecewise smooth. The law
+switches when the passing side, the active limits or the nearest obstacle change. Between two switches the gradient is
+exact; at a switch the result is the one-sided gradient. `DifferentiableRun.branches` shows whether two runs switch in
+the same way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from types import MappingProxyType
 
@@ -21,13 +21,12 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Instruction, Program, lower, to_casadi
-from surctl.marine.control import CONTACT_SLOTS, Law
 from surctl.marine.guidance import MAX_WAYPOINTS
-from surctl.marine.sensing import SonarArray
-from surctl.marine.simulation import Case, World, advance, build_world, law_numbers
-from surctl.marine.vehicle import PLANT_DISTURBANCE, PlantForm, plant_parameters, plant_state
-from surctl.marine.vehicle.dynamics import PAPER
-from surctl.marine.world import Box, Disc
+from surctl.marine.simulation import Case, advance, build_world
+from surctl.marine.simulation.batch import Loop
+from surctl.marine.simulation.batch.loop import loop_of
+from surctl.marine.simulation.batch.pack import pack, structure_of
+from surctl.marine.vehicle import plant_state
 
 __all__ = ["SURROGATES", "DifferentiableRun", "prepare"]
 
@@ -44,10 +43,8 @@ SURROGATES: Mapping[str, tuple[str, str]] = MappingProxyType(
 """Smooth substitutes for the metrics: name → (unit, meaning)."""
 
 _SHARPNESS = 60.0  # [1/m] of the soft minimum, which is log(n)/60 m below n equal samples: 0.1 m for n = 1000
-_ROW = 8  # numbers of a body: centre x, y, half sides x, y (0 for a disc), radius, velocity x, y, valid
 _TINY = 1e-24  # least value under a root: √ has no slope at 0, and 0 · ∞ would be NaN in an unused branch
-_FAR = 100.0  # [m] position of an empty slot
-_HALVES = 2  # plant intervals of 25 ms in one control step
+_FAR = 100.0  # [m] clearance without obstacles
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +60,7 @@ class DifferentiableRun:
     case: Case
     names: tuple[str, ...]
     steps: int
+    _loop: Loop = field(repr=False)
     _fixed: tuple[Array, ...] = field(repr=False)
     _run: ca.Function = field(repr=False)
     _slope: ca.Function = field(repr=False)
@@ -86,30 +84,26 @@ class DifferentiableRun:
         If two runs have equal numbers at a step, all comparisons in this step had equal outcomes.
         """
         run = np.asarray(self._run(values, *self._fixed)[1])
-        start, data, p, plant = self._fixed
-        before = np.column_stack([start, run[:, :-1]])
-        law = self.case.build()
-        law = law.base or law  # the gradient is that of the command, before the allocation
-        full = p.copy()
+        start, fixed = self._fixed
+        full = fixed.copy()
         for name, value in zip(self.names, values, strict=True):
-            full[law.gains.slice(name)] = value
-        tally = _step(law)[1]
-        return np.asarray(tally(before, data, full, plant)).ravel()
+            full[self._loop.parameters.slice(name)] = value
+        _, tally = _step(self._loop)
+        return np.asarray(tally(np.column_stack([start, run[:, :-1]]), np.arange(self.steps)[None], full)).ravel()
 
 
 def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> DifferentiableRun:
     """Prepare a simulation case for the computation of gradients.
 
     Args:
-        case: case with mode nsb (closed form), true positions, and any law except `closed_form`: the law must have
-            inputs for `CONTACT_SLOTS` obstacle points.
+        case: case with mode nsb (closed form) and true positions.
         names: gains with respect to which the run is differentiated.
         steps: number of control steps, at least 1; a run that arrives earlier stays at the target.
         seed: seed of the obstacles' drift and of the waves.
 
     Raises:
-        InputError: the mode, the sensing or the law has no gradient, a gain is unknown, or the scenario starts inside
-            an obstacle, has too many obstacles or a path that is fed to the law (`Path.fed`).
+        InputError: the mode or the sensing has no gradient, a gain is unknown, or the scenario starts inside an
+            obstacle or has a path that is fed to the law (`Path.fed`).
 
     Example:
         >>> import numpy as np
@@ -130,14 +124,9 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
         raise InputError("has nothing to differentiate", key="steps, names", value=(steps, tuple(names)))
     for name in names:
         case.gains[name]  # raises InputError if the gain is unknown
-    law = case.build()
-    law = law.base or law
-    slots = [port.shape[0] for port in law.inputs if port.name == "contacts"]
-    if slots != [CONTACT_SLOTS]:
-        remedy = f"use a law with {CONTACT_SLOTS} contact slots"
-        raise InputError("has no gradient", key="law", value=case.law, remedy=remedy)
-    scenario = case.scenario
-    world = build_world(scenario, case.vehicle, seed=seed)
+    scenario, law = case.scenario, case.build()
+    law = law.base or law  # the gradient is that of the command, before the allocation
+    build_world(scenario, case.vehicle, seed=seed)  # refuses a start inside an obstacle
     if scenario.path.fed:
         remedy = f"use at most {MAX_WAYPOINTS} points, without speeds and depths of legs"
         raise InputError(
@@ -146,110 +135,68 @@ def prepare(case: Case, names: Sequence[str], *, steps: int, seed: int = 0) -> D
             key="path_m",
             remedy=remedy,
         )
-    if len(scenario.obstacles) > CONTACT_SLOTS:
-        raise InputError(f"has more than {CONTACT_SLOTS} obstacles", file=scenario.source, key="obstacles")
-    p = law_numbers(scenario, case.gains, case.model or case.vehicle)
-    start = np.concatenate([plant_state(case.vehicle.form).pack({"eta": scenario.start_pose}), law.initial_state()])
-    plant = [*plant_parameters(case.vehicle), *scenario.disturbance.current_m_per_s, *scenario.target]
-    limit = case.vehicle.thrust_range[1]
-    bias = world.thrust(np.zeros(4), limit)
-    drive = [*(world.thrust(np.ones(4), limit) - bias), *bias]
-    fixed = (start, _data(world, steps=steps, dt=law.dt).T, p, np.array([*plant, case.vehicle["radius"], *drive]))
-    return DifferentiableRun(case, tuple(names), steps, fixed, *_functions(law, tuple(names), steps, case.vehicle.form))
-
-
-def _data(world: World, *, steps: int, dt: float) -> Array:
-    # (steps, 8 · slots + 4): the obstacles, and the wave force in the two halves of the step
-    rows = np.zeros((steps, CONTACT_SLOTS, _ROW))
-    rows[:, :, :2] = _FAR
-    forces = np.zeros((steps, 2 * _HALVES))
-    for step in range(steps):
-        for row, body in zip(rows[step], world.bodies(step * dt), strict=False):
-            shape = body.shape
-            assert isinstance(shape, Disc | Box)  # walls are no bodies
-            size = (0.0, 0.0, shape.radius) if isinstance(shape, Disc) else (*np.asarray(shape.size) / 2, 0.0)
-            row[:] = [*shape.center, *size, *body.velocity, 1.0]
-        for half in range(_HALVES):
-            forces[step, 2 * half : 2 * half + 2] = world.force((step + half / _HALVES) * dt)[:2]
-    return np.hstack([rows.reshape(steps, -1), forces])
+    loop = loop_of(replace(structure_of(case, {}), actuators=None), law, single=True)
+    packed = pack(case, loop, {}, np.array([seed]))
+    start = np.concatenate([packed.state[0, loop.state.slice("plant")], law.initial_state()])
+    functions = _functions(loop, tuple(names), steps)
+    return DifferentiableRun(case, tuple(names), steps, loop, (start, packed.parameters[0]), *functions)
 
 
 @cache
-def _functions(law: Law, names: tuple[str, ...], steps: int, form: PlantForm) -> tuple[ca.Function, ca.Function]:
-    # (gains, fixed …) → (surrogates, states), and (gains, weights, fixed …) → gradient
-    step, _ = _step(law, form)
+def _functions(loop: Loop, names: tuple[str, ...], steps: int) -> tuple[ca.Function, ca.Function]:
+    # (gains, start, parameters) → (surrogates, states), and (gains, weights, start, parameters) → gradient
+    step, _ = _step(loop)
     gains, weights = ca.MX.sym("gains", len(names)), ca.MX.sym("weights", len(SURROGATES))
-    start, p, plant = (ca.MX.sym(n, step.size1_in(i)) for n, i in (("start", 0), ("p", 2), ("plant", 3)))
-    data = ca.MX.sym("data", step.size1_in(1), steps)
-    place = np.zeros((law.gains.size, len(names)))
+    start, w = ca.MX.sym("start", step.size1_in(0)), ca.MX.sym("w", loop.parameters.size)
+    place = np.zeros((loop.parameters.size, len(names)))
     for column, name in enumerate(names):
-        place[law.gains.slice(name), column] = 1
-    full = p * (1 - place.sum(axis=1)) + ca.mtimes(place, gains)
-    states, terms = step.mapaccum(steps)(start, data, ca.repmat(full, 1, steps), ca.repmat(plant, 1, steps))
+        place[loop.parameters.slice(name), column] = 1
+    full = w * (1 - place.sum(axis=1)) + ca.mtimes(place, gains)
+    states, terms = step.mapaccum(steps)(start, ca.DM(range(steps)).T, ca.repmat(full, 1, steps))
     clearances = ca.vec(terms[3:, :])
     least = ca.mmin(clearances)
     soft = least - ca.log(ca.sum1(ca.exp(-_SHARPNESS * (clearances - least)))) / _SHARPNESS
     mean = ca.sum2(terms[:3, :]) / steps
     surrogates = ca.vertcat(mean[0], soft, mean[1], mean[2])
-    fixed = [start, data, p, plant]
+    fixed = [start, w]
     run = ca.Function("run", [gains, *fixed], [surrogates, states])
     slope = ca.Function("slope", [gains, weights, *fixed], [ca.gradient(ca.dot(weights, surrogates), gains)])
     return run, slope
 
 
 @cache
-def _step(law: Law, form: PlantForm = PAPER) -> tuple[ca.Function, ca.Function]:
+def _step(loop: Loop) -> tuple[ca.Function, ca.Function]:
     """Return two functions of a control step: one computes the next state and cost terms, one the branch number.
 
-    Both have the arguments state, data of the step, gains p, and plant parameters.
-
-    The terms are y_e², thrust², the distance to the target, and the clearances. The branch number is defined by
-    `_tally`.
+    Both have the arguments state of plant and law, number of the step, and parameters of the run. The terms are y_e²,
+    thrust², the distance to the target, and the clearances. The branch number is defined by `_tally`.
     """
+    law, form = loop.law, loop.structure.form
     size = plant_state(form).size
-    state = ca.SX.sym("state", size + law.state.size)
-    data = ca.SX.sym("data", CONTACT_SLOTS * _ROW + 2 * _HALVES)
-    # plant parameters, current x, y, target x, y, hull radius, gains and biases of the thrust
-    ends = np.cumsum([0, advance(form).size1_in(3), 2, 2, 1, 4, 4]).tolist()
-    p, world = ca.SX.sym("p", law.gains.size), ca.SX.sym("plant", ends[-1])
-    plant, current, target, hull, gain, bias = ca.vertsplit(world, ends)
-    body, memory = state[:size], state[size:]
-    position = body[:2]
-    contacts, clearances = [], []
-    for k in range(CONTACT_SLOTS):
-        row = data[k * _ROW : (k + 1) * _ROW]
-        # the nearest point of the box, or the centre of the disc
-        point = row[:2] + ca.fmin(ca.fmax(position - row[:2], -row[2:4]), row[2:4])
-        contacts.append(ca.horzcat(point.T, row[4], row[5:7].T, row[7]))
-        clearances.append(ca.sqrt(ca.sumsqr(point - position)) - row[4] - hull)
-    inputs = law.inputs.join(
-        {
-            "eta": body[:4],
-            "nu": body[4:8],
-            "contacts": ca.vertcat(*contacts),
-            "samples": ca.SX.ones(4, 5) * SonarArray().maximum,
-            "fresh": ca.SX.zeros(4),
-        }
+    state, index, w = (
+        ca.SX.sym("state", size + law.state.size),
+        ca.SX.sym("index"),
+        ca.SX.sym("w", loop.parameters.size),
     )
-    tau, memory_next, _, telemetry = law.function(memory, inputs, p)
-    after, delivered = body, gain * tau + bias
-    for half in range(_HALVES):
-        force = data[CONTACT_SLOTS * _ROW + 2 * half : CONTACT_SLOTS * _ROW + 2 * half + 2]
-        after = advance(form)(after, delivered, PLANT_DISTURBANCE.join(_disturbance(current, force)), plant)
+    known, plant, memory = loop.parameters.split(w), state[:size], state[size:]
+    run = ca.SX(loop.state.pack())
+    run[loop.state.slice("plant")], run[loop.state.slice("step")] = plant, index
+    sense = loop.calls(measured=False)["sense"]
+    values = dict(zip((name for name, _ in sense.outputs), to_casadi(sense)(run, w), strict=True))
+    tau, memory_next, _, telemetry = law.function(memory, values["u"], w[: law.gains.size])
+    after, delivered = plant, known["thrust_gain"] * tau + known["thrust_bias"]
+    for disturbance in (values["d0"], values["d1"]):
+        after = advance(form)(after, delivered, disturbance, known["plant"])
+    clearances = [
+        body.clearance(plant[:3]) - known["world_hull"] for body in loop.structure.bodies_at(known, index * law.dt)
+    ]
     y_e = telemetry[law.telemetry_slice("path_error")][1]
-    going = ca.sqrt(ca.sumsqr(position - target))
-    terms = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *clearances)
-    arguments = [state, data, p, world]
-    names = ["state", "data", "p", "plant"]
-    whole = ca.Function(
-        "step", arguments, [ca.vertcat(after, memory_next), terms], names, ["next", "terms"], {"cse": True}
-    )
+    going = ca.sqrt(ca.sumsqr(plant[:2] - known["waypoints"][MAX_WAYPOINTS - 1, :].T))
+    terms = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *(clearances or [_FAR]))
+    following = ca.vertcat(after, memory_next)
+    whole = ca.Function("step", [state, index, w], [following, terms], ["state", "index", "w"], ["next", "terms"])
     smooth = _with_slopes(lower(whole))
     return to_casadi(smooth), _tally(to_casadi(_compared(smooth)))
-
-
-def _disturbance(current: ca.SX, force: ca.SX) -> dict[str, ca.SX]:
-    return {"current": ca.vertcat(current, 0), "force": ca.vertcat(force, 0, 0)}
 
 
 def _with_slopes(program: Program) -> Program:

@@ -7,7 +7,7 @@ The module writes the loop as CasADi expressions: whole runs are compiled or run
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import casadi as ca
@@ -29,7 +29,7 @@ from surctl.ir import (
 from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.listening import SUMS, Listening, counted, flat, path_square, path_tangent, slots
-from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_at, body_size, driven
+from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_size, driven
 from surctl.marine.simulation.column import LONGEST
 from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
 from surctl.marine.simulation.physics import advance
@@ -83,7 +83,7 @@ class Loop:
         """Return the programs of `step` except law, thrusters and plant, for a single run that keeps the law's state.
 
         The state of such a loop has no entry `law`, see `loop_of`. With `measured`, the distances of the sonars' first
-        certain echoes [m] are inputs: `echo` of `sense` and `echo_between` of `between`.
+        certain echoes [m] are inputs: `echo` of `sense` and of `between`.
         """
         builder = _Builder(self.structure, self.law, self.state, self.parameters, measured=measured)
         fed = builder.mission.programs(self.state, self.parameters) if builder.mission else ()
@@ -91,6 +91,7 @@ class Loop:
         return {block.name: block for block in listed}
 
 
+@cache
 def loop_of(structure: Structure, law: Law, *, single: bool = False) -> Loop:
     """Return the loop of a law; that of a `single` run has no law state, which the run keeps itself."""
     state = [port for port in _state_ports(law, structure) if not (single and port.name == "law")]
@@ -195,7 +196,7 @@ class _Builder:
         w, parameters = self.parameters.symbols("w")
         step, dt = state["step"], self.law.dt
         time = step * dt
-        bodies = self._bodies(parameters, time)
+        bodies = self.structure.bodies_at(parameters, time)
         eta, nu = state["plant"][:4], state["plant"][4:8]
         out: dict[str, ca.SX] = {}
         if not (self.mission or self.alone):
@@ -262,7 +263,7 @@ class _Builder:
             sizes |= {"echo": listening.wide} if self.measured else {}
         v = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
         plant = v["plant_between"]
-        bodies = self._bodies(parameters, v["step"] * self.law.dt + FIRING)
+        bodies = self.structure.bodies_at(parameters, v["step"] * self.law.dt + FIRING)
         echoes, fresh = v["echoes"], ca.SX(0)
         if self.sonar:
             before = self.listening.echoes.split(echoes)
@@ -362,14 +363,6 @@ class _Builder:
             counts["stopped"] = ca.if_else(now, old["stopped"] + 1, 0)
             stop = ca.if_else(counts["stopped"] >= round(STOPPED_LIMIT / law.dt), _code("standstill"), stop)
         return counts, stop
-
-    def _bodies(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
-        bodies = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.structure.bodies)]
-        if self.structure.heights:
-            bodies = [replace(b, heights=w["heights"][k, :].T) for k, b in enumerate(bodies)]
-        if not self.structure.optional:
-            return bodies
-        return [replace(b, present=ca.logic_and(b.present, w["there"][k] > 0.5)) for k, b in enumerate(bodies)]
 
     @staticmethod
     def _beside(w: Mapping[str, ca.SX], bodies: Sequence[Body], plant: ca.SX) -> list[Body]:

@@ -413,6 +413,15 @@ class Structure:
         """Number of moving obstacles that a message of the base station contains."""
         return min(CONTACT_SLOTS, self.movers)
 
+    def bodies_at(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
+        """Return the obstacles at a time [s], from the parameters of a run by name."""
+        bodies = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.bodies)]
+        if self.heights:
+            bodies = [replace(b, heights=w["heights"][k, :].T) for k, b in enumerate(bodies)]
+        if not self.optional:
+            return bodies
+        return [replace(b, present=ca.logic_and(b.present, w["there"][k] > 0.5)) for k, b in enumerate(bodies)]
+
     @property
     def contacts(self) -> int:
         """Number of obstacle points that the law receives."""
