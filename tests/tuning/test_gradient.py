@@ -1,4 +1,4 @@
-"""Gradients of a run: the run is that of the loop in NumPy, the gradient that of finite differences, and it is of use."""
+"""Gradients of a run: it is the run of the loop in NumPy; they are those of finite differences, and of use."""
 
 from __future__ import annotations
 

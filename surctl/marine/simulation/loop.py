@@ -298,8 +298,8 @@ class SingleRun:
                 at = ROW * int(places[f"at_{name}"][0])
                 values[name] = self.parameters[at : at + ROW]
             values |= self.call["feed"](values)
-        measured = measured or {}
-        return values | self.call["sense"]({**values, **measured}) | measured
+        more = dict(measured or {})
+        return values | self.call["sense"](values | more) | more
 
     @property
     def plant(self) -> Vector:

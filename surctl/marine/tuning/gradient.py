@@ -192,7 +192,7 @@ def _step(loop: Loop) -> tuple[ca.Function, ca.Function]:
     ]
     y_e = telemetry[law.telemetry_slice("path_error")][1]
     going = ca.sqrt(ca.sumsqr(plant[:2] - known["waypoints"][MAX_WAYPOINTS - 1, :].T))
-    terms = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *(clearances or [_FAR]))
+    terms = ca.vertcat(y_e * y_e, ca.sumsqr(tau[:2]), going, *(clearances or [ca.SX(_FAR)]))
     following = ca.vertcat(after, memory_next)
     whole = ca.Function("step", [state, index, w], [following, terms], ["state", "index", "w"], ["next", "terms"])
     smooth = _with_slopes(lower(whole))
