@@ -31,7 +31,7 @@ from surctl.marine.simulation import (
 )
 from surctl.marine.simulation.batch.structure import NO_END
 from surctl.marine.simulation.batch.structure import Body as Symbols
-from surctl.marine.simulation.column import LONGEST, beside
+from surctl.marine.simulation.world import LONGEST, beside
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Box, Disc, Prism
 from tests.oracles.mission_loop import column

@@ -34,9 +34,8 @@ from surctl.marine.sensing import (
     level_range,
     rim,
 )
-from surctl.marine.sensing.sonar.detection import _CONSTANTS, _P, _ROUNDS, ECHO_KEY
 from surctl.marine.sensing.sonar.faults import _SLACK, LONGEST_DELAY, _delay_firings, _fault_end
-from surctl.marine.sensing.sonar.returns import _LEVEL
+from surctl.marine.sensing.sonar.returns import _CONSTANTS, _LEVEL, _P, _ROUNDS, ECHO_KEY
 from surctl.marine.world import Box, Disc, Shape, Vector2, Wall
 from tests.oracles.rays import hit, nearest_in_cone, outlook
 

@@ -27,17 +27,15 @@ from surctl.marine.control import (
     law_source,
 )
 from surctl.marine.sensing import OwnState, SonarArray, echo_keys, echo_number
-from surctl.marine.simulation.column import FOOTPRINT, LONGEST, beside
 from surctl.marine.simulation.loop import Stepper
 from surctl.marine.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
 from surctl.marine.simulation.numbers import feeder_of, law_numbers
 from surctl.marine.simulation.physics import OwnPhysics, PhysicsMaker
-from surctl.marine.simulation.record import Record
-from surctl.marine.simulation.run import SENSING, Run, Sensing
+from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters
-from surctl.marine.simulation.world import Body, World, build_world
+from surctl.marine.simulation.world import FOOTPRINT, LONGEST, Body, World, beside, build_world
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.world import Disc
 from surctl.noise import NoiseStream

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from surctl.marine.control import Law
 from surctl.marine.simulation import Metrics, Record, Scenario
 from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, avoidance_intervals, path_error
-from surctl.marine.simulation.record import path_depths
+from surctl.marine.simulation.run import path_depths
 
 
 def measure(scenario: Scenario, law: Law, record: Record, *, reason: str, least: float) -> Metrics:

@@ -10,8 +10,8 @@ import pytest
 
 from surctl.marine.simulation import Body
 from surctl.marine.simulation.batch.structure import Body as Symbols
-from surctl.marine.simulation.column import BAND, FOOTPRINT, LONGEST, beside
 from surctl.marine.simulation.scenario import load_scenario
+from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST, beside
 from surctl.marine.world import WHOLE, Box, Disc, Heights, Prism
 from tests.oracles.mission_loop import column
 

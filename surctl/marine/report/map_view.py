@@ -17,7 +17,7 @@ from surctl.marine.control.perception import CELLS_A_HULL
 from surctl.marine.report.plan_view import body_outline, describe
 from surctl.marine.sensing import LocalMap
 from surctl.marine.simulation import Run
-from surctl.marine.simulation.column import beside
+from surctl.marine.simulation.world import beside
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, head, new_figure
 
 __all__ = ["MapView", "map_view", "plot_map", "plot_maps"]

@@ -50,12 +50,6 @@ if TYPE_CHECKING:
         track,
     )
     from surctl.marine.sensing.sonar.array import Medium, SonarArray, speed_of_sound
-    from surctl.marine.sensing.sonar.detection import (
-        ECHO_KEY,
-        echo_keys,
-        firing_block_symbols,
-        uniform_symbols,
-    )
     from surctl.marine.sensing.sonar.echo import Beam, beam_of, echo_range, echo_samples
     from surctl.marine.sensing.sonar.faults import (
         FAULT_KINDS,
@@ -71,14 +65,18 @@ if TYPE_CHECKING:
         faulty_samples,
     )
     from surctl.marine.sensing.sonar.returns import (
+        ECHO_KEY,
         REFLECTORS,
         Reflector,
         Surfaces,
         certain_range_symbols,
         detection_odds,
+        echo_keys,
         echo_number,
+        firing_block_symbols,
         level_range,
         rim,
+        uniform_symbols,
         weak_range_symbols,
     )
     from surctl.marine.sensing.sonar.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
@@ -188,12 +186,11 @@ load_at_first_use(
         "replay": "Readings Recording Replay SensorSummary Tracked filtered_rows read_readings replay_readings"
         " sonar_array track",
         "sonar.array": "Medium SonarArray speed_of_sound",
-        "sonar.detection": "ECHO_KEY echo_keys firing_block_symbols uniform_symbols",
         "sonar.echo": "Beam beam_of echo_range echo_samples",
         "sonar.faults": "FAULT_KINDS LONGEST_DELAY SLOT Arrival Fault FaultChances FaultKind check_faults"
         " fault_ports fault_slots faulty_samples",
-        "sonar.returns": "REFLECTORS Reflector Surfaces certain_range_symbols"
-        " detection_odds echo_number level_range rim weak_range_symbols",
+        "sonar.returns": "ECHO_KEY REFLECTORS Reflector Surfaces certain_range_symbols detection_odds echo_keys"
+        " echo_number firing_block_symbols level_range rim uniform_symbols weak_range_symbols",
         "sonar.solids": "Cone Solid SolidBox SolidDisc SolidWalls",
     },
 )

@@ -37,8 +37,7 @@ from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.simulation.batch.structure import ABSENT, Mission, Structure
 from surctl.marine.simulation.metrics import GONE, LINK_LOST, METRICS, STOPPED_LIMIT, STOPS, Metrics
 from surctl.marine.simulation.physics import Contact, OwnPhysics, PhysicsMaker, advanced
-from surctl.marine.simulation.record import Record
-from surctl.marine.simulation.run import SENSING, Run, Sensing
+from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters

@@ -23,9 +23,8 @@ from surctl.marine.sensing import (
     certain_range_symbols,
     echo_range,
 )
-from surctl.marine.simulation.column import beside
 from surctl.marine.simulation.sensors import FIRING
-from surctl.marine.simulation.world import Body, World
+from surctl.marine.simulation.world import Body, World, beside
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PlantForm, Vehicle, build_plant, plant_parameters, plant_state
 from surctl.marine.vehicle.dynamics import PAPER
 from surctl.marine.world import Box, Disc

@@ -14,7 +14,7 @@ from surctl.errors import InputError, ToolMissing
 from surctl.ir import warn_slower
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Case, case_parameters, law_numbers, simulate
-from surctl.marine.simulation.batch.traces import trace_batch
+from surctl.marine.simulation.batch.engines import trace_batch
 from surctl.marine.simulation.loop import SingleRun
 from surctl.marine.tuning.goals import Goal
 from surctl.marine.vehicle import Vehicle

@@ -1,9 +1,9 @@
-"""Simulate many closed loops at once, with compiled C or CasADi's virtual machine."""
+"""Simulate many closed loops at once, with compiled C or CasADi's virtual machine: metrics, or signals over time."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal, NamedTuple, get_args
@@ -39,12 +39,14 @@ __all__ = [
     "Engine",
     "SlowerEngine",
     "StoredLoop",
+    "Trace",
     "broadcast",
     "compiled_loop",
     "loop_sources",
     "metrics_table",
     "simulate_batch",
     "stored_loop",
+    "trace_batch",
 ]
 
 _FURTHER = (
@@ -283,3 +285,57 @@ def metrics_table(loop: Loop, final: Columns) -> Columns:
     columns["wasted_impulse_n_s"] = wasted * dt
     columns["wasted_share"] = np.divide(wasted, s["sum_effort"], out=np.zeros(len(final)), where=spent)
     return np.column_stack([columns[name] for name in METRICS])
+
+
+_TOGETHER = 64  # runs whose signals are in memory at once
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Signals of one run at its n control steps.
+
+    Attributes:
+        plant: (n, …) state of the plant, see `plant_state`: first η (4,), then ν (4,).
+        law: (n, nx) state of the law.
+        tau: (n, 4) commanded thrust [N, N m].
+    """
+
+    plant: Columns
+    law: Columns
+    tau: Columns
+
+
+def trace_batch(case: Case, values: Mapping[str, ArrayLike], *, seeds: ArrayLike = 0) -> Iterator[Trace]:
+    """Simulate runs as `simulate_batch` does and yield the signals of each run, without its last control step.
+
+    Args:
+        case: the simulated setup (scenario, vehicle, law).
+        values: parameter values by name: an array (n,) or one number for all runs.
+        seeds: (n,) seeds, or one seed for all runs.
+
+    Raises:
+        InputError: as for `simulate_batch`.
+        ToolMissing: there is no C compiler.
+    """
+    columns, run_seeds = broadcast(values, seeds)
+    check_values(case, columns)
+    loop = build_loop(structure_of(case, columns))
+    compiled = compiled_loop(loop.structure)
+    plant, law, tau = (loop.state.slice(name) for name in ("plant", "law", "last_thrust"))
+    for first in range(0, len(run_seeds), _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        packed = pack(case, loop, {name: column[some] for name, column in columns.items()}, run_seeds[some])
+        state, ended = packed.state, np.full(len(packed.state), packed.steps)
+        plants, laws, taus = [], [], []
+        for k in range(packed.steps):
+            after = compiled.run(state, packed.parameters, steps=1)  # one thread: to start more takes longer
+            plants.append(state[:, plant])
+            laws.append(state[:, law])
+            taus.append(after[:, tau])
+            ended[(after[:, 0] != 0) & (state[:, 0] == 0)] = k
+            if after[:, 0].all():
+                break
+            state = after
+        signals = [np.stack(rows, axis=1) for rows in (plants, laws, taus)]
+        for run, count in enumerate(ended):
+            yield Trace(*(signal[run, :count] for signal in signals))

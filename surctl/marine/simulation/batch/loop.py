@@ -30,10 +30,10 @@ from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.listening import SUMS, Listening, counted, flat, path_square, path_tangent, slots
 from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_size, driven
-from surctl.marine.simulation.column import LONGEST
 from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.sensors import FIRING
+from surctl.marine.simulation.world import LONGEST
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 from surctl.noise import NOISE_STATE
 

@@ -28,10 +28,10 @@ from surctl.marine.guidance import (
     window_values,
 )
 from surctl.marine.sensing import Equipment, Solid, SolidBox, SolidDisc, Surfaces
-from surctl.marine.simulation.column import BAND, FOOTPRINT, LONGEST
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
 from surctl.marine.simulation.thruster_faults import fin_excess
+from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST
 from surctl.marine.vehicle import Actuators, PlantForm, plant_state
 from surctl.priority import Mode
 
