@@ -22,11 +22,11 @@ angle from the beam's axis divided by that of half the opening angle, and R is t
 detected in half of the firings. P is the logistic function of the echo's level in dB above the threshold, with a spread
 of 3.9 dB: the amplitude falls as r^(-3/2), and by half from the axis to the edge of the beam.
 
-The random numbers that decide on weak echoes depend only on the run's seed, the instant, the sensor and the echo. They are
-counter-based: no state passes from one number to the next, so their order and the number of threads do
-not matter. A number comes from the cipher MiMC (Albrecht, Grassi, Rechberger, Roy and Tiessen 2016): rounds of adding a
-key and a constant and of taking the cube modulo a prime p. The cube is a permutation because p − 1 is not divisible by
-3. With p below 2^26, all products are exact in double precision, so Python, CasADi and C give the same bits.
+The random numbers that decide on weak echoes depend only on the run's seed, the instant, the sensor and the echo. They
+are counter-based: no state passes from one number to the next, so their order and the number of threads do not matter.
+A number comes from the cipher MiMC (Albrecht, Grassi, Rechberger, Roy and Tiessen 2016): rounds of adding a key and a
+constant and of taking the cube modulo a prime p. The cube is a permutation because p − 1 is not divisible by 3. With p
+below 2^26, all products are exact in double precision, so Python, CasADi and C give the same bits.
 """
 
 from __future__ import annotations
