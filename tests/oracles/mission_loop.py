@@ -18,6 +18,7 @@ from surctl.marine.control import (
     CONTACT_SLOTS,
     NONFINITE,
     WORKING,
+    Feeder,
     Gains,
     Law,
     LawStep,
@@ -29,10 +30,10 @@ from surctl.marine.control import (
 from surctl.marine.sensing import OwnState, SonarArray, echo_keys, echo_number
 from surctl.marine.simulation.loop import Stepper
 from surctl.marine.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
-from surctl.marine.simulation.numbers import feeder_of, law_numbers
+from surctl.marine.simulation.numbers import law_numbers
 from surctl.marine.simulation.physics import OwnPhysics, PhysicsMaker
 from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
-from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.scenario import Scenario, check_spacing
 from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters
 from surctl.marine.simulation.world import FOOTPRINT, LONGEST, Body, World, beside, build_world
@@ -52,7 +53,7 @@ from tests.oracles.echoes import (
 from tests.oracles.measurements import delayed, fix, imu, measure, message, observe
 from tests.oracles.run_metrics import measure as metrics_of
 
-__all__ = ["Loop", "WeakEchoes", "certain_echo", "simulate"]
+__all__ = ["Loop", "WeakEchoes", "certain_echo", "column", "feeder_of", "simulate"]
 
 
 class WeakEchoes:
@@ -458,3 +459,20 @@ def column(
         below = min(below, z - hull - body.heights.top if body.heights.top < z else inf)
     lowest, highest = scenario.depths
     return max(0.0, min(above, highest - hull - z)), max(0.0, min(below, z - hull - lowest))
+
+
+def feeder_of(scenario: Scenario, law: Law, p: NDArray[np.float64]) -> Feeder | None:
+    """Return what feeds a law with the mission's window before each step; None if the parameters stay as they are.
+
+    Args:
+        scenario: the mission.
+        law: the law.
+        p: its parameters from `law_numbers`.
+
+    Raises:
+        InputError: two points of the path are too close together, see `check_spacing`.
+    """
+    if not scenario.path.fed:
+        return None
+    check_spacing(scenario, cap=scenario.cap)
+    return Feeder(scenario.path.table(visits=scenario.corners == "visit"), law.state, law.gains, p)

@@ -5,7 +5,7 @@ A fault is scheduled for a sensor, a start time and a duration (`Fault`), or it 
 fault.
 
 The model omits the water surface and the vertical opening of a beam: cones are planar at the robot's depth. The caller
-selects the obstacles that a beam meets at the robot's depth; in the closed loop, `simulation.column` selects these
+selects the obstacles that a beam meets at the robot's depth; in the closed loop, `Body.beside` selects these
 obstacles.
 """
 

@@ -262,7 +262,7 @@ def echo_number(name: str) -> int:
     return 4 * (crc32(name.encode()) % _NAMES)  # a box has four edges
 
 
-_TOUCHES = 1e-9  # [m] as in `in_view`
+_TOUCHES = 1e-9  # [m] a shape that is nearer than a point by less than this does not hide it
 _LEAST = 1e-30
 
 

@@ -395,7 +395,7 @@ def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX)
 
 
 def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
-    # free water (2, 1) [m] above and below the hull, as in `simulation.column.column`
+    # free water (2, 1) [m] above and below the hull
     above = below = ca.SX(LONGEST)
     for body in bodies:
         over, under = body.over_and_under(place[:3], w["world_hull"])
