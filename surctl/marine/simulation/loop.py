@@ -147,7 +147,9 @@ def simulate(
         values = run.sense(seen)
         step = (stepper or law.step)(values["x"], values["u"], values["p"])
         state = run.plant if other is None else other.state
-        rows.append((time, state, step.tau, values["clearance"], values["x"], values["u"], step.status, step.telemetry))
+        clear = run.value("clear") > 0 or values["clearance"][1] > 0  # walls count once the hull was clear of them
+        clearance = values["clearance"] if clear else values["clearance"][:1]
+        rows.append((time, state, step.tau, clearance.min(), values["x"], values["u"], step.status, step.telemetry))
         fed.append(values["p"])
         thrust, components = run.thrust(step, thrusters, time, state)
         if other is None:
@@ -202,15 +204,13 @@ def case_of(
 
 def _record(world: World, run: SingleRun, rows: Sequence[tuple[object, ...]], fed: Sequence[Vector]) -> Record:
     time, state, tau, clearance, x, u, status, telemetry = zip(*rows, strict=True)
-    states, (bodies, walls) = np.array(state), np.array(clearance).T
-    clear = np.logical_or.accumulate(walls > 0)  # walls count only once the hull was clear of them
-    nearest_body = np.where(bodies < 0.5 * ABSENT, bodies, np.inf)
+    states, clear = np.array(state), np.array(clearance)
     return Record(
         np.array(time),
         states[:, :4],
         states[:, 4:8],
         np.array(tau),
-        np.where(clear, np.minimum(nearest_body, walls), nearest_body),
+        np.where(clear < 0.5 * ABSENT, clear, np.inf),
         np.array(x),
         np.array(u),
         run.law_parameters,
