@@ -104,9 +104,9 @@ def closed_loop_system(
         return values, step._replace(tau=step.tau + u)
 
     def moved(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
-        values, found = step(t, x, u)
-        run.move(values, run.thrust(found, thrusters, t, x)[0])
-        return np.concatenate([values["plant_next"], found.x_next])
+        values, decided = step(t, x, u)
+        run.move(values, run.thrust(decided, thrusters, t, x)[0])
+        return np.concatenate([values["plant_next"], decided.x_next])
 
     def output(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
         return np.concatenate([x[:8], step(t, x, -np.zeros(4))[1].tau])

@@ -143,8 +143,8 @@ def simulate(
         watch(time)
         if WORKING in law.inputs:
             run.part(WORKING)[:] = thrusters.working(time)
-        seen = measured(time, 2 * index) if other is not None else {}
-        values = run.sense(seen)
+        ranges = measured(time, 2 * index) if other is not None else {}
+        values = run.sense(ranges)
         step = (stepper or law.step)(values["x"], values["u"], values["p"])
         state = run.plant if other is None else other.state
         clear = run.value("clear") > 0 or values["clearance"][1] > 0  # walls count once the hull was clear of them
@@ -159,7 +159,7 @@ def simulate(
             values["plant_between"] = run.padded(other.advance(thrust, time, components))
             values |= measured(time + FIRING, 2 * index + 1)
             between = values.pop("clearance")
-            values |= run.call["between"](values) | {"clearance": seen["clearance"], "clearance_between": between}
+            values |= run.call["between"](values) | {"clearance": ranges["clearance"], "clearance_between": between}
             values["plant_next"] = run.padded(other.advance(thrust, time + FIRING, components))
         gone += step.status == GONE
         if gone >= round(STOPPED_LIMIT / law.dt):
