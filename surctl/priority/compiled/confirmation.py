@@ -24,7 +24,7 @@ from surctl.priority.compiled.decomposition import decompose
 from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
 from surctl.priority.compiled.sweep import HUGE, largest
 from surctl.priority.optimality import LOSS, ROUNDING
-from surctl.priority.rowspace import ZERO_ROW
+from surctl.priority.settings import ZERO_ROW
 from surctl.priority.solver.dual_step import OPTIMAL, Space
 from surctl.priority.solver.elimination import as_matrix
 from surctl.priority.solver.fallback import RELAXED

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, lower
-from surctl.priority.rowspace import CUTOFF, ZERO_ROW
+from surctl.priority.settings import CUTOFF, ZERO_ROW
 from surctl.priority.solver.elimination import as_matrix, product
 
 __all__ = ["Decomposition", "attainable", "decompose"]

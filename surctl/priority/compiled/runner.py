@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeAlias, cast, get_args
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,16 @@ from surctl.errors import InputError, ToolMissing
 from surctl.ir import Routine, compile_block, replay, warn_slower
 from surctl.priority.compiled.level_shape import LevelShape
 from surctl.priority.compiled.step import OUTPUTS, priority_step
-from surctl.priority.polyhedron import polyhedron_of
 from surctl.priority.problem import PriorityProblem
-from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.settings import Fallback, Mode
-from surctl.priority.solver.safe_point import Stage, idle_row
+from surctl.priority.settings import ZERO_ROW, Fallback, Mode
 
-__all__ = ["PriorityStep", "bound", "level_shapes"]
+__all__ = ["PriorityStep", "Stage", "bound", "idle_row", "level_shapes"]
 
 Array: TypeAlias = NDArray[np.float64]
+Stage: TypeAlias = Literal["met", "limited", "relaxed", "clamped", "bounded", "unconfirmed"]
+"""met: v meets the task and satisfies all constraint rows. limited: the task is met as well as the rows allow. relaxed:
+soft rows are relaxed. clamped: v is only clipped to the box. bounded: v comes from the bounded fallback, see module
+`solver.fallback`. unconfirmed: v was not shown to be optimal."""
 
 _VIEWS = frozenset(("J", "lower", "upper", "rows", "box", *OUTPUTS))
 
@@ -104,6 +105,7 @@ class PriorityStep:
         self.level_names = tuple(f"level {place}" for place in range(1, len(self.levels) + 1))
         self.row_names = tuple(f"row {place}" for place in range(len(self.rows)))
         self._moved: Mapping[str, float] = {}
+        self._idle = idle_row(n)
 
     @staticmethod
     def of(
@@ -135,25 +137,29 @@ class PriorityStep:
     def load(self, problem: PriorityProblem) -> None:
         """Write a problem into the input arrays: levels, limits with their names, and velocity bounds as the box.
 
-        Limits of kind "barrier" and "set" may be relaxed; unlike in the function `solve`, both kinds are relaxed
-        together.
+        Limits of kind "barrier" and "set" may be relaxed.
 
         Raises:
             InputError: a level has a different number of Jacobian rows or a different kind (the message names the
                 level), or the problem has more limits than the step has constraint rows.
         """
         self._check(problem)
-        self.J[:] = np.vstack([level.J for level in problem.levels])
-        self.lower[:] = np.concatenate([level.lower for level in problem.levels])
-        self.upper[:] = np.concatenate([level.high for level in problem.levels])
-        self.rows[:] = idle_row(problem.width)
-        for place, row in zip(self.rows, problem.rows, strict=False):
-            place[:-3] = row.a
-            place[-3:] = row.lower, row.upper, row.kind != "actuator"
-        self.box[:] = polyhedron_of(problem).box
+        self.write(problem)
         self.level_names = tuple(level.name for level in problem.levels)
         self.row_names = tuple(row.name for row in problem.rows)
         self._moved = dict(problem.moved)
+
+    def write(self, problem: PriorityProblem) -> None:
+        """Write the numbers of a problem whose shape is that of the step."""
+        levels = problem.levels
+        np.concatenate([level.J for level in levels], out=self.J)
+        np.concatenate([level.lower for level in levels], out=self.lower)
+        np.concatenate([level.lower if level.upper is None else level.upper for level in levels], out=self.upper)
+        used = len(problem.rows)
+        self.rows[:used] = problem.table
+        if used < len(self.rows):
+            self.rows[used:] = self._idle
+        self.box[:] = problem.box
 
     @property
     def stage(self) -> Stage:
@@ -211,6 +217,11 @@ class PriorityStep:
 def level_shapes(problem: PriorityProblem) -> tuple[LevelShape, ...]:
     """Return the shape of each level; a level is set-based if its lower and upper bounds differ."""
     return tuple(LevelShape(level.lower.size, not level.is_goal) for level in problem.levels)
+
+
+def idle_row(n: int) -> Array:
+    """Return a constraint row (n + 3,) that every velocity satisfies."""
+    return np.concatenate([np.zeros(n), [-np.inf, np.inf, 0.0]])
 
 
 def bound(routine: Routine) -> tuple[list[Array], list[Array], Callable[[], None], bool]:

@@ -26,9 +26,9 @@ from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
 from surctl.priority.solver.fallback import CLAMPED, MET, safe_step
 from surctl.priority.solver.precision import FLOAT64, Precision
 
-__all__ = ["OUTPUTS", "priority_step"]
+__all__ = ["LEAST_DAMPING", "OUTPUTS", "priority_step"]
 
-_LEAST_DAMPING = 1e-3  # of the last projection: its rows shrink with λ/‖J‖; the kernel must not call them parallel
+LEAST_DAMPING = 1e-3  # of the last projection: its rows shrink with λ/‖J‖; the kernel must not call them parallel
 
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
 """Names of the outputs of a step, in order."""
@@ -121,12 +121,12 @@ def priority_step(
         StackShape(n, levels),
         _Settings(mode, sweeps, damping, precision=precision, named=named, fallback=fallback),
     )
-    if mode == "projected" and 0.0 < damping < _LEAST_DAMPING:
+    if mode == "projected" and 0.0 < damping < LEAST_DAMPING:
         raise InputError(
             "is too small for a compiled projection",
             key="damping",
             value=damping,
-            remedy=f"give 0, or {_LEAST_DAMPING:g} and more",
+            remedy=f"give 0, or {LEAST_DAMPING:g} and more",
         )
     if not isinstance(rows, int | np.integer) or rows < 1:
         raise InputError("must be a whole number of at least 1", key="rows", value=rows, remedy="give 1 or more")

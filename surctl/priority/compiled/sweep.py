@@ -13,8 +13,7 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.compiled.decomposition import decompose
 from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
-from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.settings import Settings
+from surctl.priority.settings import ZERO_ROW, Settings
 from surctl.priority.solver.dual_step import OPTIMAL, Space
 from surctl.priority.solver.kernel import kernel, row_by_row
 from surctl.priority.solver.precision import FLOAT64, LONGEST, Precision

@@ -49,7 +49,7 @@ from surctl.priority.diagnosis.findings import (
     Verdict,
 )
 from surctl.priority.diagnosis.region import Bounds, Parameter, build_region
-from surctl.priority.rowspace import CUTOFF, ZERO_ROW
+from surctl.priority.settings import CUTOFF, ZERO_ROW
 from surctl.tasks import Stack
 
 __all__ = ["diagnose", "nsb_velocities", "residual_norms", "strict_velocities"]
