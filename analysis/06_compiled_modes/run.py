@@ -104,9 +104,7 @@ def agreement(
 
 def _compared(settings: Settings, count: int, seed: int, shapes: tuple[tuple[LevelShape, ...], ...]) -> bool:
     ticks = [
-        PriorityStep(
-            settings.mode, n=N, levels=s, rows=PLACES, sweeps=settings.sweeps, damping=settings.damping, backend="daqp"
-        )
+        PriorityStep(settings.mode, n=N, levels=s, rows=PLACES, sweeps=settings.sweeps, damping=settings.damping)
         for s in shapes
     ]
     rng = np.random.default_rng(seed)
@@ -136,7 +134,8 @@ def _tried(tick: PriorityStep, problem: PriorityProblem, settings: Settings) -> 
     """Return the difference of v, whether the status is equal, and whether `optimality` accepts the solution."""
     tick.load(problem)
     tick.solve()
-    want = solve(problem, mode=settings.mode, sweeps=settings.sweeps, damping=settings.damping)
+    one = {"mode": settings.mode, "sweeps": settings.sweeps, "damping": settings.damping}
+    want = solve(problem, **one, backend="daqp")
     gap = float(np.abs(tick.v - want.v).max() / (1.0 + np.abs(want.v).max()))
     right = is_optimal(tick.v, problem, settings=settings, target=tick.target, tol=1e-6)
     return gap, want.status == OUTCOMES[RUNGS.index(tick.stage)], right
