@@ -21,8 +21,8 @@ from surctl.marine.export import build_bundle, closed_form, operating_envelope
 from surctl.marine.simulation import law_numbers, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.priority import Fallback, LevelShape, priority_step
+from surctl.priority.solver.elimination import FLOAT32
 from surctl.priority.solver.fallback import BOUNDED
-from surctl.priority.solver.precision import FLOAT32
 from tests.oracles.distance_trials import Trials, draw_trials
 
 __all__ = ["USUAL", "WORST", "laws", "ticks"]

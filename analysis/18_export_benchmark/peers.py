@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.ir import compile_block
 from surctl.priority import safe_step
+from surctl.priority.solver.elimination import FLOAT32
 from surctl.priority.solver.fallback import MET
-from surctl.priority.solver.precision import FLOAT32
 from tests.oracles.distance_trials import Trials, draw_trials
 
 __all__ = ["PROBLEM", "race"]

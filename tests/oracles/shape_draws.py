@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surctl.priority.compiled.level_shape import LevelShape
+from surctl.priority.compiled.decomposition import LevelShape
 from surctl.priority.problem import Level, PriorityProblem, build_problem
 from tests.oracles.priority_draws import draw_levels, draw_problem
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from surctl.ir import replay
 from surctl.priority import AssembledStep, Assembly, Level, PriorityProblem, Row, assemble, build_problem, solve
 from surctl.priority.compiled.confirmation import UNCONFIRMED, confirmation
-from surctl.priority.compiled.level_shape import StackShape
-from surctl.priority.compiled.runner import level_shapes
+from surctl.priority.compiled.decomposition import StackShape
+from surctl.priority.compiled.step import level_shapes
 from surctl.priority.optimality import is_least
 from surctl.priority.settings import Settings
 from surctl.priority.solver.dual_step import OPTIMAL, Space

@@ -12,9 +12,8 @@ from scipy.optimize import linprog
 from surctl.errors import InputError, SolverError, ToolMissing
 from surctl.ir import SlowerEngine, compile_block, replay, to_casadi
 from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
-from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.runner import PriorityStep
-from surctl.priority.compiled.step import OUTPUTS, priority_step
+from surctl.priority.compiled.decomposition import LevelShape
+from surctl.priority.compiled.step import OUTPUTS, PriorityStep, priority_step
 from surctl.priority.optimality import is_optimal
 from surctl.priority.reference import polyhedron_of
 from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
@@ -95,7 +94,7 @@ def test_without_a_compiler_solve_gives_the_same_bits(monkeypatch: pytest.Monkey
     def missing(*_: object, **__: object) -> None:
         raise ToolMissing("no C compiler found")
 
-    monkeypatch.setattr("surctl.priority.compiled.runner.compile_block", missing)
+    monkeypatch.setattr("surctl.priority.compiled.step.compile_block", missing)
     monkeypatch.setattr("surctl.priority.solving._steps", {})
     with pytest.warns(SlowerEngine, match="no C compiler found"):
         got = solve(problem, mode="filter")

@@ -14,9 +14,9 @@ from scipy.optimize import linprog
 from surctl.ir import Native, Real, Routine, compile_block, replay, to_casadi
 from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK, Space
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED
 from surctl.priority.solver.kernel import in_blocks, kernel, most_iterations
-from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 from tests.oracles.distance_trials import FAMILIES, Trials, draw_trials, judge
 from tests.tools import need_compiler
 

@@ -8,8 +8,7 @@ from surctl.ir import replay
 from surctl.priority import LevelShape, priority_step, solve
 from surctl.priority.compiled.decomposition import attainable, decompose
 from surctl.priority.problem import Level, Row, build_problem
-from surctl.priority.solver.elimination import eliminate, elimination, pseudo_inverse, pseudo_inverse_of
-from surctl.priority.solver.precision import FLOAT64
+from surctl.priority.solver.elimination import FLOAT64, eliminate, elimination, pseudo_inverse, pseudo_inverse_of
 
 
 @pytest.mark.parametrize("p, n", [(3, 4), (5, 3)])
