@@ -6,20 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from threading import Lock
-from typing import Literal, TypeAlias, cast
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.priority.backends import Backend
-from surctl.priority.compiled.step import LEAST_DAMPING, PriorityStep, level_shapes
+from surctl.priority.compiled.step import LEAST_DAMPING, PriorityStep, Stage, level_shapes
 from surctl.priority.optimality import LOSS, conflicting, is_least, is_optimal, restrictions
 from surctl.priority.problem import Level, PriorityProblem
-from surctl.priority.reference import polyhedron_of, reference_solution, without_rows
+from surctl.priority.reference import nsb_sweep, polyhedron_of, reference_solution, without_rows
 from surctl.priority.settings import Mode, Settings
 
-__all__ = ["NOTICEABLE", "Outcome", "PrioritySolution", "PriorityTimeline", "residuals_at", "solve"]
+__all__ = ["NOTICEABLE", "Outcome", "PrioritySolution", "PriorityTimeline", "explained", "residuals_at", "solve"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -355,6 +355,18 @@ def solve(
     if backend is None and _takes(shape, settings):
         return _by_step(problem, settings, shape)
     return _by_reference(problem, settings, "daqp" if backend is None else backend)
+
+
+def explained(problem: PriorityProblem, v: Array, stage: Stage, *, mode: Mode) -> PrioritySolution:
+    """Return the velocity v (n,) of a step with one sweep and no damping as a solution that explains itself.
+
+    `stage` is that of the step, and `problem` the problem that it solved.
+    """
+    settings = _settings(mode)
+    target = np.zeros(v.size)
+    if mode != "lexicographic":
+        target = nsb_sweep(problem.levels[1:] if mode == "projected" else problem.levels, start=target)
+    return PrioritySolution(problem, settings, v, target, _OUTCOMES[get_args(Stage).index(stage)], 0)
 
 
 def _takes(shape: tuple[tuple[int, bool], ...], settings: Settings) -> bool:

@@ -1,11 +1,11 @@
 """The search of the priority kernel: from the first v to the optimum, with one limit or one level at a time.
 
-The last step, `judge`, shows that v is optimal. Let g be the negative gradient of half the squared objective of a level, λ and μ the multipliers of the active limits
-and of the levels above, and d = g − Σ λ a − Σ Jᵀ μ what they leave. For every v + Δ that satisfies the limits, keeps J
-v of the levels above, and is at most D away, g·Δ ≤ |d| D + Σ λ gap. So half the squared objective is at most this much
-above its minimum, because it is convex. A limit with a multiplier λ' > 0 at a level above, whose own bound is e, has a
-gap of at most e/λ' at every optimum of that level, so a wrong sign of its λ costs at most |λ| e/λ'. The bound includes
-what rounding may change.
+The last step, `judge`, shows that v is optimal. Let g be the negative gradient of half the squared objective of a
+level, λ and μ the multipliers of the active limits and of the levels above, and d = g − Σ λ a − Σ Jᵀ μ what they leave.
+For every v + Δ that satisfies the limits, keeps J v of the levels above, and is at most D away, g·Δ ≤ |d| D + Σ λ gap.
+So half the squared objective is at most this much above its minimum, because it is convex. A limit with a multiplier λ'
+> 0 at a level above, whose own bound is e, has a gap of at most e/λ' at every optimum of that level, so a wrong sign of
+its λ costs at most |λ| e/λ'. The bound includes what rounding may change.
 """
 
 from __future__ import annotations
