@@ -85,11 +85,6 @@ class StackShape:
         return sum(level.rows for level in self.levels)
 
     @property
-    def tallest(self) -> int:
-        """Return the largest number of Jacobian rows of a level."""
-        return max(level.rows for level in self.levels)
-
-    @property
     def starts(self) -> tuple[int, ...]:
         """Return the index of the first row of each level in the stacked Jacobian J."""
         return tuple(sum(level.rows for level in self.levels[:i]) for i in range(len(self.levels)))
