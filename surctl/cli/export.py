@@ -1,30 +1,26 @@
-"""`surctl export`: write the controller as C code."""
+"""`surctl export`: write the controller of the robot or of a system as C code or FMU, and compare it with Python."""
 
 from __future__ import annotations
 
 import shlex
+import tempfile
+from collections.abc import Collection, Sequence
+from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 from click.core import ParameterSource
 
-from surctl.cli.activity import progress
-from surctl.cli.gains_choice import GAINS_HELP, choose_gains
-from surctl.cli.law_option import choose_law, law_option
-from surctl.cli.next_export import MISSION
-from surctl.cli.output import as_json, finish, finite
-from surctl.cli.priority_options import priority_options
-from surctl.cli.scene_export import export_scene
-from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
-from surctl.cli.system_export import SystemExport, export_system
-from surctl.cli.system_option import is_system, seconds_option
-from surctl.cli.thruster_options import split_faults
+from surctl.cli.output import as_json, finish, finite, progress
+from surctl.cli.robot_options import GAINS_HELP, MISSION, choose_gains, choose_law, law_option, priority_options
+from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, split_faults
+from surctl.cli.subject import assigned, cost_data, cost_lines, end_text, is_system, load_system, seconds_option
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import Run
 
-__all__ = ["export"]
+__all__ = ["SystemExport", "export", "export_scene", "export_system"]
 
 
 @click.command
@@ -135,8 +131,8 @@ def export(
 
     import numpy as np
 
-    from surctl.cli.single_run import failure
-    from surctl.cli.vehicle_choice import choose_vehicle
+    from surctl.cli.robot_options import choose_vehicle
+    from surctl.cli.runs import failure
     from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
@@ -348,3 +344,160 @@ def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
     port = 5555
     run = f"make -C {shlex.quote(str(out))} controller && {shlex.quote(str(out / 'controller'))} {port}"
     return run, f"surctl simulate {shlex.join(words)} --controller tcp://127.0.0.1:{port}"
+
+
+_TARGETS = ("c99", "fmu", "fmu3")
+
+
+class SystemExport(NamedTuple):
+    """Options of the export of a system, as typed: prefix, output, number type, checks, proof, folder."""
+
+    name: str | None
+    target: str
+    real: str
+    check: bool
+    targets: str | None
+    steps: int | None
+    prove: bool
+    out: Path
+
+
+def export_system(
+    words: Sequence[str],
+    options: SystemExport,
+    *,
+    seconds: float | None,
+    as_json: bool,
+    reserved: Collection[str] = (),
+) -> None:
+    """Write the controller as C, compare C and Python over a run; exit with status 1 if a number differs.
+
+    Raises:
+        InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
+    """
+    from surctl.assessment.assessment import assess
+    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.errors import InputError, nearest
+    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.check import STEPS, check_builds
+    from surctl.export.evidence import evidence_of, with_evidence
+    from surctl.export.fmu import write_fmu
+    from surctl.export.precision import REALS
+    from surctl.export.process import build_controller
+    from surctl.export.prove import prove_bundle, with_proof
+    from surctl.export.records import as_records
+    from surctl.export.sil import compare_runs
+    from surctl.export.supplement import PlantLists
+    from surctl.export.targets import chosen_targets
+    from surctl.ir import find_compiler
+    from surctl.system import LOST, run_system
+    from surctl.system.values import run_numbers
+
+    for key, value, known in (("--target", options.target, _TARGETS), ("--real", options.real, REALS)):
+        if value not in known:
+            problem = "is not available for a system of your own"
+            raise InputError(problem, key=key, value=value, remedy=nearest(value, known))
+    if not options.check and (options.targets or options.steps):
+        raise InputError("needs --check", key="--targets" if options.targets else "--steps", remedy="add --check")
+    named = [name.strip() for name in options.targets.split(",")] if options.targets else ()
+    tried, untried = chosen_targets(named)
+    real = REALS[REALS.index(options.real)]
+    own = load_system(words)
+    duration, values = own.seconds(seconds), assigned(own.settings)
+    name = own.exported_name(options.name, reserved=reserved)
+    find_compiler()
+    check_folder(options.out)
+    controller = own.system.controller
+    record = run_system(own.system, duration, values)
+    gains = controller.gains.unpack(record.controller[2])
+    plant = PlantLists(own.system.plant, run_numbers(own.system, values).plant[0])
+    bundle = build_bundle(controller, gains, name=name, real=real, supplement=plant)
+    proof = None
+    if options.prove:
+        progress("proving")
+        proof = prove_bundle(controller, bundle)
+        bundle = with_proof(bundle, proof)
+    progress("compiling and replaying")
+    binaries, report = {}, None
+    with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
+        compiled = build_controller(controller, bundle, Path(scratch, bundle.name))
+        (sil,) = compare_runs(compiled, [record])
+        if options.check:
+            steps = options.steps or STEPS
+            report = check_builds(
+                compiled, [as_records(controller, record)], tried, steps=steps, untried=untried, progress=progress
+            )
+        if options.target != "c99":
+            progress("compiling the functional mock-up unit")
+            fmi = 3 if options.target == "fmu3" else 2
+            unit = write_fmu(controller, bundle, controller.gains.pack(gains), scratch, fmi=fmi)
+            binaries[unit.path.name] = unit.path.read_bytes()
+    replayed = {
+        "system": own.label,
+        "text": end_text(own, record),
+        "failure": record.lost if record.stopped == LOST else None,
+    }
+    assessment = assess(ClosedLoop(own.system, values, record=record))
+    evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof)
+    evidence["assessment"] = finite(assessment.to_dict())
+    files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), options.out)
+    largest = max(part.absolute for part in (sil.tau, sil.state, sil.telemetry))
+    passed = sil.exact and record.stopped != LOST
+    passed = passed and (report is None or report.passed) and (proof is None or proof.proved)
+    lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
+    lines += [*cost_lines(own.system, record.figures), *(f"{line.mark} {line.text}" for line in assessment.lines)]
+    lines.append(sil.summary())
+    lines += [] if proof is None else ["", proof.summary()]
+    lines += [] if report is None else ["", report.summary()]
+    data = {
+        **own.names,
+        "name": bundle.name,
+        "id": bundle.id,
+        "real": real,
+        "commands": {port.name: port.unit for port in own.system.commands},
+        "files": [str(file.path) for file in files],
+        "sha256": {file.path.relative_to(options.out).as_posix(): file.sha256 for file in files},
+        "stopped": record.stopped,
+        "duration_s": record.duration,
+        "costs": cost_data(own.system, record.figures),
+        "assessment": assessment.to_dict(),
+        "largest_difference": largest,
+        "sil": sil.to_dict(),
+    }
+    data |= {} if proof is None else {"proof": proof.to_dict()}
+    data |= {} if report is None else {"check": report.to_dict()}
+    finish(data, lines, as_json=as_json, passed=passed, then=[f"make -C {shlex.quote(str(options.out))} check"])
+
+
+_APPLY = ("scenario", "vehicle", "target", "out", "as_json")
+
+
+def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool) -> None:
+    """Write the model and the force of the water to a folder, and end the command.
+
+    Raises:
+        InputError: an option concerns the controller, which is not part of the model, or the hull starts inside an
+            obstacle.
+    """
+    from surctl.cli.robot_options import choose_vehicle
+    from surctl.errors import InputError
+    from surctl.marine.engine import EngineOptions, write_mjcf
+    from surctl.marine.simulation import load_scenario
+    from surctl.marine.vehicle import load_vehicle
+
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        typed = context.get_parameter_source(str(parameter.name)) != ParameterSource.DEFAULT
+        if typed and parameter.name not in _APPLY:
+            remedy = "drop it: the model holds the scenario and the vehicle, without a controller"
+            raise InputError("does not apply to --target mjcf", key=parameter.opts[0], remedy=remedy)
+    mission = load_scenario(scenario)
+    choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
+    robot = load_vehicle(choice.word)
+    files = write_mjcf(mission, robot, out)
+    hashes = {file.name: sha256(file.read_bytes()).hexdigest() for file in files}
+    dof = EngineOptions().of(robot).dof
+    lines = [choice.line(robot.name), f"{mission.name}, {dof} degrees of freedom"]
+    lines += [f"{hashes[file.name][:12]}  {file}" for file in files]
+    result = {"files": [str(file) for file in files], "sha256": hashes, "dof": dof, "vehicle_from": choice.origin}
+    finish(result, lines, as_json=as_json, passed=True)

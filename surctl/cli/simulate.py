@@ -2,30 +2,60 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.activity import progress
-from surctl.cli.animate_option import animate_option, check_animate
-from surctl.cli.barrier_options import barrier_options
-from surctl.cli.campaign import CampaignOptions, campaign_options, simulate_again
-from surctl.cli.controller_options import ControllerOptions, controller_options
-from surctl.cli.gains_choice import GAINS_HELP, choose_gains
-from surctl.cli.law_option import choose_law, law_option, trust_option
-from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
-from surctl.cli.plant_options import PlantOptions, plant_options
-from surctl.cli.priority_options import priority_options
-from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes
-from surctl.cli.single_run import activity_line, further_output, linear_part, run_line, series_lines
-from surctl.cli.system_option import is_system, seconds_option
-from surctl.cli.system_simulate import simulate_own_system
-from surctl.cli.thruster_options import split_faults
+from surctl.cli.output import as_json, finish, out_folder, progress, saving, stoppable
+from surctl.cli.robot_options import (
+    GAINS_HELP,
+    barrier_options,
+    choose_gains,
+    choose_law,
+    law_option,
+    priority_options,
+    trust_option,
+)
+from surctl.cli.run_options import (
+    ControllerOptions,
+    PlantOptions,
+    animate_option,
+    check_animate,
+    controller_options,
+    plant_options,
+)
+from surctl.cli.runs import (
+    CampaignOptions,
+    activity_line,
+    campaign_options,
+    further_output,
+    loop_lines_of_run,
+    run_line,
+    series_lines,
+    simulate_again,
+)
+from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes, split_faults
+from surctl.cli.subject import (
+    OwnSystem,
+    assigned,
+    command_line,
+    cost_data,
+    cost_lines,
+    end_text,
+    is_system,
+    load_system,
+    seconds_option,
+)
 
-__all__ = ["simulate"]
+if TYPE_CHECKING:
+    from surctl.system import Record
+
+__all__ = ["simulate", "simulate_own_system"]
 
 
 @click.command
@@ -128,7 +158,7 @@ def simulate(
     apart = replace(campaign, threads=None) if physics is not None else campaign
     apart.check(scenarios=scenarios, runs=runs, explained=explained, out=out)
     _check_fallback(fallback, mode=priority_mode, explained=explained, campaign=campaign.any)
-    from surctl.cli.vehicle_choice import choose_vehicle
+    from surctl.cli.robot_options import choose_vehicle
     from surctl.files import prepare_folder
     from surctl.marine.control import build_law, law_source, load_gains
     from surctl.marine.simulation import Case, law_numbers, load_scenario, save_record, stop_reason, time_limit_reason
@@ -219,7 +249,7 @@ def simulate(
                     if as_json:
                         progress(lines[-2])
                     lines += chosen.output(run, physics, results[-1])
-                    lines += linear_part(run, results[-1])
+                    lines += loop_lines_of_run(run, results[-1])
                     if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)
                         lines.append(f"  {run.metrics.stopped_because}: {results[-1]['stop_reason']}")
@@ -276,3 +306,57 @@ def _check_save(save: str | None, frame: str | None, *, out: Path | None, campai
         raise InputError("cannot be combined with a campaign", key="--save", remedy="use the campaign's file runs.csv")
     if out is None:
         raise InputError("needs an output folder", key="--save", remedy="add --out DIR")
+
+
+def simulate_own_system(
+    words: Sequence[str], *, seconds: float | None, out: Path | None, save: str, as_json: bool
+) -> None:
+    """Simulate one run, print how it ended and its costs, and write signals (as csv, mat or nc) and plot to `out`."""
+    from surctl.files import prepare_folder
+    from surctl.system import LOST, run_system
+
+    own = load_system(words)
+    duration, values = own.seconds(seconds), assigned(own.settings)
+    if out is not None:
+        prepare_folder(out)
+    record = run_system(own.system, duration, values)
+    lines = [end_text(own, record), *cost_lines(own.system, record.figures)]
+    files = [] if out is None else _write(own, record, out, save)
+    lines += [f"  {file}" for file in files]
+    data = {
+        **own.names,
+        "values": {name: value.ravel().tolist() for name, value in values.items()},
+        "stopped": record.stopped,
+        "not_finite": record.lost or None,
+        "duration_s": record.duration,
+        "costs": cost_data(own.system, record.figures),
+        "files": [str(file) for file in files],
+    }
+    fine = record.stopped != LOST
+    then = [command_line("verify", own, *own.settings), _sweep(own, duration)] if fine else []
+    finish(data, lines, as_json=as_json, passed=fine, then=[command for command in then if command])
+
+
+def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:
+    from surctl.files import file_name
+    from surctl.system import save_record
+
+    name = file_name(f"{own.system.plant.name}-{own.system.controller.name}")
+    origin = own.origin | {"values": json.dumps({n: v.tolist() for n, v in assigned(own.settings).items()})}
+    files = list[Path]()
+    with saving("record"):
+        files.append(save_record(record, out / f"{name}.{kind}", about=origin))
+    with saving("plot"):
+        from surctl.report.system_plots import save_record_plot
+
+        files.insert(0, save_record_plot(record, out, name=name))
+    return files
+
+
+def _sweep(own: OwnSystem, seconds: float) -> str:
+    """Return the command that sweeps the first gain about its nominal value; "" if no gain can be swept."""
+    swept = [port for port in own.system.controller.gains if port.size == 1 and port.default > 0]
+    if not swept or not own.system.costs:
+        return ""
+    axis = f"{swept[0].name}={swept[0].default / 2:.4g}..{swept[0].default * 2:.4g}:9"
+    return command_line("sweep", own, axis, "--seconds", f"{seconds:g}", "--out", "sweep")

@@ -10,7 +10,7 @@ from typing import Any
 import casadi
 import pytest
 
-from surctl.cli.activity import doing
+from surctl.cli.output import doing
 from surctl.cli.output import Stopped, interrupted, noting_interrupts, stoppable
 
 

@@ -9,9 +9,9 @@ import pytest
 
 from surctl.assessment import assess
 from surctl.cli.linear_part import linear_part as linear_side_of
-from surctl.cli.next_export import export_command
-from surctl.cli.single_run import failure, linear_part
-from surctl.cli.vehicle_choice import DEFAULT_VEHICLE, at_hand, choose_vehicle
+from surctl.cli.robot_options import export_command
+from surctl.cli.runs import failure, linear_part
+from surctl.cli.robot_options import DEFAULT_VEHICLE, at_hand, choose_vehicle
 from surctl.cli.verify import _speeds
 from surctl.errors import InputError
 from surctl.marine.assessment import Mission

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.cli.gains_choice import choose_gains
+from surctl.cli.robot_options import choose_gains
 from surctl.errors import InputError
 from surctl.marine.control import GAINS, Gains, load_gains, write_gains
 from surctl.marine.simulation import findings

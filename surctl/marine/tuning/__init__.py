@@ -1,4 +1,4 @@
-"""Choice of gains by simulated missions: sweeps, sensitivity, goals, exact gradients, automatic tuning."""
+"""Choice of gains by simulated missions: sweeps, sensitivity, goals, automatic tuning."""
 
 from typing import TYPE_CHECKING
 
@@ -29,14 +29,12 @@ if TYPE_CHECKING:
     )
     from surctl.marine.tuning.finals import CHECKED, Finals, check_finals
     from surctl.marine.tuning.goals import Goal, goals_at, goals_from_tables, load_goals, with_floor
-    from surctl.marine.tuning.gradient import SURROGATES, DifferentiableRun, prepare
     from surctl.marine.tuning.law_goals import case_loop
     from surctl.marine.tuning.measure import build_cases, check_column
     from surctl.marine.tuning.misses import Miss, advice, misses, value_text
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
     from surctl.marine.tuning.pool import Pool, Request
     from surctl.marine.tuning.provenance import goal_rows, summary, tuned_gains, tuning_dict
-    from surctl.marine.tuning.refine import Refinement, refine
     from surctl.marine.tuning.rounds import Round
     from surctl.marine.tuning.search import search
     from surctl.marine.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
@@ -47,12 +45,10 @@ if TYPE_CHECKING:
 __all__ = [
     "ASSESSED",
     "CHECKED",
-    "SURROGATES",
     "TUNED",
     "Condition",
     "Counterexample",
     "Derivation",
-    "DifferentiableRun",
     "Evaluation",
     "Finals",
     "GainRange",
@@ -60,7 +56,6 @@ __all__ = [
     "Miss",
     "MonteCarlo",
     "Pool",
-    "Refinement",
     "Request",
     "Round",
     "SweepTable",
@@ -91,8 +86,6 @@ __all__ = [
     "load_sweep",
     "lqr_start",
     "misses",
-    "prepare",
-    "refine",
     "scope",
     "search",
     "shared_gains",
@@ -114,14 +107,12 @@ load_at_first_use(
         "evaluation": "Condition Evaluation check_goals conditions corners evaluate figures judged_goals scope",
         "finals": "CHECKED Finals check_finals",
         "goals": "Goal goals_at goals_from_tables load_goals with_floor",
-        "gradient": "DifferentiableRun SURROGATES prepare",
         "law_goals": "case_loop",
         "measure": "build_cases check_column",
         "misses": "Miss advice misses value_text",
         "montecarlo": "Counterexample MonteCarlo",
         "pool": "Pool Request",
         "provenance": "goal_rows summary tuned_gains tuning_dict",
-        "refine": "Refinement refine",
         "rounds": "Round",
         "search": "search",
         "space": "GainRange TUNED default_tuned gain_ranges",

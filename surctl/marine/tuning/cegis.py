@@ -91,7 +91,6 @@ def tune(
     trials: int = 256,
     rounds: int = 3,
     runs: int = 2000,
-    descend: bool = False,
     folder: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> Tuning:
@@ -107,7 +106,6 @@ def tune(
         rounds: largest number of rounds, at least 1.
         runs: number of fresh runs that verify the gains of each round. Before them, ten times as many training runs
             screen the gain sets of the round. With 0, neither kind of run is simulated.
-        descend: whether the first search also starts from a descent along exact gradients (`starting_sets`).
         folder: folder that stores trials and rounds; an interrupted tuning with an identical request resumes from this
             folder.
         progress: function that receives one line of text at each step of the work.
@@ -128,7 +126,6 @@ def tune(
         (True, 0.99, True)
     """
     _check(request, trials, rounds, runs)
-    request = replace(request, begun="descent" if descend else "")  # a descent changes the trials
     record = RoundsFile(folder, f"{request.digest} {trials} {runs}")
     journal = Journal(None if folder is None else folder / "trials.journal")
     if not journal.trials(request.digest):  # a file of best gains from the first moment on
@@ -141,7 +138,7 @@ def tune(
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
             pool = None
             if known is None:
-                pool = _searched(current, done, _longer(trials, done), journal, progress, descend=descend)
+                pool = _searched(current, done, _longer(trials, done), journal, progress)
                 known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
                 record.add(known)
                 best = request.base.with_values(dict(known.gains), how="so-far")
@@ -153,7 +150,7 @@ def tune(
                 current = harder(current, (*known.training, *known.fresh), known.claims)
         final = harder(current, done[-1].training)
         if pool is None:  # every round was loaded from the record
-            pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress, descend=descend)
+            pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress)
             pool = reduced_pool(final, pool, done[-1].gains)
     finally:
         journal.close()
@@ -225,7 +222,7 @@ def _longer(trials: int, done: Sequence[Round]) -> int:
 
 
 def _searched(
-    request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress, *, descend: bool
+    request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress
 ) -> Pool:
     """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
 
@@ -234,7 +231,7 @@ def _searched(
     """
     first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
     if not done and len(journal.trials(request.digest)) < BATCH:
-        first = starting_sets(request, descend=descend, progress=progress)
+        first = starting_sets(request, progress=progress)
     pool = search(request, trials=trials, first=first, journal=journal, progress=progress)
     hard = tuple(g for g in request.goals if g.kind == "hard")
     if pool.feasible.any() or len(hard) in (0, len(request.goals)):

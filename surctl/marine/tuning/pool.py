@@ -37,7 +37,6 @@ class Request:
         seed: seed of the search.
         claims: points of claims' domains at which the claims must hold, as constraints of the search.
         threads: number of threads of the compiled loop; no result depends on it.
-        begun: text that names the kind of further initial gain sets, besides the start gains; empty if there are none.
     """
 
     goals: tuple[Goal, ...]
@@ -47,7 +46,6 @@ class Request:
     seed: int = 0
     claims: tuple[ClaimPoint, ...] = ()
     threads: int = 1
-    begun: str = ""
 
     @property
     def cases(self) -> tuple[Case, ...]:
@@ -68,7 +66,6 @@ class Request:
             model = None if case.model is None else dict(case.model.parameters)
             lines.append(f"case {case.name} {case.scenario!r} {dict(case.vehicle.parameters)!r} {model!r}")
             lines.append(f"law {_kind(case)} {dict(case.gains.values)!r}")
-        lines += [f"begun {self.begun}"] * bool(self.begun)
         lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.conditions]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
