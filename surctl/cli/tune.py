@@ -203,9 +203,9 @@ def tune(
         with_floor,
     )
     from surctl.marine.tuning import tune as run_tuning
+    from surctl.marine.tuning.search import BEST
     from surctl.marine.vehicle import load_vehicle
     from surctl.own_code import label
-    from surctl.tuning.journal import BEST
 
     plan = load_plan(file, trust=trust)
     plan = plan if law is None else plan.with_law(law)
@@ -269,9 +269,7 @@ def tune(
         threads=workers,
     )
     with stoppable(f"the finished trials are in {out}, the best gains in {out / BEST}; to continue: {same_command()}"):
-        tuning = run_tuning(
-            request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress
-        )
+        tuning = run_tuning(request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
         subject = replace(plan, guidance=cases[0].guidance)
         tuning, checked = check_finals(
             tuning, finals, lambda gains: assessed(subject, gains), default=default, progress=progress

@@ -18,10 +18,10 @@ from surctl.marine.tuning.montecarlo import APART, MOST_SEED, fresh, monte_carlo
 from surctl.marine.tuning.pool import Pool, Request, joined_pools
 from surctl.marine.tuning.rounds import Round, RoundsFile
 from surctl.marine.tuning.screening import TRAINING, Screened, harder, reduced_pool, screen
-from surctl.marine.tuning.search import BATCH, search
+from surctl.marine.tuning.search import BATCH, BEST, search
 from surctl.marine.tuning.start import starting_sets
 from surctl.tuning.chunked import Progress
-from surctl.tuning.journal import Journal
+from surctl.tuning.search import Journal
 
 __all__ = ["Tuning", "tune"]
 
@@ -127,12 +127,14 @@ def tune(
     """
     _check(request, trials, rounds, runs)
     record = RoundsFile(folder, f"{request.digest} {trials} {runs}")
-    journal = Journal(None if folder is None else folder / "trials.journal")
-    if not journal.trials(request.digest):  # a file of best gains from the first moment on
-        journal.note_best(write_gains(request.base, warning="the start gains of a tuning without a finished trial"))
+    journal = Journal(folder)
     done: list[Round] = []
     current, requested = request, len(request.conditions)
-    try:
+    with journal.held():
+        if journal.batches(request.digest, width=request.width).known(BATCH) is None:
+            # a file of best gains from the first moment on
+            warning = "the start gains of a tuning without a finished trial"
+            journal.note_best(BEST, write_gains(request.base, warning=warning))
         for k in range(rounds):
             known = record.round(k)
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
@@ -142,7 +144,8 @@ def tune(
                 known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
                 record.add(known)
                 best = request.base.with_values(dict(known.gains), how="so-far")
-                journal.note_best(write_gains(best, warning=f"the gains of round {k + 1} of an unfinished tuning"))
+                warning = f"the gains of round {k + 1} of an unfinished tuning"
+                journal.note_best(BEST, write_gains(best, warning=warning))
             done.append(known)
             if _ended(done) or k + 1 == rounds:
                 break
@@ -152,8 +155,6 @@ def tune(
         if pool is None:  # every round was loaded from the record
             pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress)
             pool = reduced_pool(final, pool, done[-1].gains)
-    finally:
-        journal.close()
     hand, candidates = (
         final.judge({s.name: np.array([request.base[s.name]]) for s in request.space}),
         _candidates(final, done),
@@ -221,16 +222,14 @@ def _longer(trials: int, done: Sequence[Round]) -> int:
     return 2 * trials if done and _barren(done[-1]) else trials
 
 
-def _searched(
-    request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress
-) -> Pool:
+def _searched(request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress) -> Pool:
     """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
 
     The search of the first round starts from `starting_sets`, that of a later round from the best sets of the previous
     round.
     """
     first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
-    if not done and len(journal.trials(request.digest)) < BATCH:
+    if not done:
         first = starting_sets(request, progress=progress)
     pool = search(request, trials=trials, first=first, journal=journal, progress=progress)
     hard = tuple(g for g in request.goals if g.kind == "hard")

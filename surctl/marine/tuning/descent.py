@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from surctl.marine.tuning.evaluation import Figures, scope
 from surctl.marine.tuning.pool import CAP, Pool, Request, joined_pools
-from surctl.marine.tuning.trials import frozen, remembered
 from surctl.tuning.chunked import Progress
-from surctl.tuning.journal import Journal
+from surctl.tuning.search import Journal
 
 __all__ = ["descend"]
 
@@ -41,31 +40,28 @@ class _At:
     step: float = _FIRST
 
 
-def descend(request: Request, pool: Pool, *, trials: int, shelf: Journal, progress: Progress = lambda _: None) -> Pool:
+def descend(
+    request: Request, pool: Pool, *, trials: int, journal: Journal, progress: Progress = lambda _: None
+) -> Pool:
     """Run a descent from the best sets of the pool; return the pool with all gain sets that the descent simulates.
 
     Args:
         request: the request of the search.
         pool: simulated gain sets, the start gains first.
         trials: approximate number of trials; each iteration takes 2 d + 6 trials for d gains.
-        shelf: journal of the trials; an interrupted descent with an identical request and pool resumes from this
-            journal.
+        journal: journal of the iterations; an interrupted descent with an identical request and pool resumes from it.
         progress: function that receives one line of text at the end.
     """
     start, size = pool.evaluation.normalised[0], 2 * len(request.space) + len(_STEP_FACTORS)
-    name = f"{request.digest} descent {trials}"
-    done, pools, visited = shelf.trials(name), [pool], list[Array]()
+    batches = journal.batches(f"{request.digest} descent {trials}", width=request.width)
+    pools, visited = [pool], list[Array]()
     at = _next(request, pool, visited, start)
-    for k in range(-(-trials // size)):
+    for _ in range(-(-trials // size)):
         if at is None:
             break
-        known = done[k * size : (k + 1) * size]
-        if len(known) == size:
-            batch = remembered(request, known)
-        else:
-            batch = _iteration(request, pool, at)
-            # after an interruption the journal may hold the first trials of this iteration; they are identical
-            shelf.append(name, frozen(request, batch, start)[len(known) :])
+        known = batches.known(size)
+        batch = _iteration(request, pool, at) if known is None else request.pool(known)
+        batches.add(batch.table, restored=known is not None)
         pools.append(batch)
         _move(request, at, batch, start)
         if at.step < _LAST:

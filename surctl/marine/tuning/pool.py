@@ -54,7 +54,7 @@ class Request:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the request without `threads`; the digest is the name of the optuna study in the journal."""
+        """SHA-256 of the request without `threads`, by which the journal knows its batches."""
         lines = [f"surctl {__version__}", f"goals {self.goals!r}", f"space {self.space!r}", f"seed {self.seed}"]
         lines += [
             f"base {dict(self.base.values)!r}",
@@ -83,6 +83,21 @@ class Request:
     def judge(self, sets: Sets) -> Pool:
         """Simulate gain sets and return them as a pool with evaluated goals."""
         return self.simulate(sets)[0]
+
+    def named(self, sets: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return the values (n,) of each searched gain by name, from sets (n, gains)."""
+        return {span.name: sets[:, k] for k, span in enumerate(self.space)}
+
+    @property
+    def width(self) -> int:
+        """Length of the rows of `Pool.table`."""
+        return len(self.space) + 4 * len(self.goals) + 1 + len(self.claims)
+
+    def pool(self, table: NDArray[np.float64]) -> Pool:
+        """Return the pool with a `Pool.table`."""
+        d, m = len(self.space), len(self.goals)
+        sets, *parts, effort, claims = np.split(table, [d + k * m for k in range(5)] + [d + 4 * m + 1], axis=1)
+        return Pool(self.named(sets), Evaluation(self.goals, *parts, effort[:, 0]), claims)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +195,13 @@ class Pool:
         part = Evaluation(e.goals, e.normalised[k], e.figure[k], e.speed[k], e.excess[k], e.effort[k])
         return Pool({name: values[k] for name, values in self.sets.items()}, part, self.claims[k])
 
+    @property
+    def table(self) -> NDArray[np.float64]:
+        """All numbers of the pool, a row for each gain set: gains, evaluated goals, and claims."""
+        e = self.evaluation
+        parts = (e.normalised, e.figure, e.speed, e.excess, e.effort, self.claims)
+        return np.column_stack([*self.sets.values(), *parts])
+
     def gains(self, k: int) -> dict[str, float]:
         """Return the k-th gain set: the value of each gain by name."""
         return row(self.sets, k)
@@ -188,16 +210,10 @@ class Pool:
 def joined_pools(pools: Sequence[Pool]) -> Pool:
     """Join several pools with the same goals into one pool."""
     sets = {name: np.concatenate([p.sets[name] for p in pools]) for name in pools[0].sets}
-    e = [p.evaluation for p in pools]
-    whole = Evaluation(
-        e[0].goals,
-        np.concatenate([x.normalised for x in e]),
-        np.concatenate([x.figure for x in e]),
-        np.concatenate([x.speed for x in e]),
-        np.concatenate([x.excess for x in e]),
-        np.concatenate([x.effort for x in e]),
-    )
-    return Pool(sets, whole, np.concatenate([p.claims for p in pools]))
+    evaluations = [p.evaluation for p in pools]
+    numbers = ("normalised", "figure", "speed", "excess", "effort")
+    joined = [np.concatenate([getattr(e, name) for e in evaluations]) for name in numbers]
+    return Pool(sets, Evaluation(evaluations[0].goals, *joined), np.concatenate([p.claims for p in pools]))
 
 
 def _kind(case: Case) -> tuple[str, ...]:

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.marine.control import Gains
 from surctl.tuning.axes import default_range
+from surctl.tuning.search import SearchRange
 
 __all__ = ["TUNED", "GainRange", "default_tuned", "gain_ranges"]
 
@@ -19,7 +19,7 @@ TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
 
 
 @dataclass(frozen=True)
-class GainRange:
+class GainRange(SearchRange):
     """One tuned gain and its search range low … high, which includes both ends.
 
     `below` is the largest value that the gain may have, `zero` whether it may be 0.
@@ -28,9 +28,6 @@ class GainRange:
         InputError: the ends are not 0 < low < high ≤ below, or low is 0 and the gain may not be 0.
     """
 
-    name: str
-    low: float
-    high: float
     below: float = float("inf")
     zero: bool = False
 
@@ -41,33 +38,10 @@ class GainRange:
             least = "0 ≤" if self.zero else "0 <"
             raise InputError("is not a range", key=key, value=shown, remedy=f"write LOW..HIGH with {least} LOW < HIGH")
         if self.low == 0 and not self.zero:
-            raise InputError(
-                "begins at 0, and the gain must be greater", key=key, value=shown, remedy="raise the lower end"
-            )
+            problem = "begins at 0, and the gain must be greater"
+            raise InputError(problem, key=key, value=shown, remedy="raise the lower end")
         if self.high > top:
             raise InputError(f"is above its bound of {top:.3g}", key=key, value=self.high, remedy="lower the upper end")
-
-    @property
-    def log(self) -> bool:
-        """Whether the search uses a log scale."""
-        return self.low > 0
-
-    def clip(self, value: float) -> float:
-        """Clip a value to the range."""
-        return min(max(value, self.low), self.high)
-
-    def place(self, unit: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert shares 0 … 1 of the range, on its scale, to values of the gain."""
-        share: NDArray[np.float64] = np.asarray(unit, dtype=float)
-        at = self.low * (self.high / self.low) ** share if self.log else self.high * share
-        return np.clip(at, self.low, self.high)
-
-    def unit(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert values of the gain to shares of the range, limited to 0 … 1; the inverse of `place`."""
-        at: NDArray[np.float64] = np.asarray(values, dtype=float)
-        at = np.log(at / self.low) / np.log(self.high / self.low) if self.log else at / self.high
-        unit: NDArray[np.float64] = np.clip(at, 0.0, 1.0)
-        return unit
 
 
 def gain_ranges(
