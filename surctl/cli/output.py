@@ -16,7 +16,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import wraps
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar, cast
@@ -34,6 +35,7 @@ __all__ = [
     "OutputLost",
     "Stopped",
     "as_json",
+    "collected",
     "discard_stdout",
     "doing",
     "failed_write",
@@ -263,6 +265,27 @@ def together(*options: Callable[[C], C]) -> Callable[[C], C]:
         for option in reversed(options):
             command = option(command)
         return command
+
+    return decorate
+
+
+def collected(**kinds: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator of a command that receives its options as objects of dataclasses, by the names in `kinds`.
+
+    A field of a dataclass takes the parameter of the same name; without one, it has its default.
+    """
+    used = {one.name for kind in kinds.values() for one in fields(kind)}
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def call(**values: Any) -> None:
+            groups = {
+                name: kind(**{one.name: values[one.name] for one in fields(kind) if one.name in values})
+                for name, kind in kinds.items()
+            }
+            command(**{name: value for name, value in values.items() if name not in used}, **groups)
+
+        return call
 
     return decorate
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,7 +14,7 @@ import click
 from surctl.cli.output import together
 
 if TYPE_CHECKING:
-    from surctl.marine.control import Gains, GainSpec
+    from surctl.marine.control import Gains, GainSpec, Law
     from surctl.marine.simulation import SafetyClaim, Scenario
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
@@ -24,6 +25,7 @@ __all__ = [
     "MISSION",
     "SPEEDS",
     "GainsChoice",
+    "RobotOptions",
     "Speeds",
     "VehicleChoice",
     "at_hand",
@@ -245,6 +247,53 @@ def check_barrier(barrier: str, movers: str) -> None:
     for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
         if value not in known:
             raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """The options that select the robot and its law; those that a command does not have keep their defaults.
+
+    Attributes:
+        vehicle, gains: name or file; None: that of the scenario, those of the vehicle.
+        law: name or FILE.py:FUNCTION; None: that of the vehicle.
+        avoidance: form of equation (20).
+        guidance: path guidance.
+        priority_mode, fallback: how the law treats priorities, and limits that conflict.
+        barrier, movers: bound on the approach speed, and how moving obstacles enter it.
+        sensing: `truth` or `sonar`; None: as the law has it.
+    """
+
+    vehicle: str | None = None
+    gains: str | None = None
+    law: str | None = None
+    avoidance: str = "corrected"
+    guidance: str = "los"
+    priority_mode: str = "nsb"
+    fallback: str = "exact"
+    barrier: str = "simple"
+    movers: str = "predict"
+    sensing: str | None = "truth"
+
+    def build(self, law: str, scenario: Scenario, vehicle: Vehicle) -> Law:
+        """Return the law for the sensors and depths of a scenario, and the actuators of a vehicle."""
+        from surctl.marine.control import build_law
+
+        return build_law(
+            law,
+            mode=self.priority_mode,
+            sonar=self.sensing == "sonar",
+            equipment=scenario.sensors.on(vehicle["radius"]),
+            fallback=self.fallback,
+            depths=scenario.depths is not None,
+            actuators=vehicle.actuators,
+            **self.forms,
+        )
+
+    @property
+    def forms(self) -> dict[str, Any]:
+        """The forms of guidance and avoidance, as keywords of `build_law` and `Case`."""
+        forms = {"avoidance": self.avoidance, "guidance": self.guidance}
+        return {**forms, "barrier": self.barrier, "movers": self.movers}
 
 
 class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only

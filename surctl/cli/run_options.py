@@ -261,19 +261,24 @@ class ControllerOptions:
     """The options for the controller process and its connection; an option that is not given has the value None."""
 
     controller: str | None
-    loss: float | None
-    delay: float | None
-    deadline: float | None
-    timeout: float | None
-    compact: bool = False
+    link_loss: float | None
+    link_delay: float | None
+    link_deadline: float | None
+    link_timeout: float | None
+    link_compact: bool = False
 
     def check(self, *, campaign: bool) -> None:
         """Raise InputError for options that exclude each other, or that require another option that is not given."""
         from surctl.errors import InputError
 
-        options = {"loss": self.loss, "delay": self.delay, "deadline": self.deadline, "timeout": self.timeout}
+        options = {
+            "loss": self.link_loss,
+            "delay": self.link_delay,
+            "deadline": self.link_deadline,
+            "timeout": self.link_timeout,
+        }
         alone = [f"--link-{name}" for name, value in options.items() if value is not None]
-        alone += ["--link-compact"] * self.compact
+        alone += ["--link-compact"] * self.link_compact
         if self.controller in (None, "c"):
             if alone:
                 raise InputError(
@@ -287,9 +292,9 @@ class ControllerOptions:
                 key="--controller",
                 remedy="drop --monte-carlo, --random-worlds and --from",
             )
-        if self.timeout is not None and not 0.0 < self.timeout <= 3600.0:
+        if self.link_timeout is not None and not 0.0 < self.link_timeout <= 3600.0:
             raise InputError(
-                "is not a valid time", key="link-timeout", value=self.timeout, remedy="give seconds, above 0"
+                "is not a valid time", key="link-timeout", value=self.link_timeout, remedy="give seconds, above 0"
             )
         if self.controller is None or not self.controller.startswith(("tcp://", "qemu:")):
             raise InputError(
@@ -323,7 +328,9 @@ class ControllerOptions:
                 remedy="give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle",
             )
         if self.controller.startswith("tcp://"):
-            with connect(self.controller, **({} if self.timeout is None else {"patience": self.timeout})) as line:
+            with connect(
+                self.controller, **({} if self.link_timeout is None else {"patience": self.link_timeout})
+            ) as line:
                 yield line
             return
         target = emulated_target(self.controller.removeprefix("qemu:"))
@@ -335,7 +342,7 @@ class ControllerOptions:
             tempfile.TemporaryDirectory(prefix="surctl-pil-") as scratch,
             emulated(bundle, target, Path(scratch)) as line,
         ):
-            line.patience = line.patience if self.timeout is None else self.timeout
+            line.patience = line.patience if self.link_timeout is None else self.link_timeout
             yield line
 
     @property
@@ -362,13 +369,13 @@ class ControllerOptions:
         from surctl.marine.export import LinkedLaw, operating_envelope
 
         within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
-        return LinkedLaw(law, p, line, self._faults(seed=seed), within, compact=self.compact, fed=mission.path.fed)
+        return LinkedLaw(law, p, line, self._faults(seed=seed), within, compact=self.link_compact, fed=mission.path.fed)
 
     def _faults(self, *, seed: int) -> LinkFaults:
         from surctl.marine.export import LinkFaults
 
         usual = LinkFaults()
-        options = (self.loss, self.delay, self.deadline)
+        options = (self.link_loss, self.link_delay, self.link_deadline)
         loss, delay, deadline = (
             value if value is not None else other
             for value, other in zip(options, (usual.loss, usual.delay, usual.deadline), strict=True)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
-from surctl.cli.robot_options import choose_gains
+from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
@@ -296,17 +296,10 @@ class CampaignOptions:
     def plans(
         self,
         scenarios: tuple[str, ...],
-        vehicle: str | None,
-        gains: str | None,
+        robot: RobotOptions,
         sensors: SensorOptions,
         *,
         law: str,
-        avoidance: str,
-        guidance: str,
-        mode: str,
-        barrier: str,
-        movers: str,
-        sensing: str,
         seed: int,
     ) -> list[Plan]:
         """Return the plans of the requested campaigns.
@@ -320,20 +313,20 @@ class CampaignOptions:
         from surctl.marine.tuning import build_cases
         from surctl.marine.vehicle import load_vehicle
 
-        vehicles = [] if vehicle is None else [load_vehicle(vehicle)]
+        vehicles = [] if robot.vehicle is None else [load_vehicle(robot.vehicle)]
         if self.worlds is None:
             missions = [sensors.over(load_scenario(name)) for name in scenarios]
         else:
             vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(vehicles[0]))]
         own = law_source(law).gains
-        base = load_gains(gains or "default", own=own)
-        cases = build_cases(missions, vehicles, gains=base, law=law, mode=mode, sensing=sensing, guidance=guidance)
-        options: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
-        tuned = [choose_gains(gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
+        base = load_gains(robot.gains or "default", own=own)
+        kind = {"mode": robot.priority_mode, "sensing": robot.sensing or "truth", "guidance": robot.guidance}
+        cases = build_cases(missions, vehicles, gains=base, law=law, **kind)
+        tuned = [choose_gains(robot.gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
         for line in dict.fromkeys(line for one in tuned for line in one.lines):
             progress(line)
-        cases = tuple(replace(case, gains=one.gains, **options) for case, one in zip(cases, tuned, strict=True))
+        cases = tuple(replace(case, gains=one.gains, **robot.forms) for case, one in zip(cases, tuned, strict=True))
         for case in cases[:1]:
             case.build()  # reports a mistake before any file is written
         if self.worlds is None:
@@ -354,7 +347,6 @@ class CampaignOptions:
 
         `vehicle` is the value of the option `--vehicle`, or None.
         """
-        from surctl.cli.robot_options import choose_vehicle
         from surctl.errors import InputError
         from surctl.files import write_file
         from surctl.marine.simulation.campaign import CampaignFolder, run_campaign

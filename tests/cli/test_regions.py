@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from surctl.cli import regions
+from surctl.cli import claims as regions
 from surctl.cli.app import app
 from surctl.cli.robot_options import export_command
 from surctl.marine.simulation import LIBRARY as SCENARIOS

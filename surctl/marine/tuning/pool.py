@@ -96,8 +96,9 @@ class Request:
     def pool(self, table: NDArray[np.float64]) -> Pool:
         """Return the pool with a `Pool.table`."""
         d, m = len(self.space), len(self.goals)
-        sets, *parts, effort, claims = np.split(table, [d + k * m for k in range(5)] + [d + 4 * m + 1], axis=1)
-        return Pool(self.named(sets), Evaluation(self.goals, *parts, effort[:, 0]), claims)
+        ends = [d + k * m for k in range(5)] + [d + 4 * m + 1]
+        sets, normalised, figure, speed, excess, effort, claims = np.split(table, ends, axis=1)
+        return Pool(self.named(sets), Evaluation(self.goals, normalised, figure, speed, excess, effort[:, 0]), claims)
 
 
 @dataclass(frozen=True, eq=False)
