@@ -421,8 +421,7 @@ def choices_and_draws(
 
     from surctl.errors import InputError
     from surctl.system.values import check_scalar
-    from surctl.tuning.axes import SEED, Axis, Span
-    from surctl.tuning.design import ONE_POINT, make_design, random_draws, saltelli
+    from surctl.tuning.design import ONE_POINT, SEED, Axis, Span, make_design, random_draws, saltelli
 
     if not own.system.costs:
         raise InputError("has no costs", key="system", value=own.label, remedy="give System(..., costs={...})")
@@ -528,7 +527,7 @@ def _ended(stopped: str, time: float) -> str:
 def _ends(swept: SystemSweep, point: int) -> str:
     """Return how many runs of a point ended early, with an upper bound of the probability."""
     from surctl.system import ENDED
-    from surctl.tuning.share import Share
+    from surctl.tuning.statistics import Share
 
     ends = Counter(swept.runs.stopped[point * swept.each : (point + 1) * swept.each].tolist())
     early = swept.each - ends.pop(ENDED, 0)

@@ -381,8 +381,7 @@ def tune_own_system(
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv
-    from surctl.tuning.representative import not_representative, step_goals
-    from surctl.tuning.system_goals import load_system_goals
+    from surctl.tuning.goals import load_system_goals, not_representative, step_goals
     from surctl.tuning.systems import check_tuning, tune_system
 
     own = load_system(words)
@@ -465,7 +464,7 @@ def tune_own_system(
 def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
     """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
     from surctl.errors import InputError, nearest
-    from surctl.tuning.axes import default_range
+    from surctl.tuning.design import default_range
 
     nominal, result = _nominal(own), {}
     for name, ends in (ranges or dict.fromkeys(nominal)).items():

@@ -105,7 +105,7 @@ def unrepresentative(tuning: Tuning) -> list[str]:
     import numpy as np
 
     from surctl.marine.tuning import Goal, figures
-    from surctl.tuning.representative import not_representative, step_goals
+    from surctl.tuning.goals import not_representative, step_goals
 
     names = [
         goal.name

@@ -32,10 +32,18 @@ from surctl.system.record_file import identity
 from surctl.system.runs import loop_program
 from surctl.system.subjects import load_subject
 from surctl.system.values import check_scalar, run_numbers, unit_of
-from surctl.tuning.axes import MOST_POINTS, SEED
-from surctl.tuning.chunked import TABLE, Columns, Progress, SweepStage, chunk_size, evaluated_chunks, finished_table
-from surctl.tuning.design import Design
-from surctl.tuning.executors import Executor, LocalExecutor
+from surctl.tuning.chunked import (
+    TABLE,
+    Columns,
+    Executor,
+    LocalExecutor,
+    Progress,
+    SweepStage,
+    chunk_size,
+    evaluated_chunks,
+    finished_table,
+)
+from surctl.tuning.design import MOST_POINTS, SEED, Design
 
 __all__ = ["SystemSweep", "sweep_system"]
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, nearest
 from surctl.system import ENDED, System, every_combination, simulate_system
 from surctl.system.values import check_scalar, run_numbers
-from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch, RunGoal
+from surctl.tuning.goals import GOALS, NO_POINTS, GoalSearch, RunGoal
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores
 from surctl.tuning.search import Batches, Journal, SearchRange, evolve

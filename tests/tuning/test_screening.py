@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from surctl.marine.tuning import Goal, cegis, search, tune
-from surctl.marine.tuning.cegis import _chosen, _ended
-from surctl.marine.tuning.descent import descend
-from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo
-from surctl.marine.tuning.rounds import Round
-from surctl.marine.tuning.screening import reduced_pool, screen
+from surctl.marine.tuning.cegis import Round, _chosen, _ended
+from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo, reduced_pool, screen
+from surctl.marine.tuning.search import descend
 from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, NEAR, THRIFT, Loop, heavy, install, request
 

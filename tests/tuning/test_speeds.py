@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from surctl.marine.tuning.trials import frozen, remembered
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
@@ -22,11 +23,10 @@ from surctl.marine.tuning import (
     tuned_gains,
     tuning_dict,
 )
-from surctl.marine.tuning.descent import _functions
 from surctl.marine.tuning.measure import SweepEvaluation, check_request
 from surctl.marine.tuning.montecarlo import monte_carlo
 from surctl.marine.tuning.pool import joined_pools
-from surctl.marine.tuning.trials import frozen, remembered
+from surctl.marine.tuning.search import _functions
 from surctl.marine.verification import LINEAR_METRICS, linear_table
 from surctl.tuning import grid, parse_axis
 from tests.tuning.synthetic import CLEAR, GAINS, THRIFT, Loop, case, install, request

@@ -28,12 +28,11 @@ from surctl.marine.tuning import (
     tuned_gains,
     tuning_dict,
 )
-from surctl.marine.tuning.claim_points import ClaimPoint, excess, expected_to_hold, refuted_claims
-from surctl.marine.tuning.conflict import demands, minimal_subset
+from surctl.marine.tuning.cegis import RoundsFile
 from surctl.marine.tuning.evaluation import judged
 from surctl.marine.tuning.montecarlo import fresh, monte_carlo
-from surctl.marine.tuning.pool import Pool
-from surctl.marine.tuning.rounds import RoundsFile
+from surctl.marine.tuning.pool import ClaimPoint, Pool, excess, expected_to_hold, refuted_claims
+from surctl.marine.tuning.search import demands, minimal_subset
 from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, MARGIN, NEAR, THRIFT, Loop, case, heavy, install, request
 

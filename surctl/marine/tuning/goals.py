@@ -17,14 +17,15 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, load_model, pick
 from surctl.marine.simulation import METRICS, MetricSpec
-from surctl.marine.tuning.assessed import ASSESSED
 from surctl.marine.verification import LINEAR_METRICS, cruise_speeds, worst_place
-from surctl.tuning.goal_file import LIBRARY, GoalsFile, GoalTable, Over, Plants
+from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, Over, Plants
 from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 
 __all__ = [
+    "ASSESSED",
     "LOOP_METRIC",
+    "PART_OF",
     "Goal",
     "Kind",
     "Sense",
@@ -33,6 +34,33 @@ __all__ = [
     "load_goals",
     "with_floor",
 ]
+
+ASSESSED: Mapping[str, MetricSpec] = {
+    "nominal_disk_margin": MetricSpec("1", "disk margin of the nominal vehicle, all loops at once", "high"),
+    "corner_slowest_pole_per_s": MetricSpec("1/s", "largest real part of a pole over the corners", "low"),
+    "region_m": MetricSpec("m", "distance beside the path from which the return is proved", "high"),
+    "region_within_m": MetricSpec("m", "distance within which the motion ends, proved", "low"),
+    "contact_margin_m": MetricSpec("m", "gain margin beyond the one that braking needs", "high"),
+    "time_ratio": MetricSpec("1", "arrival time over the ideal time (path length / cruise speed)", "low"),
+}
+"""Figures of an assessment by name; goals on them are checked at the end of a tuning (`finals`)."""
+
+PART_OF: Mapping[str, str] = {
+    **dict.fromkeys(
+        (
+            "disk_margin", "single_loop_disk_margin", "delay_margin_s", "slowest_pole_per_s",
+            "nominal_disk_margin", "corner_slowest_pole_per_s",
+        ),
+        "loop",
+    ),
+    "region_m": "region",
+    "region_within_m": "region",
+    "contact_margin_m": "no contact",
+    "time_ratio": "runs",
+}  # fmt: skip
+"""Part of an assessment with each figure that is checked at the end; those of the linear loop only for a law without a
+linear model."""
+
 
 Kind = Literal["hard", "soft"]
 Sense = Literal["at most", "at least"]
