@@ -6,7 +6,7 @@ import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -445,7 +445,7 @@ def tune_own_system(
         "assessment": comparison.to_dict(),
         "least_disk_margin": result.least_disk_margin,
         "goals": [] if result.goals is None else [score.to_dict() for score in result.goals.scores],
-        "run_goals": [asdict(goal) for goal in result.run_goals],
+        "run_goals": [goal.to_dict() for goal in result.run_goals],
         "not_representative": doubtful,
         "unmet": list(result.unmet),
         "trials": result.trials,

@@ -40,6 +40,8 @@ LIBRARY = Path(__file__).parent / "library"
 
 Over = Literal["worst", "mean"]
 Plants = Literal["all", "nominal"]
+Kind = Literal["hard", "soft"]
+Sense = Literal["at most", "at least"]
 
 
 class GoalTable(LoopGoalTable):
@@ -66,6 +68,31 @@ class GoalTable(LoopGoalTable):
         left = self.model_dump(by_alias=True, exclude_unset=True)
         return LoopGoalTable.model_validate({k: v for k, v in left.items() if k not in ("plants", "cruise_m_per_s")})
 
+    def bound(self, unit: str | None) -> tuple[Sense, Quantity]:
+        """Return the sense and the bound of a goal about a metric, in its unit; None: in the stated one.
+
+        Raises:
+            InputError: there is no bound, there are two, or its unit is not one of the metric.
+        """
+        bounds: Mapping[Sense, Quantity | None] = {"at most": self.at_most, "at least": self.at_least}
+        stated = [(sense, bound) for sense, bound in bounds.items() if bound is not None]
+        if len(stated) != 1:
+            remedy = 'write at_most = { value = ..., unit = "..." }, or at_least'
+            raise InputError("needs one bound", key=f"goals.{self.name}", remedy=remedy)
+        [(sense, bound)] = stated
+        try:
+            return sense, bound if unit is None else bound.within(unit)
+        except InputError as error:
+            raise error.inside(None, f"goals.{self.name}.{sense.replace(' ', '_')}.unit") from None
+
+
+def check_names(tables: Sequence[GoalTable]) -> None:
+    """Raise InputError if two goals have the same name."""
+    names = [table.name for table in tables]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError("is the name of two goals", key="goals.name", value=twice, remedy="rename one")
+
 
 class GoalsFile(Strict):
     """Content of a goals file."""
@@ -88,36 +115,68 @@ _MOST = 1e6  # largest normalised value that is distinguished
 
 @dataclass(frozen=True)
 class RunGoal:
-    """A bound on a cost of the runs of a system, as a mean over the cases.
+    """A bound on one number of the runs, such as a cost of a system.
 
     Attributes:
-        name: name of the goal.
-        cost: name of the cost.
-        at_most: the bound, in the unit of the cost, > 0.
-        kind: a hard goal must be met; the normalised value of a soft one, cost / bound, is minimised.
+        name: name of the goal in tables and plots.
+        metric: name of the number.
+        unit: unit of `limit`.
+        limit: the bound.
+        sense: "at most" or "at least": on which side of the limit the number must lie.
+        kind: a hard goal must be met; the normalised value of a soft goal is minimised.
+        over: "worst" if every run must meet the limit, "mean" if the mean of the runs must meet it. Costs of a system
+            are means over the cases of its tuning.
 
     Example:
         >>> import numpy as np
         >>> from surctl.tuning import RunGoal
-        >>> RunGoal("quick", "settling", 4.0).normalised(np.array([3.0, 6.0])).tolist()
+        >>> RunGoal("quick", "settling", "s", 4.0).normalised(np.array([3.0, 6.0])).tolist()
         [0.75, 1.5]
     """
 
     name: str
-    cost: str
-    at_most: float
-    kind: Literal["hard", "soft"] = "soft"
+    metric: str
+    unit: str
+    limit: float
+    sense: Sense = "at most"
+    kind: Kind = "soft"
+    over: Over = "worst"
 
-    def normalised(self, value: Array) -> Array:
-        """Return cost / bound (n,): at most 1 if the goal is met."""
-        return np.asarray(value, dtype=float) / self.at_most
+    @property
+    def sign(self) -> str:
+        """The sense as a sign."""
+        return "≤" if self.sense == "at most" else "≥"
 
-    def line(self, value: float, before: float, unit: str) -> str:
-        """Return the goal with its value and the value before, in one line."""
-        share = float(self.normalised(np.array(value)))
-        mark = "met    " if share <= 1 else "NOT MET"
-        text = f"{value:.4g} {unit} for {self.at_most:.4g} (before {before:.4g}), run"
-        return f"{mark} {self.name} ({self.kind}): {share:.3f}, {text}"
+    def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the metric values with the sign for which larger is worse (shape unchanged); NaN becomes inf."""
+        figure = np.asarray(values, dtype=float)
+        return np.where(np.isnan(figure), np.inf, figure if self.sense == "at most" else -figure)
+
+    def normalised(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the normalised metric values (shape unchanged): at most 1 if the goal is met, larger if worse.
+
+        The normalised value is metric / limit for a goal `at most` with a positive limit. For every other goal, it is
+        limit / metric. The quotient limit / metric is inf for a metric that is 0 or on the wrong side of 0. NaN gives
+        inf.
+        """
+        figure, limit = np.asarray(values, dtype=float), self.limit
+        if self.sense == "at most" and limit > 0:
+            out = figure / limit
+        else:
+            # a metric below a negative limit corresponds to a metric above a positive limit
+            size, bound = (figure, limit) if limit > 0 else (-figure, -limit)
+            out = np.full(figure.shape, np.inf)
+            np.divide(bound, size, out=out, where=size > 0)
+        return np.where(np.isnan(figure), np.inf, out)
+
+    def bad_side(self) -> Literal["above", "below"]:
+        """Return the side of the limit on which the goal is missed; plots shade this side."""
+        return "above" if self.sense == "at most" else "below"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The goal as plain data for JSON."""
+        bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}
+        return {"name": self.name, **bound, "kind": self.kind, "over": self.over}
 
 
 class GoalSearch:
@@ -201,8 +260,9 @@ def load_system_goals(
         >>> rest = Cost(lambda s: s.x["speed"] - 0.1, "last_time", "s")
         >>> text = "kind = 'goals'\\nname = 'cart'\\n[[goals]]\\nname = 'quick'\\nmetric = 'rest'\\nat_most = '4 s'"
         >>> _ = Path("cart.toml").write_text(text)
-        >>> load_system_goals("cart.toml", System(cart, law, costs={"rest": rest}))[2]
-        (RunGoal(name='quick', cost='rest', at_most=4.0, kind='soft'),)
+        >>> [goal] = load_system_goals("cart.toml", System(cart, law, costs={"rest": rest}))[2]
+        >>> goal.metric, goal.sign, goal.limit, goal.unit
+        ('rest', '≤', 4.0, 's')
     """
     return _load(path, system)
 
@@ -213,10 +273,7 @@ def _load(
     path = pick(str(path), LIBRARY, what="goals")
     content = load_model(path, GoalsFile)
     try:
-        names = [table.name for table in content.goals]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError("is the name of two goals", key="goals.name", value=name, remedy="rename one")
+        check_names(content.goals)
         runs = tuple(_run_goal(table, system) for table in content.goals if table.type is None)
         points = _points(content.points)
         goals = tuple(loop_goal(table.loop()) for table in content.goals if table.type is not None)
@@ -235,17 +292,13 @@ def _run_goal(table: GoalTable, system: System | None) -> RunGoal:
     if cost not in system.costs:
         remedy = nearest(cost, system.costs) if system.costs else "give System(..., costs={...})"
         raise InputError("is not a cost of the system", key=f"{key}.metric", value=cost, remedy=remedy)
-    for name in sorted(table.model_fields_set - {"name", "metric", "at_most", "kind"}):
+    for name in sorted(table.model_fields_set - {"name", "metric", "at_most", "at_least", "kind"}):
         raise InputError("is not a key of a goal on a cost", key=f"{key}.{name}", remedy="leave it out")
-    if table.at_most is None:
-        raise InputError("needs a bound", key=key, remedy="write at_most = ...")
-    try:
-        bound = table.at_most.within(system.costs[cost].unit).value
-    except InputError as error:
-        raise error.inside(None, f"{key}.at_most.unit") from None
-    if not (np.isfinite(bound) and bound > 0):
-        raise InputError("must be finite and greater than 0", key=f"{key}.at_most", value=bound, remedy="correct it")
-    return RunGoal(table.name, cost, bound, table.kind)
+    sense, bound = table.bound(system.costs[cost].unit)
+    if not (np.isfinite(bound.value) and bound.value > 0):
+        where = f"{key}.{sense.replace(' ', '_')}"
+        raise InputError("must be finite and greater than 0", key=where, value=bound.value, remedy="correct it")
+    return RunGoal(table.name, cost, bound.unit, bound.value, sense, table.kind, "mean")
 
 
 def _points(tables: tuple[PointTable, ...]) -> dict[str, dict[str, Any]]:

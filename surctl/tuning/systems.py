@@ -78,7 +78,10 @@ class SystemTuning:
         margin = "not judged, there is no equilibrium" if self.disk_margin is None else f"{self.disk_margin:.3f}"
         lines += [] if self.goals is None else self.goals.lines()
         for goal in self.run_goals:
-            lines.append(goal.line(self.costs[goal.cost], self.before[goal.cost], system.costs[goal.cost].unit))
+            reached, before = self.costs[goal.metric], self.before[goal.metric]
+            share = float(goal.normalised(np.array(reached)))
+            text = f"{reached:.4g} {goal.unit} for {goal.limit:.4g} (before {before:.4g}), run"
+            lines.append(f"{'met    ' if share <= 1 else 'NOT MET'} {goal.name} ({goal.kind}): {share:.3f}, {text}")
         mark = self._mark("disk margin")
         return [*lines, f"{mark}disk margin at the worst corner: {margin}, at least {self.least_disk_margin:g}"]
 
@@ -353,7 +356,7 @@ class _Search:
 
     def share(self, goal: RunGoal, figures: Array) -> Array:
         """Return the normalised value (sets,) of a goal about runs from costs (sets, costs)."""
-        return goal.normalised(figures[:, list(self.system.costs).index(goal.cost)])
+        return goal.normalised(figures[:, list(self.system.costs).index(goal.metric)])
 
     def margin(self, gains: Array) -> float | None:
         """Return the disk margin at the first case, at the worst corner of the ranges; None without an equilibrium."""
