@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,26 +29,26 @@ from surctl.marine.tuning.measure import (
     request_digest,
 )
 from surctl.own_code import label
-from surctl.recorded_write import Column, write_netcdf
+from surctl.recorded_write import Column
 from surctl.tuning.chunked import (
-    TABLE,
     Columns,
     Executor,
-    LocalExecutor,
     Progress,
     SweepStage,
+    Variables,
+    axis_columns,
     chunk_size,
-    evaluated_chunks,
-    finished_table,
+    netcdf_name,
+    swept_file,
 )
-from surctl.tuning.design import SEED, Axis, Design, Span
+from surctl.tuning.design import SEED, Design
 from surctl.verification.linear.disk import LEAST_DISK_MARGIN
 from surctl.verification.margins import LEAST_DELAY_MARGIN
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["SweepTable", "SweptAxis", "coordinates", "load_sweep", "provenance", "sizes_of", "sweep"]
+__all__ = ["SweepTable", "SweptAxis", "judged", "load_sweep", "sweep"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,32 +233,11 @@ def load_sweep(path: Path | str) -> SweepTable:
     return SweepTable(dataset)
 
 
-def netcdf_name(name: str) -> str:
-    """Return the name of a parameter without slashes, because netCDF reads a slash as the separator of a path."""
-    return name.replace("/", "|")
-
-
-def sizes_of(design: Design) -> dict[str, int]:
-    """Return the dimensions of a column: the axes of a grid, otherwise `point`."""
-    names = [netcdf_name(name) for name in design.names] if design.kind == "grid" else ["point"]
-    return dict(zip(names, design.shape, strict=True))
-
-
-def coordinates(design: Design, cases: tuple[Case, ...]) -> Iterator[tuple[str, Column]]:
-    """Yield the columns of the axes and the names of the cases."""
-    axes: tuple[Axis | Span, ...] = design.axes
-    for k, axis in enumerate(axes):
-        name, quantity = netcdf_name(axis.name), _quantity(axis.name, cases)
-        values, at = (np.array(axis.values), name) if isinstance(axis, Axis) else (design.points[:, k], "point")
-        yield name, Column(values, quantity.unit, quantity.meaning, (at,))
-    yield "case", Column(np.array([c.name for c in cases]), "", "scenario, vehicle and sensing", ("case",))
-
-
-def _quantity(name: str, cases: tuple[Case, ...]) -> ColumnSpec:
+def _quantity(name: str, cases: tuple[Case, ...]) -> tuple[str, str]:
     if name == SEED:
-        return ColumnSpec("1", "seed of every run")
+        return "1", "seed of every run"
     parameter = next(table[name] for table in map(case_parameters, cases) if name in table)
-    return ColumnSpec(parameter.unit, parameter.meaning)
+    return parameter.unit, parameter.meaning
 
 
 def provenance(evaluation: SweepEvaluation, design: Design, *, request: str) -> dict[str, str]:
@@ -346,20 +325,22 @@ def sweep(
     cases, seeds = tuple(cases), tuple(int(s) for s in seeds)
     check_request(cases, design, seeds, cruise)
     job = _Job(SweepEvaluation(cases, design.names, seeds, cruise=tuple(cruise)), design, linear)
-    if out is not None:
-        return _stored_sweep(job, out, executor or LocalExecutor(), progress)
-    with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as folder:
-        table = _stored_sweep(job, Path(folder), executor or LocalExecutor(), progress)
+    with swept_file(
+        job.function, job.stages, job.variables, out=out, request=job.request, executor=executor, progress=progress
+    ) as path:
+        table = load_sweep(path)
+        if out is not None:
+            return table
         loaded = table.dataset.load()
         table.dataset.close()
-        loaded.encoding.pop("source", None)
-        return SweepTable(loaded)
+    loaded.encoding.pop("source", None)
+    return SweepTable(loaded)
 
 
 @dataclass
 class _Job:
     # first the chunks of linear metrics, then the chunks of simulated runs
-    evaluation: SweepEvaluation
+    function: SweepEvaluation
     design: Design
     linear: bool
     stages: list[SweepStage] = field(init=False)
@@ -376,19 +357,25 @@ class _Job:
             whole = np.tile(points[:1], (len(different), 1))  # the values of the other axes do not matter
             whole[:, matter] = different
             together = max(_LEAST_LINEAR, chunk_size(len(different), most=_MOST_LINEAR))
-            width, chunks = len(self.evaluation.linear_columns), -(-len(whole) // together)
+            width, chunks = len(self.function.linear_columns), -(-len(whole) // together)
             self.stages.append(SweepStage(whole, together, width, "linear figures of", "sets"))
-        runs = self.evaluation.runs_per_point
+        runs = self.function.runs_per_point
         size = chunk_size(len(points), most=max(1, _MOST_RUNS // runs))
-        width = len(RUN_COLUMNS) + len(self.evaluation.cases) * len(CASE_COLUMNS)
+        width = len(RUN_COLUMNS) + len(self.function.cases) * len(CASE_COLUMNS)
         self.stages.append(SweepStage(points, size, width, each=runs))
-        self.request = request_digest(self.evaluation, self.design, linear=together, chunk=size)
-        self.evaluation = replace(self.evaluation, linear_chunks=chunks)
+        self.request = request_digest(self.function, self.design, linear=together, chunk=size)
+        self.function = replace(self.function, linear_chunks=chunks)
 
-    def columns(self, stored: Columns) -> Iterator[tuple[str, Column]]:
+    def variables(self, stored: Columns) -> Variables:
+        cases = self.function.cases
+        sizes, axes = axis_columns(self.design, lambda name: _quantity(name, cases))
+        names = Column(np.array([c.name for c in cases]), "", "scenario, vehicle and sensing", ("case",))
+        columns = chain(axes.items(), [("case", names)], self._results(stored, tuple(sizes)))
+        return {**sizes, "case": len(cases)}, columns, provenance(self.function, self.design, request=self.request)
+
+    def _results(self, stored: Columns, point: tuple[str, ...]) -> Iterator[tuple[str, Column]]:
         # a column is read from the stored chunks only when it is written
         inputs: dict[str, Floats] = {}
-        point = tuple(sizes_of(self.design))
 
         def described(quantity: ColumnSpec, values: Floats, *, by_case: bool = False) -> Column:
             meaning = quantity.meaning + ", by case" * by_case
@@ -400,39 +387,20 @@ class _Job:
         def of_loops(k: int) -> Floats:
             return np.asarray(stored(0, k)[self.inverse])
 
-        yield from coordinates(self.design, self.evaluation.cases)
         for k, (name, quantity) in enumerate(RUN_COLUMNS.items()):
             yield name, described(quantity, of_runs(k))
-        for k, (name, quantity) in enumerate(self.evaluation.linear_columns.items() if self.linear else ()):
+        for k, (name, quantity) in enumerate(self.function.linear_columns.items() if self.linear else ()):
             yield name, described(quantity, of_loops(k))
         for name in ("strayed", "time_ratio", "reached_worst", "min_clearance_m_worst"):
             inputs[name] = of_runs(list(RUN_COLUMNS).index(name))
-        for name in ("delay_margin_s", "disk_margin") if self.linear and self.evaluation.has_margins else ():
+        for name in ("delay_margin_s", "disk_margin") if self.linear and self.function.has_margins else ():
             inputs[name] = of_loops(list(LINEAR_COLUMNS).index(name))
         verdict = judged(inputs)
         meaning = "mean deviation in hull radii plus worst time ratio"
         yield "score", described(ColumnSpec("1", meaning), verdict["score"])
         meaning = "1 if the point may be picked, otherwise 0"
         yield "feasible", described(ColumnSpec("1", meaning), verdict["feasible"])
-        count = len(self.evaluation.cases)
+        count = len(self.function.cases)
         for k, (name, quantity) in enumerate(CASE_COLUMNS.items()):
             places = [len(RUN_COLUMNS) + c * len(CASE_COLUMNS) + k for c in range(count)]
             yield f"case_{name}", described(quantity, np.concatenate([of_runs(p) for p in places]), by_case=True)
-
-
-def _stored_sweep(job: _Job, out: Path, executor: Executor, progress: Progress) -> SweepTable:
-    path = finished_table(out, job.request, progress=progress)
-    if path is not None:
-        return load_sweep(path)
-    stages, request = job.stages, job.request
-    with evaluated_chunks(
-        job.evaluation, stages, out=out, request=request, executor=executor, progress=progress
-    ) as stored:
-        path = write_netcdf(
-            out / TABLE,
-            job.columns(stored),
-            sizes={**sizes_of(job.design), "case": len(job.evaluation.cases)},
-            attributes=provenance(job.evaluation, job.design, request=request),
-            checksums=True,
-        )
-    return load_sweep(path)
