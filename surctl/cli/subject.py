@@ -28,12 +28,14 @@ __all__ = [
     "cost_data",
     "cost_lines",
     "end_text",
+    "gain_ranges_of",
     "is_system",
     "listed_values",
     "load_system",
     "loop_data",
     "loop_lines",
     "mode_text",
+    "nominal_gains",
     "region_words",
     "resting",
     "seconds_option",
@@ -428,3 +430,26 @@ def _finite_number(text: str, name: str) -> float:
     if not isfinite(value):
         raise InputError("is not a number", key=name, value=text, remedy="write such as 1.5")
     return value
+
+
+def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+    """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
+    from surctl.errors import InputError, nearest
+    from surctl.tuning.design import default_range
+
+    nominal, result = nominal_gains(own), {}
+    for name, ends in (ranges or dict.fromkeys(nominal)).items():
+        if name not in nominal:
+            raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
+        if ends is None and nominal[name] == 0:
+            raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
+        result[name] = default_range(nominal[name]) if ends is None else ends
+    return result
+
+
+def nominal_gains(own: OwnSystem) -> dict[str, float]:
+    """Return the system's own gains by name."""
+    from surctl.system import entry_labels
+
+    gains = own.system.controller.gains
+    return dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))

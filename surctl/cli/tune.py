@@ -14,14 +14,24 @@ import click
 
 from surctl.cli.output import as_json, doing, finish, finite, progress, same_command, saving, stoppable
 from surctl.cli.robot_options import SPEEDS, at_hand, export_command, law_words, trust_option
-from surctl.cli.subject import OwnSystem, command_line, cost_data, is_system, listed_values, load_system, seconds_option
+from surctl.cli.subject import (
+    OwnSystem,
+    command_line,
+    cost_data,
+    gain_ranges_of,
+    is_system,
+    listed_values,
+    load_system,
+    nominal_gains,
+    seconds_option,
+)
 from surctl.cli.tuning_output import caps, check_goal_cases, floor_lines, look, region_words, unrepresentative
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-__all__ = ["gain_ranges_of", "tune", "tune_own_system"]
+__all__ = ["tune", "tune_own_system"]
 
 
 @click.command
@@ -400,7 +410,7 @@ def tune_own_system(
     try:
         message = f"the best gains so far are in {file}, without a check of their disk margin; to continue: "
         with stoppable(message + same_command()):
-            note(0, {name: value for name, value in _nominal(own).items() if name in space})
+            note(0, {name: value for name, value in nominal_gains(own).items() if name in space})
             result = tune_system(
                 own.system, duration, space,
                 cases=cases, trials=trials, seed=seed, threads=workers, out=out, goals=about_loop, points=points,
@@ -459,28 +469,6 @@ def tune_own_system(
     ]
     fine = all(map(math.isfinite, result.costs.values()))
     finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
-
-
-def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
-    """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
-    from surctl.errors import InputError, nearest
-    from surctl.tuning.design import default_range
-
-    nominal, result = _nominal(own), {}
-    for name, ends in (ranges or dict.fromkeys(nominal)).items():
-        if name not in nominal:
-            raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
-        if ends is None and nominal[name] == 0:
-            raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
-        result[name] = default_range(nominal[name]) if ends is None else ends
-    return result
-
-
-def _nominal(own: OwnSystem) -> dict[str, float]:
-    from surctl.system import entry_labels
-
-    gains = own.system.controller.gains
-    return dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))
 
 
 def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:

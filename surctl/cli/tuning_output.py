@@ -204,8 +204,7 @@ def serve_system_page(
     browser: bool,
 ) -> None:
     """Serve the page for a system of the user's own until Ctrl-C; NAME=V1,V2 gives the operating points."""
-    from surctl.cli.subject import assigned, listed_values, load_system, region_words
-    from surctl.cli.tune import gain_ranges_of
+    from surctl.cli.subject import assigned, gain_ranges_of, listed_values, load_system, region_words
     from surctl.errors import InputError
     from surctl.report.design_bench import SystemBench
     from surctl.tuning import judge_loops, load_loop_goals
