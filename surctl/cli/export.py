@@ -58,11 +58,10 @@ class ExportOptions:
         """Return the compilers and processors of `--check`, and those that are not available.
 
         Raises:
-            InputError: `--check` is missing, a target is unknown, or the folder is not one of a bundle.
+            InputError: `--check` is missing, or a target is unknown.
             ToolMissing: there is no C compiler.
         """
         from surctl.errors import InputError
-        from surctl.export.bundle import check_folder
         from surctl.export.targets import chosen_targets
         from surctl.ir import find_compiler
 
@@ -70,7 +69,6 @@ class ExportOptions:
             raise InputError("needs --check", key="--targets" if self.targets else "--steps", remedy="add --check")
         tools = chosen_targets([name.strip() for name in self.targets.split(",")] if self.targets else ())
         find_compiler()
-        check_folder(self.out)
         return tools
 
     def proved(self, controller: Exportable, bundle: Bundle, limit: Any = None) -> tuple[Bundle, ProofReport | None]:
@@ -217,7 +215,16 @@ def export(
 
     from surctl.cli.runs import failure
     from surctl.errors import InputError, nearest
-    from surctl.export import REALS, Records, as_records, evidence_of, gain_box, with_evidence, write_bundle
+    from surctl.export import (
+        REALS,
+        Records,
+        as_records,
+        check_folder,
+        evidence_of,
+        gain_box,
+        with_evidence,
+        write_bundle,
+    )
     from surctl.marine.control import law_source
     from surctl.marine.export import build_bundle, closed_form, load_certificates, operating_envelope, origin_of
     from surctl.marine.guidance import MAX_WAYPOINTS
@@ -267,6 +274,7 @@ def export(
     fixed = {} if constant_gains else built.gains.unpack(numbers)
     assumed = mission.sensors.on(vehicle["radius"]) if sensing == "sonar" else None
     origin = origin_of(built, vehicle, load_certificates(certificates), equipment=assumed)
+    check_folder(options.out)  # an invalid name or folder is reported before the simulation
     bundle = build_bundle(shipped, fixed, name=options.name, real=real, envelope=within, origin=origin, mission=table)
     limit = command_range(vehicle) if vehicle.actuators is None else vehicle.thrust_bound
     bundle, proof = options.proved(shipped, bundle, limit)
@@ -382,7 +390,7 @@ def export_system(
     from surctl.assessment.assessment import assess
     from surctl.assessment.closed_loop import ClosedLoop
     from surctl.errors import InputError, nearest
-    from surctl.export.bundle import build_bundle, write_bundle
+    from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.precision import REALS
     from surctl.export.records import as_records
@@ -399,6 +407,7 @@ def export_system(
     own = load_system(words)
     duration, values = own.seconds(seconds), assigned(own.settings)
     name = own.exported_name(options.name, reserved=reserved)
+    check_folder(options.out)
     controller = own.system.controller
     record = run_system(own.system, duration, values)
     gains = controller.gains.unpack(record.controller[2])
