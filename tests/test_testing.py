@@ -302,7 +302,7 @@ def test_a_predicate_is_compared_on_both_sides_of_every_bound():
 # --- backends -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("backend", ["daqp", "osqp", BACKENDS["daqp"]])
+@pytest.mark.parametrize("backend", ["daqp", BACKENDS["daqp"]])
 def test_exact_backends_pass(backend):
     report = check_backend(backend, problems=40)
     assert max(report.error.values()) < 1e-10
