@@ -258,12 +258,14 @@ def build_problem(
                 key=f"task {level.name}",
                 remedy="use the same velocities in all Jacobians",
             )
-    agreed, more = _agreed([_checked_row(row, width) for row in rows], width)
-    return PriorityProblem(checked, agreed, {**(moved or {}), **more})
+    agreed, more, box = _agreed([_checked_row(row, width) for row in rows], width)
+    problem = PriorityProblem(checked, agreed, {**(moved or {}), **more})
+    problem.__dict__["box"] = box  # known here, and slow to compute again
+    return problem
 
 
-def _agreed(rows: Sequence[Row], width: int) -> tuple[tuple[Row, ...], dict[str, float]]:
-    """Return the rows with the bounds of an actuator row on one velocity moved to those of the rows before it."""
+def _agreed(rows: Sequence[Row], width: int) -> tuple[tuple[Row, ...], dict[str, float], Array]:
+    """Return the rows with the bounds of an actuator row on one velocity moved to those before it, and the box."""
     low, high = np.full(width, -math.inf), np.full(width, math.inf)
     agreed, moved = [], {}
     for row in rows:
@@ -280,7 +282,7 @@ def _agreed(rows: Sequence[Row], width: int) -> tuple[tuple[Row, ...], dict[str,
                     moved[row.name] = by
                 row = replace(row, lower=point, upper=point)
         agreed.append(row)
-    return tuple(agreed), moved
+    return tuple(agreed), moved, np.array([low, high])
 
 
 def _checked_level(level: Level) -> Level:
