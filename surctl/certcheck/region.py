@@ -28,7 +28,6 @@ from surctl.certcheck.region_claim import CruiseClaim, number, read_claim
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up, scaled
 from surctl.certcheck.region_flow import steady_trim
 from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, vertices
-from surctl.certcheck.region_law import check_identity
 from surctl.certcheck.region_trim import MEAN_SHARE, Trim
 from surctl.certcheck.turning import check_cells
 from surctl.certcheck.turning_claim import TurningClaim
@@ -69,7 +68,6 @@ def check(document: Mapping[str, Any]) -> None:
             if not is_positive_definite(scaled(Fraction(-1), m)):
                 raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and "
                                f"{float(high):g}, vertex {j}")  # fmt: skip
-        check_identity(claim, at, steady, covariance, high, len(p))
 
 
 def _turning(claim: CruiseClaim) -> TurningClaim:

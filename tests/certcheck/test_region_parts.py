@@ -26,6 +26,7 @@ from surctl.certcheck.region_flow import steady_trim
 from surctl.certcheck.region_inclusion import Vertex, rate_matrix, vertices
 from surctl.certcheck.region_trim import Trim
 from tests.certcheck.altering import sealed
+from tests.certcheck.cruise_inclusion import check_identity
 
 HERE = Path(__file__).parent
 
@@ -244,8 +245,7 @@ def test_the_mirror_image_counts_unless_v_is_the_same_there(monkeypatch: pytest.
         return []
 
     monkeypatch.setattr(region, "vertices", none_of)
-    for name in ("check_identity", "shell"):
-        monkeypatch.setattr(region, name, lambda *_: None)
+    monkeypatch.setattr(region, "shell", lambda *_: None)
     monkeypatch.setattr(region, "steady_trim", lambda _: Trim(*((Fraction(0),) * 2,) * 2, *(Fraction(0),) * 4))
     monkeypatch.setattr(region, "_check_ultimate_bound", lambda *_: None)
     whole = document("20-sampled")
@@ -273,19 +273,28 @@ def test_each_vertex_needs_its_decay(at: int, monkeypatch: pytest.MonkeyPatch) -
     whole["proof"]["floor"] = document("20-sampled")["proof"]["shells"][-2]["level"]
     whole["claim"]["motion"]["ultimate_bound_m"] = [1.0, 1.0]
     monkeypatch.setattr(region, "vertices", lambda *given, **more: islice(vertices(*given, **more), 3))
-    monkeypatch.setattr(region, "check_identity", lambda *_: None)
     region.check(whole)
     monkeypatch.setattr(region, "vertices", with_one_that_grows)
     with pytest.raises(Rejected, match=f"vertex {at % 3}"):
         region.check(whole)
 
 
-def test_the_matrices_of_every_shell_are_compared_with_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, levels = document("20-sampled"), []
-    monkeypatch.setattr(region, "vertices", lambda *_, **__: [])
-    monkeypatch.setattr(region, "check_identity", lambda *given: levels.append(given[4]))
-    region.check(whole)
-    assert [float(level) for level in levels] == [shell["level"] for shell in whole["proof"]["shells"]]
+@pytest.mark.parametrize("name", ["20-norms", "20-sampled", "20-lag", "ranges", "20-force", "20-noise", "current"])
+def test_the_inclusion_of_a_shell_is_the_loop_of_law_and_vehicle(name: str) -> None:
+    """The loop is written a second time for the tests; other ranges and gains are those of a claim of one's own."""
+    rng = np.random.default_rng(len(name))
+    for share in (0.0, 0.1):
+        changed = {
+            key: document(name)["claim"]["law"][key] * (1 + share * rng.uniform(-1, 1))
+            for key in ("mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "cap")
+        }
+        # the masses of vehicle and law may differ; the region shrinks with the gains
+        claim, p, steady = parts(name, **{key: round(x, 6) for key, x in changed.items() if share})
+        levels = sorted(rng.uniform(0.01, 0.6, size=2).tolist())
+        low, high = (Fraction(str(round(level, 6))) for level in levels)
+        covariance = inverse(p)
+        at = shell(claim, steady, covariance, low, high)
+        check_identity(claim, at, steady, covariance, high, len(p))
 
 
 BY_CELLS: list[tuple[str, Any]] = [

@@ -1,9 +1,8 @@
-"""A second implementation of law and vehicle in rational numbers, to compare with the proof's linear inclusion.
+"""A second implementation of law and vehicle in rational numbers, to compare with a region's linear inclusion.
 
 At sampled positions, parameters and headings, the true derivative must equal A ξ + Σ B_j w_j exactly, and every w_j
-must lie within its bound (`region_inclusion` defines them). The headings are rational points of the unit circle, and
-the positions have a rational slant √(y_e² + Δ²)/Δ. The comparison does not replace the derivation of the inclusion, but
-it reveals a wrong sign, frame or factor.
+must lie within its bound (`surctl.certcheck.region_inclusion` defines them). The headings are rational points of the
+unit circle, and the positions have a rational slant √(y_e² + Δ²)/Δ.
 """
 
 from __future__ import annotations
