@@ -92,7 +92,8 @@ class _Loop:
         self.after = [self.sampling.next.get(s.name, variable(s.name)) for s in dynamics.states]
         self.after += [command.value for command in self.sampling.commands]
         self.pools: list[Bits] = []
-        self.limits = self.embedded(np.diag(self.scales**2)[None], np.zeros((len(self.after) * 4, self.n))).limits
+        first = self.embedded(np.diag(self.scales**2)[None], np.zeros((len(self.after) * 4, self.n)))
+        self.limits = [float(gap) for _, gap, _ in first.limits.values()]
 
     def embedded(self, covers: Array, feedbacks: Array) -> Embedding:
         return Embedding(self.dynamics, covers, rates=self.after, feedbacks=feedbacks)
@@ -178,13 +179,13 @@ class _Round:
             bounds.append(len(matrices[-1]))
 
         wide = stretch**2
-        inner = [rows[:, :n] + rows[:, n:] @ shapes.feedbacks for _, rows in jump.inner]
+        inner = [rows[:, :n] + rows[:, n:] @ shapes.feedbacks for rows in jump.inner]
         rows = np.vstack([np.eye(n), *inner])
         most = wide * np.einsum("ri,ij,rj->r", rows, shapes.inverse, rows)
         bound(rows * self.scales[:n], self.inverses, most)
         inside = ((1 - _INSIDE) * self.loop.scales / self.scales[:n]) ** 2
         bound(np.eye(n), self.inverses, inside)
-        rows = np.vstack([box, *(rows for _, rows in flow.inner)])
+        rows = np.vstack([box, *(rows for rows in flow.inner)])
         most = np.einsum("ri,kij,rj->kr", rows, flow.covers, rows).max(axis=0)
         for knot in self.knots:
             bound(rows * self.scales, knot, most)

@@ -48,7 +48,7 @@ class Family:
 
     def __init__(self, embedding: Embedding) -> None:
         n = len(embedding.rows)
-        terms = sorted({term for row in embedding.rows for entry in row for term in entry})
+        terms = sorted({term for row in embedding.rows for entry in row for term in entry.poly})
         used = sorted({k for term in terms for k in term})
         if len(used) > _MOST:
             raise UnsupportedOperation(f"{len(used)} slopes", key="slopes")
@@ -56,9 +56,9 @@ class Family:
         place = {term: t for t, term in enumerate(terms)}
         for i, row in enumerate(embedding.rows):
             for j, entry in enumerate(row):
-                for term, x in entry.items():
+                for term, x in entry.poly.items():
                     self.numbers[place[term], i, j] = x
-        self.low, self.high = np.array([embedding.slopes[k] for k in used]).reshape(-1, 2).T
+        self.low, self.high = np.array([embedding.slopes[k] for k in used], dtype=float).reshape(-1, 2).T
         self.members = np.array([[k in term for k in used] for term in terms]).reshape(len(terms), len(used))
 
     def at(self, slopes: Array) -> Array:
@@ -241,7 +241,7 @@ def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Ar
     family.numbers = np.linalg.inv(size) @ family.numbers @ size
     basis = symmetric_basis(n)
     rows = [*np.eye(n) / (1 - _INSIDE)]
-    for row in [*np.eye(n), *(row for _, rows in embedding.inner for row in rows)]:
+    for row in [*np.eye(n), *(row for rows in embedding.inner for row in rows)]:
         most = float(row @ cover @ row)
         if most > 0:
             rows.append(row @ size / np.sqrt(most))
