@@ -33,7 +33,6 @@ from surctl.certcheck.turning_claim import Pair, TurningClaim, factors, read_cla
 from surctl.certcheck.turning_flow import STILL
 from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_late import Phase
-from surctl.certcheck.turning_law import check_samples
 from surctl.certcheck.turning_terms import coupled_mass, other_forces, other_moment
 
 __all__ = ["check", "check_cells"]
@@ -93,7 +92,6 @@ def check_cells(
             late = lateness(claim, trim, divided, form, forces)
         for (low, high), growth in zip(pairwise(levels), growths, strict=True):
             check_shell(claim, trim, divided, form, low, high, growth, forces, late, phase)
-    check_samples(claim, trim, form.p, float(levels[0]))
 
 
 def _matrix(rows: Any) -> Matrix:
