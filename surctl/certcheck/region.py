@@ -6,7 +6,7 @@ it also has an offset beside the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*), 
 instant t = 0 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0. The levels floor = ℓ_0 < ℓ_1 < … < 1 divide the
 region into shells. In each shell the closed loop is a linear inclusion, and one negative definite matrix for each
 vertex of the inclusion proves V̇ < −a V. All numbers are exact rational numbers, except the bounds for a current in
-`region_flow`.
+`region_trim`.
 
 Without thrust lag, held commands, current, force and errors of measurement, a proof may also divide the headings into
 cells: the claim is then that of a turning cruise (`turning`) with equal masses and the same ω, with a larger region.
@@ -23,12 +23,10 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_bounds import shell
-from surctl.certcheck.region_claim import CruiseClaim, number, read_claim
+from surctl.certcheck.region_claim import CruiseClaim, number, read_claim, triangle
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up, scaled
-from surctl.certcheck.region_flow import steady_trim
-from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, vertices
-from surctl.certcheck.region_trim import MEAN_SHARE, Trim
+from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, shell, vertices
+from surctl.certcheck.region_trim import MEAN_SHARE, Trim, steady_trim
 from surctl.certcheck.turning import check_cells
 from surctl.certcheck.turning_claim import TurningClaim
 
@@ -49,7 +47,7 @@ def check(document: Mapping[str, Any]) -> None:
         check_cells(_turning(claim), record(proof, ("P", "floor", "cells", "shells"), "proof"), _slopes(claim))
         return
     proof = record(proof, ("P", "floor", "hold", "shells"), "proof")
-    p = _matrix(proof["P"], 6 if claim.lag[1] else 4)
+    p = triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
     levels, multipliers = _shells(proof)
@@ -117,19 +115,6 @@ def _slopes(claim: CruiseClaim) -> tuple[Fraction, Fraction]:
     v, linear, quadratic = claim.cruise, claim.linear_model, MEAN_SHARE * claim.quadratic_model
     stiffness = claim.mass_model * claim.k_v + linear + 2 * quadratic * v
     return linear * v / stiffness, quadratic * v * v / stiffness
-
-
-def _matrix(rows: Any, size: int) -> Matrix:
-    """Return the symmetric matrix whose lower triangle has the given rows."""
-    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
-    if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
-        raise Rejected(f"proof.P must be a lower triangle with {size} rows")
-    lower = [[_signed(entry) for entry in row] for row in rows]
-    return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
-
-
-def _signed(value: Any) -> Fraction:
-    return number(value, "proof.P", least=-(10**9))
 
 
 def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fraction]]]:

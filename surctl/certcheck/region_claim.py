@@ -11,7 +11,7 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected, record
 
-__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "read_top"]
+__all__ = ["EXCLUDES", "CruiseClaim", "number", "read_claim", "read_top", "triangle"]
 
 _LARGEST = 10**9
 
@@ -89,6 +89,15 @@ def number(value: Any, where: str, *, least: Fraction | int = 0, above: bool = F
     if abs(exact) > _LARGEST or (exact and abs(exact) < Fraction(1, 10**18)):
         raise Rejected(f"{where} is too large or too close to 0: {value!r}")
     return exact
+
+
+def triangle(rows: Any, size: int, where: str) -> list[list[Fraction]]:
+    """Return the symmetric matrix (size, size) whose lower triangle has the given rows."""
+    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
+    if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
+        raise Rejected(f"{where} must be a lower triangle with {size} rows")
+    lower = [[number(entry, where, least=-_LARGEST) for entry in row] for row in rows]
+    return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
 
 
 def _pair(value: Any, where: str, *, above: bool = False) -> tuple[Fraction, Fraction]:

@@ -1,8 +1,8 @@
 """Check of a `turning` certificate: V decays on every motion of a cruise with unequal masses at any heading.
 
 The claim states that, for all constant true parameters in their ranges, there is a steady cruise ξ* with the offset
-x_e* = −ω/k1 along the path, and in a current with one across it (`turning_flow`). With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ =
-(x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
+x_e* = −ω/k1 along the path, and in a current with one across it (`turning_terms`). With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ
+= (x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
 however the heading moves with |r| ≤ yaw_rate_rad_per_s and on any curve with |curvature| ≤ curvature_per_m, and in any
 constant current of at most current_m_per_s. With thrust lag, q |E|² is added to V; with commands that are held for a
 period that begins at t = 0, a term that vanishes at each control instant (`turning_late`). The levels floor = ℓ_0 <
@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Any
 
 from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.region_claim import number
+from surctl.certcheck.region_claim import number, triangle
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -30,10 +30,9 @@ from surctl.certcheck.region_exact import (
 )
 from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lateness, steady
 from surctl.certcheck.turning_claim import Pair, TurningClaim, factors, read_claim
-from surctl.certcheck.turning_flow import STILL
 from surctl.certcheck.turning_form import Form
 from surctl.certcheck.turning_late import Phase
-from surctl.certcheck.turning_terms import coupled_mass, other_forces, other_moment
+from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
 __all__ = ["check", "check_cells"]
 
@@ -69,7 +68,7 @@ def check_cells(
     Raises:
         Rejected: the proof does not prove the claim; the message names the first failure.
     """
-    p = _matrix(proof["P"])
+    p = triangle(proof["P"], 4, "proof.P")
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
     if any(p[i][j] for i, j in _UNMIRRORED):
@@ -92,15 +91,6 @@ def check_cells(
             late = lateness(claim, trim, divided, form, forces)
         for (low, high), growth in zip(pairwise(levels), growths, strict=True):
             check_shell(claim, trim, divided, form, low, high, growth, forces, late, phase)
-
-
-def _matrix(rows: Any) -> Matrix:
-    """Return the symmetric matrix (4, 4) whose lower triangle has the given rows."""
-    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
-    if not shaped or [len(row) for row in rows] != [1, 2, 3, 4]:
-        raise Rejected("proof.P must be a lower triangle with 4 rows")
-    lower = [[number(entry, "proof.P", least=-(10**9)) for entry in row] for row in rows]
-    return [[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)]
 
 
 def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_exact import Matrix, inverse
-from surctl.certcheck.turning_masses import UP
+from surctl.certcheck.turning_terms import UP
 
 __all__ = ["Form", "axes_of"]
 

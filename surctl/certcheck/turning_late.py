@@ -41,7 +41,7 @@ from numpy.typing import NDArray
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.turning_claim import TurningClaim
 from surctl.certcheck.turning_form import Form
-from surctl.certcheck.turning_masses import UP, Turn
+from surctl.certcheck.turning_terms import UP, Turn
 
 __all__ = ["Late", "Phase", "Stir", "held", "stir"]
 

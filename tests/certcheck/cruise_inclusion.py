@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_bounds import Shell
 from surctl.certcheck.region_claim import CruiseClaim
 from surctl.certcheck.region_exact import Matrix, inverse, middle, quadratic, root_down, root_up
-from surctl.certcheck.region_inclusion import vertex
+from surctl.certcheck.region_inclusion import Shell, vertex
 from surctl.certcheck.region_trim import Trim, axis_pairs, drift_speed, offset_speed, quarter
 
 __all__ = ["Vehicle", "check_identity", "commanded_thrust", "commanded_velocity", "true_rate"]

@@ -11,11 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.certcheck import Rejected, check_document
-from surctl.certcheck.region_bounds import _misled
 from surctl.certcheck.region_claim import read_claim
 from surctl.certcheck.region_exact import inverse, is_positive_definite, product, root_down, root_up, rounded_up
-from surctl.certcheck.region_flow import steady_trim
-from surctl.certcheck.region_trim import axis_pairs
+from surctl.certcheck.region_inclusion import _misled
+from surctl.certcheck.region_trim import axis_pairs, steady_trim
 from surctl.marine.control import build_law, law_parameters, load_gains
 from surctl.marine.guidance import Path as Route
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle

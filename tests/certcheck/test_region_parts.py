@@ -16,15 +16,13 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from surctl.certcheck import check_document, region, region_bounds
+from surctl.certcheck import check_document, region, region_inclusion
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region import _check_offset, _check_ultimate_bound
-from surctl.certcheck.region_bounds import _commanded, _thrust_share, shell
 from surctl.certcheck.region_claim import CruiseClaim, read_claim
 from surctl.certcheck.region_exact import Matrix, inverse, quadratic, scaled
-from surctl.certcheck.region_flow import steady_trim
-from surctl.certcheck.region_inclusion import Vertex, rate_matrix, vertices
-from surctl.certcheck.region_trim import Trim
+from surctl.certcheck.region_inclusion import Vertex, _commanded, _thrust_share, rate_matrix, shell, vertices
+from surctl.certcheck.region_trim import Trim, steady_trim
 from tests.certcheck.altering import sealed
 from tests.certcheck.cruise_inclusion import check_identity
 
@@ -415,7 +413,7 @@ def test_the_thrust_limit_counts_in_every_direction(low: int, high: int) -> None
 
 def test_roots_in_the_bounds_of_a_shell_are_rounded_to_the_safe_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawn regions: what one root loses by 1e-9, the others seldom make up for."""
-    monkeypatch.setattr(region_bounds, "_thrust_share", lambda *_: Fraction(1))
+    monkeypatch.setattr(region_inclusion, "_thrust_share", lambda *_: Fraction(1))
     claim, p, steady = parts("20-force", place_error_m=0.003)
     base, rng = inverse(p), np.random.default_rng(4)
     for _ in range(60):

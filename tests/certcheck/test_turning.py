@@ -16,15 +16,14 @@ import pytest
 from surctl.certcheck import check_document, region, turning
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import read_claim as read_cruise
+from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.region_exact import quadratic
 from surctl.certcheck.turning import _check_munk_moment, _check_starts
 from surctl.certcheck.turning_cells import Trim, _axis, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
-from surctl.certcheck.turning_flow import STILL
 from surctl.certcheck.turning_form import Form, axes_of
 from surctl.certcheck.turning_law import true_rate
-from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
-from surctl.certcheck.turning_terms import other_forces, other_moment
+from surctl.certcheck.turning_terms import STILL, coupling_of, inverse_masses, other_forces, other_moment, turn_points
 from surctl.marine.control import build_law, law_parameters, load_gains
 from surctl.marine.guidance import Path as Route
 from surctl.marine.vehicle import (
@@ -88,7 +87,7 @@ def test_the_true_loop_decays_as_each_certificate_claims(name: str) -> None:
         claim, slopes = read_claim(whole["claim"]), turning._slopes(proof["trim"])
         flow = turning._flow(claim, proof["flow"]) if claim.current else STILL
     weight = Fraction(repr(proof["thrust"]["weight"])) if claim.behind else None
-    form = Form(turning._matrix(proof["P"]), weight, claim.k_v)
+    form = Form(triangle(proof["P"], 4, "proof.P"), weight, claim.k_v)
     check_samples(claim, steady(claim, slopes, flow), form.p, proof["floor"])
 
 
