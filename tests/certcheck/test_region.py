@@ -348,7 +348,7 @@ def test_pairs_of_drag_keep_their_asymmetry() -> None:
 def test_the_reason_names_what_fails() -> None:
     changed = document()
     changed["claim"]["motion"]["offset_m"] = 3.0
-    assert "3 m is not in the region" in check_document(sealed(changed)).reason
+    assert "3 m beside the path is not in the region" in check_document(sealed(changed)).reason
     for axis in (0, 1):
         changed = document()
         changed["claim"]["motion"]["ultimate_bound_m"][axis] *= 0.8

@@ -18,11 +18,11 @@ from mpmath import mp
 
 from surctl.certcheck import check_document, region, region_inclusion
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region import _check_offset, _check_ultimate_bound
 from surctl.certcheck.region_claim import CruiseClaim, read_claim
 from surctl.certcheck.region_exact import Matrix, inverse, quadratic, scaled
 from surctl.certcheck.region_inclusion import Vertex, _commanded, _thrust_share, rate_matrix, shell, vertices
 from surctl.certcheck.region_trim import Trim, steady_trim
+from surctl.certcheck.turning import require_bound, require_starts
 from tests.certcheck.altering import sealed
 from tests.certcheck.cruise_inclusion import check_identity
 
@@ -101,28 +101,26 @@ def test_the_starts_lie_in_the_region_on_both_sides_for_every_offset_along_the_p
             for i in (0, 1):
                 for j in (0, 1):
                     other[i][j] = normal[i] * normal[j] * Fraction(26, 100) + (i == j) * Fraction(1, 100)
-            trim = Trim((omega[0], omega[1]), steady.command, *(Fraction(0),) * 4)
             with pytest.raises(Rejected, match="is not in the region"):
-                _check_offset(claim, other, trim)
-    _check_offset(claim, p, steady)
+                require_starts(claim, other, (omega[0], omega[1]), Fraction(0))
+    require_starts(claim, p, steady.omega, steady.aside)
 
 
 def test_each_axis_of_the_ultimate_bound_is_checked_to_the_last_digit_for_both_offsets() -> None:
-    claim, _, steady = parts(ultimate_bound_m=[1.0, 1.0])
+    claim, _, _ = parts(ultimate_bound_m=[1.0, 1.0])
     covariance = [[Fraction(i == j) for j in range(4)] for i in range(4)]
-    quarter, zero = Fraction(1, 4), (Fraction(0),) * 4
-    _check_ultimate_bound(claim, covariance, Trim((Fraction(0),) * 2, steady.command, *zero), quarter)
-    for omega in ((Fraction(0), claim.k1), (-claim.k1, Fraction(0))):
+    quarter, zero = Fraction(1, 4), Fraction(0)
+    require_bound(claim, covariance, (zero, zero), zero, quarter)
+    for omega, beside in (((zero, claim.k1), zero), ((-claim.k1, zero), zero), ((zero, zero), Fraction(51, 100))):
         with pytest.raises(Rejected, match="beyond the claimed ultimate bound"):
-            _check_ultimate_bound(claim, covariance, Trim(omega, steady.command, *zero), quarter)
-    still = Trim((Fraction(0), Fraction(0)), steady.command, *(Fraction(0),) * 4)
+            require_bound(claim, covariance, omega, beside, quarter)
     for axis in (0, 1):
         wide = copy.deepcopy(covariance)
         wide[axis][axis] = Fraction(5)
         with pytest.raises(Rejected, match="beyond the claimed ultimate bound"):
-            _check_ultimate_bound(claim, wide, still, Fraction(1, 4))
+            require_bound(claim, wide, (zero, zero), zero, quarter)
     with pytest.raises(Rejected, match="beyond the claimed ultimate bound"):  # √1 is not rounded down
-        _check_ultimate_bound(claim, covariance, still, 1 + Fraction(1, 10**12))
+        require_bound(claim, covariance, (zero, zero), zero, 1 + Fraction(1, 10**12))
 
 
 def test_the_vertices_are_all_ends_of_all_ranges() -> None:
@@ -245,7 +243,7 @@ def test_the_mirror_image_counts_unless_v_is_the_same_there(monkeypatch: pytest.
     monkeypatch.setattr(region, "vertices", none_of)
     monkeypatch.setattr(region, "shell", lambda *_: None)
     monkeypatch.setattr(region, "steady_trim", lambda _: Trim(*((Fraction(0),) * 2,) * 2, *(Fraction(0),) * 4))
-    monkeypatch.setattr(region, "_check_ultimate_bound", lambda *_: None)
+    monkeypatch.setattr(region, "require_bound", lambda *_: None)
     whole = document("20-sampled")
     region.check(whole)
     assert seen and all(seen)

@@ -18,7 +18,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.region_claim import read_claim as read_cruise
 from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.region_exact import quadratic
-from surctl.certcheck.turning import _check_munk_moment, _check_starts
+from surctl.certcheck.turning import _check_munk_moment, require_starts
 from surctl.certcheck.turning_cells import Trim, _axis, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
 from surctl.certcheck.turning_form import Form, axes_of
@@ -377,10 +377,10 @@ def test_offset_and_munk_moment_are_decided_to_the_last_digit(name: str) -> None
         largest = np.nextafter(largest, 0)
     while Fraction(repr(float(np.nextafter(largest, 1e9)))) ** 2 <= edge:
         largest = np.nextafter(largest, 1e9)
-    _check_starts(replace(claim, offset=Fraction(repr(float(largest))), rest_offset=None), p, trim)
+    require_starts(replace(claim, offset=Fraction(repr(float(largest)))), p, trim.moved, trim.beside)
     for off in (np.nextafter(largest, 1e9), largest + 1e-12, largest + 1e-6):
         with pytest.raises(Rejected, match="start"):
-            _check_starts(replace(claim, offset=Fraction(repr(float(off))), rest_offset=None), p, trim)
+            require_starts(replace(claim, offset=Fraction(repr(float(off)))), p, trim.moved, trim.beside)
     if name == COUPLED:
         least = next(m for m in (np.nextafter(float(_moment(claim)), 1e9),) if Fraction(float(m)) >= _moment(claim))
         _check_munk_moment(replace(claim, munk_moment=Fraction(float(least))), Fraction(1))
