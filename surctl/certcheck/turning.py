@@ -5,7 +5,7 @@ x_e* = −ω/k1 along the path, and in a current with one across it (`turning_te
 = (x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
 however the heading moves with |r| ≤ yaw_rate_rad_per_s and on any curve with |curvature| ≤ curvature_per_m, and in any
 constant current of at most current_m_per_s. With thrust lag, q |E|² is added to V; with commands that are held for a
-period that begins at t = 0, a term that vanishes at each control instant (`turning_late`). The levels floor = ℓ_0 <
+period that begins at t = 0, a term that vanishes at each control instant (`turning_form`). The levels floor = ℓ_0 <
 ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every cell of
 headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
 """
@@ -30,8 +30,7 @@ from surctl.certcheck.region_exact import (
 )
 from surctl.certcheck.turning_cells import check_shell, heading_cells, lateness, steady
 from surctl.certcheck.turning_claim import Pair, TurningClaim, factors, read_claim
-from surctl.certcheck.turning_form import Form
-from surctl.certcheck.turning_late import Phase
+from surctl.certcheck.turning_form import Form, Phase
 from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
 __all__ = ["check", "check_cells", "require_bound", "require_starts"]
@@ -95,7 +94,7 @@ def check_cells(
 
 
 def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...]]:
-    """Return the weight q, and the forms of `turning_late` that decide.
+    """Return the weight q, and the forms of `turning_form` that decide.
 
     Raises:
         Rejected: the proof has other numbers, or the claim is about a curved path or an inertia with m12.

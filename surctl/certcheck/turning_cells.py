@@ -48,8 +48,7 @@ from surctl.certcheck.document import Rejected
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import root_up
 from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors
-from surctl.certcheck.turning_form import Form, axes_of
-from surctl.certcheck.turning_late import Late, Phase, held, lipschitz, stir
+from surctl.certcheck.turning_form import Form, Late, Phase, axes_of, held, lipschitz, stir
 from surctl.certcheck.turning_terms import (
     STILL,
     UP,
@@ -78,7 +77,7 @@ class Disturbed:
         lack: largest |l_i| (2,) [N].
         loose: norm of the Coriolis terms that m12 adds [1/s].
         stray: largest acceleration by these terms and by the Coriolis term of the current [m/s²].
-        late: bounds (2,) [m/s³] on w_2 along each axis (`turning_late`); 0 for thrust that is the present command.
+        late: bounds (2,) [m/s³] on w_2 along each axis (`turning_form`); 0 for thrust that is the present command.
         spread, swing: the numbers that multiply |δU| and |δW| in the bound on |w_1 + w_3| [1/s²].
         phase: which form it is, if the thrust differs from the present command.
     """
@@ -395,7 +394,7 @@ def check_shell(
 ) -> None:
     """Prove V̇ < −a V for low ≤ V ≤ high at every heading; `forces` bounds the body forces beside equation (3) [N].
 
-    `late` is the bound on held commands behind a lag, else None, and `phase` is a form of `turning_late`.
+    `late` is the bound on held commands behind a lag, else None, and `phase` is a form of `turning_form`.
 
     Raises:
         Rejected: the proof fails in a cell, the law has another form in a part of the region, or the steady cruise

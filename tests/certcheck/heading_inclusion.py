@@ -13,8 +13,8 @@ import random
 import numpy as np
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.heading_cells import rows
 from surctl.certcheck.heading_claim import HeadingClaim
-from surctl.certcheck.heading_loop import rows
 
 __all__ = ["Boat", "check_identity", "commanded_thrust", "true_rate"]
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document
+from surctl.certcheck.heading_cells import Plane, constant, rows
 from surctl.certcheck.heading_claim import read_claim
-from surctl.certcheck.heading_loop import Plane, constant, rows
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant
 from tests.certcheck.altering import altered, put, sealed
 from tests.certcheck.heading_inclusion import check_identity, true_rate

@@ -16,8 +16,7 @@ from surctl.certcheck.slope_rows import Rows
 from surctl.errors import UnsupportedOperation
 from surctl.lyapunov import Bound, Dynamics, Range, Stability, State, decide_motion, find_stability, load_problem, solve
 from surctl.lyapunov.equilibrium import linearisation
-from surctl.lyapunov.slope_search import Family, _Shapes, slope_candidate
-from surctl.lyapunov.slopes import Embedding
+from surctl.lyapunov.slope_search import Embedding, Family, _Shapes, slope_candidate
 from surctl.verification.formula import parse, text_of, variable
 
 LIMITED = """

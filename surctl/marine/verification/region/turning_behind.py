@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.turning_late import lipschitz, stir
+from surctl.certcheck.turning_form import lipschitz, stir
 from surctl.marine.verification.region.turning import TurningClaim
 
 __all__ = ["Behind", "behind_of", "split_of"]
