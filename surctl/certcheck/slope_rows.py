@@ -277,8 +277,7 @@ class Rows:
     def _extent(self, k: int) -> Fraction:
         """Return an upper bound on |ξ_k|, or on the disturbance of this place."""
         own, rest = self.box[self.linear[k]]
-        apart = libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)
-        return _fraction(apart[1])
+        return _fraction(libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)[1])
 
     # ---- rows and values as polynomials in the slopes
 
@@ -398,8 +397,7 @@ class Rows:
             if entry.op == "num" and entry.value:
                 self._values[key] = Number({(): 1 / entry.value})
             else:
-                ends = over(rational(Fraction(1)), self.rest[at])
-                self._values[key] = self._slope(ends)
+                self._values[key] = self._slope(over(rational(Fraction(1)), self.rest[at]))
         return self._values[key]
 
     def _slope(self, ends: Interval) -> Number:
@@ -489,12 +487,7 @@ class Rows:
         function, base = self._function(at), self.base[at]
         c = self.rest[base]
         value = function(c, 0)[0]
-        total: Interval | None = None
-        for piece in _pieces(self.range[base], c):
-            go_on()
-            slope = _secant_on(function, piece, c, value)
-            total = slope if total is None else _hull(total, slope)
-        return total
+        return reduce(_hull, (_secant_on(function, piece, c, value) for piece in _pieces(self.range[base], c)))
 
     def resting(self, k: int, moved: Fraction) -> Number:
         """Return f_k(x*, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
@@ -513,7 +506,14 @@ class Rows:
         apart = small.put("sub", new[self.roots[k]], small.put("num", value=moved))
         if not exactly.of(apart)[0] and not exactly.assumed:
             return Number({})
-        return self._slope(plus(self.rest[self.roots[k]], rational(-moved)))
+        # the mean value theorem bounds it more closely where terms in the parameters cancel
+        box = [own for own, _ in self.box]
+        middle = [rational((_fraction(low) + _fraction(high)) / 2) for low, high in box]
+        total = enclose(small, [apart], middle)[0].value
+        [jet] = enclose(small, [apart], box, order=1)
+        for slope, own, at_middle in zip(jet.slope or (), box, middle, strict=True):
+            total = plus(total, mul(slope, plus(own, minus(at_middle))))
+        return self._slope(_common(plus(self.rest[self.roots[k]], rational(-moved)), total))
 
 
 def _fraction(x: Any) -> Fraction:
