@@ -20,12 +20,10 @@ if TYPE_CHECKING:
         plot_runs,
         save_record_plot,
     )
-    from surctl.report.theme import darkened
 
 __all__ = [
     "Check",
     "MarginSlice",
-    "darkened",
     "margin_slice",
     "plot_attainable_rates",
     "plot_cost_map",
@@ -58,6 +56,5 @@ load_at_first_use(
         "sobol_plot": "plot_sobol_indices save_sobol_plot",
         "system_plots": "plot_attainable_rates plot_dependence plot_fan plot_phase_plane plot_record plot_runs"
         " save_record_plot",
-        "theme": "darkened",
     },
 )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 
-from surctl.sos.polynomial import Monomial, Polynomial, joined
+from surctl.sos.polynomial import Monomial, Polynomial
 
-__all__ = ["gram_basis", "monomials", "parity_classes"]
+__all__ = ["monomials", "parity_classes"]
 
 
 def monomials(variables: Iterable[int], highest: int, *, lowest: int = 0) -> list[Monomial]:
@@ -24,37 +24,6 @@ def monomials(variables: Iterable[int], highest: int, *, lowest: int = 0) -> lis
         picks = itertools.combinations_with_replacement(among, degree)
         out += [tuple((k, len(list(same))) for k, same in itertools.groupby(picked)) for picked in picks]
     return out
-
-
-def gram_basis(polynomial: Polynomial, candidates: Sequence[Monomial] | None = None) -> list[Monomial]:
-    """Return the monomials that can occur in the squares of a sum of squares with the polynomial's monomials.
-
-    The candidates are all monomials of half the polynomial's degrees, unless given. A monomial m is left out if m² is
-    neither a monomial of the polynomial nor the product of two other monomials of the basis, because its diagonal entry
-    in the Gram matrix is then 0. So the monomial 1 is left out if the polynomial vanishes to second order at 0. The
-    result is contained in half the Newton polytope.
-
-    Example:
-        >>> from surctl.sos import Polynomial, gram_basis
-        >>> x, y = Polynomial.variables(2)
-        >>> gram_basis(x**4 * y**2 + x**2 * y**4 + 1 - 3 * x**2 * y**2)  # the Motzkin polynomial
-        [(), ((0, 1), (1, 1)), ((0, 2), (1, 1)), ((0, 1), (1, 2))]
-    """
-    support = set(polynomial.terms)
-    if candidates is None:
-        among = sorted({k for m in support for k, _ in m})
-        candidates = monomials(among, polynomial.degree // 2, lowest=(polynomial.order + 1) // 2)
-        highest = {k: max(dict(m).get(k, 0) for m in support) for k in among}
-        candidates = [m for m in candidates if all(2 * e <= highest[k] for k, e in m)]
-    basis = list(candidates)
-    while True:
-        sums = set(support)
-        for a, b in itertools.combinations(basis, 2):
-            sums.add(joined(a, b))
-        fewer = [m for m in basis if joined(m, m) in sums]
-        if len(fewer) == len(basis):
-            return basis
-        basis = fewer
 
 
 def parity_classes(basis: Sequence[Monomial], polynomials: Iterable[Polynomial]) -> list[list[Monomial]]:

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
     from surctl.verification.decide import decide
     from surctl.verification.falsifier import falsify
-    from surctl.verification.margins import LoopMargins, margins_of
+    from surctl.verification.margins import LoopMargins
     from surctl.verification.proving import Proof, prove
     from surctl.verification.sampled_margins import system_disk_margin, system_margins
     from surctl.verification.setting import Setting, setting_from
@@ -34,7 +34,6 @@ __all__ = [
     "evaluate",
     "falsify",
     "load_claim",
-    "margins_of",
     "prove",
     "replay",
     "setting_from",
@@ -52,7 +51,7 @@ load_at_first_use(
         "counterexample": "Counterexample Replay evaluate replay",
         "decide": "decide",
         "falsifier": "falsify",
-        "margins": "LoopMargins margins_of",
+        "margins": "LoopMargins",
         "proving": "Proof prove",
         "sampled_margins": "system_disk_margin system_margins",
         "setting": "Setting setting_from",

@@ -8,12 +8,13 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from surctl.verification.loops import Crossings
 
-from surctl.verification.loops import Crossings, Loop, crossings_of
-
-__all__ = ["LEAST_DELAY_MARGIN", "LoopMargins", "margins_from", "margins_of"]
+__all__ = [
+    "LEAST_DELAY_MARGIN",
+    "LoopMargins",
+    "margins_from",
+]
 
 LEAST_DELAY_MARGIN = 0.2
 """Least delay margin [s] of each loop alone, in every check, goal and search: four control periods (*chosen*)."""
@@ -61,30 +62,6 @@ class LoopMargins:
             f"{self.name}: gain factor below {self.gain_margin:.4g}{least}, phase {self.phase_margin_deg:.4g} deg, "
             f"delay {self.delay_margin_s:.4g} s, disk margin {self.disk_margin:.3g}"
         )
-
-
-def margins_of(
-    name: str, A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], *, highest: float
-) -> LoopMargins:
-    """Return the margins of the loop L(s) = c (sI − A)⁻¹ b under negative feedback; the closed loop must be stable.
-
-    Args:
-        name: name of the loop.
-        A: system matrix (n, n).
-        b: input matrix (n, 1).
-        c: output matrix (1, n).
-        highest: highest frequency that is evaluated [rad/s].
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.verification import margins_of
-        >>> A, b, c = np.array([[0.0, 1.0], [0.0, -2.0]]), np.array([[0.0], [1.0]]), np.array([[3.0, 0.0]])
-        >>> loop = margins_of("3 / (s (s + 2))", A, b, c, highest=100.0)
-        >>> round(loop.phase_margin_deg, 1), loop.gain_margin, round(loop.crossover_rad_s, 2)
-        (57.6, inf, 1.27)
-    """
-    loop = Loop(np.linalg.eigvals(A - b @ c)[None].astype(complex), np.linalg.eigvals(A)[None].astype(complex))
-    return margins_from(name, crossings_of(loop, highest=highest))
 
 
 def margins_from(name: str, crossings: Crossings) -> LoopMargins:

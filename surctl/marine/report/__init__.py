@@ -34,7 +34,6 @@ if TYPE_CHECKING:
         plot_goal_bars,
         plot_goal_view,
     )
-    from surctl.marine.report.map_view import MapView, map_view, plot_map, plot_maps
     from surctl.marine.report.margin_plots import (
         LoopResponse,
         loop_responses,
@@ -58,7 +57,6 @@ __all__ = [
     "GoalBars",
     "GoalView",
     "LoopResponse",
-    "MapView",
     "ReportData",
     "check_animation",
     "check_film",
@@ -67,7 +65,6 @@ __all__ = [
     "goal_bars",
     "goal_view",
     "loop_responses",
-    "map_view",
     "moment_of",
     "plot_attainable",
     "plot_bode",
@@ -78,8 +75,6 @@ __all__ = [
     "plot_goal_view",
     "plot_heat_map",
     "plot_locus",
-    "plot_map",
-    "plot_maps",
     "plot_nyquist",
     "plot_parallel",
     "plot_poles",
@@ -120,7 +115,6 @@ load_at_first_use(
         "files": "save_calibrations save_heat_map save_locus save_parallel save_priority save_run"
         " save_sonar_replay save_tuning",
         "goals": "GoalBars GoalView goal_bars goal_view plot_front plot_goal_bars plot_goal_view",
-        "map_view": "MapView map_view plot_map plot_maps",
         "margin_plots": "LoopResponse loop_responses plot_bode plot_locus plot_nyquist plot_poles",
         "page": "render_page write_page",
         "paper_plots": "plot_coordinates plot_position_errors plot_series",
