@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from surctl.ir import Block, compile_block, emit_block, find_compiler
-from surctl.ir.compiler import tuned_flags
+from surctl.ir.cache import tuned_flags
 from surctl.priority import Mode, nsb, safe_step, solve
 from surctl.priority.solver.fallback import MET
 from surctl.priority.solver.trials import Trials, draw_trials

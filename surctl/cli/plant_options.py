@@ -92,7 +92,7 @@ class PlantOptions:
         for key in unheard[:1]:
             remedy = "add --sensing sonar, or drop it"
             raise InputError("has no effect with true positions", key=f"--plant mujoco:{key}", remedy=remedy)
-        from surctl.marine.engine.library import mujoco_library
+        from surctl.marine.engine.mjcf import mujoco_library
 
         mujoco_library()
         if self.film is not None:
@@ -137,7 +137,7 @@ class PlantOptions:
         physics: Any = OwnPhysics
         if options is not None:
             from surctl.marine.engine import BatchCase, mujoco_physics
-            from surctl.marine.engine.batch import simulate_with_steppers
+            from surctl.marine.engine.physics import simulate_with_steppers
 
             physics = mujoco_physics(options)
             if self.threads not in (None, 1):

@@ -44,20 +44,19 @@ def export_system(
     Raises:
         InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
     """
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.assessment import ClosedLoop, assess
     from surctl.errors import InputError, nearest
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
     from surctl.export.check import STEPS, check_builds
+    from surctl.export.emulated import chosen_targets
+    from surctl.export.envelope import as_records
     from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.fmu import write_fmu
     from surctl.export.precision import REALS
     from surctl.export.process import build_controller
     from surctl.export.prove import prove_bundle, with_proof
-    from surctl.export.records import as_records
     from surctl.export.sil import compare_runs
     from surctl.export.supplement import PlantLists
-    from surctl.export.targets import chosen_targets
     from surctl.ir import find_compiler
     from surctl.system import LOST, run_system
     from surctl.system.values import run_numbers

@@ -34,8 +34,7 @@ def study_system(
 ) -> None:
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.assessment import ClosedLoop, assess
     from surctl.cli.system_region import region_words
     from surctl.cli.system_sweep import best_line, best_points
     from surctl.cli.system_verify import loop_data, mode_text, resting

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from surctl.ir import Layout
     from surctl.lyapunov import Solution
     from surctl.system import Operating, System
-    from surctl.verification.system_corners import SystemCorners, SystemLoop
+    from surctl.verification.sampled_margins import SystemCorners, SystemLoop
 
 __all__ = ["loop_data", "loop_lines", "mode_text", "resting", "verify_system"]
 
@@ -26,8 +26,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
 
     The exit status is 1 if a margin is too small at a corner of the ranges, or if no region is proved.
     """
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.assessment import ClosedLoop, assess
     from surctl.cli.motion_verify import write_solution
     from surctl.cli.system_region import region_words
     from surctl.errors import InputError

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.export.contract import Around, Exportable, command_size
-from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope
-from surctl.export.records import Records, Rows
-from surctl.export.wiring import aged
+from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope, Records, Rows
+from surctl.export.supplement import aged
 from surctl.ir import Block, Layout, Real, replay
 from surctl.system.controller import ControllerStep
 

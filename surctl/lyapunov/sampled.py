@@ -13,7 +13,7 @@ from surctl.certcheck import PATIENCE, check_document, seal
 from surctl.lyapunov.claims import Stability, every_digit, stated_number
 from surctl.lyapunov.decide import Decision
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.hugging import bounded
+from surctl.lyapunov.rays import bounded
 from surctl.lyapunov.sampled_search import Shapes, sampled_shapes
 from surctl.lyapunov.slope_search import quadratic, relative_volume
 from surctl.verification.formula import text_of

@@ -14,8 +14,7 @@ import numpy as np
 
 from surctl.errors import InputError, nearest
 from surctl.robot.kinematics import Coordinate, Kinematics
-from surctl.robot.shapes import Capsule, closest_points
-from surctl.robot.urdf import read_xml
+from surctl.robot.urdf import Capsule, closest_points, read_xml
 from surctl.tasks import LimitRow
 from surctl.units import is_number
 

@@ -17,7 +17,7 @@ from surctl.cli.controller_options import ControllerOptions
 from surctl.cli.plant_options import PlantOptions
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
-from surctl.marine.engine.library import mujoco_library
+from surctl.marine.engine.mjcf import mujoco_library
 
 SAME = (
     "--vehicle sur540-flooded",

@@ -10,8 +10,7 @@ from surctl.marine.control.closing import velocity_control
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
 from surctl.marine.verification import build_cascade, closed_loop_poles, loop_margins, worst_margins
-from surctl.verification.loops import Loop, crossings_of
-from surctl.verification.margins import LoopMargins, margins_from
+from surctl.verification.loops import Loop, LoopMargins, crossings_of, margins_from
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")

@@ -20,9 +20,8 @@ from surctl.errors import InputError
 from surctl.export.bundle import law_id
 from surctl.export.contract import Around, Exportable, command_size, glance
 from surctl.export.emulated import Line, LineDown, Reply
-from surctl.export.envelope import Envelope
+from surctl.export.envelope import Envelope, Records
 from surctl.export.precision import Guarded, Rounded, replayed, rounded
-from surctl.export.records import Records
 from surctl.ir import (
     Block,
     Call,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.marine.control import Gains, GainSpec
-from surctl.verification.linear.disk import LEAST_DISK_MARGIN
-from surctl.verification.margins import LEAST_DELAY_MARGIN
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.loops import LEAST_DELAY_MARGIN
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -24,7 +24,7 @@ from surctl.marine.control import CASCADE, law_source
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.marine.vehicle.dynamics import PAPER
 from surctl.marine.vehicle.linearise import check_cruise, dynamic_states
-from surctl.verification.linear.parts import eigenvalues
+from surctl.verification.linear import eigenvalues
 from surctl.verification.loops import Loop, state_blocks
 
 __all__ = [

@@ -14,11 +14,19 @@ from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
 from surctl.verification.formula import FUNCTIONS, ordered, text_of
-from surctl.verification.proving.forms import Form, as_written, forms_of
+from surctl.verification.proving.forms import (
+    Case,
+    Form,
+    Statement,
+    as_written,
+    cases_of,
+    forms_of,
+    statement_of,
+    substituted,
+)
 from surctl.verification.proving.intervals import Ends
 from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
 from surctl.verification.proving.squares import prove_by_squares
-from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
 from surctl.verification.proving.tape import Tape, build_tape
 from surctl.verification.proving.touching import excluded, touches
 

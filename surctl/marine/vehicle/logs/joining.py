@@ -11,9 +11,8 @@ from pydantic import Field, model_validator
 
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
-from surctl.marine.vehicle.frames import Frame, swap_body
 from surctl.marine.vehicle.logs.recording import Recording, Topic, step_back
-from surctl.marine.vehicle.motion_log import MotionLog, swapped
+from surctl.marine.vehicle.motion_log import Frame, MotionLog, swap_body, swapped
 from surctl.units import in_unit
 
 __all__ = [

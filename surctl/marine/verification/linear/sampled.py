@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from surctl.ir.cache import stored_numbers
 from surctl.marine.verification.cascade import Cascade
-from surctl.system.exponential import expm
-from surctl.verification.linear.parts import blockwise, eigenvalues
+from surctl.system.linear_loop import expm
+from surctl.verification.linear import blockwise, eigenvalues
 
 __all__ = [
     "SampledLimits",
@@ -72,7 +72,7 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         return _sampled_limits(undelayed, period)
     matrices = [np.asarray(getattr(undelayed, name), dtype=float) for name in ("A", "B", "C", "K")]
     values = stored_numbers(
-        ("surctl.marine.verification.linear.sampled", "surctl.system.exponential", "surctl.verification.linear.parts"),
+        ("surctl.marine.verification.linear.sampled", "surctl.system.linear_loop", "surctl.verification.linear"),
         (period, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
         lambda: asdict(_sampled_limits(undelayed, period)),
         suffix=".sampled",
