@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from surctl.export import Line
+    from surctl.export import SerialLine
     from surctl.marine.control import Law
     from surctl.marine.export import CompiledLaw, LinkedLaw, LinkFaults
     from surctl.marine.simulation import Scenario
@@ -87,7 +87,9 @@ class ControllerOptions:
         self._faults(seed=0)
 
     @contextmanager
-    def opened(self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle) -> Iterator[Line | None]:
+    def opened(
+        self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle
+    ) -> Iterator[SerialLine | None]:
         """Open the connection to the controller of this law and these parameters; None if no option requests one.
 
         Raises:
@@ -134,7 +136,14 @@ class ControllerOptions:
         return CompiledLaw
 
     def linked(
-        self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
+        self,
+        law: Law,
+        p: NDArray[np.float64],
+        line: SerialLine | None,
+        mission: Scenario,
+        vehicle: Vehicle,
+        *,
+        seed: int,
     ) -> LinkedLaw | CompiledLaw | None:
         """Return the function that computes each step of a run as C, over the open connection or here; else None.
 

@@ -26,9 +26,9 @@ __all__ = [
     "VERSION",
     "EmulatedLine",
     "Identity",
-    "Line",
     "LineDown",
     "Reply",
+    "SerialLine",
     "Target",
     "chosen_targets",
     "connect",
@@ -146,7 +146,7 @@ def chosen_targets(names: Sequence[str] = ()) -> tuple[list[Target], dict[str, t
 Vector = NDArray[np.float64]
 
 VERSION = 2
-"""Version of the messages; `Line` refuses a controller with another version, with an error that says so."""
+"""Version of the messages; `SerialLine` refuses a controller with another version, with an error that says so."""
 
 _MAGIC = b"SURL"
 _HEAD = struct.Struct("<4sHHII")
@@ -207,7 +207,7 @@ class Reply(NamedTuple):
 
 
 @dataclass
-class Line:
+class SerialLine:
     """Connection to one controller; call `close` at the end, or use the connection in a `with` statement.
 
     Attributes:
@@ -222,7 +222,7 @@ class Line:
     patience: float = 5.0
     identity: Identity | None = None
 
-    def __enter__(self) -> Line:
+    def __enter__(self) -> SerialLine:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -319,7 +319,7 @@ class Line:
         return b"".join(parts)
 
 
-def connect(address: str, *, patience: float = 5.0) -> Line:
+def connect(address: str, *, patience: float = 5.0) -> SerialLine:
     """Connect to a controller at tcp://HOST:PORT; HOST is a name, an IPv4 address, or an IPv6 address in brackets.
 
     Raises:
@@ -354,7 +354,7 @@ def connect(address: str, *, patience: float = 5.0) -> Line:
             remedy="start the exported controller: make controller && ./controller PORT",
         ) from None
     wire.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return Line(wire, address, patience)
+    return SerialLine(wire, address, patience)
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
@@ -379,7 +379,7 @@ _PARTING = 5.0  # s in which the emulator may end by itself before it is killed
 
 
 @dataclass
-class EmulatedLine(Line):
+class EmulatedLine(SerialLine):
     """Connection to a controller in QEMU; closing the connection ends the emulator."""
 
     emulator: subprocess.Popen[bytes] | None = None

@@ -21,10 +21,8 @@ __all__ = [
     "candidates",
     "enlarge",
     "invariant",
-    "sampled_function",
     "sign_symmetries",
     "strict_variants",
-    "without_neutral",
 ]
 
 # First functions of a template by linear programs over samples, where the linearisation gives no quadratic one
@@ -38,7 +36,9 @@ _FLAT = 1e-9  # singular values below this share of the largest one count as 0
 _LEAST = 1e-7  # least multiple, for scaled coefficients of at most 1
 
 
-def sampled_function(template: Template, scales: Array, corners: Array, *, half: bool, matrices: Array) -> Array | None:
+def _sampled_function(
+    template: Template, scales: Array, corners: Array, *, half: bool, matrices: Array
+) -> Array | None:
     """Return coefficients (K,) with which V is positive and decreases at samples close to the equilibrium, or None.
 
     The linear program maximises t with V ≥ t r^p and V' ≤ −t r^q, or V⁺ − V ≤ −t r^q, at all samples.
@@ -79,7 +79,7 @@ def sampled_function(template: Template, scales: Array, corners: Array, *, half:
     return None
 
 
-def without_neutral(template: Template, scales: Array, matrices: Array) -> Template:
+def _without_neutral(template: Template, scales: Array, matrices: Array) -> Template:
     """Return the template without the products whose coefficient has to be 0 by the equations of `_neutral`.
 
     Args:
@@ -312,7 +312,7 @@ def candidates(
 
     def restricted(degree: int, *, even: bool = False) -> Template:
         whole = invariant(polynomials(d, degree, scales, even=even), scales, signs)
-        return without_neutral(whole, scales, linear.matrices) if linear.verdict == "marginal" else whole
+        return _without_neutral(whole, scales, linear.matrices) if linear.verdict == "marginal" else whole
 
     template = restricted(2)
     matrix = (
@@ -321,13 +321,13 @@ def candidates(
         else common_quadratic(_shifted(d, linear, rate), scales, discrete=d.discrete)
     )
     start = (
-        sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
+        _sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
         if matrix is None
         else _quadratic(template, matrix, scales)
     )
     if start is None and degree >= 4:
         template = restricted(4, even=shaper.half)
-        start = sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
+        start = _sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
     if start is None:
         return
     if linear.verdict == "stable" and matrix is not None:

@@ -27,7 +27,6 @@ __all__ = [
     "NextStep",
     "Solution",
     "limits_sentence",
-    "next_step",
     "solve",
 ]
 
@@ -41,7 +40,7 @@ class NextStep(NamedTuple):
     tried: tuple[str, ...]
 
 
-def next_step(problem: Problem, *, seconds: float, seed: int = 0) -> NextStep:
+def _next_step(problem: Problem, *, seconds: float, seed: int = 0) -> NextStep:
     """Return the first weaker claim about a region of attraction that is proved.
 
     Args:
@@ -299,7 +298,7 @@ def solve(
     if solution.verdict != "unknown" or problem.kind != "lyapunov":
         return solution
     began = time.perf_counter()
-    step = next_step(solution.problem, seconds=min(_HELP * time_limit, _HELP_MOST), seed=seed)
+    step = _next_step(solution.problem, seconds=min(_HELP * time_limit, _HELP_MOST), seed=seed)
     reason = solution.reason
     if step.tried:
         reason += f"; not proved either: {'; '.join(step.tried)}"

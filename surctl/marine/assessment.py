@@ -51,14 +51,8 @@ __all__ = [
     "DEFAULT_REGIONS",
     "LoopAnalysis",
     "Mission",
-    "analyse_loop",
     "assumptions",
-    "contact_part",
     "judged_contact",
-    "loop_part",
-    "motion_text",
-    "region_part",
-    "runs_part",
 ]
 
 # Defaults that a vehicle file leaves to surctl, and how much the disk margin depends on each
@@ -131,7 +125,7 @@ def _margin(
 _BEND = (2.0, 0.5)
 
 
-def motion_text(plant: Vehicle, model: Vehicle, gains: Gains, *, law: Law, cruise: float) -> str:
+def _motion_text(plant: Vehicle, model: Vehicle, gains: Gains, *, law: Law, cruise: float) -> str:
     """Return how one run of a vehicle goes on after a bend of the path, in words; empty if there is no such run.
 
     Args:
@@ -167,7 +161,7 @@ DEFAULT_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")
 """The region claims of an assessment, strongest assumption first; the first that applies is the one of a vehicle."""
 
 
-def region_part(vehicle: Vehicle, gains: Gains, *, law: str, cruise: float, cap: float) -> Part:
+def _region_part(vehicle: Vehicle, gains: Gains, *, law: str, cruise: float, cap: float) -> Part:
     """Return whether a region of attraction about the path is proved, and its size."""
     if not law_source(law).parts:
         return Part((), (Line(None, f"region of attraction: no claim concerns law {label(law)}", "region"),))
@@ -207,7 +201,7 @@ def judged_contact(
         return Inapplicable.of("no contact", reason)
 
 
-def contact_part(
+def _contact_part(
     missions: Sequence[tuple[Scenario, Vehicle]],
     gains: Gains,
     *,
@@ -239,7 +233,7 @@ def contact_part(
     return Part((figure,), tuple(lines), tuple(claims))
 
 
-def runs_part(runs: Sequence[Run], *, extra: Sequence[bool] = ()) -> Part:
+def _runs_part(runs: Sequence[Run], *, extra: Sequence[bool] = ()) -> Part:
     """Return what runs show: arrival, clearance, path error, thrust at its limit; `extra` ones do not count."""
     lines = []
     apart = extra or [False] * len(runs)
@@ -352,12 +346,12 @@ def unstable_text(mode: Mode) -> str:
     return f"pole {mode.real:.3g} 1/s, dominant states {states}; stable {mode.remedy}"
 
 
-def loop_part(*arguments: Any, **options: Any) -> Part:
-    """Return the part of an assessment; for the arguments see `analyse_loop`."""
-    return analyse_loop(*arguments, **options).part()
+def _loop_part(*arguments: Any, **options: Any) -> Part:
+    """Return the part of an assessment; for the arguments see `_analyse_loop`."""
+    return _analyse_loop(*arguments, **options).part()
 
 
-def analyse_loop(
+def _analyse_loop(
     vehicle: Vehicle,
     gains: Gains,
     *,
@@ -426,7 +420,7 @@ def _with_motion(analysis: LoopAnalysis, worst: Vehicle | None, model: Vehicle, 
         return analysis
     nominal = analysis.sides[0].stable if analysis.law is None else analysis.law.nominal.stable
     plant = worst if nominal and worst is not None else model
-    return replace(analysis, motion=motion_text(plant, model, gains, law=law, cruise=analysis.cruise))
+    return replace(analysis, motion=_motion_text(plant, model, gains, law=law, cruise=analysis.cruise))
 
 
 def _about_runs(
@@ -524,11 +518,11 @@ class Mission:
         about: dict[str, Any] = {"vehicle": self.vehicle, "gains": self.gains, "law": self.law_ref}
         parts: dict[str, Callable[[], Part]] = {
             "loop": self._loop,
-            "region": partial(region_part, **about, cruise=self.cruise, cap=self.cap),
+            "region": partial(_region_part, **about, cruise=self.cruise, cap=self.cap),
         }
         if self.scenarios:
             parts["no contact"] = partial(
-                contact_part,
+                _contact_part,
                 tuple(zip(self.scenarios, self.hulls or [self.vehicle] * len(self.scenarios), strict=True)),
                 self.gains,
                 law=self.law_ref,
@@ -537,11 +531,11 @@ class Mission:
                 movers=self.movers,
                 spread=self.uncertainty,
             )
-            parts["runs"] = lambda: runs_part(self._runs(), extra=self.extra)
+            parts["runs"] = lambda: _runs_part(self._runs(), extra=self.extra)
         return parts
 
     def _loop(self) -> Part:
-        part = loop_part(
+        part = _loop_part(
             self.vehicle,
             self.gains,
             law=self.law_ref,

@@ -23,7 +23,6 @@ __all__ = [
     "Kinematics",
     "about",
     "quaternion_of",
-    "quaternion_rate",
     "rotation_of",
     "rotation_vector",
 ]
@@ -49,7 +48,7 @@ def rotation_of(quaternion: ca.SX) -> ca.SX:
     )
 
 
-def quaternion_rate(quaternion: ca.SX) -> ca.SX:
+def _quaternion_rate(quaternion: ca.SX) -> ca.SX:
     """Return the matrix (4, 3) that maps the angular velocity in the turning frame to the rate of its quaternion."""
     x, y, z, w = ca.vertsplit(quaternion)
     return 0.5 * ca.vertcat(ca.horzcat(w, -z, y), ca.horzcat(z, w, -x), ca.horzcat(-y, x, w), ca.horzcat(-x, -y, -z))
@@ -244,7 +243,7 @@ class Kinematics:
             else:
                 quaternion = self.q[i + 3 : i + 7]
                 S[i : i + 3, j : j + 3] = rotation_of(quaternion)
-                S[i + 3 : i + 7, j + 3 : j + 6] = quaternion_rate(quaternion)
+                S[i + 3 : i + 7, j + 3 : j + 6] = _quaternion_rate(quaternion)
         return S
 
     def frame(self, link: str) -> Frame:

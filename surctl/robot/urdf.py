@@ -23,7 +23,6 @@ __all__ = [
     "Link",
     "Mimic",
     "Urdf",
-    "capsule_around",
     "closest_points",
     "read_urdf",
     "read_xml",
@@ -74,7 +73,7 @@ class Capsule:
         return math.sqrt(float(self.axis @ self.axis))
 
 
-def capsule_around(kind: str, size: Array, rotation: Array, position: Array) -> Capsule:
+def _capsule_around(kind: str, size: Array, rotation: Array, position: Array) -> Capsule:
     """Return the capsule that contains a shape of a URDF file, in the frame of the link.
 
     Args:
@@ -356,7 +355,7 @@ def _link(element: Element) -> Link:
             raise InputError("is not known", key=f"{key}: geometry", value=shape.tag, remedy=nearest(shape.tag, known))
         if (size <= 0.0).any():
             raise InputError("has a size that is not positive", key=at, value=size.tolist(), remedy="give metres")
-        shapes.append(capsule_around(shape.tag, size, *_origin(collision, at)))
+        shapes.append(_capsule_around(shape.tag, size, *_origin(collision, at)))
     return Link(name, mass, centre, tuple(shapes), meshes)
 
 

@@ -24,8 +24,8 @@ from surctl.sos.program import Affine, Program, Solution, Squares
 
 __all__ = [
     "Certificate",
-    "Column",
     "GramBlock",
+    "LinearUnknown",
     "certify",
     "completed",
     "corrected",
@@ -117,7 +117,7 @@ _MOST = 4000  # most equations with more than one unknown
 
 
 @dataclass(frozen=True)
-class Column:
+class LinearUnknown:
     """An unknown of linear equations.
 
     Attributes:
@@ -131,7 +131,7 @@ class Column:
     rank: int
 
 
-def corrected(rest: Mapping[Monomial, Fraction], columns: Sequence[Column]) -> dict[Name, Fraction] | None:
+def corrected(rest: Mapping[Monomial, Fraction], columns: Sequence[LinearUnknown]) -> dict[Name, Fraction] | None:
     """Return changes of unknowns such that Σ change · row = rest; None if there are none.
 
     Args:
@@ -545,13 +545,13 @@ def _columns(
     relations: Sequence[Polynomial],
     multipliers: Sequence[Affine],
     inside: Mapping[Monomial, object],
-) -> list[Column]:
+) -> list[LinearUnknown]:
     """Return the unknowns that change coefficients which no block with the weight 1 has."""
     columns = []
     for at, (relation, unknown) in enumerate(zip(relations, multipliers, strict=True)):
         for m in unknown.terms:
             row = {joined(m, n): Fraction(c) for n, c in relation.terms.items()}
-            columns.append(Column((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
+            columns.append(LinearUnknown((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
     for at, gram in enumerate(grams):
         place = 0
         roots = gram.roots if gram.at >= 0 or gram.forms else ()
@@ -560,7 +560,7 @@ def _columns(
                 product = p * q * gram.weight * (1 if i == j else 2)
                 row = {m: Fraction(c) for m, c in product.terms.items()}
                 columns.append(
-                    Column((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
+                    LinearUnknown((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
                 )
                 place += 1
     return [c for c in columns if c.row]

@@ -27,11 +27,7 @@ __all__ = [
     "law_function",
     "linearise",
     "linearise_plant",
-    "loop_names",
-    "plant_matrices",
-    "plant_slopes",
     "state_space",
-    "undefined_operation",
 ]
 
 # Operations of a function that have no finite value or derivative at a point
@@ -41,17 +37,8 @@ Array = NDArray[np.float64]
 _UNDEFINED_WITHIN = 1e-12
 
 
-def undefined_operation(function: ca.Function, arguments: Sequence[Array]) -> str:
-    """Return the first operation without a finite value or derivative there, as text; empty if none is found.
-
-    Example:
-        >>> import casadi as ca
-        >>> import numpy as np
-        >>> from surctl.system.linear import undefined_operation
-        >>> x = ca.SX.sym("x", 2)
-        >>> undefined_operation(ca.Function("f", [x], [1 + ca.sqrt(x[0] * x[1])]), [np.zeros(2)])
-        'sqrt(0)'
-    """
+def _undefined_operation(function: ca.Function, arguments: Sequence[Array]) -> str:
+    """Return the first operation without a finite value or derivative there, as text; empty if none is found."""
     try:
         program = lower(function)
     except InputError:  # an operation that the instruction list does not support
@@ -128,19 +115,19 @@ def linearise_plant(
     """
     layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
     point = [_flat(layouts[name], part, name) for name, part in zip("xfdp", (x, f, d, p), strict=True)]
-    matrices = plant_matrices(plant, *point)
+    matrices = _plant_matrices(plant, *point)
     if not all(np.isfinite(matrix).all() for matrix in matrices):
         raise InputError("has no finite derivatives at this point", key=plant.name, remedy="choose another point")
     return state_space(plant, matrices)
 
 
-def plant_matrices(plant: Plant, x: Array, f: Array, d: Array, p: Array) -> tuple[Array, ...]:
+def _plant_matrices(plant: Plant, x: Array, f: Array, d: Array, p: Array) -> tuple[Array, ...]:
     """Return (A, B, E, C, D) of a plant about a flat point: x' = A x + B f + E d and y = C x + D d."""
-    return tuple(np.array(m) for m in plant_slopes(plant).call([x, f, d, p]))
+    return tuple(np.array(m) for m in _plant_slopes(plant).call([x, f, d, p]))
 
 
-def plant_slopes(plant: Plant) -> ca.Function:
-    """Return the function of x, f, d and p that computes the matrices of `plant_matrices`."""
+def _plant_slopes(plant: Plant) -> ca.Function:
+    """Return the function of x, f, d and p that computes the matrices of `_plant_matrices`."""
     layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
     x, f, d, p = (ca.SX.sym(name, layout.size) for name, layout in layouts.items())
     rate, y = plant.derivative(x, f, d, p), plant.measurement(x, d, p)
@@ -335,7 +322,7 @@ def linearise(
     point = _equilibrium(functions, values) if at is None else at
     f = functions.inputs(point)
     slopes = functions.functions["plant"].call([point.x, f, functions.disturbance, point.numbers.plant[0]])
-    matrices, names = tuple(np.array(matrix) for matrix in slopes), loop_names(system)
+    matrices, names = tuple(np.array(matrix) for matrix in slopes), _loop_names(system)
     if sampled := bool(system.blocks.all):
         matrices = functions.sampled_plant(point, matrices)
         names = replace(names, states=(*names.states, *entry_labels(system.blocks.memory)), inputs=names.commands)
@@ -384,8 +371,8 @@ class _Rest:
         measured, _ = self.functions["measure"](x, *numbers)
         u = self.functions["inputs"](measured, self.reference)
         f = law.call([z, u, self.numbers.gains[0]])[0]
-        plant = undefined_operation(self.functions["rate"], [x, f, *numbers])
-        cause = plant or undefined_operation(law, [z, u, self.numbers.gains[0]])
+        plant = _undefined_operation(self.functions["rate"], [x, f, *numbers])
+        cause = plant or _undefined_operation(law, [z, u, self.numbers.gains[0]])
         where = f" of the {'plant' if plant else 'law'}" if cause else ""
         raise InputError(
             f"{what} is not finite where the search ends ({_place(labels, point)})"
@@ -515,7 +502,7 @@ def _functions(system: System) -> dict[str, ca.Function]:
         "control": law,
         "rest": ca.Function("rest", [X, Z, B, G, P, R, D, Q], results),
         "law": ca.Function("slopes", [Z, Y, R, G], slopes),
-        "plant": plant_slopes(plant),
+        "plant": _plant_slopes(plant),
         "reference": ca.Function("reference", [r], [system.reference_at(ca.SX(0), r)]),
         "disturbance": ca.Function("disturbance", [d], [system.disturbance_at(ca.SX(0), d)]),
     }
@@ -532,7 +519,7 @@ def law_function(controller: SampledController) -> ca.Function:
     return ca.Function(controller.name, symbols, list(controller.action(*symbols)))
 
 
-def loop_names(system: System) -> LoopNames:
+def _loop_names(system: System) -> LoopNames:
     """Return the labels of all signals of a system."""
     plant, controller = system.plant, system.controller
     layouts = (plant.state, controller.state, plant.inputs, system.commands, system.measurements, system.references)

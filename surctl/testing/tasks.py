@@ -16,7 +16,7 @@ from scipy.optimize import linprog
 from surctl.errors import InputError
 from surctl.tasks import Kind, Limit, LimitRow, SetTask, Task
 from surctl.tasks.task import as_expression, axis_names, is_pose
-from surctl.testing.ranges import CheckFailed, Parameter, Ranges, Sampled, checked_count, ranges_of
+from surctl.testing.ranges import CheckFailed, Parameter, SampledExpressions, SymbolRanges, checked_count, ranges_of
 
 __all__ = [
     "LimitReport",
@@ -108,7 +108,7 @@ def check_limit(
         raise InputError("is not a speed", key="velocity", value=velocity, remedy="give a positive number")
     rows = _shaped(limit)
     ranges = ranges_of(parameters)
-    check = _LimitCheck(rows, ranges, Sampled("limit", ranges, _row_expressions(rows)))
+    check = _LimitCheck(rows, ranges, SampledExpressions("limit", ranges, _row_expressions(rows)))
     rng = np.random.default_rng(seed)
     points = np.vstack([ranges.draw(rng, samples), ranges.corners()])
     gaps = check.gaps(points)
@@ -166,8 +166,8 @@ def _row_expressions(rows: Sequence[LimitRow]) -> list[ca.SX]:
 @dataclass(frozen=True)
 class _LimitCheck:
     rows: Sequence[LimitRow]
-    ranges: Ranges
-    at: Sampled
+    ranges: SymbolRanges
+    at: SampledExpressions
 
     def values(self, point: Array) -> tuple[Array, Array, Array]:
         # A (m, n), lower (m,), upper (m,)
@@ -365,7 +365,7 @@ def check_task(
     poses = [_pose(place, pose, m) for place, pose in enumerate(near)]
     box = [extent, extent, extent, math.pi] if vehicle else [extent] * m
     ranges = ranges_of([(built.eta, [-b for b in box], box), *parameters])
-    check = _Check(built, ranges, Sampled(f"task {built.name}", ranges, _expressions(built)))
+    check = _Check(built, ranges, SampledExpressions(f"task {built.name}", ranges, _expressions(built)))
     rng = np.random.default_rng(seed)
     worst, ranks = 0.0, []
     for values in ranges.draw(rng, samples):
@@ -420,8 +420,8 @@ def _expressions(task: Task | SetTask) -> list[ca.SX]:
 @dataclass(frozen=True)
 class _Check:
     task: Task | SetTask
-    ranges: Ranges
-    at: Sampled
+    ranges: SymbolRanges
+    at: SampledExpressions
 
     def finite(self, values: Array) -> list[Array]:
         results = self.at(values)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 __all__ = [
     "LEAST_DELAY_MARGIN",
+    "BrokenLoop",
     "Crossings",
-    "Loop",
     "LoopMargins",
-    "Shape",
+    "SensitivityShape",
     "crossings_of",
     "margins_from",
     "shape_of",
@@ -36,7 +36,7 @@ _SHRINKS = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class BrokenLoop:
     """One loop at n operating points; it is opened at one signal while all other loops are closed.
 
     Attributes:
@@ -76,7 +76,7 @@ class Crossings:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class SensitivityShape:
     """Sensitivity metrics of one loop at n operating points, each an array (n,).
 
     Attributes:
@@ -106,7 +106,7 @@ def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
     return blocks
 
 
-def crossings_of(loop: Loop, *, highest: float) -> Crossings:
+def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
     """Return the margins of one loop at n operating points; the closed loop must be stable at every point.
 
     The margins are defined as in python-control's `stability_margins` and `disk_margins`. Crossings are bracketed on a
@@ -146,7 +146,7 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover, least_gain)
 
 
-def shape_of(loop: Loop, *, highest: float) -> Shape:
+def shape_of(loop: BrokenLoop, *, highest: float) -> SensitivityShape:
     """Return the sensitivity metrics of one loop at n operating points; each closed loop must be stable.
 
     Args:
@@ -167,10 +167,10 @@ def shape_of(loop: Loop, *, highest: float) -> Shape:
     points, omega = _zeros(loop, grid, response, lambda value: np.abs(value) - 1, every)
     crossover = np.zeros(len(response))
     np.maximum.at(crossover, points, omega)
-    return Shape(1 / _least(loop, grid, response, distance), rejection, crossover)
+    return SensitivityShape(1 / _least(loop, grid, response, distance), rejection, crossover)
 
 
-def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _still(loop: BrokenLoop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the points with loop phase −180° at ω = 0, and their gain factors that put a closed-loop pole at s = 0."""
     points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
     value = loop.response(np.zeros(1), points).real
@@ -178,7 +178,7 @@ def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
 
 
 def _zeros(
-    loop: Loop,
+    loop: BrokenLoop,
     grid: NDArray[np.float64],
     response: NDArray[np.complex128],
     value: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
@@ -199,7 +199,7 @@ def _zeros(
     return points, np.exp(low + np.clip(share, 0, 1) * (high - low))
 
 
-def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _disk(loop: BrokenLoop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
     # α = min over ω of |2 (1 + L)/(1 − L)| (Seiler, Packard and Gahinet 2020)
     def radius(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         with np.errstate(divide="ignore"):
@@ -209,7 +209,7 @@ def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128
 
 
 def _least(
-    loop: Loop,
+    loop: BrokenLoop,
     grid: NDArray[np.float64],
     response: NDArray[np.complex128],
     radius: Callable[[NDArray[np.complex128]], NDArray[np.float64]],

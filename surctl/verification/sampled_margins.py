@@ -30,7 +30,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-__all__ = ["is_stable", "quick_margins", "system_disk_margin", "system_margins"]
+__all__ = ["quick_margins", "system_disk_margin", "system_margins"]
 
 _SPURIOUS = 1e-6  # a gain factor below this value, or above its inverse, comes from a zero of the loop
 _SINGULAR = 1e12  # condition number from which z counts as a pole
@@ -65,7 +65,7 @@ def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...
         '10.0, 84.3 deg, 0.73 s'
     """
     chosen = openings or linear.channels()
-    stable = is_stable(linear)
+    stable = _is_stable(linear)
     return tuple(_margins(linear, name) if stable else LoopMargins.unstable(name) for name in chosen)
 
 
@@ -95,13 +95,13 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
     """
     chosen = openings or linear.channels()
     place = ", ".join(chosen)
-    if not is_stable(linear):
+    if not _is_stable(linear):
         return DiskMargin.unstable(place)
     margin = disk_margin(_continuous(linear, *chosen), place)
     return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.dt))
 
 
-def is_stable(linear: LinearLoop) -> bool:
+def _is_stable(linear: LinearLoop) -> bool:
     """Return whether every pole of the closed loop lies inside the unit circle, by more than rounding."""
     return bool(np.abs(linear.poles()).max(initial=0.0) < 1 - _EDGE)
 
@@ -112,7 +112,7 @@ def quick_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]
     Crossings are searched on fewer frequencies, and the disk margin is the least radius on these frequencies, refined.
     """
     return tuple(
-        _margins(linear, name, quick=True) if is_stable(linear) else LoopMargins.unstable(name) for name in openings
+        _margins(linear, name, quick=True) if _is_stable(linear) else LoopMargins.unstable(name) for name in openings
     )
 
 
@@ -279,7 +279,7 @@ class SampledLoop(ABC):
     @property
     def stable(self) -> bool:
         """Whether every pole lies inside the unit circle."""
-        return is_stable(self.linear)
+        return _is_stable(self.linear)
 
     @property
     def slowest_per_s(self) -> float:

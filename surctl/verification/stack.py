@@ -64,10 +64,6 @@ __all__ = [
     "StackConditions",
     "comparison_converges",
     "couplings",
-    "gains_are_equal",
-    "gram_is_constant",
-    "independence_claims",
-    "names_in",
     "prove_sine",
     "prove_strength",
     "simplified",
@@ -77,12 +73,12 @@ __all__ = [
 # Properties of a task that follow from its expressions, without evaluation at numbers
 
 
-def names_in(region: Region, task: Task | SetTask) -> set[str]:
+def _names_in(region: Region, task: Task | SetTask) -> set[str]:
     """Return the variables of the region on which the task function σ of the task depends."""
     return {name for k, name in enumerate(region.names) if ca.depends_on(task.sigma, region.symbols[k])}
 
 
-def gram_is_constant(stack: Stack, i: int) -> bool:
+def _gram_is_constant(stack: Stack, i: int) -> bool:
     """Return whether the matrix J_i J_iᵀ of the Jacobian J_i of task i is constant or 1 × 1.
 
     Then V = σ̃ᵀ(J_i J_iᵀ)⁻¹σ̃, with the error σ̃ of the task, decreases if M_ii (see `conditions`) has positive
@@ -92,7 +88,7 @@ def gram_is_constant(stack: Stack, i: int) -> bool:
     return bool(A.shape[0] == 1 or ca.simplify(A @ A.T).is_constant())
 
 
-def gains_are_equal(stack: Stack, i: int) -> bool:
+def _gains_are_equal(stack: Stack, i: int) -> bool:
     """Return whether the gains of all entries of the task are equal and do not depend on the state."""
     task = stack.tasks[i]
     if not isinstance(task, Task):
@@ -152,7 +148,7 @@ def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, si
 
     The proof is by interval branch and bound, and the independent checker must accept it.
     """
-    for claim in independence_claims(stack, region, above, i, sine=sine):
+    for claim in _independence_claims(stack, region, above, i, sine=sine):
         certificate = prove(claim, time_limit=time_limit).certificate
         if certificate is None or not check_document(certificate).accepted:
             return 0.0
@@ -168,7 +164,7 @@ def prove_strength(stack: Stack, region: Region, i: int, *, time_limit: float) -
     return certificate is not None and check_document(certificate).accepted
 
 
-def independence_claims(
+def _independence_claims(
     stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float
 ) -> tuple[Claim, ...]:
     """Return three claims: det[A; B][A; B]ᵀ ≥ s² det(AAᵀ) det(BBᵀ), det AAᵀ > 0 and det BBᵀ > 0, where s = `sine`.
@@ -493,7 +489,7 @@ def stack_conditions(
                 f"{level.reason}; but it is disturbed by {', '.join(lost)} above it, which need not converge",
                 level.where,
             )  # fmt: skip
-    touched = [names_in(box, task) for task in stack.tasks]
+    touched = [_names_in(box, task) for task in stack.tasks]
     shown = [_only(pair, touched[i] | touched[j]) for (i, j), pair in pairs.items()]
     levels = [_only(level, set().union(*touched[: i + 1])) for i, level in enumerate(levels)]
     return StackConditions(
@@ -557,7 +553,7 @@ def _level(
         reason = f"disturbed by {', '.join(disturbed)}, but the small-gain condition holds for all scalar gains"
         return said("converges on samples", "samples", own, reason)
     sine = coupled.sine[i]
-    formed = gram_is_constant(stack, i) and gains_are_equal(stack, i)
+    formed = _gram_is_constant(stack, i) and _gains_are_equal(stack, i)
     shown_sine = proved(sine) if coupled.untouched_below(i) and coupled.commuting_above(i) and formed else 0.0
     if shown_sine > 0:
         reason = f"independent of all tasks above it, it keeps at least {shown_sine**2:.3g} of its gain"

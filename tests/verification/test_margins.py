@@ -10,7 +10,7 @@ from surctl.marine.control.closing import velocity_control
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
 from surctl.marine.verification import build_cascade, closed_loop_poles, loop_margins, worst_margins
-from surctl.verification.loops import Loop, LoopMargins, crossings_of, margins_from
+from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
@@ -19,7 +19,7 @@ LOOPS = ["surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth",
 
 def of(numerator: list[float], denominator: list[float]) -> LoopMargins:
     a, b, c, _ = tf2ss(numerator, denominator)
-    loop = Loop(np.linalg.eigvals(a - b @ c)[None].astype(complex), np.linalg.eigvals(a)[None].astype(complex))
+    loop = BrokenLoop(np.linalg.eigvals(a - b @ c)[None].astype(complex), np.linalg.eigvals(a)[None].astype(complex))
     return margins_from("test", crossings_of(loop, highest=1e3))
 
 

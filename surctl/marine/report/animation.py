@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 __all__ = [
     "check_animation",
     "check_film",
-    "check_mp4",
     "film_frames",
     "film_pictures",
     "frame_steps",
@@ -70,7 +69,7 @@ __all__ = [
 Frame = NDArray[np.uint8]
 
 
-def check_mp4(path: Path, *, key: str) -> None:
+def _check_mp4(path: Path, *, key: str) -> None:
     """Raise ToolMissing if nothing here writes MP4; `key` is the option that names the file."""
     if which("ffmpeg") is None and find_spec("av") is None:
         remedy = "pip install 'surctl[film]', install ffmpeg, or end the name in .gif"
@@ -145,7 +144,7 @@ def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
     if path.is_dir():
         raise InputError("is a folder", key=key, value=str(path), remedy="name a file")
     if path.suffix.lower() == ".mp4":
-        check_mp4(path, key=key)
+        _check_mp4(path, key=key)
     return path
 
 

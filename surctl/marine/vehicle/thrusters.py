@@ -438,7 +438,7 @@ def _polygon(normals: Array, low: Array, high: Array) -> Array:
     if len(points) == 0:
         return points
     middle = points - points.mean(axis=0)
-    return np.asarray(points[np.argsort(np.arctan2(middle[:, 1], middle[:, 0]))])
+    return np.asarray(points[np.argsort([atan2(y, x) for x, y in middle], kind="stable")])
 
 
 def attainable(actuators: Actuators, axes: tuple[int, ...] = (0, 1, 2, 3)) -> Attainable:

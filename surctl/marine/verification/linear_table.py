@@ -43,9 +43,7 @@ __all__ = [
     "STEP_NAMES",
     "Locus",
     "Points",
-    "cascades_by_order",
     "linear_table",
-    "read_points",
     "step_figures",
     "step_system",
     "sweep_locus",
@@ -275,9 +273,9 @@ def linear_table(
     for name in columns:
         if name not in LINEAR_METRICS:
             raise InputError("no such column", key="columns", value=name, remedy=nearest(name, LINEAR_METRICS))
-    points = read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model)
+    points = _read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model)
     table = {name: np.full(points.count, np.nan) for name in columns}
-    chunks = [group[at : at + _CHUNK] for group in cascades_by_order(points) for at in range(0, len(group), _CHUNK)]
+    chunks = [group[at : at + _CHUNK] for group in _cascades_by_order(points) for at in range(0, len(group), _CHUNK)]
 
     def fill(chunk: NDArray[np.intp]) -> None:
         figures = _figures(points.cascade(chunk), dt=dt, columns=columns)
@@ -290,7 +288,7 @@ def linear_table(
         if "disk_margin" in columns:
             exact = {name.partition(".")[2] for name in values}
             tried = [
-                read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle)
+                _read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle)
                 for v in corners(vehicle, known=exact).vehicles
             ]
             able = np.flatnonzero(points.feasible)
@@ -378,7 +376,7 @@ class Points:
         )
 
 
-def read_points(
+def _read_points(
     vehicle: Vehicle,
     values: Mapping[str, ArrayLike],
     *,
@@ -419,7 +417,7 @@ def read_points(
     return Points(flat[0], flat[1], gains, column(speed), dt, vehicle.form, (model or vehicle).form)
 
 
-def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
+def _cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
     """Yield the indices of the feasible points, in groups whose cascades have equal states."""
     lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
@@ -548,11 +546,11 @@ def sweep_locus(
         )
 
     def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
-        points = read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model)
+        points = _read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model)
         if not points.feasible.all():
             at = float(values[np.argmin(points.feasible)])
             raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
-        groups = list(cascades_by_order(points))
+        groups = list(_cascades_by_order(points))
         if len(groups) > 1:
             raise InputError(
                 "changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0"

@@ -17,9 +17,9 @@ from surctl.verification.proving.tape import Tape
 
 __all__ = [
     "DIMENSIONS",
+    "BoxTask",
     "Cells",
     "SearchResult",
-    "Task",
     "cells_of",
     "corners",
     "search",
@@ -35,7 +35,7 @@ _NARROWEST = 1e-12  # least width to bisect, as a share of the root box
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class BoxTask:
     """The inequality to prove on a box.
 
     Attributes:
@@ -106,7 +106,7 @@ class _Tree:
 
 
 def search(
-    task: Task, *, deadline: float, most: int = 200_000, progress: Callable[[int, int], None] | None = None
+    task: BoxTask, *, deadline: float, most: int = 200_000, progress: Callable[[int, int], None] | None = None
 ) -> SearchResult:
     """Bisect boxes until all are proved, the deadline has passed, or `most` boxes were evaluated.
 
@@ -151,7 +151,7 @@ def search(
 
 
 def _decide(
-    task: Task, box: Ends, ids: NDArray[np.int_], tree: _Tree, everywhere: bool
+    task: BoxTask, box: Ends, ids: NDArray[np.int_], tree: _Tree, everywhere: bool
 ) -> tuple[tuple[Array, Array, NDArray[np.int_]], Ends]:
     """Record the proved boxes; return unproved boxes that are too narrow to bisect, and the halves of the others."""
     count = ids.size
@@ -180,7 +180,7 @@ def _decide(
     return halves, left
 
 
-def _dimension(task: Task, low: Array, high: Array, smear: Array) -> NDArray[np.int_]:
+def _dimension(task: BoxTask, low: Array, high: Array, smear: Array) -> NDArray[np.int_]:
     # −1 if no variable is wide enough
     width = task.box[1] - task.box[0]
     share = (high - low) / np.where(width > 0, width, 1.0)[:, None]
