@@ -1,27 +1,225 @@
-"""The options of `surctl simulate` for campaigns of random runs, and for repeating one run of a campaign."""
+"""The output of commands about closed-loop runs: one run, several runs, campaigns of random runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.activity import progress
-from surctl.cli.gains_choice import choose_gains
-from surctl.cli.output import finish, same_command, stoppable, together
-from surctl.cli.single_run import activity_line, further_output, linear_warning, run_line
+from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
+from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
-    from surctl.marine.simulation import Case, SafetyClaim
+    from surctl.marine.simulation import Case, Run, SafetyClaim
     from surctl.marine.simulation.campaign import Campaign, Plan
+    from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
-__all__ = ["CampaignOptions", "campaign_options", "simulate_again"]
+__all__ = [
+    "CampaignOptions",
+    "activity_line",
+    "campaign_options",
+    "failure",
+    "further_output",
+    "linear_warning",
+    "loop_lines_of_run",
+    "run_line",
+    "series_lines",
+    "simulate_again",
+]
+
+_ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
+_CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
+
+
+def run_line(run: Run) -> str:
+    """Return one line with the scenario, the vehicle, how the run ended, and its main metrics."""
+    m = run.metrics
+    missed = (
+        f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.arrival_radius else ""
+    )
+    crab = f", but crabbing {m.crab_angle_deg:.0f} deg" if m.crab_angle_deg > _CRABBING else ""
+    error = "no path error, because the whole run counts as avoidance"
+    if m.path_error_m >= 0:
+        error = f"path error {m.path_error_m:.3f} m"
+    return (
+        f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
+        f"{m.time_s:.2f} s{crab}, least clearance {m.min_clearance_m:.3f} m, {error}{missed}"
+    )
+
+
+def activity_line(run: Run) -> str:
+    """Return one line with crab angle, heading error, thrust activity and wasted thrust of a run."""
+    m = run.metrics
+    angles = f"crab angle {m.crab_angle_deg:.0f} deg (largest {m.max_crab_angle_deg:.0f}), " * (m.crab_angle_deg >= 0)
+    angles += f"heading error {m.heading_error_deg:.0f} deg; " * (m.heading_error_deg >= 0)
+    axes = (
+        m.variation_surge_n_per_s,
+        m.variation_sway_n_per_s,
+        m.variation_heave_n_per_s,
+        m.variation_yaw_n_m_per_s,
+    )
+    varies = ", ".join(f"{one if abs(one) > _ROUNDING else 0:.2g}" for one in axes)
+    return (
+        f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
+        f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
+        f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
+    )
+
+
+def failure(run: Run) -> str | None:
+    """Return why a run fails (the command then exits with status 1); None if the robot arrives without contact."""
+    m = run.metrics
+    why = [] if m.reached else [f"it does not arrive ({m.stopped_because} at {m.time_s:.2f} s)"]
+    why += [f"the hull touches an obstacle or wall (clearance {m.min_clearance_m:.3f} m)"] * (m.min_clearance_m <= 0)
+    return f"{run.scenario.name} by {run.vehicle.name}: {', and '.join(why)}" if why else None
+
+
+def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return at most five lines about runs of one scenario that differ in the seed.
+
+    The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
+    """
+    from surctl.verification.linear import LEAST_DISK_MARGIN
+
+    times = [run["time_s"] for run in runs if run["reached"]]
+    worst = min(runs, key=lambda run: run["min_clearance_m"])
+    collided = sum(run["min_clearance_m"] <= 0 for run in runs)
+    arrivals = f"arrival after {min(times):.2f} to {max(times):.2f} s, " if times else ""
+    lines = [
+        f"{worst['scenario']} by {worst['vehicle']}, {worst['sensing']}: {len(times)} of {len(runs)} runs arrive, "
+        f"{collided} collide",
+        f"  {arrivals}least clearance {worst['min_clearance_m']:.3f} m (seed {worst['seed']}); --seed N prints one run",
+    ]
+    failing = [run for run in runs if not (run["reached"] and run["min_clearance_m"] > 0)]
+    lines += [
+        f"  seed {run['seed']}: {run['stopped_because']} at {run['time_s']:.2f} s, least clearance "
+        f"{run['min_clearance_m']:.3f} m"
+        for run in failing[:2]
+    ]
+    linear = worst["linear"] or {}
+    if not linear.get("stable", True):
+        lines.append("  the linear loop at this speed is unstable")
+    elif (margin := linear.get("disk_margin", LEAST_DISK_MARGIN)) < LEAST_DISK_MARGIN:
+        lines.append(
+            f"  the linear loop has a disk margin of {margin:.2f} at its worst corner (below {LEAST_DISK_MARGIN:g})"
+        )
+    return lines
+
+
+def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
+    """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
+    from surctl.marine.control import law_source
+
+    if law_source(run.law.ref).steering is not None:
+        result["linear"] = None
+        return _sampled_part(run, result)
+    attitude = run.attitude
+    crab = "" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg"
+    data, lines = linear_warning(
+        run.vehicle,
+        run.gains.values,
+        cruise=run.scenario.fastest,
+        dt=run.law.dt,
+        law=run.law.ref,
+        guidance=run.law.guidance,
+        crab=crab,
+    )
+    result["linear"] = data
+    return lines
+
+
+def linear_warning(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    law: str,
+    guidance: str,
+    model: Vehicle | None = None,
+    crab: str = "",
+) -> tuple[dict[str, Any] | None, list[str]]:
+    """Return the stability and the disk margin of the linear loop of a run as data, and lines about a defect.
+
+    There are lines if the loop is unstable, or if the disk margin is below the least one. The data is None if the law
+    has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended to the first
+    line.
+    """
+    from surctl.errors import InputError
+    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.linear import corner_margin, slowest_mode
+    from surctl.verification.linear import LEAST_DISK_MARGIN
+
+    if not has_cascade(law, guidance):
+        return None, []
+    try:
+        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model)
+    except InputError:
+        return None, []
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": margin, "corner": corner}
+    if margin >= LEAST_DISK_MARGIN:
+        return data, []
+    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model)
+    data |= {"stable": mode.stable, "mode": mode.to_dict()}
+    if mode.stable:
+        word = f"has a disk margin of {margin:.2f}" if margin > 0 else "is unstable"
+        return data, [f"  the linear loop at this speed {word} at {corner} (at least {LEAST_DISK_MARGIN:g}){crab}"]
+    head = f"  the linear loop at this speed is unstable{crab}:"
+    return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
+
+
+def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
+    from surctl.errors import InputError
+    from surctl.marine.verification import law_loop
+
+    try:
+        loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.fastest)
+    except InputError:  # the thrust cannot hold this speed; lint reports it
+        return []
+    result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
+    return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
+
+
+def further_output(
+    run: Run, result: dict[str, Any], *, explained: bool, out: Path | None, animate: Path | None = None
+) -> list[str]:
+    """Return lines about depth changes, explanations, animation and plots, and write the plots to the folder `out`.
+
+    Explanations and the path of the animation are also added to `result`.
+    """
+    from surctl.marine.simulation import depth_changes, thruster_use
+
+    lines = [f"  {change}" for change in depth_changes(run)]
+    if (use := thruster_use(run)) is not None:
+        result["thrusters"] = use.to_dict()
+        lines.append(f"  {use.line()}")
+    if explained:
+        from surctl.marine.simulation import explain
+
+        explanations = explain(run)
+        result["explanations"] = [asdict(one) for one in explanations]
+        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
+    if out is not None:
+        with saving("plots"):
+            from surctl.marine.report import save_priority, save_run
+
+            lines.append(f"  {save_run(run, out)}")
+            if explained:
+                lines.append(f"  {save_priority(run, out)}")
+    if animate is not None:
+        with saving("animation"):
+            from surctl.marine.report import save_animation
+
+            result["animation"] = str(save_animation(run, animate))
+            lines.append(f"  {result['animation']}")
+    return lines
+
 
 MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
 
@@ -98,17 +296,10 @@ class CampaignOptions:
     def plans(
         self,
         scenarios: tuple[str, ...],
-        vehicle: str | None,
-        gains: str | None,
+        robot: RobotOptions,
         sensors: SensorOptions,
         *,
         law: str,
-        avoidance: str,
-        guidance: str,
-        mode: str,
-        barrier: str,
-        movers: str,
-        sensing: str,
         seed: int,
     ) -> list[Plan]:
         """Return the plans of the requested campaigns.
@@ -122,20 +313,20 @@ class CampaignOptions:
         from surctl.marine.tuning import build_cases
         from surctl.marine.vehicle import load_vehicle
 
-        vehicles = [] if vehicle is None else [load_vehicle(vehicle)]
+        vehicles = [] if robot.vehicle is None else [load_vehicle(robot.vehicle)]
         if self.worlds is None:
             missions = [sensors.over(load_scenario(name)) for name in scenarios]
         else:
             vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
             missions = [sensors.over(world_template(vehicles[0]))]
         own = law_source(law).gains
-        base = load_gains(gains or "default", own=own)
-        cases = build_cases(missions, vehicles, gains=base, law=law, mode=mode, sensing=sensing, guidance=guidance)
-        options: dict[str, Any] = {"avoidance": avoidance, "barrier": barrier, "movers": movers}
-        tuned = [choose_gains(gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
+        base = load_gains(robot.gains or "default", own=own)
+        kind = {"mode": robot.priority_mode, "sensing": robot.sensing or "truth", "guidance": robot.guidance}
+        cases = build_cases(missions, vehicles, gains=base, law=law, **kind)
+        tuned = [choose_gains(robot.gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
         for line in dict.fromkeys(line for one in tuned for line in one.lines):
             progress(line)
-        cases = tuple(replace(case, gains=one.gains, **options) for case, one in zip(cases, tuned, strict=True))
+        cases = tuple(replace(case, gains=one.gains, **robot.forms) for case, one in zip(cases, tuned, strict=True))
         for case in cases[:1]:
             case.build()  # reports a mistake before any file is written
         if self.worlds is None:
@@ -156,7 +347,6 @@ class CampaignOptions:
 
         `vehicle` is the value of the option `--vehicle`, or None.
         """
-        from surctl.cli.vehicle_choice import choose_vehicle
         from surctl.errors import InputError
         from surctl.files import write_file
         from surctl.marine.simulation.campaign import CampaignFolder, run_campaign
