@@ -163,12 +163,13 @@ def evolve(
         first: sets with which the first batch begins; the others of this batch fill the ranges evenly.
     """
     from scipy.optimize import differential_evolution
-    from scipy.stats import qmc
 
     count = len(ranges)
     begun = [list(one) for one in first[:size]]
     start: Array | str = "latinhypercube"
     if begun:
+        from scipy.stats import qmc  # takes half a second to import
+
         own = np.column_stack([r.unit(column) for r, column in zip(ranges, np.array(begun).T, strict=True)])
         start = np.vstack([own, qmc.LatinHypercube(count, rng=seed).random(size - len(begun))])
 

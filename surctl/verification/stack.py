@@ -49,8 +49,7 @@ from surctl.priority.diagnosis.field import (
     projector_above,
     world_jacobians,
 )
-from surctl.priority.diagnosis.findings import Pair
-from surctl.priority.diagnosis.region import Bounds, Parameter, Region, build_region, pose_text
+from surctl.priority.diagnosis.findings import Bounds, Pair, Parameter, Region, build_region, pose_text
 from surctl.tasks import SetTask, Stack, Task
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.formula import Node, from_casadi, rebuilt, to_casadi

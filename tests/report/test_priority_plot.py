@@ -15,7 +15,7 @@ from surctl.marine.report.signals import plot_priority, relaxation_text
 from surctl.marine.simulation import Run, explain, load_scenario, priority_timeline, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.priority import PriorityTimeline
-from surctl.priority.timeline import NOTICEABLE
+from surctl.priority.solving import NOTICEABLE
 from tests.pictures import blank_pictures
 
 

@@ -16,7 +16,6 @@ from surctl.marine.tuning import (
     Counterexample,
     Goal,
     advice,
-    claim_points,
     conditions,
     evaluate,
     figures,
@@ -364,9 +363,9 @@ def test_the_gain_file_says_where_it_comes_from_and_reads_back(monkeypatch, tmp_
 def test_claims_that_should_hold_do_for_the_shipped_gains(monkeypatch):
     names = expected_to_hold()
     assert "v1-corrected" in names and len(names) > 5
-    monkeypatch.setattr(claim_points, "expected_to_hold", lambda: ("v1-corrected", "v2-static"))
+    monkeypatch.setattr("surctl.marine.tuning.pool.expected_to_hold", lambda: ("v1-corrected", "v2-static"))
     assert refuted_claims(GAINS.values, [case()]) == ()
-    monkeypatch.setattr(claim_points, "expected_to_hold", lambda: ("v1-printed", "v2-static"))
+    monkeypatch.setattr("surctl.marine.tuning.pool.expected_to_hold", lambda: ("v1-printed", "v2-static"))
     assert [v.claim.name for v in refuted_claims(GAINS.values, [case()], seed=1)] == ["v1-printed"]
 
 

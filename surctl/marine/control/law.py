@@ -26,7 +26,7 @@ from surctl.marine.control.stopping import Barrier, Movers
 from surctl.marine.guidance import AvoidanceForm, Guidance
 from surctl.marine.vehicle import Actuators, axis_limits
 from surctl.priority import Fallback, Level, Mode, PriorityProblem, PrioritySolution, Row, solve
-from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.system import NONFINITE
 
 __all__ = [
@@ -266,7 +266,7 @@ class Law:
         return np.asarray(outputs, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
-        """Solve the priority problem of one control step in NumPy; the solution names tasks, constraints and causes.
+        """Solve the priority problem of one control step; the solution names tasks, constraints and causes.
 
         Raises:
             InputError: the law has the fallback `bounded`, whose velocity can differ from that of `solve`.

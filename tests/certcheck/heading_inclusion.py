@@ -2,8 +2,7 @@
 
 ξ is the deviation of the state from the steady motion, and the proof uses the linear form A ξ of its derivative. At
 sampled positions, headings and vehicles the derivative of the second implementation must equal A ξ up to rounding; here
-A is formed without thrust limits and with the true secant slopes of the drag. The comparison does not replace the
-derivation of A, but it reveals a wrong sign, frame or factor.
+A is formed without thrust limits and with the true secant slopes of the drag.
 """
 
 from __future__ import annotations
@@ -14,8 +13,8 @@ import random
 import numpy as np
 
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.heading_cells import rows
 from surctl.certcheck.heading_claim import HeadingClaim
-from surctl.certcheck.heading_loop import rows
 
 __all__ = ["Boat", "check_identity", "commanded_thrust", "true_rate"]
 

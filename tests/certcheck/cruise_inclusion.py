@@ -1,9 +1,8 @@
-"""A second implementation of law and vehicle in rational numbers, to compare with the proof's linear inclusion.
+"""A second implementation of law and vehicle in rational numbers, to compare with a region's linear inclusion.
 
 At sampled positions, parameters and headings, the true derivative must equal A ξ + Σ B_j w_j exactly, and every w_j
-must lie within its bound (`region_inclusion` defines them). The headings are rational points of the unit circle, and
-the positions have a rational slant √(y_e² + Δ²)/Δ. The comparison does not replace the derivation of the inclusion, but
-it reveals a wrong sign, frame or factor.
+must lie within its bound (`surctl.certcheck.region_inclusion` defines them). The headings are rational points of the
+unit circle, and the positions have a rational slant √(y_e² + Δ²)/Δ.
 """
 
 from __future__ import annotations
@@ -14,10 +13,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region_bounds import Shell
 from surctl.certcheck.region_claim import CruiseClaim
 from surctl.certcheck.region_exact import Matrix, inverse, middle, quadratic, root_down, root_up
-from surctl.certcheck.region_inclusion import vertex
+from surctl.certcheck.region_inclusion import Shell, vertex
 from surctl.certcheck.region_trim import Trim, axis_pairs, drift_speed, offset_speed, quarter
 
 __all__ = ["Vehicle", "check_identity", "commanded_thrust", "commanded_velocity", "true_rate"]
