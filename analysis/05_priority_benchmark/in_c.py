@@ -31,7 +31,7 @@ from scipy import sparse
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.ir import Block, compile_block, emit_block, find_compiler
-from surctl.ir.compiler import tuned_flags
+from surctl.ir.cache import tuned_flags
 from surctl.priority import Mode, nsb, safe_step, solve
 from surctl.priority.solver.fallback import MET
 from tests.oracles.distance_trials import Trials, draw_trials

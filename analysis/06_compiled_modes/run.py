@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.errors import ToolMissing
 from surctl.ir import compiler_version
-from surctl.ir.compiler import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.priority import Mode, Settings, build_problem, solve
 from surctl.priority.compiled.assemble import assemble
 from surctl.priority.compiled.decomposition import LevelShape

@@ -21,7 +21,7 @@ from exact import least_residuals
 from reference import best, least_opening, opened, violation, worse
 
 from surctl.errors import ToolMissing
-from surctl.ir.compiler import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.priority import Mode, PriorityProblem, PriorityStep, Settings, solve
 from surctl.priority.optimality import is_least
 

@@ -31,7 +31,7 @@ from surctl.cli import main as command_line
 from surctl.cli.output import finite
 from surctl.cli.runs import linear_warning
 from surctl.errors import ToolMissing
-from surctl.ir.compiler import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.marine.assessment import Mission
 from surctl.marine.control import Gains, write_gains
 from surctl.marine.report.bench import Bench

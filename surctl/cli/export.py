@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from surctl.export import CheckReport, ProofReport, Records, SilReport
     from surctl.export.bundle import Bundle
     from surctl.export.contract import Exportable
-    from surctl.export.targets import Target
+    from surctl.export.emulated import Target
     from surctl.marine.simulation import Run
 
     Tools: TypeAlias = tuple[Sequence[Target], Mapping[str, tuple[str, ...]]]
@@ -62,7 +62,7 @@ class ExportOptions:
             ToolMissing: there is no C compiler.
         """
         from surctl.errors import InputError
-        from surctl.export.targets import chosen_targets
+        from surctl.export.emulated import chosen_targets
         from surctl.ir import find_compiler
 
         if not self.check and (self.targets or self.steps):
@@ -387,13 +387,12 @@ def export_system(
     Raises:
         InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
     """
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.assessment import ClosedLoop, assess
     from surctl.errors import InputError, nearest
     from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.envelope import as_records
     from surctl.export.evidence import evidence_of, with_evidence
     from surctl.export.precision import REALS
-    from surctl.export.records import as_records
     from surctl.export.supplement import PlantLists
     from surctl.system import LOST, run_system
     from surctl.system.values import run_numbers

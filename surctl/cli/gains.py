@@ -91,7 +91,7 @@ def derive(
 
 def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplicable | None:
     """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
-    from surctl.marine.assessment.motion import judged_contact
+    from surctl.marine.assessment import judged_contact
     from surctl.marine.control import CASCADE, default_law, law_source
     from surctl.marine.simulation import mission_size, straight_mission
 

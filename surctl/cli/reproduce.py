@@ -72,7 +72,7 @@ def reproduce(
         ]
         words += [f"--seeds {seeds}"] if seeds else []
         with saving("page"):
-            from surctl.marine.reproduction.page import write_reproduction
+            from surctl.marine.reproduction.reproduction import write_reproduction
 
             page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
             lines.append(f"page {page}")

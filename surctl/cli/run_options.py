@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from surctl.export import Line
+    from surctl.export import SerialLine
     from surctl.marine.control import Law
     from surctl.marine.engine import EngineOptions
     from surctl.marine.export import CompiledLaw, LinkedLaw, LinkFaults
@@ -145,7 +145,7 @@ class PlantOptions:
         for key in unheard[:1]:
             remedy = "add --sensing sonar, or drop it"
             raise InputError("has no effect with true positions", key=f"--plant mujoco:{key}", remedy=remedy)
-        from surctl.marine.engine.library import mujoco_library
+        from surctl.marine.engine.mjcf import mujoco_library
 
         mujoco_library()
         if self.film is not None:
@@ -190,7 +190,7 @@ class PlantOptions:
         physics: Any = OwnPhysics
         if options is not None:
             from surctl.marine.engine import BatchCase, mujoco_physics
-            from surctl.marine.engine.batch import simulate_with_steppers
+            from surctl.marine.engine.physics import simulate_with_steppers
 
             physics = mujoco_physics(options)
             if self.threads not in (None, 1):
@@ -306,7 +306,9 @@ class ControllerOptions:
         self._faults(seed=0)
 
     @contextmanager
-    def opened(self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle) -> Iterator[Line | None]:
+    def opened(
+        self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle
+    ) -> Iterator[SerialLine | None]:
         """Open the connection to the controller of this law and these parameters; None if no option requests one.
 
         Raises:
@@ -355,7 +357,14 @@ class ControllerOptions:
         return CompiledLaw
 
     def linked(
-        self, law: Law, p: NDArray[np.float64], line: Line | None, mission: Scenario, vehicle: Vehicle, *, seed: int
+        self,
+        law: Law,
+        p: NDArray[np.float64],
+        line: SerialLine | None,
+        mission: Scenario,
+        vehicle: Vehicle,
+        *,
+        seed: int,
     ) -> LinkedLaw | CompiledLaw | None:
         """Return the function that computes each step of a run as C, over the open connection or here; else None.
 

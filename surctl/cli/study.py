@@ -157,8 +157,7 @@ def study_system(
 ) -> None:
     """Write report.html and the C code of the controller; exit with status 1 if a check of the report fails."""
     from surctl import __version__
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.assessment import ClosedLoop, assess
     from surctl.cli.subject import loop_data, mode_text, region_words, resting
     from surctl.cli.sweep import best_line, best_points
     from surctl.errors import InputError

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surctl.ir import Layout
     from surctl.lyapunov import Problem
     from surctl.system import Operating, Record, System
-    from surctl.verification.system_corners import SystemCorners, SystemLoop
+    from surctl.verification.sampled_margins import SystemCorners, SystemLoop
 
 __all__ = [
     "OwnSystem",

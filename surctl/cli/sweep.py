@@ -334,8 +334,7 @@ def sweep_own_system(
     as_json: bool,
 ) -> None:
     """Simulate the runs of all points in compiled code; print each cost's range and best point."""
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.assessment import ClosedLoop, assess
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv

@@ -385,9 +385,7 @@ def tune_own_system(
     as_json: bool,
 ) -> None:
     """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
-    from surctl.assessment.comparison import Comparison
+    from surctl.assessment import ClosedLoop, Comparison, assess
     from surctl.errors import InputError
     from surctl.files import prepare_folder
     from surctl.recorded_write import write_csv

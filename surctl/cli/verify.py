@@ -396,8 +396,7 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
 
     The exit status is 1 if a margin is too small at a corner of the ranges, or if no region is proved.
     """
-    from surctl.assessment.assessment import assess
-    from surctl.assessment.closed_loop import ClosedLoop
+    from surctl.assessment import ClosedLoop, assess
     from surctl.cli.claims import write_solution
     from surctl.cli.subject import region_words
     from surctl.errors import InputError

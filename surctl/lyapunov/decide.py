@@ -18,9 +18,7 @@ from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safet
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import linearisation
 from surctl.lyapunov.falsified import least_level
-from surctl.lyapunov.inward import inward_speeds, short
-from surctl.lyapunov.near import fails_nearby
-from surctl.lyapunov.stationary import stationary_state
+from surctl.lyapunov.near import fails_nearby, inward_speeds, short, stationary_state
 from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.doubtful import undefined_at

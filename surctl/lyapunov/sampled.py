@@ -21,7 +21,7 @@ from surctl.errors import UnsupportedOperation
 from surctl.lyapunov.claims import Stability, every_digit, stated_number
 from surctl.lyapunov.decide import Decision
 from surctl.lyapunov.dynamics import Dynamics, State
-from surctl.lyapunov.hugging import bounded
+from surctl.lyapunov.rays import bounded
 from surctl.lyapunov.slope_search import Embedding, Family, quadratic, relative_volume
 from surctl.verification.conic import Inequality, minimise, symmetric_basis
 from surctl.verification.formula import number, text_of, variable

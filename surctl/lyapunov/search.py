@@ -15,13 +15,11 @@ from surctl.lyapunov.decide import Decision, decide_motion, has_branches, prove_
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
-from surctl.lyapunov.hugging import hugged
-from surctl.lyapunov.inward import short
-from surctl.lyapunov.near import Failure, fails_nearby, too_fast
+from surctl.lyapunov.near import Failure, fails_nearby, short, stationary_state, too_fast
+from surctl.lyapunov.rays import hugged
 from surctl.lyapunov.sampled import sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import slope_candidate
-from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.formula import Node, text_of
 
 __all__ = ["StabilityResult", "find_stability"]

@@ -33,7 +33,7 @@ from surctl.priority.solver.stages import RELAXED
 from surctl.priority.solving import explained
 from surctl.robot.kinematics import Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision
-from surctl.robot.tasks import RobotTask, flat_pose
+from surctl.robot.robot import RobotTask, flat_pose
 from surctl.system import NONFINITE, Controller, Cost, Plant, System, run_system
 from surctl.tasks import Limit, SetTask, Stack, Task
 

@@ -83,7 +83,7 @@ class SobolIndices(Plotted):
         base: number of points in each of the two independent samples.
     """
 
-    PLOT = "surctl.report.sobol_plot:plot_sobol_indices"
+    PLOT = "surctl.report.system_plots:plot_sobol_indices"
 
     column: str
     axes: tuple[str, ...]

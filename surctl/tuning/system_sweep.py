@@ -27,7 +27,7 @@ from surctl.system import (
     periods,
     simulate_system,
 )
-from surctl.system.record_file import identity
+from surctl.system.record import identity
 from surctl.system.runs import loop_program
 from surctl.system.subjects import load_subject
 from surctl.system.values import check_scalar, run_numbers, unit_of

@@ -19,8 +19,8 @@ from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores
 from surctl.tuning.search import Batches, Journal, SearchRange, evolve
 from surctl.tuning.system_sweep import request_digest
-from surctl.verification.linear.disk import LEAST_DISK_MARGIN
-from surctl.verification.system_corners import system_corners
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.sampled_margins import system_corners
 
 __all__ = ["SystemTuning", "tune_system"]
 

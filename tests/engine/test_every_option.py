@@ -16,7 +16,7 @@ from surctl.cli.app import app
 from surctl.cli.run_options import ControllerOptions, PlantOptions
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
-from surctl.marine.engine.library import mujoco_library
+from surctl.marine.engine.mjcf import mujoco_library
 
 SAME = (
     "--vehicle sur540-flooded",

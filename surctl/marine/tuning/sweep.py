@@ -42,8 +42,8 @@ from surctl.tuning.chunked import (
     swept_file,
 )
 from surctl.tuning.design import SEED, Design
-from surctl.verification.linear.disk import LEAST_DISK_MARGIN
-from surctl.verification.margins import LEAST_DELAY_MARGIN
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.loops import LEAST_DELAY_MARGIN
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -18,23 +18,171 @@ D is therefore valid at all frequencies up to the next such ω; from that ω on,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
-from surctl.verification.linear.open_loop import OpenLoop
-from surctl.verification.linear.parts import distinct, independent
 
 __all__ = [
-    "LEAST_DISK_MARGIN", "DiskMargin", "disk_margin", "disk_profile", "quick_disk_margin", "screened_peaks",
+    "LEAST_DISK_MARGIN",
+    "DiskMargin",
+    "OpenLoop",
+    "Sensitivity",
+    "blockwise",
+    "disk_margin",
+    "disk_profile",
+    "distinct",
+    "eigenvalues",
+    "independent",
+    "quick_disk_margin",
+    "screened_peaks",
+    "sensitivity_of",
     "structured_bounds",
-]  # fmt: skip
+]
+
+# Independent parts of linear loops, each computed once: the axes of a vehicle, and corners that differ elsewhere
+
+
+def independent(coupled: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Return the indices of a square pattern (n, n) in groups; entries outside of the groups' blocks are False."""
+    reached = coupled | coupled.T | np.eye(len(coupled), dtype=bool)
+    while (further := reached @ reached).sum() > reached.sum():
+        reached = further
+    return [np.flatnonzero(group) for group in np.unique(reached, axis=0)]
+
+
+def distinct(*matrices: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return where each distinct one of k tuples of matrices (k, …) occurs first, and which of these each equals."""
+    rows = np.concatenate([m.reshape(len(m), -1) for m in matrices], axis=1) + 0.0  # no negative zeros
+    known: dict[bytes, int] = {}
+    first, which = np.unique([known.setdefault(row.tobytes(), k) for k, row in enumerate(rows)], return_inverse=True)
+    return first, which
+
+
+def eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Return the eigenvalues (k, n) of k matrices (k, n, n), in no order."""
+    values = np.empty(matrices.shape[:2], dtype=complex)
+    for group in independent((matrices != 0).any(axis=0)):
+        block = matrices[:, group[:, None], group]
+        first, which = distinct(block)
+        values[:, group] = np.linalg.eigvals(block[first])[which]
+    return values
+
+
+def blockwise(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]], matrices: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return a matrix function, such as the exponential, of k matrices (k, n, n) from those of their blocks."""
+    values = np.zeros_like(matrices)
+    for group in independent((matrices != 0).any(axis=0)):
+        block = matrices[:, group[:, None], group]
+        first, which = distinct(block)
+        values[:, group[:, None], group] = function(block[first])[which]
+    return values
+
+
+# An open loop with several channels as matrices: several loops opened at once, or one
+
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLoop:
+    """The open loop L(s) = C (sI − A)⁻¹ B + D with q channels, for negative feedback; leading axes hold several loops.
+
+    Attributes:
+        A: system matrix (…, n, n) [1/s].
+        B: input matrix (…, n, q).
+        C: output matrix (…, q, n).
+        D: feedthrough matrix (…, q, q) of L; I + D must be invertible.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+
+    def __getitem__(self, chosen: NDArray[np.intp]) -> OpenLoop:
+        """Return the loops at the given indices of the leading axis."""
+        return OpenLoop(self.A[chosen], self.B[chosen], self.C[chosen], self.D[chosen])
+
+    def complementary(self) -> OpenLoop:
+        """Return the complementary sensitivity T = L (I + L)⁻¹; the poles of T are those of the closed loop."""
+        inverse = np.linalg.inv(np.eye(self.D.shape[-1]) + self.D)
+        B = self.B @ inverse
+        return OpenLoop(self.A - B @ self.C, B, inverse @ self.C, self.D @ inverse)
+
+    def response(self, omega: Array) -> NDArray[np.complex128]:
+        """Return the frequency response L(jω) (…, k, q, q) at the frequencies ω (k,) [rad/s]."""
+        A, B, C, D = (m[..., None, :, :] for m in (self.A, self.B, self.C, self.D))
+        pencil = 1j * np.asarray(omega)[:, None, None] * np.eye(A.shape[-1]) - A
+        inner = np.linalg.solve(pencil, np.broadcast_to(B, (*pencil.shape[:-1], B.shape[-1])))
+        return np.asarray(C @ inner + D, dtype=complex)
+
+
+# Sensitivity S = (I + L)⁻¹ and complementary sensitivity T = L (I + L)⁻¹ of several loops, over frequency
+
+
+_SLOWEST, _FREQUENCIES = 1e-3, 200
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """The largest singular values of the sensitivity S and the complementary sensitivity T over frequency.
+
+    Attributes:
+        place: where the loops are opened.
+        omega: frequencies (k,) [rad/s].
+        S: (k,) largest singular value of S: the largest amplification of disturbances and model errors.
+        T: (k,) largest singular value of T: the largest amplification of measurement noise and references.
+    """
+
+    place: str
+    omega: Array
+    S: Array
+    T: Array
+
+    def to_dict(self) -> dict[str, Any]:
+        """The singular values and their peaks as plain data for JSON."""
+        return {
+            "place": self.place,
+            "omega_rad_s": self.omega.tolist(),
+            "S": self.S.tolist(),
+            "T": self.T.tolist(),
+            "peak_S": float(self.S.max()),
+            "peak_T": float(self.T.max()),
+        }
+
+
+def sensitivity_of(loop: OpenLoop, place: str = "", *, highest: float) -> Sensitivity:
+    """Compute the largest singular values of S and T of a stable loop, from 0.001 rad/s to `highest` [rad/s].
+
+    Raises:
+        InputError: the closed loop is unstable and therefore has no frequency response.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.verification.linear import OpenLoop, sensitivity_of
+        >>> found = sensitivity_of(OpenLoop(*(np.array([[x]]) for x in (0.0, 1.0, 2.0, 0.0))), highest=100.0)
+        >>> round(float(found.T[0]), 3), round(float(found.S[-1]), 3)  # 2/s
+        (1.0, 1.0)
+    """
+    closed = loop.complementary()
+    if not np.all(np.linalg.eigvals(closed.A).real < 0):
+        raise InputError(
+            "is unstable and has no frequency response", key="loop", value=place, remedy="lower the cruise speed"
+        )
+    omega = np.geomspace(_SLOWEST, highest, _FREQUENCIES)
+    T = closed.response(omega)
+    S = np.eye(T.shape[-1]) - T
+    return Sensitivity(place, omega, *(np.linalg.norm(m, 2, axis=(1, 2)) for m in (S, T)))
+
 
 LEAST_DISK_MARGIN = 0.3
 """Least disk margin, in every check, goal and search: all gains off by 26 %, or all phases off by 17 deg, at once.
@@ -162,7 +310,7 @@ def stored_disk_margin(loop: OpenLoop, place: str) -> DiskMargin:
     """Return the disk margin of a loop of the cascade, from the cache on disk if it was computed before."""
     matrices = [np.asarray(matrix, dtype=float) for matrix in (loop.A, loop.B, loop.C, loop.D)]
     values = stored_numbers(
-        ("surctl.verification.linear.disk", "surctl.verification.linear.open_loop"),
+        ("surctl.verification.linear", "surctl.verification.linear"),
         [(matrix.shape, matrix.tobytes()) for matrix in matrices],
         lambda: asdict(disk_margin(loop)),
         suffix=".disk",

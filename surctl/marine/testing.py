@@ -16,7 +16,10 @@ from surctl.system import NONFINITE
 from surctl.system.controller import lost_entry
 from surctl.testing.ranges import CheckFailed, checked_count, checked_type
 
-__all__ = ["LawReport", "check_law"]
+__all__ = [
+    "LawReport",
+    "check_law",
+]
 
 Array: TypeAlias = NDArray[np.float64]
 

@@ -33,14 +33,301 @@ from functools import partial
 from itertools import combinations
 from typing import Any, Literal
 
-from surctl.priority.diagnosis import Diagnosis, diagnose
-from surctl.priority.diagnosis.findings import Bounds, Pair, Parameter, build_region, pose_text
-from surctl.tasks import Stack, Task
-from surctl.verification.stack.coupling import Coupling, couplings
-from surctl.verification.stack.independence import prove_sine, prove_strength
-from surctl.verification.stack.symbols import gains_are_equal, gram_is_constant, names_in
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["LevelCondition", "PairCondition", "StackConditions", "stack_conditions"]
+from surctl.certcheck import check_document
+from surctl.errors import InputError
+from surctl.priority.diagnosis import Diagnosis, diagnose
+from surctl.priority.diagnosis.field import (
+    build_field,
+    commuting_levels,
+    directions,
+    orthogonal_pairs,
+    outside_sines,
+    projector_above,
+    world_jacobians,
+)
+from surctl.priority.diagnosis.findings import Bounds, Pair, Parameter, Region, build_region, pose_text
+from surctl.tasks import SetTask, Stack, Task
+from surctl.verification.claim import Claim, Variable
+from surctl.verification.formula import Node, from_casadi, rebuilt, to_casadi
+from surctl.verification.proving import prove
+from surctl.verification.proving.tape import build_tape
+
+__all__ = [
+    "Coupling",
+    "LevelCondition",
+    "PairCondition",
+    "StackConditions",
+    "comparison_converges",
+    "couplings",
+    "prove_sine",
+    "prove_strength",
+    "simplified",
+    "stack_conditions",
+]
+
+# Properties of a task that follow from its expressions, without evaluation at numbers
+
+
+def _names_in(region: Region, task: Task | SetTask) -> set[str]:
+    """Return the variables of the region on which the task function σ of the task depends."""
+    return {name for k, name in enumerate(region.names) if ca.depends_on(task.sigma, region.symbols[k])}
+
+
+def _gram_is_constant(stack: Stack, i: int) -> bool:
+    """Return whether the matrix J_i J_iᵀ of the Jacobian J_i of task i is constant or 1 × 1.
+
+    Then V = σ̃ᵀ(J_i J_iᵀ)⁻¹σ̃, with the error σ̃ of the task, decreases if M_ii (see `conditions`) has positive
+    eigenvalues.
+    """
+    A = world_jacobians(stack)[i]
+    return bool(A.shape[0] == 1 or ca.simplify(A @ A.T).is_constant())
+
+
+def _gains_are_equal(stack: Stack, i: int) -> bool:
+    """Return whether the gains of all entries of the task are equal and do not depend on the state."""
+    task = stack.tasks[i]
+    if not isinstance(task, Task):
+        return False
+    gain = ca.SX(task.gain)
+    same = all(ca.is_equal(gain[k], gain[0], 4) for k in range(gain.numel()))
+    return bool(same and not ca.depends_on(gain, stack.eta))
+
+
+# Simplification of expressions on a box: a max becomes its larger operand if this operand is the same everywhere
+
+
+def simplified(expression: ca.SX, region: Region, names: tuple[str, ...]) -> ca.SX:
+    """Return a column that is equal to `expression` on the region, without branches that interval arithmetic decides.
+
+    Branches are min, max, abs and select. Without them, derivatives of the column contain no comparisons.
+
+    Raises:
+        UnsupportedOperation: the expression has an operation that the claim grammar does not have.
+    """
+    box = region.lower[:, None], region.upper[:, None]
+
+    def above(a: Node, b: Node) -> int:
+        # 0 if neither inequality is certain on the whole box
+        read = build_tape(names, [a - b]).run(box)
+        low, high = (float(end[0]) for end in read.jets[0].value)
+        if not read.defined[0][0]:
+            return 0
+        return 1 if low >= 0 else -1 if high <= 0 else 0
+
+    def change(node: Node, args: tuple[Node, ...]) -> Node:
+        same = Node(node.op, args, node.value, node.name)
+        if node.op not in ("abs", "min", "max", "select"):
+            return same
+        first, second = (args[0], -args[0]) if node.op == "abs" else args[:2]
+        sign = above(first, second)
+        if not sign:
+            return same
+        if node.op == "select":  # for equal operands select takes the case a ≤ b
+            return args[2] if sign < 0 else same
+        wins = sign > 0 if node.op != "min" else sign < 0
+        return first if wins else second
+
+    nodes = from_casadi(region.symbols, names, [expression[k] for k in range(expression.numel())])
+    symbols = {name: region.symbols[k] for k, name in enumerate(names)}
+    return ca.vertcat(*[to_casadi(rebuilt(node, change), symbols) for node in nodes])
+
+
+# Proof that a task is independent of other tasks on a whole region, by a lower bound on the sine of their angle
+
+
+_LEAST_STRENGTH = 1e-6  # least det J Jᵀ of a task whose Jacobian counts as regular
+
+
+def prove_sine(stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float, time_limit: float) -> float:
+    """Return `sine` if the product of sines between task i and the tasks above is proved to be ≥ `sine`, else 0.
+
+    The proof is by interval branch and bound, and the independent checker must accept it.
+    """
+    for claim in _independence_claims(stack, region, above, i, sine=sine):
+        certificate = prove(claim, time_limit=time_limit).certificate
+        if certificate is None or not check_document(certificate).accepted:
+            return 0.0
+    return sine
+
+
+def prove_strength(stack: Stack, region: Region, i: int, *, time_limit: float) -> bool:
+    """Return whether the Jacobian J of task i is proved to be regular on the whole region (det J Jᵀ ≥ 1e-6)."""
+    strength = _gram(_jacobian(stack, region, i))
+    if strength.is_constant():
+        return bool(float(strength) >= _LEAST_STRENGTH)
+    certificate = prove(_claim(region, "strength", ca.SX(_LEAST_STRENGTH), strength), time_limit=time_limit).certificate
+    return certificate is not None and check_document(certificate).accepted
+
+
+def _independence_claims(
+    stack: Stack, region: Region, above: Sequence[int], i: int, *, sine: float
+) -> tuple[Claim, ...]:
+    """Return three claims: det[A; B][A; B]ᵀ ≥ s² det(AAᵀ) det(BBᵀ), det AAᵀ > 0 and det BBᵀ > 0, where s = `sine`.
+
+    A holds the Jacobians of the tasks above, and B is the Jacobian of task i. Both are expressed in {E}, where they do
+    not depend on ψ.
+    """
+    A, B = ca.vertcat(*[_jacobian(stack, region, k) for k in above]), _jacobian(stack, region, i)
+    if A.shape[0] + B.shape[0] > A.shape[1]:
+        return (_claim(region, "dimension", ca.SX(1), ca.SX(0)),)  # a false claim: more Jacobian rows than velocities
+    both, first, second = (_gram(part) for part in (ca.vertcat(A, B), A, B))
+    floor = ca.SX(_LEAST_STRENGTH)
+    return (
+        _claim(region, "strength-above", floor, first),
+        _claim(region, "strength", floor, second),
+        _claim(region, "independence", sine**2 * first * second, both),
+    )
+
+
+def _jacobian(stack: Stack, region: Region, k: int) -> ca.SX:
+    """Return the Jacobian of task k by the pose, without the branches that interval arithmetic decides on the region.
+
+    Branches are min, max, abs and select.
+    """
+    sigma = stack.tasks[k].sigma
+    try:
+        smooth = simplified(sigma, region, tuple(map(_name, region.names)))
+    except InputError:  # an operation that the claim grammar does not have: the prover reports it
+        smooth = sigma
+    return ca.jacobian(smooth, stack.eta)
+
+
+def _gram(A: ca.SX) -> ca.SX:
+    product = ca.densify(A @ A.T)
+    return ca.simplify(product if product.numel() == 1 else ca.det(product))
+
+
+def _claim(region: Region, name: str, left: ca.SX, right: ca.SX) -> Claim:
+    used = {s.element_hash() for s in ca.symvar(ca.vertcat(left, right))}
+    variables = tuple(
+        Variable(_name(name), region.symbols[k], "1", float(region.lower[k]), float(region.upper[k]), "of the region")
+        for k, name in enumerate(region.names)
+        if region.symbols[k].element_hash() in used or k == 0
+    )
+    return Claim(name, "a task is independent of the tasks above it", "(16)", (), "proved", variables, left, right, "1")
+
+
+def _name(name: str) -> str:
+    # the certificate's grammar accepts only letters, digits and _
+    return "".join(c if c.isalnum() or c == "_" else "_" for c in name)
+
+
+# The blocks M_ij = J_i N_1 ⋯ N_{j−1} J_j⁺ of the error dynamics of a stack, computed at samples of a region.
+#
+# M_ij is the effect of task j on the error of task i; `conditions` explains the symbols.
+
+
+Array = NDArray[np.float64]
+
+_ZERO = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Effect of the tasks of a stack on each other's errors.
+
+    Attributes:
+        own: (n,) least eigenvalue of the symmetric part of M_ii over the samples.
+        sine: (n,) least product of the sines of the angles between a task and the joint space of all tasks above it.
+        worst: for each task, the state with the least product of sines.
+        most: (n, n) largest ‖M_ij‖ for i ≠ j.
+        commuting: for each task, whether its projector commutes with those of the tasks above, by an identity of the
+            expressions.
+        orthogonal: pairs (i, j), i < j, of tasks that are orthogonal by an identity of the expressions.
+    """
+
+    own: tuple[float, ...]
+    sine: tuple[float, ...]
+    worst: tuple[dict[str, float], ...]
+    most: Array
+    commuting: tuple[bool, ...]
+    orthogonal: frozenset[tuple[int, int]]
+
+    @property
+    def exact(self) -> bool:
+        """Return whether an identity of the expressions shows that no lower task disturbs a higher task."""
+        return all(self.commuting)
+
+    @property
+    def triangular(self) -> bool:
+        """Return whether no lower task disturbs a higher task in any sample."""
+        return not any(self.from_below(i) for i in range(len(self.own)))
+
+    @property
+    def small_gain(self) -> bool:
+        """Return whether the comparison matrix is a non-singular M-matrix."""
+        return comparison_converges(np.array(self.own), self.most)
+
+    def from_below(self, i: int) -> dict[int, float]:
+        """Return the lower tasks that disturb task i, with the size ‖M_ij‖ of each disturbance."""
+        if self.exact:
+            return {}
+        return {j: float(self.most[i, j]) for j in range(i + 1, len(self.own)) if self.most[i, j] > _ZERO}
+
+    def untouched_below(self, i: int) -> bool:
+        """Return whether an identity of the expressions shows that no lower task disturbs task i.
+
+        The result is true for the first task, and for every task if all projectors commute. It is also true if each
+        task after task i is orthogonal to all tasks that precede that later task.
+        """
+        apart = ((a, b) in self.orthogonal for b in range(i + 1, len(self.own)) for a in range(b))
+        return self.exact or i == 0 or all(apart)
+
+    def commuting_above(self, i: int) -> bool:
+        """Return whether an identity of the expressions shows that N_1 ⋯ N_{i−1} is a projector.
+
+        The eigenvalues of M_ii are then squared sines of angles between task i and the tasks above.
+        """
+        return all(self.commuting[:i])
+
+
+def comparison_converges(own: Array, most: Array) -> bool:
+    """Return whether the comparison matrix is a non-singular M-matrix, that is, all its leading minors are positive.
+
+    The comparison matrix is diag(own) minus the off-diagonal part of `most`.
+    """
+    matrix = np.diag(own) - most * (1 - np.eye(len(own)))
+    return all(np.linalg.det(matrix[:k, :k]) > 1e-12 for k in range(1, len(own) + 1))
+
+
+def couplings(stack: Stack, region: Region, *, samples: int, seed: int) -> Coupling:
+    """Return the effects of a stack's tasks on each other's errors over a region.
+
+    Args:
+        stack: tasks with one reference each.
+        region: region of the stack's states and parameters.
+        samples: number of samples.
+        seed: seed of the samples.
+    """
+    field = build_field(stack, region)
+    points = region.place(region.sample(samples, seed))
+    values = field.at(points)
+    J, count = values.jacobians, len(stack.tasks)
+    plus = [np.linalg.pinv(j, rcond=1e-9) for j in J]
+    nullspace = np.tile(np.eye(4), (len(points), 1, 1))  # N_1 ⋯ N_{j−1}
+    own, most = np.zeros(count), np.zeros((count, count))
+    sine, worst = [], []
+    for j in range(count):
+        arm = nullspace @ plus[j]
+        for i in range(count):
+            block = J[i] @ arm
+            if i == j:
+                own[i] = np.linalg.eigvalsh((block + block.swapaxes(1, 2)) / 2).min()
+            else:
+                most[i, j] = np.linalg.norm(block, 2, axis=(1, 2)).max()
+        product = outside_sines(directions(J[j]), projector_above(values, j))[:, : stack.tasks[j].size].prod(axis=1)
+        sine.append(float(product.min()))
+        worst.append(region.pose(points[int(product.argmin())]))
+        nullspace = nullspace @ (np.eye(4) - plus[j] @ J[j])
+    return Coupling(
+        tuple(map(float, own)), tuple(sine), tuple(worst), most, commuting_levels(stack),
+        frozenset(orthogonal_pairs(stack)),
+    )  # fmt: skip
+
 
 Kind = Literal["orthogonal", "independent", "dependent"]
 Shown = Literal["identity", "proved", "samples", "witness"]
@@ -201,7 +488,7 @@ def stack_conditions(
                 f"{level.reason}; but it is disturbed by {', '.join(lost)} above it, which need not converge",
                 level.where,
             )  # fmt: skip
-    touched = [names_in(box, task) for task in stack.tasks]
+    touched = [_names_in(box, task) for task in stack.tasks]
     shown = [_only(pair, touched[i] | touched[j]) for (i, j), pair in pairs.items()]
     levels = [_only(level, set().union(*touched[: i + 1])) for i, level in enumerate(levels)]
     return StackConditions(
@@ -265,7 +552,7 @@ def _level(
         reason = f"disturbed by {', '.join(disturbed)}, but the small-gain condition holds for all scalar gains"
         return said("converges on samples", "samples", own, reason)
     sine = coupled.sine[i]
-    formed = gram_is_constant(stack, i) and gains_are_equal(stack, i)
+    formed = _gram_is_constant(stack, i) and _gains_are_equal(stack, i)
     shown_sine = proved(sine) if coupled.untouched_below(i) and coupled.commuting_above(i) and formed else 0.0
     if shown_sine > 0:
         reason = f"independent of all tasks above it, it keeps at least {shown_sine**2:.3g} of its gain"
