@@ -43,7 +43,7 @@ from surctl.certcheck.identity import Exact
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix
 
-__all__ = ["Number", "Rows", "magnitude", "up"]
+__all__ = ["Number", "Poly", "Rows", "magnitude", "up"]
 
 Array = NDArray[np.float64]
 Poly = dict[tuple[int, ...], Fraction]

@@ -37,6 +37,7 @@ class Embedding:
         rows: the rows of A(θ), each a list (n,) of polynomials in the slopes; (n + k,) with the feedbacks of k limits.
         inner: for each expression whose range decides a slope, its value at x* and its row (n,) at all vertices (K, n).
         limits: for each limit with a feedback, the least distance of its operand at x* from it.
+        operands: the row of each such operand (n + k,), in the middle of all slopes.
     """
 
     def __init__(
@@ -53,6 +54,7 @@ class Embedding:
         wide = np.vstack([np.eye(n), self.feedbacks])
         self.covers = wide @ covers @ wide.T
         self.limits: list[float] = []
+        self.operands: list[Array] = []
         self._limits: dict[Node, tuple[int, Node]] = {}
         self.slopes: list[Ends] = []
         self.inner: list[tuple[Node, Array]] = []
@@ -188,6 +190,7 @@ class Embedding:
             return self._scaled(self._slope(self._secant(node)), self._row(base))
         if node in self._limits:
             place, y = self._limits[node]
+            self.operands.append(self._vertices_of(self._row(y), most=0)[0])
             share = self._slope((0.0, 1.0))
             own = self._scaled(share, self._row(y))
             own[len(self.names) + place] = _plus({(): 1.0}, self._times({(): -1.0}, share))
