@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import combinations
 from math import prod
 from typing import Any
 
@@ -200,7 +201,7 @@ def is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     # and so that no slope is rounded to 0
     unit = {k: Fraction(2) ** magnitude(max(map(abs, ranges[k]))) for k in used}
     inner = min(len(used), max(0, (_CHUNK // len(lower)).bit_length() - 1))
-    afford(8 * len(lower) * (len(terms) + 4 * 2**inner))
+    afford(8 * len(lower) * (len(terms) + 12 * 2**inner))
     table = {term: np.zeros((len(lower), 1)) for term in terms}
     error = np.zeros((size, size))
     for at, ((i, j), poly) in enumerate(zip(lower, polys, strict=True)):
@@ -256,40 +257,49 @@ def _vertices(table: dict[tuple[int, ...], Array], slopes: Sequence[tuple[int, f
 
 
 def _joined(polys: Sequence[Poly], ranges: dict[int, tuple[Fraction, Fraction]]) -> list[Poly]:
-    """Return polynomials with fewer slopes: two slopes that only occur as one product or sum are one slope.
+    """Return polynomials with fewer slopes: if two only occur in multiples of one function of both, it is one slope.
 
-    Its range, which is added to `ranges`, is that of the product or sum at the vertices.
+    The function is x a + y b + z a b. The range of the slope, which is added to `ranges`, is that at the vertices.
     """
     polys = list(polys)
     while pair := _pair(polys):
         go_on()
-        a, b, weight = pair
-        new, (low, high) = max(ranges) + 1, ranges[b]
-        whole = [x + weight * y if weight else x * y for x in ranges[a] for y in (low, high)]
-        ranges[new] = min(whole), max(whole)
+        (a, b), (x, y, z) = pair
+        new = max(ranges) + 1
+        ends = [x * s + y * t + z * s * t for s in ranges[a] for t in ranges[b]]
+        ranges[new] = min(ends), max(ends)
         for at, poly in enumerate(polys):
-            kept = {term: x for term, x in poly.items() if not (weight and b in term)}
-            polys[at] = {
-                tuple(sorted([*(k for k in term if k not in (a, b)), *([new] if a in term else [])])): x
-                for term, x in kept.items()
-            }
+            first = next(k for k, size in (((a,), x), ((b,), y), ((a, b), z)) if size)
+            polys[at] = {}
+            for term, number in poly.items():
+                own = tuple(k for k in term if k in (a, b))
+                if own in ((), first):
+                    rest = (k for k in term if k not in own)
+                    size = {(): 1, (a,): x, (b,): y, (a, b): z}[own]
+                    polys[at][tuple(sorted([*rest, *([new] if own else [])]))] = number / size
     return polys
 
 
-def _pair(polys: Sequence[Poly]) -> tuple[int, int, Fraction] | None:
-    """Return slopes a and b that only occur as a + weight b, or as a b (then the weight is 0); None if there are none."""
+def _pair(polys: Sequence[Poly]) -> tuple[tuple[int, int], tuple[Fraction, ...]] | None:
+    """Return two slopes a < b and x, y, z, if they only occur in multiples of x a + y b + z a b; None if none do."""
     places: dict[int, dict[Any, Fraction]] = {}
     for at, poly in enumerate(polys):
-        for term, x in poly.items():
+        for term, number in poly.items():
             for k in term:
-                places.setdefault(k, {})[at, term] = x
-    alike: dict[Any, tuple[int, Fraction]] = {}
-    for k, own in places.items():
-        rest = {(at, tuple(i for i in term if i != k)): x for (at, term), x in own.items()}
-        first = rest[min(rest)]
-        for key, size in (frozenset(own), Fraction(0)), (frozenset((at, x / first) for at, x in rest.items()), first):
-            if key in alike:
-                a, other = alike[key]
-                return a, k, size / other if size else size
-            alike[key] = k, size
+                places.setdefault(k, {})[at, term] = number
+    polys_of = {k: {at for at, _ in own} for k, own in places.items()}
+    for a, b in combinations(sorted(places), 2):
+        few, many = sorted((len(places[a]), len(places[b])))
+        if polys_of[a] != polys_of[b] or many not in (few, 2 * few):
+            continue
+        triples: dict[Any, list[Fraction]] = {}
+        for k, at in ((a, 0), (b, 1)):
+            for (poly, term), number in places[k].items():
+                both = a in term and b in term
+                rest = tuple(k for k in term if k not in (a, b))
+                triples.setdefault((poly, rest), [Fraction(0)] * 3)[2 if both else at] = number
+        first = next(iter(triples.values()))
+        i = next(i for i, number in enumerate(first) if number)
+        if all(x[j] * first[i] == x[i] * first[j] for x in triples.values() for j in range(3)):
+            return (a, b), tuple(first)
     return None

@@ -24,7 +24,7 @@ from surctl.lyapunov.slope_search import slope_candidate
 from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.formula import Node, text_of
 
-__all__ = ["StabilityResult", "find_stability", "region_by_slopes"]
+__all__ = ["StabilityResult", "find_stability"]
 
 _SHARES = (0.005, 0.02, 0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.97, 0.99)  # of the least level with a counterexample
 _FIRST, _PART = 7, 0.4  # index of the share that is tried first; share of the remaining time for one level
@@ -175,7 +175,7 @@ def find_stability(
     searched = function is None and level is None and linear.verdict == "stable"
     hard = has_branches(d) or len(d.variables) > _MANY
     if searched and hard:
-        slopes = region_by_slopes(d, linear, demanded, time_limit, seed, progress)
+        slopes = _by_slopes(d, linear, demanded, time_limit, seed, progress)
         if slopes is not None and (first or not few) and rate != "largest":
             return replace(slopes, seconds=time.perf_counter() - began)
     if function is not None:
@@ -223,7 +223,7 @@ def find_stability(
         best = result if result.verdict == "proved" else best
     rest = until - time.process_time()
     if best.verdict == "unknown" and searched and not hard and rest > 0:
-        slopes = region_by_slopes(d, linear, demanded, rest, seed, progress)
+        slopes = _by_slopes(d, linear, demanded, rest, seed, progress)
     if slopes is not None and (best.verdict == "unknown" or slopes.volume > best.volume):
         best = slopes
     if function is not None and best.verdict == "unknown" and linear.verdict == "marginal":
@@ -233,17 +233,16 @@ def find_stability(
     return replace(best, seconds=time.perf_counter() - began)
 
 
-def region_by_slopes(
+def _by_slopes(
     d: Dynamics,
     linear: Linear,
     rate: float | None,
     seconds: float,
     seed: int,
     progress: Callable[[str], None] | None,
-    toward: str = "",
 ) -> StabilityResult | None:
-    """Return a region that the slope rule proves, with a large extent along the state `toward`; None if it proves none."""
-    candidate = slope_candidate(d, linear, rate, seconds=_SLOPES * seconds, toward=toward)
+    """Return a region that the slope rule proves; None if it proves none."""
+    candidate = slope_candidate(d, linear, rate, seconds=_SLOPES * seconds)
     if candidate is None:
         return None
     until = time.process_time() + _PROOF * seconds

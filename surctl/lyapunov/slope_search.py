@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,9 +25,9 @@ from surctl.lyapunov.equilibrium import Linear, common_quadratic
 from surctl.lyapunov.near import slowest
 from surctl.lyapunov.slopes import Embedding
 from surctl.verification.conic import minimise, symmetric_basis
-from surctl.verification.formula import Node, number, power, variable
+from surctl.verification.formula import Node, number, power, to_casadi, variable
 
-__all__ = ["LABEL", "Family", "quadratic", "relative_volume", "slope_candidate"]
+__all__ = ["LABEL", "Family", "form_of", "quadratic", "relative_volume", "slope_candidate"]
 
 LABEL = "quadratic by the slope rule"
 """How a function of the slope rule was found, in words."""
@@ -36,10 +38,10 @@ Bits = NDArray[np.bool_]
 _MOST, _MOST_STATES = 40, 20  # slopes of a matrix; states
 _SLOW, _FASTER = 0.02, 1.02  # decay rate relative to that of the linearisation, and to the demanded one
 _NEGLIGIBLE, _DIGITS = 1e-5, 6  # coefficients of V: what is left out, and digits after the first
-_STARTS, _TURNS, _SWEEPS = 8, 8, 2  # random starts of the search for vertices; its turns; sweeps over all slopes
-_HALVINGS, _ROUNDS, _CUTS = 6, 24, 8
+_STARTS, _TURNS, _SWEEPS = 256, 8, 2  # random starts of the search for vertices; its turns; sweeps over all slopes
+_HALVINGS, _ROUNDS, _CUTS = 6, 40, 10
 _WORST = 6  # vertices that a cut adds
-_STRETCH, _LEAST_STRETCH = 1.2, 1.03  # by which the extents that decide slopes may grow in a round
+_STRETCH, _LEAST_STRETCH = 1.4, 1.03  # by which the extents that decide slopes may grow in a round
 _NEAR = 1e-4  # level near the equilibrium, relative to the level at which V leaves the box
 _GROWTH = 1.01  # least growth of the mean extent of the region in a round
 _INSIDE = 1e-4  # by which the region stays inside the box, relative to it
@@ -218,6 +220,12 @@ def quadratic(d: Dynamics, p: Array) -> Node:
                 total = term if total is None else total + term
     assert total is not None
     return total
+
+
+def form_of(function: Node, names: Sequence[str]) -> Array:
+    """Return the matrix (n, n) of a quadratic form of the named variables."""
+    symbols = {name: ca.SX.sym(name) for name in names}
+    return np.asarray(ca.DM(ca.hessian(to_casadi(function, symbols), ca.vertcat(*symbols.values()))[0])) / 2
 
 
 def relative_volume(d: Dynamics, p: Array) -> float:

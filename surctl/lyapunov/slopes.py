@@ -88,7 +88,7 @@ class Embedding:
         alone = len({self._base[a] for a in free}) == 1 and all(
             self._base[a] is not None or self._numeric[a] for a in args
         )
-        one_sided = op in ("min", "max") and self._numeric[args[0]] != self._numeric[args[1]]
+        one_sided = op in ("min", "max") and (self._base[args[0]] is None) != (self._base[args[1]] is None)
         if op in ("min", "max", "abs", "select") and not (one_sided and len(self.feedbacks)):
             chosen = self._decided(node)
             if chosen is not None:
@@ -96,15 +96,13 @@ class Embedding:
         if free and not alone:
             if op == "div" and self._base[args[1]] is not None:
                 return self._put(Node("mul", (args[0], self._put(Node("pow", (args[1],), number(-1).value)))))
-            if op in ("min", "max"):
-                apart = self._put(Node("sub", (args[1], args[0])))
-                kink = self._put(Node(op, (self._put(number(0)), apart)))
-                return self._put(Node("add", (args[0], kink)))
+            if op in ("min", "max") and not (one_sided and len(self.feedbacks)):
+                return self._apart_from(node)
             if op == "atan2":
                 if not self._range[args[1]][0] > 0:
                     raise UnsupportedOperation("atan2 with a second operand that may be negative", key="slopes")
                 return self._put(Node("atan", (self._put(Node("div", args)),)))
-            if op not in ("add", "sub", "neg", "mul", "div"):
+            if op not in ("add", "sub", "neg", "mul", "div", "min", "max"):
                 raise UnsupportedOperation(f"{op} of several variables", key="slopes")
         if node not in self._range:
             limit = self._limited(node)
@@ -120,6 +118,10 @@ class Embedding:
             self._range[node], self._rest[node] = self._ranges(node)
         return node
 
+    def _apart_from(self, node: Node) -> Node:
+        apart = self._put(Node("sub", node.args[::-1]))
+        return self._put(Node("add", (node.args[0], self._put(Node(node.op, (self._put(number(0)), apart))))))
+
     def _decided(self, node: Node) -> Node | None:
         ends = [(min(r[0], c[0]), max(r[1], c[1])) for r, c in ((self._range[a], self._rest[a]) for a in node.args)]
         args = node.args
@@ -130,14 +132,15 @@ class Embedding:
 
     def _limited(self, node: Node) -> tuple[Node, float] | None:
         """Return y and the least distance of y* from its limits, as the checker does."""
-        if node.op not in ("min", "max") or self._numeric[node.args[0]] == self._numeric[node.args[1]]:
+        free = {a: self._base[a] is None for a in node.args}
+        if node.op not in ("min", "max") or len(set(free.values())) == 1:
             return None
-        outer, inner = node.args if self._numeric[node.args[0]] else node.args[::-1]
-        if inner.op not in {"min", "max"} - {node.op} or self._numeric[inner.args[0]] == self._numeric[inner.args[1]]:
+        outer, inner = node.args if free[node.args[0]] else node.args[::-1]
+        if inner.op not in {"min", "max"} - {node.op} or len({self._base[a] is None for a in inner.args}) == 1:
             return None
-        other, y = inner.args if self._numeric[inner.args[0]] else inner.args[::-1]
-        (low, _), (_, high) = sorted((self._rest[other], self._rest[outer]))
-        gap = min(high - self._rest[y][1], self._rest[y][0] - low)
+        other, y = inner.args if self._base[inner.args[0]] is None else inner.args[::-1]
+        low, high = (other, outer) if node.op == "min" else (outer, other)
+        gap = min(self._rest[high][0] - self._rest[y][1], self._rest[y][0] - self._rest[low][1])
         return (y, gap) if gap > 0 else None
 
     def _ranges(self, node: Node) -> tuple[Ends, Ends]:
@@ -156,7 +159,7 @@ class Embedding:
             values = self._along(node, np.linspace(*self._range[base], _POINTS))
             still = self._along(node, np.array(self._rest[base]))
             own, rest = _common(own, (values.min(), values.max())), _common(rest, (still.min(), still.max()))
-        elif base is node:
+        elif base is node and (node.op not in ("min", "max") or node in self._limits):
             extent = self._support(self._row(node))
             own = _common(own, (rest[0] - extent, rest[1] + extent))
         if not np.all(np.isfinite((*own, *rest))):
@@ -196,6 +199,8 @@ class Embedding:
             own[len(self.names) + place] = _plus({(): 1.0}, self._times({(): -1.0}, share))
             return own
         match node.op:
+            case "min" | "max":
+                return self._row(self._apart_from(node))
             case "var":
                 return [{(): 1.0} if k == self.names.index(node.name) else {} for k in range(len(self.covers[0]))]
             case "neg":
