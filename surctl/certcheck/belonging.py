@@ -257,7 +257,9 @@ class _Comparison(Comparison):
         for name in ranges.keys() & {"u", "u_model"}:
             for value in self.gains("cruise"):
                 if not ranges[name][0] <= value <= ranges[name][1]:
-                    text = f"{ranges[name][0]!r} to {ranges[name][1]!r} m/s certified, the cruise speed is {value!r} m/s"
+                    text = (
+                        f"{ranges[name][0]!r} to {ranges[name][1]!r} m/s certified, the cruise speed is {value!r} m/s"
+                    )
                     self.differs.append(f"speed: {text}")
         fins = self.manifest.fins or {}
         most = [fins["moment_nm"]] if fins else self.yaw_limits()[1:]
@@ -322,9 +324,7 @@ class _Comparison(Comparison):
         """Return the certified law, and the exported one if it has the same inputs; none if something differs."""
         if self.differs:  # the first mismatch explains those that would follow
             return []
-        certified, exported = (
-            self.manifest.lists.get(key) for key in (digest, self.manifest.laws[0])
-        )
+        certified, exported = (self.manifest.lists.get(key) for key in (digest, self.manifest.laws[0]))
         if certified is None or exported is None:
             self.differs.append("law: the bundle does not contain the instruction list of the certified law")
             return []

@@ -19,7 +19,8 @@ not be positive.
 The change of V (`change`) is compared with the one that the checker computes from the dynamics.
 
 A certificate whose V is a quadratic form about the equilibrium may state `slopes` in the place of all these proofs,
-with the feedbacks of limits or none; then `surctl.certcheck.slopes` decides. `surctl.certcheck.sampled` decides about a plant under a sampled controller.
+with feedbacks of the limits or none; then `surctl.certcheck.slopes` decides. `surctl.certcheck.sampled` decides about
+a plant under a sampled controller.
 """
 
 from __future__ import annotations

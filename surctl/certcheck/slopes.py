@@ -234,7 +234,9 @@ def is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     return True
 
 
-def _vertices(table: dict[tuple[int, ...], Array], slopes: Sequence[tuple[int, float, float]], outer: int) -> Iterator[Array]:
+def _vertices(
+    table: dict[tuple[int, ...], Array], slopes: Sequence[tuple[int, float, float]], outer: int
+) -> Iterator[Array]:
     """Yield the values (entries, vertices) of polynomials in the slopes at all vertices of their ranges, in parts.
 
     Args:

@@ -343,7 +343,10 @@ def _reshaped(shapes: _Shapes, shape: Shape, stretch: float, pool: list[Bits]) -
     own = size @ p @ size
     extents = np.einsum("ri,bij,rj->rb", rows, inverses, rows)
     volume = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), np.eye(n))[None]
-    fixed = [(np.ones((len(rows), 1, 1)), -extents[:, :, None, None]), (volume, _blocks(inverses, inverse_bounds)[None])]
+    fixed = [
+        (np.ones((len(rows), 1, 1)), -extents[:, :, None, None]),
+        (volume, _blocks(inverses, inverse_bounds)[None]),
+    ]
     one = np.zeros((n + 1, n + 1))
     one[0, 0] = (1 - _INSIDE) ** 2
     for row in range(k):

@@ -238,7 +238,9 @@ def test_joined_slopes_take_the_values_of_the_slopes_they_replace() -> None:
         before, after = hull(polys, ranges), hull(own, known)
         assert after <= before
         # each coordinate has the same extreme values, so nothing is left out
-        assert [(min(c), max(c)) for c in zip(*after, strict=True)] == [(min(c), max(c)) for c in zip(*before, strict=True)]
+        assert [(min(c), max(c)) for c in zip(*after, strict=True)] == [
+            (min(c), max(c)) for c in zip(*before, strict=True)
+        ]
         if sum(size != 0 for size in (x, y, z)) > 1 or z:
             assert len({k for poly in own for term in poly for k in term}) < 4
 
@@ -448,7 +450,9 @@ FORM = np.array([[0.129, 0.1775], [0.1775, 0.366]])
 GAIN = np.array([-0.3356, -0.5543])
 
 
-def held(feedback: NDArray[np.float64], level: float, limited: str = "max(-1, min(1, -x - v))", **changes: object) -> bool:
+def held(
+    feedback: NDArray[np.float64], level: float, limited: str = "max(-1, min(1, -x - v))", **changes: object
+) -> bool:
     """Return whether an unstable plant with a limited command is proved with a feedback."""
     ends = [{"name": name, "unit": "1", "lower": -9.0, "upper": 9.0} for name in "xv"]
     own = {"states": ends, "function": "0.129*x^2 + 0.355*x*v + 0.366*v^2", "level": level}

@@ -1,9 +1,8 @@
 """Claim about the heading loop of a craft without sway force under the law `steered`.
 
-The claim is one of kind `lyapunov`. Its dynamics are built from the expressions of the law: the planned yaw rate, the
-yaw moment, the drift of the law's model. The slope rule finds and proves its region. At a small heading error, the law
-limits the yaw rate by `planned_yaw_rate` alone, because half the yaw moment ends a slower turn; the region must lie
-there, which `check --bundle` compares at points of the region.
+The claim is one of kind `lyapunov`, and the slope rule finds and proves its region. Its dynamics are built from the
+expressions of the law: planned yaw rate, yaw moment, thrust, and the drift of the law's model. In a region with small
+heading errors (`SteeringClaim.swings`), `planned_yaw_rate` alone limits the yaw rate.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from surctl.certcheck.law_points import STEERED_EXCLUDES
 from surctl.errors import InputError, NotApplicable
@@ -26,6 +26,7 @@ from surctl.verification.formula import from_casadi
 
 __all__ = ["SteeringClaim", "side_per_moment", "steering_claim"]
 
+Array = NDArray[np.float64]
 Pair = tuple[float, float]
 
 _GAINS = ("k_psi", "k_r", "crab_time", "sideslip", "lookahead")
@@ -133,6 +134,19 @@ class SteeringClaim:
                 "sha256_vehicle": self.vehicle.digest(),
             },
         )  # fmt: skip
+
+    def swings(self, p: Array) -> bool:
+        """Return whether the turn that half the yaw moment can end may be slower than k_psi times the heading error.
+
+        The law limits the yaw rate by it too, but the dynamics do not contain it.
+
+        Args:
+            p: matrix (6, 6) of the region ξᵀ p ξ ≤ 1.
+        """
+        numbers, inverse = self._law_numbers(), np.linalg.inv(p)
+        most = float(yaw_moment(numbers, ca.SX(self.speed[0])) / (numbers["mass"][3] * numbers["k_psi"] ** 2))
+        rows = np.array([[slope, 1, 0, 0, 1, 0] for slope in (0.0, 1 / float(steering_of(numbers).lookahead))])
+        return bool(np.sqrt(np.einsum("ki,ij,kj->k", rows, inverse, rows).max()) > most)
 
     def _law_numbers(self) -> dict[str, ca.SX]:
         """Return the law's parameters by name, as far as the heading loop needs them."""

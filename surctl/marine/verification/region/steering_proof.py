@@ -18,7 +18,7 @@ from surctl.marine.verification.region.steering import SteeringClaim
 __all__ = ["prove_steering"]
 
 _SECONDS = 300.0  # limit of the processor time of the search, which ends much earlier
-_LEVELS = (0.98, 0.95, 0.92, 0.85, 0.7)  # that are tried, relative to the proposed one
+_LEVELS = (0.99, 0.97, 0.94, 0.9, 0.8, 0.65)  # that are tried, relative to the proposed one
 _NOT = "not provable for this vehicle and these gains, because"
 
 
@@ -32,11 +32,14 @@ def prove_steering(claim: SteeringClaim) -> RegionProof:
         candidate = slope_candidate(d, linear, claim.rate, seconds=_SECONDS, toward="y_e")
     for level in _LEVELS if candidate is not None else ():
         assert candidate is not None
+        p = form_of(candidate.function, d.names) / level
+        if claim.swings(p):
+            reason = f"{_NOT} the law limits the yaw rate further in the region of V"
+            continue
         stated = Stability(hugged(d, candidate.function, level), candidate.function, level, claim.rate)
         tried = time.perf_counter()
         decision = prove_by_slopes(stated, time_limit=PATIENCE, feedbacks=candidate.feedbacks)
         if decision.verdict == "proved":
-            p = form_of(candidate.function, d.names) / level
             offset = float(np.floor(1e4 * 0.9999 / np.sqrt(p[0, 0])) / 1e4)
             now, beside = time.perf_counter(), float(np.sqrt(np.linalg.inv(p)[0, 0]))
             return RegionProof(
