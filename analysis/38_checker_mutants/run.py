@@ -45,6 +45,11 @@ EQUIVALENT = {
     "expressions: ExpressionTable.total: return all(self._is_total(self.entries[at]) for at in self.needed(roots)) -> "
     "return all(self._is_total(self.entries[at]) for at in [*(self.needed(roots))][1:])": _FIRST,
     "motion: Motion.require_continuous: table.needed(roots) -> [*(table.needed(roots))][1:]": _FIRST,
+    "procedures: _checked: ast.walk(tree) -> [*(ast.walk(tree))][1:]": "the first node is the module itself",
+    "slope_rows: Rows.__init__: sizes = [max(cover[k][k] for cover in covers) for k in range(self.states)] -> "
+    "sizes = [min(cover[k][k] for cover in covers) for k in range(self.states)]": "numbers are scaled by a power of 2",
+    "slopes: is_definite: _vertices(len(used), max(1, _CHUNK // (size**2 + len(terms)))) -> "
+    "_vertices(len(used), min(1, _CHUNK // (size**2 + len(terms))))": "the same vertices, one after the other",
     "identity: Exact._reduced: atom = max(squared, key=lambda k: (len(k), k)) -> "
     "atom = min(squared, key=lambda k: (len(k), k))": "each square is replaced, in whichever order",
 }

@@ -128,7 +128,7 @@ def _cost(body: Sequence[ast.AST], sizes: Mapping[str, int], costs: Mapping[str,
             continue
         if isinstance(node, ast.Call):
             name = node.func.id if isinstance(node.func, ast.Name) else ""
-            if node.keywords or (name not in costs and len(node.args) != _KNOWN.get(name)):
+            if name not in costs and len(node.args) != _KNOWN.get(name):
                 raise ValueError(f"a procedure with a call of {name or 'something'}")
             total += costs.get(name, 0)
         total += 1 + _cost(list(ast.iter_child_nodes(node)), sizes, costs)
@@ -165,7 +165,7 @@ class _Executable(ast.NodeTransformer):
 
 
 def _divided(a: float, b: float) -> float:
-    return a / b if b != 0.0 else float(np.float64(a) / np.float64(b))
+    return a / b if b != 0.0 else a * math.copysign(1.0, b) * math.inf
 
 
 def _times(a: Any, b: Any) -> Any:

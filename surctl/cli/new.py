@@ -57,12 +57,13 @@ def new(kind: str, name: str, out: Path | None, force: bool, as_json: bool) -> N
     from surctl.files import quoted
 
     template = next(_TEMPLATES.glob(f"{kind}.*"))
+    suffix = ".py" if kind in _IN_PYTHON else ".toml"
+    name = name.removesuffix(suffix)
     identifier = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_").lower()
     identifier += "_" * keyword.iskeyword(identifier)
     if kind in _IN_PYTHON and not identifier.isidentifier():
         raise InputError(f"cannot name a {kind}", key="name", value=name, remedy="begin with a letter")
     text = template.read_text(encoding="utf-8").replace("@NAME@", quoted(name)).replace("@IDENTIFIER@", identifier)
-    suffix = ".py" if kind in _IN_PYTHON else ".toml"
     target = write_new(out or path_of(name, suffix), text, force=force)
     shown = shlex.quote(str(target))
     then = [command.format(shown).replace("@IDENTIFIER@", identifier) for command in _NEXT[kind]]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from surctl.certcheck import Rejected
 from surctl.certcheck.enclosure import Undefined, span
 from surctl.certcheck.region_exact import inverse
-from surctl.certcheck.slope_rows import Number, Rows, up
+from surctl.certcheck.slope_rows import _MOST_EXPONENT, Number, Rows, _fraction, up
 from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
@@ -221,3 +221,10 @@ def test_the_ends_of_a_range_are_rounded_outwards() -> None:
     number = rows._slope(narrow)
     assert len(rows.slopes) == 1
     assert abs(number.poly[()] - Fraction(1, 3)) <= number.error < Fraction(1, 2**55)
+
+
+def test_a_number_with_a_huge_exponent_is_refused_before_it_is_written() -> None:
+    for exponent in (_MOST_EXPONENT + 1, -_MOST_EXPONENT - 1):
+        with pytest.raises(Undefined, match="too large or small"):
+            _fraction((0, 1, exponent, 1))
+    assert _fraction((1, 3, -2, 2)) == Fraction(-3, 4)

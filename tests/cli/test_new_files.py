@@ -23,6 +23,8 @@ def test_a_new_file_is_one_that_works(tmp_path: Path, kind: str) -> None:
 
 def test_a_new_task_passes_its_check(tmp_path: Path) -> None:
     assert surctl("new", "task", "stay-near", cwd=tmp_path).status == 0
+    again = surctl("new", "task", "stay-near.py", cwd=tmp_path)  # the name of the file serves as well
+    assert again.status == 2 and "stay-near.py: already exists" in again.complaint
     done = run_python(["stay-near.py"], cwd=tmp_path)
     assert done.returncode == 0 and "name='stay_near'" in done.stdout, done.stderr
     for name, fragment in (("../x", "cannot be a file name"), ("7", "cannot name a task")):

@@ -14,7 +14,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.ir import replay
-from surctl.priority import AssembledStep, Assembly, Level, PriorityProblem, Row, assemble, build_problem, solve
+from surctl.priority import (
+    AssembledStep,
+    Assembly,
+    Level,
+    PriorityProblem,
+    PriorityStep,
+    Row,
+    assemble,
+    build_problem,
+    solve,
+)
 from surctl.priority.compiled.confirmation import UNCONFIRMED, confirmation
 from surctl.priority.compiled.level_shape import StackShape
 from surctl.priority.compiled.runner import level_shapes
@@ -26,7 +36,10 @@ from surctl.priority.solver.kernel import kernel, row_by_row
 from surctl.tasks import AccelerationLimit, Limit, Stack, Task, VelocityBox
 from tests.tools import need_compiler
 
-ARM = json.loads((Path(__file__).parent / "stretched_arm.json").read_text(encoding="utf-8"))
+ARM, DOUBTFUL = (
+    json.loads((Path(__file__).parent / f"{name}.json").read_text(encoding="utf-8"))
+    for name in ("stretched_arm", "doubtful_rank")
+)
 Array = NDArray[np.float64]
 
 
@@ -62,6 +75,16 @@ def test_a_stretched_arm_far_from_its_optimum_is_not_called_optimal() -> None:
     assert second.residual(v) > 1.3 * second.residual(better.v)
     assert judged(problem, v, np.zeros(7)) == UNCONFIRMED
     assert not is_least(v, problem, settings=Settings("lexicographic"), target=np.zeros(7), tol=1e-6)
+
+
+def test_a_limit_that_matters_if_a_singular_value_counts_decides_nothing() -> None:
+    """J of the first level has a singular value of 0.8e-10·|J|, and a limit stops that direction."""
+    need_compiler()
+    problem = PriorityProblem.from_dict(DOUBTFUL)
+    step = PriorityStep("lexicographic", n=7, levels=level_shapes(problem), rows=len(problem.rows))
+    step.load(problem)
+    step.solve()
+    assert step.stage == "unconfirmed"
 
 
 @pytest.mark.parametrize("seed", range(6))

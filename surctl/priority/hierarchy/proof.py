@@ -6,6 +6,9 @@ v of the levels above, and is at most D away, g·Δ ≤ |d| D + Σ λ gap. So ha
 above its minimum, because it is convex. A limit with a multiplier λ' > 0 at a level above, whose own bound is e, has a
 gap of at most e/λ' at every optimum of that level, so a wrong sign of its λ costs at most |λ| e/λ'. The bound includes
 what rounding may change.
+
+A limit whose multiplier lies between 1e-11 and 3e-10 of the residual stops the levels below, or does not, depending on
+whether a singular value near 1e-10·‖J‖ counts as 0. Then nothing is shown for the levels below.
 """
 
 from __future__ import annotations
@@ -92,6 +95,7 @@ def judge(s: Memory) -> int:
     place = 0
     good = 1
     limited = 0
+    vague = 0
     s.size = 1.0
     for j in within(0, s.n, s.n):
         s.size = fabs(s.v[j]) if fabs(s.v[j]) > s.size else s.size
@@ -129,11 +133,13 @@ def judge(s: Memory) -> int:
         multipliers(s, level)
         loss = bound_loss(s, level, radius)
         floor = 1e-11 * value * unit
-        if value > 1e-7 * unit and not 2.0 * loss <= 1e-7 * value * (unit + value):
+        if value > 1e-7 * unit and (vague != 0 or not 2.0 * loss <= 1e-7 * value * (unit + value)):
             good = 0
         for i in within(0, s.w, s.x):
             sign = s.lam[i] * s.side[i]
             if sign > floor:
+                if sign < 3e-10 * value * unit:
+                    vague = 1
                 if level == 2:
                     limited = 1
                 if level >= 2:
