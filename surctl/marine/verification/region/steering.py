@@ -2,7 +2,7 @@
 
 The claim is one of kind `lyapunov`, and the slope rule finds and proves its region. Its dynamics are built from the
 expressions of the law: planned yaw rate, yaw moment, thrust, and the drift of the law's model. In a region with small
-heading errors (`SteeringClaim.swings`), `planned_yaw_rate` alone limits the yaw rate.
+heading errors (`SteeringClaim.largest_level`), `planned_yaw_rate` alone limits the yaw rate.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class SteeringClaim:
         return Dynamics(
             self.name, "continuous",
             tuple(State(k, -end * units.get(k, 1.0), end * units.get(k, 1.0), _UNITS[k]) for k, end in _BOX.items()),
-            tuple(from_casadi(symbols, [*x, *ranges], rates, to_the_bit=True)),
+            tuple(from_casadi(symbols, [*x, *ranges], rates)),
             tuple(Range(name, float(low), float(high)) for name, (_, (low, high)) in ranges.items()),
             about={
                 "system": "steered", "excludes": list(STEERED_EXCLUDES), "sha256_law": self.digest,
@@ -135,18 +135,21 @@ class SteeringClaim:
             },
         )  # fmt: skip
 
-    def swings(self, p: Array) -> bool:
-        """Return whether the turn that half the yaw moment can end may be slower than k_psi times the heading error.
+    def largest_level(self, p: Array) -> float:
+        """Return the level ≤ 1 of ξᵀ p ξ up to which the law limits the yaw rate by `planned_yaw_rate` alone.
 
-        The law limits the yaw rate by it too, but the dynamics do not contain it.
+        The law limits it also to what half the yaw moment can end, which is more than k_psi times a small heading
+        error, and which the dynamics do not contain.
 
         Args:
-            p: matrix (6, 6) of the region ξᵀ p ξ ≤ 1.
+            p: matrix (6, 6) of a region ξᵀ p ξ ≤ 1.
         """
         numbers, inverse = self._law_numbers(), np.linalg.inv(p)
         most = float(yaw_moment(numbers, ca.SX(self.speed[0])) / (numbers["mass"][3] * numbers["k_psi"] ** 2))
-        rows = np.array([[slope, 1, 0, 0, 1, 0] for slope in (0.0, 1 / float(steering_of(numbers).lookahead))])
-        return bool(np.sqrt(np.einsum("ki,ij,kj->k", rows, inverse, rows).max()) > most)
+        ahead, beside = float(steering_of(numbers).lookahead), np.sqrt(inverse[0, 0])
+        rows = np.array([[slope, 1, 0, 0, 1, 0] for slope in (np.arctan(beside / ahead) / beside, 1 / ahead)])
+        error = np.sqrt(np.einsum("ki,ij,kj->k", rows, inverse, rows).max())
+        return float(min(1.0, (most / error) ** 2))
 
     def _law_numbers(self) -> dict[str, ca.SX]:
         """Return the law's parameters by name, as far as the heading loop needs them."""

@@ -30,12 +30,11 @@ def prove_steering(claim: SteeringClaim) -> RegionProof:
     candidate = None
     if linear.verdict == "stable":
         candidate = slope_candidate(d, linear, claim.rate, seconds=_SECONDS, toward="y_e")
-    for level in _LEVELS if candidate is not None else ():
+    for share in _LEVELS if candidate is not None else ():
         assert candidate is not None
-        p = form_of(candidate.function, d.names) / level
-        if claim.swings(p):
-            reason = f"{_NOT} the law limits the yaw rate further in the region of V"
-            continue
+        form = form_of(candidate.function, d.names)
+        level = float(np.floor(1e4 * share * claim.largest_level(form)) / 1e4)
+        p = form / level
         stated = Stability(hugged(d, candidate.function, level), candidate.function, level, claim.rate)
         tried = time.perf_counter()
         decision = prove_by_slopes(stated, time_limit=PATIENCE, feedbacks=candidate.feedbacks)
