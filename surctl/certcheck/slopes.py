@@ -277,7 +277,7 @@ def _joined(polys: Sequence[Poly], ranges: dict[int, tuple[Fraction, Fraction]])
                 own = tuple(k for k in term if k in (a, b))
                 if own in ((), first):
                     rest = (k for k in term if k not in own)
-                    size = {(): 1, (a,): x, (b,): y, (a, b): z}[own]
+                    size = {(): Fraction(1), (a,): x, (b,): y, (a, b): z}[own]
                     polys[at][tuple(sorted([*rest, *([new] if own else [])]))] = number / size
     return polys
 
