@@ -173,7 +173,7 @@ def test_a_lazy_package_loads_at_first_use_and_no_module_hides_a_name(
 
 
 def test_input_is_checked_before_heavy_libraries_are_loaded() -> None:
-    heavy = ("control", "distributed", "matplotlib", "optuna", "osqp", "qpsolvers", "scipy", "xarray")
+    heavy = ("control", "distributed", "matplotlib", "osqp", "qpsolvers", "scipy", "xarray")
     code = f"""
 import sys, surctl.cli, surctl.tuning, surctl.verification
 from surctl.marine import control, simulation, study, tuning, verification

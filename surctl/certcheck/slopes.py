@@ -128,6 +128,8 @@ def check_decrease(
         free = [rows.resting(k, needed.centre[k] if discrete else Fraction(0)) for k in range(len(rates))]
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None
+    if len(rows.limits) != len(feedbacks):
+        raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(rows.limits)} limits")
     if needed.constant < 0:
         raise Rejected("V would have to become negative")
     moves = any(entry.poly or entry.error for entry in free)

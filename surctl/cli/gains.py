@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.gains_choice import derive_words, margin_short
 from surctl.cli.new import write_new
 from surctl.cli.output import FiniteRange, as_json, finish
+from surctl.cli.robot_options import derive_words, margin_short
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim

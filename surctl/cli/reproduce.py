@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.activity import progress
-from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
+from surctl.cli.output import as_json, finish, out_folder, progress, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.marine.reproduction import Row

@@ -16,7 +16,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from surctl.cli.animate_option import check_animate
+from surctl.cli.run_options import check_animate
 from surctl.cli.simulate import simulate
 from surctl.errors import InputError, ToolMissing
 from surctl.marine.report import check_animation, save_animation

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from surctl.ir import Block, Call, Loop, Program, Real, Routine, Step, lower, without_libm
 from surctl.marine.vehicle import Actuators, Thruster, attainable
 from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.kernel import lanes_of, search
-from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 
 __all__ = ["Design", "LevelRows", "Rows", "allocation_block"]
 

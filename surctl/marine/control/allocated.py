@@ -20,7 +20,7 @@ from surctl.marine.allocation import allocation_block
 from surctl.marine.control.law import SATURATED, Law
 from surctl.marine.control.perception import LAST_THRUST
 from surctl.marine.vehicle import Actuators, axis_limits
-from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 
 __all__ = ["WORKING", "with_allocation"]
 

@@ -71,7 +71,7 @@ from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, LevelShape, Mode, check_fallback, nsb_symbolic, priority_step
-from surctl.priority.solver.precision import FLOAT32, FLOAT64
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = [

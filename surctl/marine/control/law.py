@@ -252,7 +252,7 @@ class Law:
         return np.asarray(outputs, dtype=np.float64).reshape(-1)
 
     def explained(self, x: Vector, u: Vector, p: Vector) -> PrioritySolution:
-        """Solve the priority problem of one control step in NumPy; the solution names tasks, constraints and causes.
+        """Solve the priority problem of one control step; the solution names tasks, constraints and causes.
 
         Raises:
             InputError: the law has the fallback `bounded`, whose velocity can differ from that of `solve`.

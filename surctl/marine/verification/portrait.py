@@ -11,18 +11,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.region_claim import read_claim as read_region
+from surctl.certcheck.region_trim import axis_pairs, offset_speed
 from surctl.certcheck.turning_claim import factors, read_claim
-from surctl.certcheck.turning_law import true_rate
+from surctl.certcheck.turning_law import Follower, true_rate
 from surctl.errors import InputError, nearest
 from surctl.lyapunov.slope_search import form_of
 from surctl.marine.verification.region.heading import HeadingClaim
-from surctl.marine.verification.region.rates import heading_loop
+from surctl.marine.verification.region.rates import cruise_rate, heading_loop
 from surctl.verification.formula import parse, values_of, variable
 
 __all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait"]
@@ -43,7 +46,6 @@ _STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering":
 """Planes of two states of a craft without sway force, with all other states 0: ψ with its rate, and y_e with ψ."""
 
 _CORNERS = 32  # of the ranges of parameters at which the rates of a text are tried
-_SHARE = 0.85  # mean over the heading of the quadratic drag along the path, as a share; it gives the steady cruise
 _HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
 
@@ -147,20 +149,28 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
 
 
 def _cruise(document: Mapping[str, Any]) -> _Loop:
-    claim, proof = document["claim"], document["proof"]
-    law = claim["law"]
+    claim, proof = read_region(document["claim"]), document["proof"]
+    model = claim.mass_model, claim.linear_model, claim.quadratic_model
+    law = Follower.of(claim, *((number,) * 2 for number in (*model, claim.thrust)))
 
-    def rates(boat: _Boat, psi: float) -> _Rates:
-        return lambda xi: _rate(claim, boat, _state(claim, boat, xi), psi)
+    def rates(mass: float, linear: Sequence[float], quadratic: Sequence[float], psi: float) -> _Rates:
+        # if the true drag differs from the model, the vehicle in steady cruise has an offset from its target
+        drag = np.array(linear), np.array(quadratic)
+        omega = float(offset_speed(claim, Fraction(drag[0].mean()), Fraction(drag[1].mean())))
+        start = np.array([-omega / law.k1, 0.0, law.cruise, 0.0])
+        return lambda xi: cruise_rate(law, mass, drag, xi + start, np.full(len(xi), psi))[0]
 
-    nominal = (law["mass_kg"], (law["linear_drag"],) * 2, (law["quadratic_drag"],) * 2)
+    linear, quadratic = (
+        [(float(a), float(b)) for a, b in axis_pairs(*ends, claim.asymmetry)]
+        for ends in (claim.linear, claim.quadratic)
+    )
     return _Loop(
         P=_matrix(proof["P"])[:4, :4],
-        shown=rates(nominal, 0.0),
+        shown=rates(law.mass[0], law.linear, law.quadratic, 0.0),
         whose="nominal",
-        tried=(rates(boat, psi) for boat in _boats(claim) for psi in _HEADINGS),
+        tried=(rates(float(m), a, b, psi) for m, a, b, psi in product(claim.mass, linear, quadratic, _HEADINGS)),
         levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
-        lagged=claim["vehicle"]["lag_s"][1] > 0,
+        lagged=claim.lag[1] > 0,
     )
 
 
@@ -244,54 +254,6 @@ def _heading(document: Mapping[str, Any]) -> _Loop:
         levels=(0.0, 1.0),
         lagged=False,
     )
-
-
-_Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
-"""The mass, the linear drag of surge and sway, and the quadratic drag of surge and sway."""
-
-
-def _boats(claim: Mapping[str, Any]) -> list[_Boat]:
-    """Return corner values of mass and drag; the drag of surge and sway is equal or has the largest difference."""
-    vehicle = claim["vehicle"]
-    ratio = (2 + vehicle["asymmetry"]) / (2 - vehicle["asymmetry"]) if vehicle["asymmetry"] < 2 else np.inf
-
-    def pairs(key: str) -> list[tuple[float, ...]]:
-        low, high = vehicle[key]
-        return [(low, low), (high, high), (low, min(low * ratio, high)), (max(high / ratio, low), high)]
-
-    return list(product(vehicle["mass_kg"], pairs("linear_drag"), pairs("quadratic_drag")))
-
-
-def _state(claim: Mapping[str, Any], boat: _Boat, xi: Array) -> Array:
-    """Convert deviations from the steady cruise to states (x_e, y_e, U_x, U_y).
-
-    If the true drag differs from the model, the vehicle in steady cruise has an offset from its target.
-    """
-    law, (_, linear, quadratic) = claim["law"], boat
-    v, hat, hat2 = law["cruise"], law["linear_drag"], law["quadratic_drag"]
-    missing = (np.mean(linear) - hat) * v + _SHARE * (np.mean(quadratic) - hat2) * v * v
-    omega = missing / (law["mass_kg"] * law["k_v"] + hat + 2 * _SHARE * hat2 * v)
-    state = xi.copy()
-    state[:, 0] -= omega / law["k1"]
-    state[:, 2] += v
-    return state
-
-
-def _rate(claim: Mapping[str, Any], boat: _Boat, state: Array, psi: float) -> Array:
-    # rates (n, 4) of (x_e, y_e, U_x, U_y); ψ is relative to the path
-    law, limit = claim["law"], claim["vehicle"]["thrust_n"]
-    mass, linear, quadratic = boat
-    slant = np.hypot(1.0, state[:, 1] / law["lookahead"])
-    along = np.minimum(np.maximum(law["cruise"] - law["k1"] * state[:, 0], 0.0), law["cap"] / slant)
-    desired = np.stack([along, -along * state[:, 1] / law["lookahead"]])
-    speed = state[:, 2:4].T
-    acceleration = np.zeros_like(speed)
-    for k, axis in enumerate(np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])):
-        w, n = axis @ desired, axis @ speed
-        free = law["linear_drag"] * w + law["quadratic_drag"] * w * np.abs(w) + law["mass_kg"] * law["k_v"] * (w - n)
-        force = np.clip(free, -limit, limit) - linear[k] * n - quadratic[k] * n * np.abs(n)
-        acceleration += axis[:, None] * force / mass
-    return np.stack([state[:, 2] - law["cruise"], state[:, 3], acceleration[0], acceleration[1]], axis=1)
 
 
 def _matrix(lower: list[list[float]]) -> Array:

@@ -34,8 +34,7 @@ from itertools import combinations
 from typing import Any, Literal
 
 from surctl.priority.diagnosis import Diagnosis, diagnose
-from surctl.priority.diagnosis.findings import Pair
-from surctl.priority.diagnosis.region import Bounds, Parameter, build_region, pose_text
+from surctl.priority.diagnosis.findings import Bounds, Pair, Parameter, build_region, pose_text
 from surctl.tasks import Stack, Task
 from surctl.verification.stack.coupling import Coupling, couplings
 from surctl.verification.stack.independence import prove_sine, prove_strength

@@ -18,7 +18,7 @@ from surctl.priority.diagnosis.field import (
     outside_sines,
     projector_above,
 )
-from surctl.priority.diagnosis.region import Region
+from surctl.priority.diagnosis.findings import Region
 from surctl.tasks import Stack
 
 __all__ = ["Coupling", "comparison_converges", "couplings"]

@@ -8,7 +8,7 @@ import casadi as ca
 
 from surctl.certcheck import check_document
 from surctl.errors import InputError
-from surctl.priority.diagnosis.region import Region
+from surctl.priority.diagnosis.findings import Region
 from surctl.tasks import Stack
 from surctl.verification.claim import Claim, Variable
 from surctl.verification.proving import prove

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from surctl.priority.diagnosis.region import Region
+from surctl.priority.diagnosis.findings import Region
 from surctl.verification.formula import Node, from_casadi, rebuilt, to_casadi
 from surctl.verification.proving.tape import build_tape
 

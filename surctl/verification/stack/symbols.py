@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.priority.diagnosis.field import world_jacobians
-from surctl.priority.diagnosis.region import Region
+from surctl.priority.diagnosis.findings import Region
 from surctl.tasks import SetTask, Stack, Task
 
 __all__ = ["gains_are_equal", "gram_is_constant", "names_in"]

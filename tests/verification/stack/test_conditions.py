@@ -4,7 +4,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.verification.stack import SHIPPED_STACKS, shipped_stack
-from surctl.priority.diagnosis.region import build_region
+from surctl.priority.diagnosis.findings import build_region
 from surctl.tasks import Stack, Task, depth_task, distance_task, heading_task, position_task
 from surctl.verification.stack import StackConditions, stack_conditions
 from surctl.verification.stack.coupling import comparison_converges

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from surctl.errors import InputError, nearest
-from surctl.priority.diagnosis.region import Bounds, Parameter
+from surctl.priority.diagnosis.findings import Bounds, Parameter
 from surctl.tasks import Stack, clearance_task, depth_task, heading_task, velocity_task
 
 __all__ = ["SHIPPED_STACKS", "ShippedStack", "shipped_stack"]
