@@ -474,7 +474,7 @@ def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
 def simulate_again(
     path: Path, *, trust: bool, explained: bool, out: Path | None, animate: Path | None, as_json: bool
 ) -> None:
-    """Simulate a saved run in the reference loop, compare the result with the campaign, and end the command.
+    """Simulate a saved run as a single run, compare the result with the campaign, and end the command.
 
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
@@ -504,7 +504,7 @@ def simulate_again(
 
 
 SAME = 1e-9
-"""The largest difference allowed between the compiled loop and the reference loop; see `Replay.difference`."""
+"""The largest difference allowed between the compiled loop and a single run; see `Replay.difference`."""
 
 
 def _typed() -> dict[str, bool]:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.marine.guidance import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.marine.guidance.tracking import numeric_crosstrack_next
+from surctl.marine.guidance.tracking import _LEAST_GAIN, _STEEPEST
 
 DT, SIGMA, GAMMA, LOOKAHEAD, SPEED = 0.05, 0.05, 0.4, 0.8, 0.2
 numbers = st.floats(-5, 5)
@@ -63,6 +63,27 @@ def test_alos_is_the_published_rate(b: float, y: float, along: float, lookahead:
     rate = GAMMA * U * lookahead * y / sqrt(lookahead**2 + (y + lookahead * b) ** 2)
     after, _ = (float(v) for v in _step("alos")(b, y, along, lookahead, SIGMA, GAMMA, 0))
     assert after == pytest.approx(min(max(b + DT * rate, -1), 1), abs=1e-12)
+
+
+def numeric_crosstrack_next(
+    method: Guidance,
+    memory: float,
+    y_e: float,
+    *,
+    along: float,
+    lookahead: float,
+    sigma: float,
+    gamma: float,
+    held: bool,
+    dt: float,
+) -> tuple[float, float]:
+    """Return the method's next state, y_int [s] or b [1], and the present shift [m], in plain numbers."""
+    shift = {"los": 0.0, "ilos": sigma * memory, "alos": lookahead * memory}[method]
+    if method == "los":
+        return 0.0, shift
+    rate = gamma * along * y_e if method == "alos" else lookahead * y_e / (lookahead**2 + (y_e + shift) ** 2)
+    most = _STEEPEST if method == "alos" else _STEEPEST * lookahead / max(sigma, _LEAST_GAIN)
+    return min(max(memory + (0.0 if held else dt * rate), -most), most), shift
 
 
 def test_ilos_is_the_published_rate() -> None:

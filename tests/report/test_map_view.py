@@ -18,7 +18,6 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.report import map_view, plot_map, plot_maps
 from surctl.marine.sensing import LocalMap
-from surctl.marine.sensing import map_view as map_values
 from surctl.marine.simulation import Run, Sensing, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Heights
@@ -44,7 +43,7 @@ def drawn(ax: Axes) -> Axes:
 def test_a_cell_is_found_where_it_lies(blocks: int, block: int, corner: tuple[int, int], seed: int) -> None:
     side = blocks * block
     cells = np.random.default_rng(seed).random(side * side)
-    laid, _, _ = map_values(LocalMap(dt=0.05, blocks=blocks, block=block), cells, np.array(corner, dtype=float))
+    laid, _, _ = LocalMap(dt=0.05, blocks=blocks, block=block).view(cells, np.array(corner, dtype=float))
     for row in range(side):
         for column in range(side):
             x, y = (corner[0] + column) % side, (corner[1] + row) % side  # where on the torus

@@ -16,9 +16,8 @@ from surctl.errors import InputError
 from surctl.marine.control.perception import CELLS_A_HULL
 from surctl.marine.report.plan_view import body_outline, describe
 from surctl.marine.sensing import LocalMap
-from surctl.marine.sensing import map_view as map_values
 from surctl.marine.simulation import Run
-from surctl.marine.simulation.column import beside
+from surctl.marine.simulation.world import beside
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, head, new_figure
 
 __all__ = ["MapView", "map_view", "plot_map", "plot_maps"]
@@ -81,7 +80,7 @@ def map_view(run: Run, step: int) -> MapView:
         raise InputError("is not in the record", key="step", value=step, remedy=f"give 0 to {len(record.time) - 2}")
     after, known = record.law_state[step + 1], LocalMap(dt=law.dt)
     cells, corner = (after[law.state.slice(f"map_{name}")] for name in ("cells", "corner"))
-    values, _, _ = map_values(known, cells, corner)
+    values, _, _ = known.view(cells, corner)
     edge = float(record.law_parameters[law.gains.slice("hull")][0]) / CELLS_A_HULL
     kinds = np.where(values > 0, 2, np.where(values < -known.known, 1, 0))
     track, heading = record.eta[: step + 1, :2], float(record.eta[step, 3])

@@ -15,7 +15,8 @@ from surctl.errors import InputError, ToolMissing, nearest
 from surctl.ir import warn_slower
 from surctl.marine.control import Gains
 from surctl.marine.simulation import Case, case_parameters, law_numbers, simulate, simulate_batch
-from surctl.marine.simulation.batch.traces import law_input, trace_batch
+from surctl.marine.simulation.batch.engines import trace_batch
+from surctl.marine.simulation.loop import SingleRun
 from surctl.marine.tuning.goals import PART_OF, Goal
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification import OperatingPoint, check_held, law_loop, linear_table, steady_motion
@@ -144,7 +145,8 @@ def _motions(case: Case, runs: Sequence[tuple[Gains, Mapping[str, float]]]) -> l
             except InputError:
                 motions.append(_UNSTEADY)
                 continue
-            u = law_input(law, case.scenario, _varied(case, plant), trace.plant[k], step=k, p=p)
+            there = SingleRun(replace(case, vehicle=_varied(case, plant)), law, seed=0)
+            u = there.at(trace.plant[k], k, p=p)["u"]
             motions.append(operating_point(case.scenario, k * law.dt, eta[k], nu[k], x=trace.law[k], u=u, p=p))
     except ToolMissing as missing:
         warn_slower(missing)

@@ -3,14 +3,6 @@
 All geometry here is planar: a shape is the section of a body at the robot's depth, and `prism.Heights` defines the
 depths that the body occupies. Coordinates are in {E}, with x along the tank and y to the left, in metres and radians.
 
-Every cone query uses one property of a convex set K. Let p be the foot point, the point of K nearest to the apex of the
-cone. If p lies in the cone, the echo comes from p. Otherwise, the nearest point of K in the cone lies on one of the
-cone's two edge rays: from any point of K strictly inside the cone, a small move towards p stays in K and in the cone,
-and reduces the distance. So the foot point p and the hits of the two edge rays give the echo in closed form, and no
-other part of K hides this echo.
-
-If only surfaces that face the apex reflect, `echoes.nearest_echo` casts rays along the `outlook` of every shape.
-
 The z axis points up, so z is negative below the water surface. A prism is the product of a planar set and an interval
 of z. So the squared distance of a point to a prism is the sum of the squared distances to the planar set and to the
 interval. The clearance of a sphere is the distance of its centre minus its radius.
@@ -20,8 +12,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from math import cos, hypot, inf, isfinite, isinf, isnan, pi, sin, sqrt
+from dataclasses import dataclass, field
+from math import cos, hypot, inf, isfinite, isinf, isnan, sin
 from typing import TypeAlias
 
 import numpy as np
@@ -34,75 +26,18 @@ __all__ = ["WHOLE", "Box", "Disc", "Heights", "Prism", "Shape", "Vector2", "Wall
 Vector2: TypeAlias = Sequence[float] | NDArray[np.float64]
 """Two numbers, (x, y) in {E}; shapes store them as a tuple of floats."""
 
-_IN_CONE = 1e-12  # tolerance of a cosine, so that a corner exactly on the cone's edge counts as inside
-_BESIDE = 1e-9  # [rad] angle between a ray and the corner or rim that it passes, so that rounding cannot change the hit
-
 
 class Shape(ABC):
-    """A solid convex set in the plane; subclasses define `foot`, `hit`, `outlook` and `moved`."""
+    """A solid convex set in the plane; subclasses define `foot`."""
 
     @abstractmethod
     def foot(self, x: float, y: float) -> tuple[float, float, float]:
         """Return the signed distance [m] of (x, y), negative inside, and the nearest surface point (x, y) [m]."""
 
-    @abstractmethod
-    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """Return distance [m] from (x, y) along the unit vector (ex, ey) to the first hit, and the cosine of incidence.
-
-        The distance is inf if there is no hit. The incidence angle is the angle between the outward normal at the hit
-        and the direction back to (x, y). The point (x, y) must lie outside the shape.
-        """
-
-    @abstractmethod
-    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """Return unit vectors from the point (x, y): the directions in which the nearest echo of a scene may lie.
-
-        The point (x, y) must lie outside the shape. The vectors include, for each face, the direction of its nearest
-        reflecting point, and directions 1e-9 rad past the rims of the shape, where other shapes behind it become
-        visible.
-        """
-
-    @abstractmethod
-    def moved(self, offset: Vector2) -> Shape:
-        """Return a copy of the shape, displaced by `offset` (2,) [m] in {E}."""
-
-    def ray(self, x: float, y: float, *, ex: float, ey: float) -> float:
-        """Return the distance [m] that `hit` returns, without the cosine of incidence."""
-        return self.hit(x, y, ex=ex, ey=ey)[0]
-
     def nearest(self, point: Vector2) -> tuple[float, NDArray[np.float64]]:
         """Return the signed distance [m] of `point` (2,), negative inside, and the nearest surface point (2,) [m]."""
         distance, x, y = self.foot(float(point[0]), float(point[1]))
         return distance, np.array((x, y))
-
-    def nearest_in_cone(self, apex: Vector2, axis: float, *, half_angle: float) -> float:
-        """Return the distance [m] from `apex` to the shape's nearest point in the cone |bearing − axis| ≤ half_angle.
-
-        Args:
-            apex: (2,) [m] in {E}.
-            axis: bearing of the cone's axis [rad], counter-clockwise from x of {E}.
-            half_angle: half the opening angle [rad], 0 ≤ half_angle < π/2.
-
-        Returns:
-            The distance [m]; inf if no part of the shape lies in the cone, 0 if the apex lies inside the shape.
-
-        Raises:
-            InputError: the half angle is out of range, or apex or axis is not finite.
-        """
-        x, y = float(apex[0]), float(apex[1])
-        if not 0.0 <= half_angle < pi / 2:
-            raise InputError("must lie in [0, pi/2)", key="half_angle", value=half_angle, remedy="give radians")
-        if not isfinite(x + y + axis):
-            raise InputError("apex and axis must be finite", key="apex, axis", value=(x, y, axis))
-        distance, fx, fy = self.foot(x, y)
-        if distance <= 0.0:
-            return 0.0
-        c, s, k, h = cos(axis), sin(axis), cos(half_angle), sin(half_angle)
-        if (fx - x) * c + (fy - y) * s >= distance * (k - _IN_CONE):
-            return distance
-        left = self.ray(x, y, ex=c * k - s * h, ey=s * k + c * h)
-        right = self.ray(x, y, ex=c * k + s * h, ey=s * k - c * h)
-        return min(left, right)
 
 
 @dataclass(frozen=True)
@@ -129,30 +64,6 @@ class Disc(Shape):
         length = hypot(dx, dy)
         ux, uy = (dx / length, dy / length) if length > 0.0 else (1.0, 0.0)
         return length - self.radius, cx + self.radius * ux, cy + self.radius * uy
-
-    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """See `Shape.hit`."""
-        cx, cy = self.center
-        dx, dy = cx - x, cy - y
-        along, across = dx * ex + dy * ey, dx * ey - dy * ex
-        square = self.radius * self.radius - across * across
-        if along <= 0.0 or square < 0.0:
-            return inf, 0.0
-        root = sqrt(square)
-        return along - root, root / self.radius
-
-    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: directions to the centre, where incidence and range are least, and past both rims."""
-        dx, dy = self.center[0] - x, self.center[1] - y
-        length = hypot(dx, dy)
-        ux, uy, s = dx / length, dy / length, min(1.0, self.radius / length)
-        c = sqrt(1.0 - s * s)
-        left, right = (c * ux - s * uy, c * uy + s * ux), (c * ux + s * uy, c * uy - s * ux)
-        return [(ux, uy), _beside(*left, 1.0), _beside(*right, -1.0)]
-
-    def moved(self, offset: Vector2) -> Disc:
-        """See `Shape.moved`."""
-        return replace(self, center=_shifted(self.center, offset))
 
 
 @dataclass(frozen=True)
@@ -205,50 +116,6 @@ class Box(Shape):
         (c, s), (cx, cy) = self._axis, self.center
         return distance, cx + c * qx - s * qy, cy + s * qx + c * qy
 
-    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """See `Shape.hit`; the ray enters the box where it has entered both strips between opposite faces."""
-        px, py = self.local(x, y)
-        c, s = self._axis
-        hx, hy = self._half
-        lx, ly = c * ex + s * ey, c * ey - s * ex
-        near_x, far_x = _slab(px, lx, half=hx)
-        near_y, far_y = _slab(py, ly, half=hy)
-        near = max(near_x, near_y)
-        if not 0.0 <= near <= min(far_x, far_y):
-            return inf, 0.0
-        return near, abs(lx) if near_x >= near_y else abs(ly)
-
-    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: directions to the foot point, beside the nearest corner, and past both adjacent corners.
-
-        On a face, range and incidence angle increase with the distance from the foot point. So the point of a face that
-        reflects first is the foot point or, if the apex is not in front of the face, the end of the face at the nearest
-        corner. A corner itself has no normal, so a corner reflects only as the end of a face that faces the apex (an
-        edge alone only scatters sound).
-        """
-        px, py = self.local(x, y)
-        hx, hy = self._half
-        cx, cy = (hx if px >= 0.0 else -hx), (hy if py >= 0.0 else -hy)
-        directions = []
-        if abs(px) <= hx or abs(py) <= hy:
-            qx, qy = max(-hx, min(hx, px)) - px, max(-hy, min(hy, py)) - py
-            length = hypot(qx, qy)
-            directions.append((qx / length, qy / length))
-        for corner_x, corner_y in ((cx, cy), (cx, -cy), (-cx, cy)):
-            dx, dy = corner_x - px, corner_y - py
-            length = hypot(dx, dy)
-            # "outward" means away from the centre, which lies at (-px, -py) from the apex
-            side = 1.0 if px * dy < py * dx else -1.0
-            directions.append(_beside(dx / length, dy / length, side))
-            if (corner_x, corner_y) == (cx, cy):
-                directions.append(_beside(dx / length, dy / length, -side))
-        c, s = self._axis
-        return [(c * ux - s * uy, s * ux + c * uy) for ux, uy in directions]
-
-    def moved(self, offset: Vector2) -> Box:
-        """See `Shape.moved`."""
-        return replace(self, center=_shifted(self.center, offset))
-
 
 @dataclass(frozen=True)
 class Wall(Shape):
@@ -277,19 +144,6 @@ class Wall(Shape):
         distance = (x - px) * nx + (y - py) * ny
         return distance, x - distance * nx, y - distance * ny
 
-    def hit(self, x: float, y: float, *, ex: float, ey: float) -> tuple[float, float]:
-        """See `Shape.hit`."""
-        approach = -(ex * self.normal[0] + ey * self.normal[1])
-        return (self.foot(x, y)[0] / approach, approach) if approach > 0.0 else (inf, 0.0)
-
-    def outlook(self, x: float, y: float) -> list[tuple[float, float]]:
-        """See `Shape.outlook`: only towards the foot point, because a half-plane has no rim at a finite distance."""
-        return [(-self.normal[0], -self.normal[1])]
-
-    def moved(self, offset: Vector2) -> Wall:
-        """See `Shape.moved`."""
-        return replace(self, point=_shifted(self.point, offset))
-
 
 def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
     """Return the walls x = 0, x = length, y = 0, y = width of the rectangular tank [0, length] × [0, width] [m].
@@ -298,10 +152,9 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
         InputError: a side is not finite or not greater than 0.
 
     Example:
-        >>> from surctl.marine.world import nearest_echo, site_walls
-        >>> walls = site_walls(3.0, 8.0)
-        >>> nearest_echo(walls, (1.0, 1.0), 0.0, half_angle=0.1)
-        7.0
+        >>> from surctl.marine.world import site_walls
+        >>> [wall.nearest((1.0, 1.0))[0] for wall in site_walls(3.0, 8.0)]
+        [1.0, 7.0, 1.0, 2.0]
     """
     across, along = _positive("site.width", width), _positive("site.length", length)
     return (
@@ -310,24 +163,6 @@ def site_walls(width: float, length: float) -> tuple[Wall, Wall, Wall, Wall]:
         Wall((0.0, 0.0), (0.0, 1.0)),
         Wall((0.0, across), (0.0, -1.0)),
     )
-
-
-def _beside(ux: float, uy: float, side: float) -> tuple[float, float]:
-    """Return the unit vector (ux, uy) turned by 1e-9 rad, to the left for `side` = 1, to the right for `side` = −1."""
-    return ux - side * _BESIDE * uy, uy + side * _BESIDE * ux
-
-
-def _slab(position: float, direction: float, *, half: float) -> tuple[float, float]:
-    """Return the line parameters at entry to and exit from the strip |coordinate| ≤ half; (inf, −inf) if none."""
-    if direction == 0.0:
-        return (-inf, inf) if abs(position) <= half else (inf, -inf)
-    one, other = (-half - position) / direction, (half - position) / direction
-    return (one, other) if one <= other else (other, one)
-
-
-def _shifted(point: Vector2, offset: Vector2) -> tuple[float, float]:
-    dx, dy = _pair("offset", offset)
-    return point[0] + dx, point[1] + dy
 
 
 def _pair(key: str, value: Vector2) -> tuple[float, float]:

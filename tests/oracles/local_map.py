@@ -1,4 +1,4 @@
-"""The local map in NumPy: an update with the same results as `LocalMap.routine`, and a view of the map for plots."""
+"""One update of the local map in NumPy, with the same results as `LocalMap.routine`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from surctl.marine.sensing.mapping.firing import (
 from surctl.marine.sensing.mapping.local_map import LocalMap
 from surctl.marine.sensing.mapping.programs import _AT_A_WALL, _FAR, _SLACK
 
-__all__ = ["map_step", "map_view"]
+__all__ = ["map_step"]
 
 Vector: TypeAlias = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
@@ -51,18 +51,6 @@ def map_step(
 
     Raises:
         InputError: if an array does not have the stated size.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import LocalMap, map_step
-        >>> local_map = LocalMap(dt=0.05, slots=1)
-        >>> cells, corner = np.zeros(local_map.side**2), np.full(2, 1e6)
-        >>> place, walls = [2.0, 1.0, 0.2, 0.05], [-9.0, 9.0, -9.0, 9.0]  # hull 0.2 m, cells 5 cm
-        >>> beam = [2.2, 1.0, 1.0, 0.0, np.cos(0.1), np.sin(0.1)]  # from the hull, ahead, 0.2 rad wide
-        >>> echo = [0.9, 0.95, 1.05, 1.05]  # free up to 0.9 m, a surface within 0.95 to 1.05 m
-        >>> cells, corner, marked, unknown = map_step(local_map, cells, corner, place, walls, [*beam, *echo])
-        >>> marked[:2].round(3).tolist(), int((cells < 0).sum())  # the nearest mark, and cells known to be free
-        ([1.175, -0.025], 72)
     """
     n, edge = local_map.side, float(_sized("place", place, 4)[3])
     old = _sized("corner", corner, 2)
@@ -121,34 +109,6 @@ def map_step(
     blank &= _torus(local_map, np.repeat(many, local_map.block**2, axis=1))
     marks, blanks = (_nearest(local_map, which, dx, dy, square) for which in (value > 0, blank))
     return _blocks(local_map, value).reshape(-1), window, marks, blanks
-
-
-def map_view(
-    local_map: LocalMap, cells: ArrayLike, corner: ArrayLike, *, edge: float = 1.0
-) -> tuple[Vector, Vector, Vector]:
-    """Return the map in {E}: values (N, N) indexed by y, then x; coordinates x (N,) and y (N,) of the cell centres.
-
-    Args:
-        local_map: the map.
-        cells: (N²,) values of the cells in the state of the map.
-        corner: (2,) lowest cell of the window in the state of the map.
-        edge: edge length of a cell [m]; with 1 the coordinates of the centres are in cells.
-
-    Raises:
-        InputError: if an array does not have the stated size.
-
-    Example:
-        >>> from surctl.marine.sensing import LocalMap, map_view
-        >>> local_map = LocalMap(dt=0.05, blocks=1, block=3, sectors=4)
-        >>> values, x, y = map_view(local_map, [0, 0, 1, -1, -1, 0, -1, -1, 0], [0, 0], edge=0.1)
-        >>> values.tolist(), x.round(2).tolist()
-        ([[0.0, 0.0, 1.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [0.05, 0.15, 0.25])
-    """
-    n, low = local_map.side, _sized("corner", corner, 2)
-    x, y = (low[axis] + np.arange(n) for axis in (0, 1))
-    torus = _torus(local_map, _sized("cells", cells, n * n))
-    values = _level(torus)[np.ix_(np.mod(y, n).astype(int), np.mod(x, n).astype(int))]
-    return values, (x + 0.5) * edge, (y + 0.5) * edge
 
 
 def _level(value: Vector) -> Vector:
