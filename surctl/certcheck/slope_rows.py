@@ -227,11 +227,10 @@ class Rows:
             return None
         outer, inner = args if self.base[args[0]] < 0 else args[::-1]
         entry = self.table.entries[inner]
-        if entry.op != ("max" if op == "min" else "min") or (
-            (self.base[entry.args[0]] < 0) == (self.base[entry.args[1]] < 0)
-        ):
+        free = [self.base[a] < 0 for a in entry.args]
+        if entry.op not in {"min", "max"} - {op} or free[0] == free[1]:
             return None
-        other, y = entry.args if self.base[entry.args[0]] < 0 else entry.args[::-1]
+        other, y = entry.args if free[0] else entry.args[::-1]
         low, high = (other, outer) if op == "min" else (outer, other)
         gap = min(_fraction(self._apart(high, y)[0]), _fraction(self._apart(y, low)[0]))
         return (y, gap) if gap > 0 else None

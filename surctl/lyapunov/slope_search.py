@@ -296,8 +296,8 @@ class _Shapes:
         p, g = shape
         try:
             embedding = Embedding(self.dynamics, _cover(p, level), feedbacks=g if len(g) else None)
-            reach = np.sqrt(level * np.einsum("ki,ij,kj->k", g, np.linalg.inv(p), g))
-            if not np.all(reach < embedding.gaps() * (1 - _INSIDE / 2)):
+            values = np.sqrt(level * np.einsum("ki,ij,kj->k", g, np.linalg.inv(p), g))
+            if not np.all(values < embedding.gaps() * (1 - _INSIDE / 2)):
                 return False
             return bool(self.worst(Family(embedding).closed(g), p)[0][0] > 0)
         except (UnsupportedOperation, np.linalg.LinAlgError):
