@@ -44,7 +44,7 @@ from surctl.certcheck.identity import Exact
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix
 
-__all__ = ["Number", "Rows", "magnitude", "up"]
+__all__ = ["Number", "Poly", "Rows", "magnitude", "up"]
 
 Array = NDArray[np.float64]
 Poly = dict[tuple[int, ...], Fraction]
@@ -173,7 +173,7 @@ class Rows:
         alone = len({self.base[a] for a in free}) == 1 and all(
             self.base[a] >= 0 or self._numeric[a] for a in args
         )  # a function of one variable
-        one_sided = op in ("min", "max") and self._numeric[args[0]] != self._numeric[args[1]]
+        one_sided = op in ("min", "max") and (self.base[args[0]] < 0) != (self.base[args[1]] < 0)
         if op in ("min", "max", "abs", "select") and not (one_sided and self._feedbacks):
             chosen = self._decided(op, args)
             if chosen is not None:
@@ -181,9 +181,8 @@ class Rows:
         if free and not alone:
             if op == "div" and self.base[args[1]] >= 0:
                 return self._put("mul", (args[0], self._put("pow", (args[1],), Fraction(-1))))
-            if op in ("min", "max"):
-                apart = self._put("sub", (args[1], args[0]))
-                return self._put("add", (args[0], self._put(op, (self._put("num", ()), apart))))
+            if op in ("min", "max") and not (one_sided and self._feedbacks):
+                return self._apart_from(op, args)
             if op == "atan2":
                 if not above(self.range[args[1]]):
                     raise Rejected("the slope rule needs a positive second operand of atan2")
@@ -202,6 +201,11 @@ class Rows:
             self.range[at], self.rest[at] = self._ranges(at)
         return at
 
+    def _apart_from(self, op: str, args: tuple[int, ...]) -> int:
+        """Return a + op(0, b − a) for op(a, b)."""
+        apart = self._put("sub", (args[1], args[0]))
+        return self._put("add", (args[0], self._put(op, (self._put("num", ()), apart))))
+
     def _decided(self, op: str, args: tuple[int, ...]) -> int | None:
         """Return the operand that the function takes on the whole region and at x*; None if it is not decided."""
         whole = [_hull(self.range[a], self.rest[a]) for a in args]
@@ -215,20 +219,18 @@ class Rows:
         return second if libmp.mpf_gt(whole[0][0], whole[1][1]) else None
 
     def _limited(self, op: str, args: tuple[int, ...]) -> tuple[int, Fraction] | None:
-        """Return y and the least distance of y* from its limits, if the operation limits y on both sides by numbers.
+        """Return y and the least distance of y* from its limits, if the operation limits y on both sides.
 
-        It is min(max(y, lower), upper) or max(min(y, upper), lower), and lower < y* < upper.
+        It is min(max(y, lower), upper) or max(min(y, upper), lower) with limits without states, lower < y* < upper.
         """
-        if op not in ("min", "max") or self._numeric[args[0]] == self._numeric[args[1]]:
+        if op not in ("min", "max") or (self.base[args[0]] < 0) == (self.base[args[1]] < 0):
             return None
-        outer, inner = args if self._numeric[args[0]] else args[::-1]
+        outer, inner = args if self.base[args[0]] < 0 else args[::-1]
         entry = self.table.entries[inner]
-        if (
-            entry.op != ("max" if op == "min" else "min")
-            or self._numeric[entry.args[0]] == self._numeric[entry.args[1]]
-        ):
+        free = [self.base[a] < 0 for a in entry.args]
+        if entry.op not in {"min", "max"} - {op} or free[0] == free[1]:
             return None
-        other, y = entry.args if self._numeric[entry.args[0]] else entry.args[::-1]
+        other, y = entry.args if free[0] else entry.args[::-1]
         low, high = (other, outer) if op == "min" else (outer, other)
         gap = min(_fraction(self._apart(high, y)[0]), _fraction(self._apart(y, low)[0]))
         return (y, gap) if gap > 0 else None
@@ -249,7 +251,7 @@ class Rows:
         if 0 <= self.base[at] != at:
             image, still = self._image(at)
             own, rest = _common(own, image), _common(rest, still)
-        elif self.base[at] == at:
+        elif self.base[at] == at and (entry.op not in ("min", "max") or at in self.limits):
             own = _common(own, _around(rest, self._support(self.row(at))))
         return own, rest
 
@@ -319,6 +321,8 @@ class Rows:
                 first = self._scaled(self._factor(a), self.row(b))
                 second = self._scaled(self._value(b), self.row(a))
                 return [self.plus(x, y) for x, y in zip(first, second, strict=True)]
+            case "min" | "max":
+                return self.row(self._apart_from(entry.op, args))
         raise Rejected(f"the slope rule does not cover {entry.op} of several variables")
 
     def _limit_row(self, at: int) -> list[Number]:

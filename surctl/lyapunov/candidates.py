@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -281,11 +281,13 @@ class Candidate:
         label: description, such as "polynomial of degree 4".
         function: V, with rounded coefficients; the region is about V < 1.
         volume: estimated volume of the region, relative to the box.
+        feedbacks: feedbacks (k, n) of limits, for a proof by the slope rule.
     """
 
     label: str
     function: Node
     volume: float
+    feedbacks: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def candidates(

@@ -246,7 +246,7 @@ def _by_slopes(
     until = time.process_time() + _PROOF * seconds
     for level in _SAFE:
         claim = Stability(hugged(d, candidate.function, level), candidate.function, level, rate)
-        trial = prove_by_slopes(claim, time_limit=until - time.process_time())
+        trial = prove_by_slopes(claim, time_limit=until - time.process_time(), feedbacks=candidate.feedbacks)
         _say(progress, f"{candidate.label}: level {level:.4g} {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
             # only figures of a page: for many states, the search takes longer than the proof

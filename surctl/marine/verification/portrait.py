@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.region_claim import read_claim as read_region
 from surctl.certcheck.region_trim import axis_pairs, offset_speed
-from surctl.certcheck.steering_claim import read_claim as read_steering
-from surctl.certcheck.steering_law import true_rate as steered_rate
 from surctl.certcheck.turning_claim import factors, read_claim
 from surctl.certcheck.turning_law import Follower, true_rate
 from surctl.errors import InputError, nearest
+from surctl.lyapunov.slope_search import form_of
 from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.rates import cruise_rate, heading_loop
+from surctl.verification.formula import parse, values_of, variable
 
 __all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait"]
 
@@ -45,6 +45,7 @@ HEADING_PLANES: Mapping[str, tuple[int, int]] = {
 _STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering": (0, 1)}
 """Planes of two states of a craft without sway force, with all other states 0: ψ with its rate, and y_e with ψ."""
 
+_CORNERS = 32  # of the ranges of parameters at which the rates of a text are tried
 _HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
 
@@ -97,7 +98,7 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
     """
     if document.get("kind") == "heading":
         return HEADING_PLANES
-    if document.get("kind") == "steering":
+    if document.get("kind") == "lyapunov" and (document["claim"]["about"] or {}).get("system") == "steered":
         return _STEERED_PLANES
     if document.get("kind") == "turning" or (
         document.get("kind") == "region" and document["claim"].get("system") == "cruise"
@@ -112,7 +113,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     """Compute the phase portrait of a region certificate.
 
     Args:
-        document: a certificate of kind `region`, `turning`, `steering` or `heading`.
+        document: a certificate of kind `region`, `turning` or `heading`, or about the law `steered`.
         plane: name of the plane, one of `planes_of`.
         extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
         points: number of grid points along each axis.
@@ -123,7 +124,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     planes = planes_of(document)
     if plane not in planes:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
-    loop = {"heading": _heading, "turning": _turning, "steering": _steering}.get(document["kind"], _cruise)(document)
+    loop = {"heading": _heading, "turning": _turning, "lyapunov": _steering}.get(document["kind"], _cruise)(document)
     first, second = planes[plane]
     # half-axes of the section of V = 1 through 0, not of its projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
@@ -137,7 +138,8 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     growth = np.full(len(xi), -np.inf)
     for rates in loop.tried:
         growth = np.maximum(growth, np.einsum("ni,ni->n", gradient, rates(xi)))
-    excess = growth + document["claim"]["motion"]["rate_per_s"]
+    claim = document["claim"]
+    excess = growth + (claim["rate"] if "rate" in claim else claim["motion"]["rate_per_s"])
     flow = loop.shown(xi)[:, [first, second]]
     shape = (points, points)
     return Portrait(
@@ -206,22 +208,25 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
 
 
 def _steering(document: Mapping[str, Any]) -> _Loop:
-    claim = read_steering(document["claim"])
+    claim = document["claim"]
+    states, parameters = ([row["name"] for row in claim[key]] for key in ("states", "parameters"))
+    known = {name: variable(name) for name in (*states, *parameters)}
+    roots = [parse(claim["dynamics"][name], known) for name in states]
+    low, high = (np.array([row[key] for row in claim["parameters"]]) for key in ("lower", "upper"))
 
-    def rates(mass: float, drag: float, u: float) -> _Rates:
+    def rates(values: Array) -> _Rates:
         def rate(xi: Array) -> Array:
-            n = len(xi)
-            craft = {"mass": np.full((n, 4), mass), "drag": np.full((n, 8), drag), "u": np.full(n, u)}
-            return steered_rate(claim, craft, xi)
+            fixed = {name: np.full(len(xi), value) for name, value in zip(parameters, values, strict=True)}
+            return values_of(roots, {**dict(zip(states, xi.T, strict=True)), **fixed}).T
 
         return rate
 
-    ends = ([float(end) for end in pair] for pair in (claim.mass_factor, claim.drag_factor, claim.speed))
+    corners = np.random.default_rng(0).random((_CORNERS, len(low))) < 0.5
     return _Loop(
-        P=_matrix(document["proof"]["P"]),
-        shown=rates(1.0, 1.0, float(claim.cruise)),
+        P=form_of(parse(claim["function"], known), states) / claim["level"],
+        shown=rates((low + high) / 2),
         whose="nominal",
-        tried=(rates(*one) for one in product(*ends)),
+        tried=(rates(np.where(corner, high, low)) for corner in corners),
         levels=(0.0, 1.0),
         lagged=False,
     )
