@@ -118,7 +118,7 @@ def approach(
 
 
 def heard(truth: Array, noise: Array) -> Array:
-    """Return samples (..., k) [m] of firings at ranges (...), with the errors of `surctl.marine.sensing.fire`."""
+    """Return samples (..., k) [m] of firings at ranges (...), with the errors of one firing."""
     top, far = ARRAY.top_code, ARRAY.maximum
     raw = np.clip(truth[..., None] + ARRAY.bias + ARRAY.noise_sd * noise, ARRAY.minimum, far)
     codes = np.floor(raw * top / far + 0.5) * far / top

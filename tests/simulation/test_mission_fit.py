@@ -13,11 +13,10 @@ from surctl.cli.app import app
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.guidance import Path
-from surctl.marine.simulation import Case, Obstacle, findings, load_scenario, simulate, stop_reason
+from surctl.marine.simulation import Obstacle, findings, load_scenario, simulate, stop_reason
 from surctl.marine.simulation.motion import planned_radius
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.simulation.toml_text import toml_text
-from surctl.marine.tuning import prepare
 from surctl.marine.vehicle import Vehicle
 from tests.craft import CRUISE, craft, mission
 from tests.simulation.test_missions import GAINS, VEHICLE, loops, written
@@ -120,7 +119,3 @@ def test_who_cannot_feed_a_law_says_so(tmp_path: Any) -> None:
         done = CliRunner().invoke(app, words)
         assert isinstance(done.exception, InputError | SystemExit), words
         assert fragment in str(done.exception) + done.output, words
-    with pytest.raises(
-        InputError, match="has no gradient: this path changes the law's parameters during the run; use at most 8 points"
-    ):
-        prepare(Case(scenario, VEHICLE, GAINS, law="paper"), ["k_v"], steps=5)
