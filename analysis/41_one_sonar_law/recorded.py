@@ -9,6 +9,7 @@ Walls of the site and moving obstacles are known to the law; they do not count a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -32,6 +33,10 @@ EXPLAINED = 0.06  # m before a known surface from which an echo counts as its ow
 LAG = 0.1  # s, age of the position in the law's state
 
 Array = NDArray[np.float64]
+
+_ANGLES = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+RAYS = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
+"""Directions in which the hull moves, unit vectors (directions, 2) in {E}."""
 
 
 class Firing(NamedTuple):
@@ -174,6 +179,30 @@ def _answered(surface: Array, beam: tuple[float, float, float], reading: float, 
     return np.flatnonzero(np.hypot(*(surface - surface[best]).T) < BESIDE)
 
 
+def stops_at(here: Array, points: Array, reach: Array) -> Array:
+    """Return the ways (..., directions) [m] of the centre from `here` until it is `reach` (...) [m] from a point.
+
+    `points` is (..., 2) [m]. The result is infinite where the centre passes a point.
+    """
+    away = points - here
+    along, across = away @ RAYS.T, away @ np.stack([-RAYS[:, 1], RAYS[:, 0]])
+    room = reach[..., None] ** 2 - across**2
+    way = along - np.sqrt(np.maximum(room, 0))
+    return np.asarray(np.where((room > 0) & (along > 0), np.maximum(way, 0), np.inf))
+
+
+def present(run: Recorded) -> Judge:
+    """Return the errors of the present law's map: the marked cells, with the radius that the law gives them."""
+    judge = Judge(run)
+    for k, firings in enumerate(run.firings):
+        judge.hear(firings)
+        if k % EACH == 0:
+            marks = run.marks[k // EACH]
+            stops = stops_at(run.true[k], marks, np.full(len(marks), run.hull + run.around)).min(axis=0, initial=np.inf)
+            judge.compare(k, stops, lambda place, at=marks: np.hypot(*(at - place).T).min(initial=np.inf) < 0.1 + run.around)
+    return judge
+
+
 class Judge:
     """Errors of a map over a run, in directions with an obstacle; surfaces never measured count apart."""
 
@@ -185,22 +214,23 @@ class Judge:
         self.lost = self.near = 0
         self.longest = 0
         self.row: dict[int, int] = {}
-        angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        self.rays = np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def hear(self, firings: list[Firing]) -> None:
         """Note which true surfaces answered."""
         for firing in firings:
             self.last[firing.surface] = firing.time
 
-    def compare(self, k: int, points: Array, radius: float) -> None:
-        """Compare the map's points (n, 2) [m] with a radius [m] at control step `k`."""
+    def compare(self, k: int, stops: Array, covers: Callable[[Array], bool]) -> None:
+        """Compare a map at control step `k`: its `stops` and whether it `covers` a place (2,) [m] of a true surface.
+
+        `stops` (directions,) [m] are the ways of the hull in the directions `RAYS` until it touches the map.
+        """
         run, here = self.run, self.run.true[k]
         time = k * 0.05
-        stops, walls = self._stops(here, points, radius), self._walls(here)
+        walls = self._walls(here)
         ends = np.minimum(np.minimum(stops, walls), REACH)
         way = np.arange(0, REACH + STRIDE, STRIDE)
-        places = here + way[None, :, None] * self.rays[:, None, :]
+        places = here + way[None, :, None] * RAYS[:, None, :]
         free = distances(run.shapes[k], places) - run.hull
         for d in range(DIRECTIONS):
             on_way = way <= ends[d]
@@ -211,27 +241,17 @@ class Judge:
                 recent = time - self.last[nearest] <= RECENT
                 (self.errors if recent else self.unheard).append(float(depth))
             elif stops[d] <= min(walls[d], REACH):
-                there = here + stops[d] * self.rays[d]
+                there = here + stops[d] * RAYS[d]
                 room = min(float(distances(run.shapes[k], there)), *there, *(run.extent - there)) - run.hull
                 self.errors.append(-max(room, 0.0))
-        self._lost(k, time, points, radius)
-
-    def _stops(self, here: Array, points: Array, radius: float) -> Array:
-        # way [m] of the hull in each direction until it touches a point of the map
-        if not len(points):
-            return np.full(DIRECTIONS, np.inf)
-        away, reach = points - here, self.run.hull + radius
-        along, across = away @ self.rays.T, away @ np.stack([-self.rays[:, 1], self.rays[:, 0]])
-        hit = (np.abs(across) < reach) & (along > 0)
-        way = along - np.sqrt(np.maximum(reach**2 - across**2, 0))
-        return np.asarray(np.where(hit, np.maximum(way, 0), np.inf).min(axis=0))
+        self._lost(k, time, covers)
 
     def _walls(self, here: Array) -> Array:
         # way [m] until the hull touches a wall of the site
-        room = np.where(self.rays > 0, self.run.extent - here, here) - self.run.hull
-        return np.asarray((np.maximum(room, 0) / np.maximum(np.abs(self.rays), 1e-9)).min(axis=1))
+        room = np.where(RAYS > 0, self.run.extent - here, here) - self.run.hull
+        return np.asarray((np.maximum(room, 0) / np.maximum(np.abs(RAYS), 1e-9)).min(axis=1))
 
-    def _lost(self, k: int, time: float, points: Array, radius: float) -> None:
+    def _lost(self, k: int, time: float, covers: Callable[[Array], bool]) -> None:
         # obstacles near the hull that answered lately and have no point of the map beside their nearest measured place
         run = self.run
         away = np.hypot(*(run.points[k] - run.true[k]).T) - run.hull
@@ -240,10 +260,10 @@ class Judge:
             if not seen.any():
                 continue
             place = run.points[k][seen][np.argmin(away[seen])]
-            gap = np.hypot(*(points - place).T).min(initial=np.inf) - radius
+            lost = not covers(place)
             self.near += 1
-            self.row[body] = self.row.get(body, 0) + 1 if gap > 0.1 else 0
-            self.lost += gap > 0.1
+            self.row[body] = self.row.get(body, 0) + 1 if lost else 0
+            self.lost += lost
             self.longest = max(self.longest, self.row[body])
 
 
