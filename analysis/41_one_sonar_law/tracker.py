@@ -154,6 +154,7 @@ class Elements:
     COUNT, HYPOTHESES = 16, 100
     RADII = (0.02, 0.05, 0.1)  # m
     DETECTED = 0.9  # probability that a surface in the beam answers
+    SURE = 0.99  # largest probability that a body exists, so that silence can refute it
     SOFT = 0.02  # rad over which the edge of the beam is soft
     SPEED, CHANGES = 0.015, 2.5  # m/s and s: standard deviation of a body's velocity, and how fast it changes
     LEAST = 1e-3  # least likelihood of an echo for a body to explain it
@@ -192,7 +193,7 @@ class Elements:
         self.weight = after / np.maximum(share, 1e-300)[:, None]
         self.exists *= share / np.maximum(1 - self.exists + self.exists * share, 1e-9)
         if owner >= 0:
-            self.exists[owner] = max(1 - (1 - self.exists[owner]) / 2, 0.9)
+            self.exists[owner] = np.clip((1 + self.exists[owner]) / 2, 0.9, self.SURE)
         self.exists[self.exists < 0.05] = 0
         for k in np.flatnonzero(self.exists > 0):
             if (self.weight[k] ** 2).sum() > 3 / self.HYPOTHESES:
