@@ -1,6 +1,6 @@
 """Trackers of surfaces on recorded firings, beside the present map: how far is each from the truth?
 
-    python analysis/41_one_sonar_law/tracker.py            # four echo models, three scenarios, two seeds; about an hour
+    python analysis/41_one_sonar_law/tracker.py            # four echo models, three scenarios, two seeds; some minutes
     python analysis/41_one_sonar_law/tracker.py --quick    # 5 s of one run in `pool-static`
 
 `--scenario`, `--echoes` and `--maps` choose one; `--exact` replays the true pose, `--still` stops the drift of the
