@@ -19,5 +19,5 @@ def from_control(system: Any, controller: Any = None, *, dt: float | None = None
 
 
 def to_control(part: Any) -> Any:
-    """Return a plant, controller or linear loop as a python-control system; see `surctl.system.to_control`."""
+    """Return a plant, controller or linear loop as a python-control system; see `surctl.system.from_control`."""
     return import_module("surctl.system").to_control(part)

@@ -7,8 +7,7 @@
     │   ├── NotApplicable       a claim whose assumptions the given vehicle, speed or gains do not meet
     │   ├── ToolMissing         an external program (compiler, ...) that the job needs is not installed
     │   └── UnsupportedOperation  a symbolic operation that the instruction list does not support
-    ├── SolverError             a numerical solver failed (never raised for an infeasible problem)
-    └── SelfTestError           two implementations of one law (Python, instruction list, C) give different numbers
+    └── SolverError             a numerical solver failed (never raised for an infeasible problem)
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from collections.abc import Iterable
 __all__ = [
     "InputError",
     "NotApplicable",
-    "SelfTestError",
     "SolverError",
     "SurctlError",
     "ToolMissing",
@@ -103,10 +101,6 @@ class UnsupportedOperation(InputError):
 
 class SolverError(SurctlError):
     """A numerical solver failed; an infeasible problem is a regular result and never raises this error."""
-
-
-class SelfTestError(SurctlError):
-    """Two implementations of one law (Python, instruction list, C) do not give the same numbers."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

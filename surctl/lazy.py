@@ -17,7 +17,7 @@ class LazyPackage(ModuleType):
     Example:
         >>> import surctl.tuning
         >>> surctl.tuning.Axis.__module__  # imports this module only
-        'surctl.tuning.axes'
+        'surctl.tuning.design'
     """
 
     _homes: Mapping[str, str]

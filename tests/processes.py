@@ -30,7 +30,7 @@ from tests.tools import PATIENCE
 
 ROOT = Path(__file__).parents[1]
 LOADED = (
-    *("control", "matplotlib.figure", "optuna", "osqp", "qpsolvers", "scipy.optimize", "scipy.stats.qmc", "xarray"),
+    *("control", "matplotlib.figure", "osqp", "qpsolvers", "scipy.optimize", "scipy.stats.qmc", "xarray"),
     *("dask.array", "surctl.cli", "surctl.lyapunov", "surctl.report", "surctl.marine.study", "surctl.verification"),
 )
 WRITTEN = os.O_WRONLY | os.O_CREAT | os.O_TRUNC

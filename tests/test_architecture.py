@@ -154,6 +154,37 @@ def test_every_public_name_exists() -> None:
     assert missing == [] and twice == []
 
 
+# names with two meanings in rooms that are not yet cleared; a name leaves this list when one of the two is renamed
+TWICE = {
+    "Controller", "Decision", "Mode", "Moment", "Plant", "Program", "Reply", "Solution", "build_bundle",
+    "called", "checked_name", "corners", "corrected", "expression", "head", "joined", "limited",
+    "linearise", "minimise", "number", "quadratic", "replay", "search", "state_space", "stepper", "to_casadi",
+}  # fmt: skip
+UNCLEARED = (
+    "certcheck", "cli", "priority", "tuning", "marine.sensing", "marine.simulation", "marine.study", "marine.tuning",
+    "marine.verification.braking", "marine.verification.region",
+)  # fmt: skip
+
+
+def test_no_two_public_classes_or_functions_have_one_name() -> None:
+    """Where a name is defined twice, a reader who knows one meaning misreads the other."""
+    places: dict[str, set[str]] = {}
+    for path in PACKAGE.rglob("*.py"):
+        module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        if path.name == "__init__.py" or module.startswith(tuple(f"{room}." for room in UNCLEARED)):
+            continue
+        body = ast.parse(path.read_text(encoding="utf-8")).body
+        listed = (
+            node.value for node in body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+        )
+        public = ast.literal_eval(next(listed, ast.List([])))
+        for node in body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name in public:
+                places.setdefault(node.name, set()).add(module)
+    assert len(places) > 500
+    assert {name for name, modules in places.items() if len(modules) > 1} == TWICE
+
+
 def test_a_lazy_package_loads_at_first_use_and_no_module_hides_a_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -173,7 +204,7 @@ def test_a_lazy_package_loads_at_first_use_and_no_module_hides_a_name(
 
 
 def test_input_is_checked_before_heavy_libraries_are_loaded() -> None:
-    heavy = ("control", "distributed", "matplotlib", "optuna", "osqp", "qpsolvers", "scipy", "xarray")
+    heavy = ("control", "distributed", "matplotlib", "osqp", "qpsolvers", "scipy", "xarray")
     code = f"""
 import sys, surctl.cli, surctl.tuning, surctl.verification
 from surctl.marine import control, simulation, study, tuning, verification
@@ -209,7 +240,7 @@ def test_no_law_holds_a_number_that_depends_on_the_processor() -> None:
     rooms = ("marine/control", "marine/guidance", "tasks")
     laws = [path for room in rooms for path in (PACKAGE / room).rglob("*.py")]
     laws += [PACKAGE / "marine/sensing/localisation/own_state.py", PACKAGE / "marine/vehicle/thrusters.py"]
-    assert len(laws) > 40
+    assert len(laws) > 30
     assert [(path.name, found.group()) for path in laws for found in call.finditer(path.read_text())] == []
 
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from surctl import errors
 from surctl.errors import (
     InputError,
-    SelfTestError,
     SolverError,
     SurctlError,
     ToolMissing,
@@ -23,7 +22,6 @@ from surctl.errors import (
     [
         (SurctlError, 1),
         (SolverError, 1),
-        (SelfTestError, 1),
         (InputError, 2),
         (ToolMissing, 2),
         (UnsupportedOperation, 2),
@@ -38,7 +36,6 @@ def test_public_names() -> None:
     assert errors.__all__ == [
         "InputError",
         "NotApplicable",
-        "SelfTestError",
         "SolverError",
         "SurctlError",
         "ToolMissing",

@@ -9,7 +9,7 @@ from scipy.optimize import linprog, nnls
 
 from surctl.errors import InputError, SurctlError
 from surctl.marine.vehicle import PLANT_PARAMETERS, load_vehicle, plant_parameters, plant_thrust_limit
-from surctl.priority.backends import KernelSolution, daqp_kernel, own_kernel
+from surctl.priority.backends import BACKENDS, KernelSolution
 from surctl.tasks import (
     AccelerationLimit,
     ActuatorLimits,
@@ -302,7 +302,7 @@ def test_a_predicate_is_compared_on_both_sides_of_every_bound():
 # --- backends -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("backend", ["daqp", "own", daqp_kernel, own_kernel])
+@pytest.mark.parametrize("backend", ["daqp", BACKENDS["daqp"]])
 def test_exact_backends_pass(backend):
     report = check_backend(backend, problems=40)
     assert max(report.error.values()) < 1e-10
@@ -335,7 +335,7 @@ def wrong(change):
     """daqp with one thing wrong: change(answer, G, lower, upper) → Answer."""
 
     def kernel(G, lower, upper):
-        return change(daqp_kernel(G, lower, upper), G, lower, upper)
+        return change(BACKENDS["daqp"](G, lower, upper), G, lower, upper)
 
     return kernel
 
@@ -350,12 +350,12 @@ def with_(answer, *, y=None, multipliers=None, status=None):
 
 
 def only_upper(G, lower, upper):
-    return daqp_kernel(G, np.full_like(lower, -np.inf), upper)
+    return BACKENDS["daqp"](G, np.full_like(lower, -np.inf), upper)
 
 
 def feasible_but_farther(answer, G, lower, upper):
     """Keeps every row, but 1e-6 inside each: not the nearest point."""
-    inside = daqp_kernel(G, lower + 1e-6, upper - 1e-6)
+    inside = BACKENDS["daqp"](G, lower + 1e-6, upper - 1e-6)
     return answer if answer.y is None or inside.y is None else inside
 
 
@@ -364,7 +364,7 @@ def broken(G, lower, upper):
 
 
 def writes_into_its_arguments(G, lower, upper):
-    answer = daqp_kernel(G, lower, upper)
+    answer = BACKENDS["daqp"](G, lower, upper)
     upper += 1.0
     return answer
 
@@ -438,10 +438,10 @@ KNOB = ca.SX.sym("knob")
         (lambda: check_task(PLAIN, parameters=[(KNOB, 0, 1), (KNOB, 0, 1)]), "knob: has two ranges"),
         (lambda: check_limit(VelocityBox([-1] * 4, [1] * 4), samples=0), "samples = 0"),
         (lambda: check_limit(VelocityBox([-1] * 4, [1] * 4), velocity=math.nan), "velocity = nan"),
-        (lambda: check_backend("own", problems=0), "problems = 0"),
-        (lambda: check_backend("own", size=1), "size = 1"),
-        (lambda: check_backend("own", tol=math.nan), "tol = nan"),
-        (lambda: check_backend("own", families=[]), "not a list of names"),
+        (lambda: check_backend("daqp", problems=0), "problems = 0"),
+        (lambda: check_backend("daqp", size=1), "size = 1"),
+        (lambda: check_backend("daqp", tol=math.nan), "tol = nan"),
+        (lambda: check_backend("daqp", families=[]), "not a list of names"),
         (lambda: check_backend(3), "no such QP backend"),
     ],
 )

@@ -28,7 +28,7 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import loop_margins
 from surctl.tuning import Axis, LocalExecutor, grid
 from surctl.verification.linear import LEAST_DISK_MARGIN
-from surctl.verification.margins import LEAST_DELAY_MARGIN
+from surctl.verification.loops import LEAST_DELAY_MARGIN
 
 CONFIG = Path(__file__).with_name("config.toml")
 SHOWN = ("deviation_m", "path_error_m", "time_s", "min_clearance_m_worst", "delay_margin_s", "disk_margin", "score")

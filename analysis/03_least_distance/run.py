@@ -25,13 +25,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.errors import ToolMissing
 from surctl.ir import compile_block, compiler_version, emit_block
-from surctl.ir.compiler import FLAGS, find_compiler, tuned_flags
+from surctl.ir.cache import FLAGS, find_compiler, tuned_flags
 from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.elimination import FLOAT32
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED
 from surctl.priority.solver.kernel import in_blocks, kernel, most_iterations
-from surctl.priority.solver.precision import FLOAT32
-from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials, judge
+from tests.oracles.distance_trials import FAMILIES, Trials, draw_trials, judge
 from tests.oracles.least_distance import examine
 
 N, P, M = 4, 2, 24

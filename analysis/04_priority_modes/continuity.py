@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.priority import Level, Mode, PriorityProblem, Row, build_problem, solve
+
+reference = partial(solve, backend="daqp")
 
 Array = NDArray[np.float64]
 
@@ -65,7 +68,7 @@ turns.
 
 def answer(s: float, *, where: str, how: str) -> Array:
     """Return v at one point of a loop."""
-    return solve(loop(s, **LOOPS[where]), **SETTINGS[how]).v
+    return reference(loop(s, **LOOPS[where]), **SETTINGS[how]).v
 
 
 def lipschitz(where: str, how: str, points: int) -> tuple[float, float]:
@@ -91,7 +94,7 @@ def chatter(mode: Mode, *, steps: int, dt: float = 0.02) -> int:
         goal = Level("goal", np.eye(4)[:2], 0.5 * (np.array([2.0, 0.0]) - place))
         corridor = Level("corridor", normal[None], np.array([-np.inf]), np.array([0.5 * (distance - 0.5)]))
         box = [Row(f"box{i}", "actuator", np.eye(4)[i], -0.2, 0.2) for i in range(4)]
-        v = solve(build_problem([corridor, goal], [*box, wall]), mode=mode).v
+        v = reference(build_problem([corridor, goal], [*box, wall]), mode=mode).v
         place = place + dt * v[:2]
         path.append(v)
     change = np.diff(np.array(path), axis=0)

@@ -11,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
@@ -22,8 +23,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.priority import Level, Mode, PriorityProblem, Row, build_problem, solve
 from surctl.priority.diagnosis import equals_strict_priority
-from surctl.priority.draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
+from tests.oracles.priority_draws import draw_levels, draw_problem, inequality_problem, unit, wide, with_sets
 from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
+
+reference = partial(solve, backend="daqp")  # the problems have many shapes, and each would be compiled
 
 Array = NDArray[np.float64]
 
@@ -93,13 +96,13 @@ def without_limits(count: int, seed: int) -> bool:
         problem, free = wide(made, span=SPAN), build_problem(made)
         printed = printed_law(made)
         size = 1.0 + float(np.abs(printed).max())
-        gap = float(np.abs(solve(free, mode="nsb").v - printed).max()) / size
+        gap = float(np.abs(reference(free, mode="nsb").v - printed).max()) / size
         facts.largest("`nsb` against (16) as printed, relative", gap, bar=1e-12)
         for mode in ("filter", "projected"):
-            v = solve(problem, mode=mode).v
+            v = reference(problem, mode=mode).v
             name = f"`{mode}` against (16), rows that do not bind, relative"
             facts.largest(name, float(np.abs(v - printed).max()) / size, bar=1e-10)
-        strict, v = svd_cascade(made), solve(problem, mode="lexicographic").v
+        strict, v = svd_cascade(made), reference(problem, mode="lexicographic").v
         most = 1.0 + float(np.abs(strict).max())
         for level in made:
             gap = abs(level.residual(v) - level.residual(strict)) / most
@@ -131,7 +134,7 @@ def with_limits(count: int, seed: int) -> bool:
         if k % 2:
             problem = with_sets(problem, rng)
         for mode in LIMITED_MODES:
-            got = solve(problem, mode=mode)
+            got = reference(problem, mode=mode)
             facts.count(f"number of `{mode}` not finite, or only clamped", got.status == "clamped", bar=0)
             facts.largest(f"actuator row of `{mode}` missed", _missed(problem, got.v), bar=1e-9)
             facts.count(f"number of `{mode}` not certified optimal", not got.is_optimal(problem, 1e-6), bar=0)
@@ -151,7 +154,7 @@ def strict_with_limits(count: int, seed: int) -> bool:
     rng, facts = np.random.default_rng([seed, 3]), Facts()
     for _ in range(count):
         problem = inequality_problem(rng)
-        got, other = solve(problem, mode="lexicographic"), daqp_hierarchy(problem)
+        got, other = reference(problem, mode="lexicographic"), daqp_hierarchy(problem)
         gaps = np.array([level.residual(got.v) - level.residual(other) for level in problem.levels])
         first = gaps[np.flatnonzero(np.abs(gaps) > 1e-8)[:1]]
         # a small violation of a row or a level above, within its tolerance, gives a large gain below
@@ -191,10 +194,10 @@ def prices(count: int, seed: int) -> None:
     print(f"\n## Median residual of tasks 1–4 over {count} problems: box, 4 barriers, 4 tasks of 1–2 rows\n")
     print("| mode | task 1 | task 2 | task 3 | task 4 | rows missed |\n|---|---|---|---|---|---|")
     answers: dict[str, Callable[[PriorityProblem], Array]] = {
-        f"`{mode}`": lambda problem, mode=mode: solve(problem, mode=mode).v for mode in get_args(Mode)
+        f"`{mode}`": lambda problem, mode=mode: reference(problem, mode=mode).v for mode in get_args(Mode)
     }
-    answers["`projected`, 5 sweeps"] = lambda problem: solve(problem, sweeps=5).v
-    answers["`projected`, λ = 0.1"] = lambda problem: solve(problem, damping=0.1).v
+    answers["`projected`, 5 sweeps"] = lambda problem: reference(problem, sweeps=5).v
+    answers["`projected`, λ = 0.1"] = lambda problem: reference(problem, damping=0.1).v
     for name, answer in answers.items():
         found = [answer(problem) for problem in problems]
         left = np.median(

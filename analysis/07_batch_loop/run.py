@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE / "peers"))
+sys.path[:0] = [str(HERE / "peers"), str(HERE.parents[1])]
 
 from contender import Contender, fit, race, ratio  # noqa: E402
 from hand import FLAGS, HandLoop  # noqa: E402
@@ -42,6 +42,7 @@ from surctl.marine.simulation.batch import build_loop  # noqa: E402
 from surctl.marine.simulation.batch.pack import pack, structure_of  # noqa: E402
 from surctl.marine.vehicle import load_vehicle, plant_parameters  # noqa: E402
 from surctl.priority import Mode  # noqa: E402
+from tests.oracles.mission_loop import simulate as in_numpy  # noqa: E402
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -215,14 +216,14 @@ def taking_part(case: Case, hand: dict[str, HandLoop], size: Size, seed: int) ->
     short = replace(case.scenario, time_limit=size.python_ticks * _DT)
     law = case.build()
 
-    def fly() -> float:
-        run = simulate(short, case.vehicle, gains=case.gains, law=law, sensing=case.sensing, seed=seed)
+    def fly(run_of: Callable[..., Any] = simulate) -> float:
+        run = run_of(short, case.vehicle, gains=case.gains, law=law, sensing=case.sensing, seed=seed)
         return float(len(run.record.time))
 
     def other(step: Any) -> Callable[[], float]:
         def flown() -> float:
             with flown_by(step):
-                return fly()
+                return fly(in_numpy)
 
         return flown
 

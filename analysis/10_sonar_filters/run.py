@@ -16,20 +16,13 @@ import numpy as np
 from echoes import ARRAY, DT, EVERY, KINDS, Approach, Kind, approach, heard
 from filters import FILTERS, Tracked, each, robust
 from numpy.typing import NDArray
+from pictures import FilterErrors, LmsTrace, RangeTrace, plot_filter_errors, plot_lms_trace, plot_range_trace
 from streams import FAULTS, FIRST, Stream, faulty, honest, shows
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.errors import InputError
 from surctl.files import Strict, load_model, prepare_folder
-from surctl.marine.report.sonar_plots import (
-    FilterErrors,
-    LmsTrace,
-    RangeTrace,
-    plot_filter_errors,
-    plot_lms_trace,
-    plot_range_trace,
-)
 from surctl.marine.sensing import table_ii
 from surctl.marine.sensing.ranging.filters import StepRule
 from tests.oracles.range_filters import plain_lms_step

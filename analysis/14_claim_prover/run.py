@@ -20,7 +20,7 @@ from surctl.certcheck import check_document
 from surctl.marine.verification import claims
 from surctl.verification import Claim, falsify, prove
 from surctl.verification.formula import parse, variable
-from surctl.verification.proving.search import Task, search
+from surctl.verification.proving.search import BoxTask, search
 from surctl.verification.proving.tape import build_tape
 
 BAR_24 = 0.1  # s
@@ -134,7 +134,7 @@ def bare_24() -> Told:
     tape, guards = build_tape(names, [margin]), build_tape(names, [guard])
     began = time.perf_counter()
     found = search(
-        Task(tape, guards, build_tape(names, [margin, guard]), ends, GAP), deadline=time.process_time() + 60.0
+        BoxTask(tape, guards, build_tape(names, [margin, guard]), ends, GAP), deadline=time.process_time() + 60.0
     )
     seconds = time.perf_counter() - began
     shown = f"left ≤ right + {GAP:g}, {found.boxes} boxes" if found.closed else f"{found.reason}"

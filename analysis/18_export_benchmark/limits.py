@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ import numpy as np
 from alone import at_bounds, counted
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
+
 from surctl.export import TARGETS, Records, as_records, build_controller, check_builds
 from surctl.ir import replay
 from surctl.marine.control import build_law, load_gains
@@ -18,9 +21,9 @@ from surctl.marine.export import build_bundle, closed_form, operating_envelope
 from surctl.marine.simulation import law_numbers, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.priority import Fallback, LevelShape, priority_step
+from surctl.priority.solver.elimination import FLOAT32
 from surctl.priority.solver.fallback import BOUNDED
-from surctl.priority.solver.precision import FLOAT32
-from surctl.priority.solver.trials import Trials, draw_trials
+from tests.oracles.distance_trials import Trials, draw_trials
 
 __all__ = ["USUAL", "WORST", "laws", "ticks"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from pathlib import Path
 
@@ -13,11 +14,13 @@ from cvxpygen_c import INSTALLED, by_cvxpygen
 from numpy.typing import NDArray
 from scipy import sparse
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
+
 from surctl.ir import compile_block
 from surctl.priority import safe_step
+from surctl.priority.solver.elimination import FLOAT32
 from surctl.priority.solver.fallback import MET
-from surctl.priority.solver.precision import FLOAT32
-from surctl.priority.solver.trials import Trials, draw_trials
+from tests.oracles.distance_trials import Trials, draw_trials
 
 __all__ = ["PROBLEM", "race"]
 

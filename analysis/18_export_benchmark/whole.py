@@ -24,7 +24,7 @@ from surctl.export import TARGETS, Bundle, Controller, Exportable, Records, as_r
 from surctl.export.check import step_stack
 from surctl.export.process import code_bytes, compile_controller
 from surctl.ir import Real
-from surctl.ir.compiler import FLAGS
+from surctl.ir.cache import FLAGS
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form, operating_envelope
 from surctl.marine.simulation import law_numbers, load_scenario, simulate

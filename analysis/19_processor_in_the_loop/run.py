@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from surctl.errors import InputError
-from surctl.export import REALS, Line, connect, emulated, emulated_target, write_bundle
+from surctl.export import REALS, SerialLine, connect, emulated, emulated_target, write_bundle
 from surctl.export.precision import Rounded
 from surctl.ir import Real, compile_program
 from surctl.marine.control import Gains, Law, build_law, load_gains
@@ -58,7 +58,7 @@ class Setup:
             stepper=stepper,
         )
 
-    def linked(self, line: Line, faults: LinkFaults) -> LinkedLaw:
+    def linked(self, line: SerialLine, faults: LinkFaults) -> LinkedLaw:
         """Return a stepper over a connection."""
         return LinkedLaw(self.law, law_numbers(self.scenario, self.gains, self.vehicle), line, faults)
 
@@ -131,7 +131,7 @@ def set_up(sensing: Sensing, *, quick: bool) -> Setup:
 
 
 @contextmanager
-def on_processor(setup: Setup, *, quick: bool) -> Iterator[Line]:
+def on_processor(setup: Setup, *, quick: bool) -> Iterator[SerialLine]:
     """Return a connection to the law in float on the emulated processor; `quick` compiles faster."""
     p = law_numbers(setup.scenario, setup.gains, setup.vehicle)
     bundle = build_bundle(closed_form(setup.law, real="float32"), setup.law.gains.unpack(p), real="float32")
@@ -143,7 +143,7 @@ def on_processor(setup: Setup, *, quick: bool) -> Iterator[Line]:
 
 
 @contextmanager
-def as_process(setup: Setup, real: Real) -> Iterator[Line]:
+def as_process(setup: Setup, real: Real) -> Iterator[SerialLine]:
     """Return a connection to the law as a process on this machine."""
     p = law_numbers(setup.scenario, setup.gains, setup.vehicle)
     bundle = build_bundle(closed_form(setup.law, real=real), setup.law.gains.unpack(p), real=real)
@@ -163,7 +163,7 @@ def as_process(setup: Setup, real: Real) -> Iterator[Line]:
             process.communicate()
 
 
-def flown(setup: Setup, line: Line, faults: LinkFaults | None = None, seed: int = 0) -> Flight:
+def flown(setup: Setup, line: SerialLine, faults: LinkFaults | None = None, seed: int = 0) -> Flight:
     """Simulate one run over a connection."""
     stepper = setup.linked(line, faults or LinkFaults())
     began = time.perf_counter()
@@ -171,7 +171,7 @@ def flown(setup: Setup, line: Line, faults: LinkFaults | None = None, seed: int 
     return Flight(setup.sensing, run, stepper.report(), time.perf_counter() - began)
 
 
-def faulty(setup: Setup, line: Line, *, seeds: int) -> list[tuple[LinkFaults, list[Flight]]]:
+def faulty(setup: Setup, line: SerialLine, *, seeds: int) -> list[tuple[LinkFaults, list[Flight]]]:
     """Simulate runs over bad connections."""
     wrong = [*(LinkFaults(loss=loss) for loss in LOSSES), *(LinkFaults(delay=delay) for delay in DELAYS)]
     wrong = [LinkFaults(loss=max(LOSSES)), LinkFaults(delay=max(DELAYS))] if seeds == 1 else wrong

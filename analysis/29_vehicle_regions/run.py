@@ -21,10 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck import check_document
+from surctl.lyapunov.slope_search import form_of
 from surctl.marine.control import load_gains
 from surctl.marine.tuning import derived_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.region import REGION_CLAIMS, prove_statement
+from surctl.verification.formula import parse, values_of, variable
 
 Array = NDArray[np.float64]
 
@@ -255,82 +257,52 @@ def simulated(document: Mapping[str, Any], count: int, seconds: float, *, seed: 
 
 
 def steered(document: Mapping[str, Any], count: int, seconds: float, *, seed: int = 1) -> Motions:
-    """Simulate the heading loop of a craft without sway force from the boundary V = 1 at changing surge speeds."""
+    """Simulate the heading loop of a craft without sway force from the boundary of its region, by the stated text.
+
+    The parameters lie at ends of their ranges; the surge speeds change to another end from time to time.
+    """
     claim, rng = document["claim"], np.random.default_rng(seed)
-    lower = document["proof"]["P"]
-    P = np.array([[lower[max(i, j)][min(i, j)] for j in range(6)] for i in range(6)])
-    law, vehicle = claim["law"], claim["vehicle"]
-    m1, m2, m4 = law["mass"]
-    mass, drag = (rng.choice(vehicle[f"{key}_factor"], size=(n, count)) for key, n in (("mass", 4), ("drag", 20)))
+    names, ends = [row["name"] for row in claim["states"]], claim["parameters"]
+    low, high = (np.array([row[key] for row in ends])[:, None] for key in ("lower", "upper"))
+    speeds = np.array([[row["name"] in ("u", "u_model", "share")] for row in ends])
+    known = {name: variable(name) for name in (*names, *(row["name"] for row in ends))}
+    roots = [parse(claim["dynamics"][name], known) for name in names]
+    P = form_of(parse(claim["function"], known), names) / claim["level"]
+    w = np.where(rng.random((len(ends), count)) < 0.5, low, high)
 
-    def available(u: Array | float) -> Any:
-        return vehicle["moment_nm"] * (np.minimum(u / law["cruise"], 1) ** 2 if law["fin_share"] else 1.0)
+    def rate(state: Array) -> Array:
+        return values_of(roots, dict(zip(known, np.vstack([state, w]), strict=True)))
 
-    def planned(u: Array | float) -> Any:
-        limit, a, b = available(u), law["linear_drag"][1], law["quadratic_drag"][1]
-        fastest = (np.sqrt(a * a + 4 * b * 0.85 * limit) - a) / (2 * b)
-        drift = np.minimum(law["sideslip"] * u, 0.5 * limit / (abs(law["munk"]) * u))
-        side = law["linear_drag"][0] * drift + law["quadratic_drag"][0] * drift**2
-        return np.minimum(side / (law["centripetal"] * u), fastest)
-
-    ahead = max(law["lookahead"], law["cruise"] / float(planned(law["cruise"])))
-
-    def rate(state: Array, u: Array, modelled: Array) -> Array:
-        y, psi, v, r, crab, sway = state
-        error = -np.arctan(y / ahead) - crab - psi
-        limit = available(u)
-        most = np.minimum(planned(modelled), np.sqrt(available(modelled) / m4 * np.abs(error)))
-        turn = np.clip(law["k_psi"] * error, -most, most)
-        yaw = law["linear_drag"][1] * turn + law["quadratic_drag"][1] * np.abs(turn) * turn
-        yaw = np.clip(yaw + m4 * law["k_r"] * (turn - r) + law["munk"] * u * sway, -limit, limit)
-        a1, a2, a4 = m1 * mass[0], m2 * mass[1], m4 * mass[2]
-        a24 = vehicle["terms"].get("m24", 0.0) * mass[3]
-        yv, nr = vehicle["linear_drag"]
-        sideways = drag[0] * (yv + law["quadratic_drag"][0] * np.abs(v)) * v
-        turning = drag[1] * (nr + law["quadratic_drag"][1] * np.abs(r)) * r
-        load = [
-            vehicle["side_per_m"] * yaw - a1 * u * r - sideways,
-            yaw - u * (a2 * v + a24 * r) + a1 * u * v - turning,
-        ]
-        for k, (name, value) in enumerate(vehicle["terms"].items()):
-            if name[0] in "YN" and set(name[1:]) <= set("uvr"):
-                first, *second = ({"u": u, "v": v, "r": r}[axis] for axis in name[1:])
-                load["YN".index(name[0])] -= drag[2 + k % 18] * value * (np.abs(first) * second[0] if second else first)
-        size = a2 * a4 - a24**2
-        damped = (law["linear_drag"][0] + law["quadratic_drag"][0] * np.abs(sway)) * sway
-        return np.stack([
-            u * np.sin(psi) + v * np.cos(psi), r, (a4 * load[0] - a24 * load[1]) / size,
-            (a2 * load[1] - a24 * load[0]) / size, (np.arctan2(v, u) - crab) / law["crab_time"],
-            -law["centripetal"] / m2 * modelled * r - damped / m2,
-        ])  # fmt: skip
-
-    xi = rng.normal(size=(count, 6)) @ np.linalg.inv(np.linalg.cholesky(P))
-    state = (xi / np.sqrt(np.einsum("ni,ij,nj->n", xi, P, xi))[:, None]).T
-    u, other = rng.choice(vehicle["speed_m_per_s"], size=(2, count))
+    xi = rng.normal(size=(len(names), count))
+    state = xi / np.sqrt(np.einsum("in,ij,jn->n", xi, P, xi))
     ratio, left = 0.0, np.zeros(count, dtype=bool)
     for k in range(1, int(seconds / STEP) + 1):
-        u, other = (
-            np.where(rng.uniform(size=count) < 0.01, rng.choice(vehicle["speed_m_per_s"], size=count), one)
-            for one in (u, other)
-        )
-        own = other if law["fin_share"] else u  # with fins, the law has its own model of the surge speed
-        a = rate(state, u, own)
-        b = rate(state + STEP / 2 * a, u, own)
-        d = rate(state + STEP / 2 * b, u, own)
-        state = state + STEP / 6 * (a + 2 * b + 2 * d + rate(state + STEP * d, u, own))
+        w = np.where(speeds & (rng.random(w.shape) < 0.01), np.where(rng.random(w.shape) < 0.5, low, high), w)
+        a = rate(state)
+        b = rate(state + STEP / 2 * a)
+        d = rate(state + STEP / 2 * b)
+        state = state + STEP / 6 * (a + 2 * b + 2 * d + rate(state + STEP * d))
         now = np.einsum("in,ij,jn->n", state, P, state)
-        ratio = max(ratio, float(now.max()) / np.exp(-claim["motion"]["rate_per_s"] * k * STEP))
+        ratio = max(ratio, float(now.max()) / np.exp(-claim["rate"] * k * STEP))
         left |= now > 1
     return Motions(ratio, int(left.sum()))
+
+
+def motion_of(claim: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a certificate states about the motion, by the names of the regions by cells of headings."""
+    if "motion" in claim:
+        return {"rest_offset_m": None, "ultimate_bound_m": (0.0, 0.0), **claim["motion"]}
+    names = [row["name"] for row in claim["states"]]
+    form = form_of(parse(claim["function"], {name: variable(name) for name in names}), names) / claim["level"]
+    return {"rest_offset_m": None, "ultimate_bound_m": (0.0, 0.0), "offset_m": 1 / np.sqrt(form[0, 0])}
 
 
 def row(
     name: str, vehicle: str, document: Mapping[str, Any], took: float | None, motions: Motions, checked: float
 ) -> str:
     """Return a row of the table."""
-    motion, size = document["claim"]["motion"], len(json.dumps(document, separators=(",", ":"))) + 1
-    moment = document["claim"]["vehicle"].get("munk_moment_nm")
-    motion = {"rest_offset_m": None, "ultimate_bound_m": (0.0, 0.0), **motion}
+    motion, size = motion_of(document["claim"]), len(json.dumps(document, separators=(",", ":"))) + 1
+    moment = document["claim"].get("vehicle", {}).get("munk_moment_nm")
     settles = "{:.3f}, {:.3f} m".format(*motion["ultimate_bound_m"])
     rest = "–" if motion["rest_offset_m"] is None else f"{motion['rest_offset_m']:.3f} m"
     return (
@@ -378,7 +350,7 @@ def main(arguments: list[str]) -> int:
         began = time.process_time()
         again = check_document(document)
         checked = time.process_time() - began
-        simulate = steered if document["kind"] == "steering" else simulated
+        simulate = steered if document["kind"] == "lyapunov" else simulated
         motions = simulate(document, 64, 4.0) if quick else simulate(document, MOTIONS, SECONDS)
         good = good and again.accepted and not motions.escapes and motions.ratio <= 1 + 1e-6
         print(row(name, vehicle, document, took, motions, checked), flush=True)

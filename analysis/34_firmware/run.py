@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import SurctlError
 from surctl.export import Bundle, Envelope, Records, build_controller
-from surctl.export.wiring import RESTART, longest_gap
+from surctl.export.supplement import RESTART, longest_gap
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, operating_envelope
 from surctl.marine.simulation import law_numbers, load_scenario

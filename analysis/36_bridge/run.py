@@ -23,7 +23,7 @@ from surctl.marine.bridge import Act, Bridge, LinkQuality, Plan, Rehearsal, Simu
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import SceneFile, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
-from surctl.recorded_mcap import McapFile
+from surctl.recorded_write import McapFile
 
 ABOUT = Path(__file__).with_name("about.md")
 LINK = LinkQuality(loss=0.2, delay=0.15, jitter=0.02, damaged=0.02, repeated=0.02)

@@ -32,7 +32,7 @@ Table = dict[str, Any]
 Leaf = tuple[tuple[Any, ...], Any]
 
 EXACT = {
-    "region": ("law",), "turning": ("law",), "steering": ("law",), "braking": ("law",), "interval": ("",),
+    "region": ("law",), "turning": ("law",), "braking": ("law",), "interval": ("",),
     "lyapunov": ("about", "dynamics"), "barrier": ("about", "dynamics"),
 }  # fmt: skip
 """Parts of a claim in which each number must be exactly that of the bundle; "" is the whole claim."""
@@ -115,15 +115,13 @@ def vehicle_bound(pair: Pair, draw: random.Random) -> Change | None:
     choices = [
         key for key in ("mass_kg", "linear_drag", "quadratic_drag", "mass_factor", "drag_factor") if key in vehicle
     ]
-    choices += [key for key in ("thrust_n", "brake_n", "moment_nm", "munk_moment_nm", "side_per_m") if key in vehicle]
+    choices += [key for key in ("thrust_n", "brake_n", "munk_moment_nm") if key in vehicle]
     if not choices:
         return None
     key = draw.choice(choices)
     old = vehicle[key]
     if key in ("mass_kg", "linear_drag", "quadratic_drag", "mass_factor", "drag_factor") and old[1]:
         ends = [float(old[1]) * 1.3, float(old[1]) * 1.4] if draw.random() < 0.5 else [1e-4 * end for end in old]
-        if key == "linear_drag" and pair.certificate["kind"] == "steering":
-            ends = [old[0] + 1e3, old[1]]
         vehicle[key] = ends
     else:
         vehicle[key] = [end + 1e4 for end in old] if isinstance(old, list) else old + 1e4
@@ -247,8 +245,6 @@ def manifest_gain(pair: Pair, draw: random.Random) -> Change | None:
     def change(table: Table, _: Path) -> None:
         row = next(row for row in table["gains"]["values"] if row["name"] == name)
         at = {"mass": 0, "linear_drag": 0, "quadratic_drag": 0}.get(name, int(share * len(row["values"])))
-        if pair.certificate["kind"] == "steering" and name in ("linear_drag", "quadratic_drag"):
-            at = 1
         row["values"][at] = off(row["values"][at], draw)
 
     return Change("gain of the bundle", name, pair.certificate, rewritten(change, dependents=True))
@@ -261,7 +257,6 @@ def stated_gains(pair: Pair) -> list[str]:
         return [name for name, row in claim["about"]["gains"].items() if not any(isinstance(v, str) for v in row)]
     kinds = {
         "region": "k1 lookahead k_v k_i wait cruise cap mass linear_drag quadratic_drag",
-        "steering": "k_psi k_r crab_time sideslip lookahead cruise cap mass munk centripetal",
         "braking": "margin reaction brake k_v k_i mass stopping",
         "interval": "",
     }
@@ -366,7 +361,7 @@ def differs_where_claimed(pair: Pair, file: str, laws: tuple[Block, Block]) -> b
         before, after, own = (np.cos(psi) * v[:, 0] - np.sin(psi) * v[:, 1] for v in (one[3], two[3], nu))
         brakes = before < own - 1e-3
         return bool((after > before + 1e-6)[brakes].mean() > 0.05)
-    compared = {"region": slice(0, 2), "turning": slice(0, 2), "steering": slice(3, 4)}
+    compared = {"region": slice(0, 2), "turning": slice(0, 2)}
     first, second = (result[0][..., compared.get(pair.certificate["kind"], slice(None))] for result in (one, two))
     share = np.abs(first - second) > 1e-6 * np.abs(first).max()
     return bool(share.any(axis=-1).mean() > 0.05) and bool(np.isfinite(second).all())
@@ -379,7 +374,6 @@ def port(pair: Pair, draw: random.Random) -> Change | None:
     robots = {
         "region": "eta nu progress tau",
         "braking": "eta nu contacts nu_reference",
-        "steering": "eta crab sway tau",
     }
     robots["turning"] = robots["region"]
     kind, draw_ = pair.certificate["kind"], draw.random()

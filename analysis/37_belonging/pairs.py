@@ -26,13 +26,13 @@ from surctl.verification import prove
 from surctl.verification.formula import parse, variable
 
 STORED = Path(__file__).resolve().parents[2] / "tests" / "certcheck"
-VEHICLES = ("sur540-flooded", "bluerov2-vonbenzon", "bluerov2-heavy", "otter", "remus100", "rexrov")
+VEHICLES = ("sur540-flooded", "bluerov2-vonbenzon", "bluerov2-heavy", "rexrov")
 MISSION = load_scenario("pool-behind")
 TRUTH = ("truth",)
 SOURCES = (
     *((f"region-{name}", TRUTH) for name in ("cruise-20-soft", "turning-20-current", "turning-20-curved-fast",
       "turning-20-scale", "turning-20-rest", "turning-20-rexrov", "turning", "turning-20-lag", "turning-20-sampled",
-      "turning-lag", "steered-20", "steered-20-remus100")),
+      "turning-lag")),
     *((f"region-{name}", ("truth", "sonar")) for name in ("cruise-20", "turning-20", "turning-20-curved")),
     *((f"braking-{name}", ("truth", "sonar")) for name in ("simple-20", "inertia-ranges", "inertia-20-axes",
       "inertia-20-movers", "inertia-20-unequal")),
@@ -61,7 +61,7 @@ def vehicles() -> dict[str, Vehicle]:
 def laws() -> dict[str, Mapping[str, Any]]:
     """Return the options of the laws of the pairs by their digest."""
     choices: tuple[Mapping[str, Any], ...] = (
-        {}, {"barrier": "inertia"}, {"barrier": "inertia", "movers": "barrier"}, {"law": "steered"}
+        {}, {"barrier": "inertia"}, {"barrier": "inertia", "movers": "barrier"}
     )  # fmt: skip
     return {build_law(**options).block.digest(): options for options in choices}
 

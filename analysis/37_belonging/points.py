@@ -20,20 +20,18 @@ def vectors(pair: Pair, file: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         sizes = [sum(int(row.split("[")[1].split("]")[0]) for row in entry[key]) for key in ("state", "inputs")]
         x, u = (rng.uniform(-0.5, 0.5, (COUNT, size)) for size in sizes)
         return x, u, np.tile(np.concatenate([*gains.values()]), (COUNT, 1))
-    braking, steered = pair.certificate["kind"] == "braking", pair.certificate["kind"] == "steering"
+    braking = pair.certificate["kind"] == "braking"
     scale = 50.0 * gains["lookahead"][0]
-    low, high = claim["vehicle"]["speed_m_per_s"] if steered else gains["cruise"][0] * np.array([0.5, 1.0])
+    low, high = gains["cruise"][0] * np.array([0.5, 1.0])
     speed = rng.uniform(low, high, COUNT)
-    aside = claim["motion"]["offset_m"] if steered else 0.3 * gains["lookahead"][0]
-    y = 0.0 if braking else aside * rng.uniform(-1, 1, COUNT)
-    psi = rng.uniform(-0.3, 0.3, COUNT) + (0 if steered else rng.uniform(-3, 3, COUNT))
+    y = 0.0 if braking else 0.3 * gains["lookahead"][0] * rng.uniform(-1, 1, COUNT)
+    psi = rng.uniform(-0.3, 0.3, COUNT) + rng.uniform(-3, 3, COUNT)
     ahead = scale + (-0.5 if braking else 0.1 * rng.uniform(-1, 1, COUNT))
     c, s = np.cos(psi), np.sin(psi)
     parts = {
         "progress": np.full(COUNT, scale), "surge": speed,
         "eta": np.stack([np.full(COUNT, 1.0) * ahead, np.full(COUNT, 1.0) * y, np.full(COUNT, -3.0), psi], 1),
-        "nu": np.stack([speed, 0.05 * speed, 0 * c, 0.02 * c], 1) if steered else
-              np.stack([c * speed, -s * speed, 0 * c, 0 * c], 1),
+        "nu": np.stack([c * speed, -s * speed, 0 * c, 0 * c], 1),
         "waypoints": np.tile([0.0, 0.0, *[4 * scale, 0.0] * (gains["waypoints"].size // 2 - 1)], (COUNT, 1)),
         "walls": np.tile([-1e5, 1e5, -1e5, 1e5], (COUNT, 1)), "depth": np.full((COUNT, 1), -3.0),
         "visit": np.zeros((COUNT, 1)),

@@ -51,10 +51,6 @@ def test_no_braking_certificate_states_more(name: str) -> None:
         test_braking.test_what_asks_for_more_is_rejected_however_it_is_sealed(kind, name)
 
 
-def test_the_matrices_enclose_the_loop_with_fins() -> None:
-    test_steering.test_the_matrices_enclose_the_loop(test_steering.FINS, {})
-
-
 def test_no_altered_region_that_sampling_refutes_is_accepted() -> None:
     whole, rng = test_region.document(), np.random.default_rng(5)
     false, accepted = 0, 0

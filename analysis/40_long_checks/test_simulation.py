@@ -31,9 +31,11 @@ from surctl.marine.simulation import (
 )
 from surctl.marine.simulation.batch.structure import NO_END
 from surctl.marine.simulation.batch.structure import Body as Symbols
-from surctl.marine.simulation.column import LONGEST, beside, column
+from surctl.marine.simulation.world import LONGEST, beside
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Box, Disc, Prism
+from tests.oracles.mission_loop import column
+from tests.oracles.missions import KINDS, difference, mission
 from tests.simulation import (
     test_batch,
     test_clearance,
@@ -354,3 +356,10 @@ def test_by_sonar_a_search_before_a_closed_wall_ends_at_its_limit_in_both_loops_
     assert np.array_equal(rows.tau, record.tau) and np.array_equal(rows.status, record.status)
     assert np.array_equal(rows.state[:-1], record.law_state[1:])
     assert rows.status[-1] & TRAPPED and not rows.status[0] & TRAPPED
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", sorted(path.stem for path in test_clearance.LIBRARY.glob("*.toml")))
+def test_a_single_run_is_that_of_the_loop_in_numpy(name: str, kind: str) -> None:
+    scenario, vehicle, options = mission(name, kind, seconds=20.0)
+    assert difference(scenario, vehicle, seed=3, **options) <= 1e-9

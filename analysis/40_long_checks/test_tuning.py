@@ -6,13 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from surctl.marine.control import load_gains
-from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
-from surctl.marine.tuning import Goal, Request, conditions, derive_gains, gain_ranges
-from surctl.marine.tuning.start import starting_sets
+from surctl.marine.simulation import Case, simulate, simulate_batch
+from surctl.marine.tuning import derive_gains
 from surctl.marine.vehicle import load_vehicle
 from tests.craft import mission
-from tests.tuning import test_derived, test_gradient
+from tests.tuning import test_derived
 from tests.tuning.test_derived import REXROV, WU, made
 
 
@@ -41,24 +39,3 @@ def test_a_craft_without_sway_force_arrives_beyond_its_limit_astern_in_both_loop
     batch = simulate_batch(Case(scenario, otter, gains))
     assert batch.column("peak_thrust_share")[0] == pytest.approx(run.metrics.peak_thrust_share, abs=1e-6)
     assert batch.column("time_s")[0] == run.metrics.time_s and run.metrics.peak_thrust_share <= 1.0 + 1e-9
-
-
-def test_the_run_and_its_gradient_past_a_moving_obstacle() -> None:
-    name = "tank-speed-015"
-    test_gradient.test_the_run_is_that_of_the_reference_loop(name)
-    test_gradient.test_the_gradient_is_that_of_central_differences(name)
-
-
-def test_a_descent_from_poor_gains_lowers_the_goal_and_repeats(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surctl.marine.tuning.start._ITERATIONS", 2)
-    monkeypatch.setattr("surctl.marine.tuning.start._horizon", lambda _: 80)
-    scenario, vehicle = load_scenario("pool-behind"), load_vehicle("sur400")
-    poor = load_gains("default").with_values({"lookahead": 2.0})
-    space = gain_ranges(poor, {"k_v": (0.9, 1.6), "lookahead": (0.3, 2.5)})
-    case = Case(scenario, vehicle, poor)
-    runs = conditions([case], seeds=[0], with_corners=False)
-    request = Request((Goal("near", "deviation_m", "m", 0.1),), runs, poor, space)
-    (_, refined), (_, again) = (starting_sets(request, descend=True) for _ in range(2))
-    sets = {name: [poor[name], refined[name]] for name in refined}
-    start, descended = simulate_batch(case, sets).column("deviation_m")
-    assert descended < start and again == refined

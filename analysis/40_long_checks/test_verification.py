@@ -16,10 +16,9 @@ from surctl.marine.verification.linear import corners, linear_side, margin_speed
 from surctl.marine.verification.region import prove_turning, turning_claim
 from surctl.verification import prove
 from surctl.verification.linear import disk_margin
-from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims
+from tests.verification import test_claim_file, test_counterexample, test_functions_of_claims, test_margins
 from tests.verification.braking import test_proof as braking
-from tests.verification.linear import test_interop, test_sampled
-from tests.verification.linear.test_interop import LOOP_NAMES
+from tests.verification.linear import test_sampled
 from tests.verification.linear.test_margin_speed import GAINS, WU, ranged
 from tests.verification.linear.test_sampled import ABOUT, VEHICLE
 from tests.verification.proving import test_squares
@@ -80,9 +79,9 @@ def test_the_margin_is_kept_at_every_corner_below_that_speed_and_lost_above() ->
         assert build_cascade(worst, GAINS, cruise=factor * stable, dt=0.05, model=WU).stable is good
 
 
-@pytest.mark.parametrize("name", LOOP_NAMES)
+@pytest.mark.parametrize("name", test_margins.LOOPS)
 def test_margins_of_every_loop(name: str) -> None:
-    test_interop.test_margins_are_those_that_are_printed(name, 0.05)
+    test_margins.test_python_control_has_the_margins_that_are_printed(name)
 
 
 def test_a_loop_without_delay_decays_below_the_largest_period_and_grows_above() -> None:

@@ -21,7 +21,7 @@ from exact import least_residuals
 from reference import best, least_opening, opened, violation, worse
 
 from surctl.errors import ToolMissing
-from surctl.ir.compiler import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.priority import Mode, PriorityProblem, PriorityStep, Settings, solve
 from surctl.priority.optimality import is_least
 
@@ -87,7 +87,7 @@ def _campaign(size: Size, mode: Mode, count: int, seed: int, share: int, compare
             opening = float(step.opening[0])
             seen["step"] += _judged(problem, mode, step.v, step.target, step.stage, opening, where, compared, k == 0)
             if k % share == 0:
-                got = solve(problem, mode=mode)
+                got = solve(problem, mode=mode, backend="daqp")
                 by = max((got.relaxed[r.name] for r in problem.rows if r.name in got.relaxed), default=0.0)
                 seen["solve"] += _judged(problem, mode, got.v, got.target, got.status, by, f"solve {where}", compared)
         cells = [f"{c['problems']} | " + " | ".join(str(c[name]) for name in COLUMNS) for c in seen.values()]

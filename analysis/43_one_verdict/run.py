@@ -29,9 +29,9 @@ from draws import SYSTEM_SECONDS, loop, vehicle
 from surctl.assessment import Assessment, ClosedLoop, assess
 from surctl.cli import main as command_line
 from surctl.cli.output import finite
-from surctl.cli.single_run import linear_warning
+from surctl.cli.runs import linear_warning
 from surctl.errors import ToolMissing
-from surctl.ir.compiler import find_compiler
+from surctl.ir.cache import find_compiler
 from surctl.marine.assessment import Mission
 from surctl.marine.control import Gains, write_gains
 from surctl.marine.report.bench import Bench

@@ -15,7 +15,7 @@ from surctl.marine.vehicle.logs.joining import LogMap
 from surctl.marine.vehicle.parameters import _VehicleFile
 from surctl.marine.vehicle.thruster_file import _AllocationTable, _ThrusterTable
 from surctl.marine.verification.region.statement import RegionStatement
-from surctl.tuning.goal_file import GoalsFile
+from surctl.tuning.goals import GoalsFile
 from surctl.verification.claim_file import _ClaimTable
 
 __all__ = ["FILES", "FileKind"]

@@ -12,6 +12,7 @@ the certificate still belongs to the controller, and `excludes` names what is no
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import hypot
@@ -22,11 +23,10 @@ from surctl.certcheck.bundle import Listed, Manifest, Port, stated_sha256
 from surctl.certcheck.comparison import ALIKE, LIMITS, ROUNDING, Comparison
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.elementary import Undefined
-from surctl.certcheck.law_points import Law, compare_braking, compare_following, compare_steering
+from surctl.certcheck.law_points import STEERED_EXCLUDES, Law, compare_braking, compare_following, compare_steering
 from surctl.certcheck.loop_points import compare_dynamics
 from surctl.certcheck.patience import PATIENCE, patient
 from surctl.certcheck.region_claim import read_claim as read_region
-from surctl.certcheck.steering_claim import read_claim as read_steering
 from surctl.certcheck.turning_claim import read_claim as read_turning
 from surctl.certcheck.turning_law import Follower
 
@@ -52,6 +52,7 @@ _GUARDED = (
     ("margin", "margin_m"), ("reaction", "reaction_s"), ("brake", "brake"), ("k_v", "k_v_per_s"), ("k_i", "k_i_per_s2"),
 )  # fmt: skip
 _STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
+_FORCE = re.compile("([YN][uvr]?[vru]|m12|m14|Y0|N0)")  # parameters of a vehicle that matter to the heading loop
 _VECTORS = ("plant_state", "controller_state", "gains", "parameters", "reference", "disturbance")
 _PROVED = {"function", "level", "rate", "equilibrium", "inner", "gains", "initial", "unsafe", "multiplier", "stays"}
 """Entries of a claim about dynamics that the certificate itself proves."""
@@ -94,7 +95,7 @@ def compare(document: Mapping[str, Any], manifest: Manifest) -> Belonging:
     comparison = _Comparison(document["claim"], manifest)
     kinds = {
         "region": comparison.region, "braking": comparison.braking, "heading": comparison.heading,
-        "turning": comparison.turning, "steering": comparison.steering, "lyapunov": comparison.motion,
+        "turning": comparison.turning, "lyapunov": comparison.motion,
         "barrier": comparison.motion, "interval": comparison.inequality,
     }  # fmt: skip
     try:
@@ -142,6 +143,9 @@ class _Comparison(Comparison):
         self.slack(self.take("slack"))
 
     def motion(self) -> None:
+        if "system" in (self.claim["about"] or {}):
+            self.steering()
+            return
         about = self.take("about") or {}
         if "plant_state" not in about:
             self.differs.append("dynamics: the certificate does not state the loop that its dynamics are about")
@@ -234,35 +238,38 @@ class _Comparison(Comparison):
         self._follows(claim, claim.mass, claim.linear, claim.quadratic)
 
     def steering(self) -> None:
-        claim = read_steering(self.claim)
-        vehicle, law = self.of("vehicle"), self.of("law")
-        self.hashes(terms=vehicle["terms"])
-        for name in (
-            "k_psi", "k_r", "crab_time", "sideslip", "lookahead", "cruise", "cap", "k_i", "munk", "centripetal",
-            "fin_share",
-        ):  # fmt: skip
-            self.gain(name, law[name])
-        for at, axis in enumerate((0, 1, 3)):
-            self.gain("mass", law["mass"][at], axis)
-            self.within("mass", [law["mass"][at] * end for end in vehicle["mass_factor"]], (f"m{axis + 1}{axis + 1}",))
-        for at, (axis, names) in enumerate(((1, ("Yv", "Yvv")), (3, ("Nr", "Nrr")))):
-            own = vehicle["linear_drag"][at], law["quadratic_drag"][at]
-            for key, value, name in zip(("linear_drag", "quadratic_drag"), own, names, strict=True):
-                self.gain(key, law[key][at], axis)
-                self.within("drag", [value * end for end in vehicle["drag_factor"]], (name,))
-        fins = self.manifest.fins
-        limits = [*self.gains("thrust_limit")[3:4], fins["moment_nm"]] if fins else self.yaw_limits()
-        self.at_least("thrust_limit of yaw", vehicle["moment_nm"], "N m", limits)
-        have = [fins["side_per_m"]] if "side_per_m" in fins else [] if fins else [0.0]
-        self.equal("side force of the fins", vehicle["side_per_m"], have)
-        low, high = vehicle["speed_m_per_s"]
-        for value in self.gains("cruise"):
-            if value < low or value > high:
-                self.differs.append(f"speed: {low!r} to {high!r} m/s certified, the cruise speed is {value!r} m/s")
-        self.conditions("vehicle", "speed_m_per_s")
-        self.take("motion")
-        for exported in self._laws():
-            compare_steering(exported, claim, self.differs.append)
+        about, values = self.of("about"), self.manifest.values
+        if about["system"] != "steered" or tuple(about["excludes"]) != STEERED_EXCLUDES:
+            self.differs.append("law: the restrictions are not those of the heading loop of the law steered")
+        self.excludes += [*STEERED_EXCLUDES, ROUNDING.format(self.manifest.real)]
+        self.digests(about["sha256_vehicle"], about["sha256_law"])
+        self.equal("k_i", 0.0, self.gains("k_i"))
+        ranges = {row["name"]: (row["lower"], row["upper"]) for row in self.claim["parameters"]}
+        covered = {"m11", "m22", "m24", "m44"}
+        for name, value in values.items():
+            if name in covered or _FORCE.fullmatch(name):
+                if name in ranges:
+                    self.within(name, ranges[name], (name,))
+                elif value:
+                    self.differs.append(f"vehicle: it has {name}, which the certificate does not cover")
+        for name in ranges.keys() - values.keys() - {"u", "u_model", "share"}:
+            self.unknown(name)
+        for name in ranges.keys() & {"u", "u_model"}:
+            for value in self.gains("cruise"):
+                if not ranges[name][0] <= value <= ranges[name][1]:
+                    text = (
+                        f"{ranges[name][0]!r} to {ranges[name][1]!r} m/s certified, the cruise speed is {value!r} m/s"
+                    )
+                    self.differs.append(f"speed: {text}")
+        fins = self.manifest.fins or {}
+        most = [fins["moment_nm"]] if fins else self.yaw_limits()[1:]
+        for value in self.gains("thrust_limit")[3:4]:
+            self.at_least("thrust_limit of yaw", value, "N m", most)
+        self.excludes.append(f"conditions: u = {list(ranges['u'])!r}")
+        for key in self.claim.keys() - {"about"}:
+            self.take(key)  # compared by the evaluation, or proved by the certificate
+        for exported in self._laws(about["sha256_law"]):
+            compare_steering(exported, self.claim, fins, self.differs.append)
 
     def braking(self) -> None:
         claim = read_braking(self.claim)
@@ -308,18 +315,16 @@ class _Comparison(Comparison):
             self.gain("stopping", stopping[key], at)
         for key in ("barrier", "gain"):
             law[key]  # bound by the evaluation
-        for exported in self._laws():
+        for exported in self._laws(self.claim["sha256_law"]):
             compare_braking(exported, claim, self.differs.append)
 
     # ---- evaluation of the instruction lists
 
-    def _laws(self) -> list[Law]:
+    def _laws(self, digest: str) -> list[Law]:
         """Return the certified law, and the exported one if it has the same inputs; none if something differs."""
         if self.differs:  # the first mismatch explains those that would follow
             return []
-        certified, exported = (
-            self.manifest.lists.get(key) for key in (self.claim["sha256_law"], self.manifest.laws[0])
-        )
+        certified, exported = (self.manifest.lists.get(key) for key in (digest, self.manifest.laws[0]))
         if certified is None or exported is None:
             self.differs.append("law: the bundle does not contain the instruction list of the certified law")
             return []
@@ -334,7 +339,7 @@ class _Comparison(Comparison):
 
     def _follows(self, claim: Any, *model: Sequence[Any]) -> None:
         yaw_rate = float(claim.yaw_rate)
-        for law in self._laws():
+        for law in self._laws(self.claim["sha256_law"]):
             follower = Follower.of(claim, *model, law.gains["thrust_limit"][:2])
             fastest = compare_following(law, follower, float(claim.wait), self.differs.append)
             if fastest > yaw_rate:

@@ -168,21 +168,24 @@ class Comparison:
 
     def hashes(self, *, lawless: bool = False, terms: Mapping[str, float] = _NO_TERMS) -> None:
         """Compare digests of law and vehicle, and the vehicle's terms; add the exclusions of the claim."""
-        laws, vehicle = self.manifest.laws, self.manifest.vehicle
         texts = "assumes" if "assumes" in self.claim else "excludes"
         self.excludes += [*self.take(texts), ROUNDING.format(self.manifest.real)]  # the reader compared the texts
         for key in ("system", "sha256_vehicle", *(() if lawless else ("sha256_law",))):
             self.take(key)
-        if not lawless and self.claim["sha256_law"] not in laws:
-            self.differs.append(f"law: SHA-256 {self.claim['sha256_law'][:12]} certified, {laws[0][:12]} exported")
+        self.digests(self.claim["sha256_vehicle"], "" if lawless else self.claim["sha256_law"])
+        self.terms(terms)
+
+    def digests(self, certified: str, law: str) -> None:
+        """Compare the certified digests of the vehicle and of the law; "" for no law."""
+        laws, vehicle = self.manifest.laws, self.manifest.vehicle
+        if law and law not in laws:
+            self.differs.append(f"law: SHA-256 {law[:12]} certified, {laws[0][:12]} exported")
         if not vehicle:
             self.differs.append("vehicle: the bundle does not name a vehicle")
-        elif self.claim["sha256_vehicle"] != vehicle:
-            certified = self.claim["sha256_vehicle"][:12]
-            self.differs.append(f"vehicle: SHA-256 {certified} certified, {vehicle[:12]} exported")
+        elif certified != vehicle:
+            self.differs.append(f"vehicle: SHA-256 {certified[:12]} certified, {vehicle[:12]} exported")
         if self.manifest.ranges is None:
             self.unknown("ranges of the vehicle")
-        self.terms(terms)
 
     def terms(self, certified: Mapping[str, float] = _NO_TERMS) -> None:
         """Compare the vehicle's terms beside equation (3) with the certified ones."""

@@ -351,7 +351,7 @@ def _chosen(a: Interval, b: Interval, x: Jet, y: Jet, value: Interval | None) ->
     """Return the `Jet` of f, where f = x if a ≤ b and f = y otherwise; `value` is f's range, or None if f may jump."""
     if libmp.mpf_le(a[1], b[0]):
         return x
-    if libmp.mpf_gt(a[0], b[1]):
+    if libmp.mpf_gt(a[0], b[1]) or (value is not None and libmp.mpf_ge(a[0], b[1])):  # without a jump, x = y if a = b
         return y
     both = _hull(x.value, y.value) if value is None else value
     if x.slope is None or y.slope is None:

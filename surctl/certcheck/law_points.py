@@ -1,6 +1,7 @@
 """Comparison of the exported law with what a certificate states about it, by evaluation of the law's instructions.
 
-A certificate of kind `region`, `turning`, `steering` or `braking` contains a model of the law. Here, the instruction
+A certificate of kind `region`, `turning` or `braking` contains a model of the law, and one of kind `lyapunov` about the
+law `steered` the dynamics of its heading loop. Here, the instruction
 list of the bundle is evaluated with the gains of the bundle at some hundreds of points, which are drawn once with a
 fixed seed: on one straight leg in open water, or before one obstacle or wall. At each point the command must be that of
 the model. Some steps follow one another from fresh memory, so that a law that learns or smooths differs. Command limit,
@@ -12,6 +13,7 @@ the region that is not small.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -26,16 +28,33 @@ from surctl.certcheck.braking_distance import Forces
 from surctl.certcheck.bundle import Listed, Manifest, Port
 from surctl.certcheck.document import Rejected
 from surctl.certcheck.instructions import evaluate, read_list
-from surctl.certcheck.steering_claim import SteeringClaim
-from surctl.certcheck.steering_law import available, commanded_moments
+from surctl.certcheck.loop_points import values_at
 from surctl.certcheck.turning_law import Follower, followed
 
-__all__ = ["Law", "Same", "compare_braking", "compare_following", "compare_steering"]
+__all__ = [
+    "STEERED", "STEERED_EXCLUDES", "Law", "Same", "compare_braking", "compare_following", "compare_steering",
+]  # fmt: skip
 
 Array: TypeAlias = NDArray[np.float64]
 Report: TypeAlias = Callable[[str], None]
 
-_POINTS = 400
+STEERED = ("y_e", "psi", "v", "r", "crab", "sway")
+"""States of the heading loop of a craft without sway force: cross-track error, heading to the path, sway speed, yaw
+rate, and the two filters of the law: crab angle and modelled sway speed."""
+
+STEERED_EXCLUDES = (
+    "the path is one straight leg, on which the law commands a positive speed; guidance is los",
+    "no obstacle is near, so that the law chooses the desired course and speed",
+    "the surge loop is not covered: the surge speed u, and that of the law's model, may vary in any way in their range",
+    "measured position, heading and velocity are exact; there is no current and no wave",
+    "the thrusters deliver every commanded yaw moment up to its limit, whatever the surge force; fins do so up to the "
+    "share (speed / cruise)^2 of it below the cruise speed, with a side force in proportion to the moment",
+    "the thrust has no lag; commands are not held, and the two filters of the law are continuous in time",
+    "heave is 0, and roll and pitch are left out",
+)
+"""Restrictions of a claim about this loop; a certificate repeats the restrictions word for word."""
+
+_POINTS, _STEERED_POINTS = 400, 160
 _STEPS = 2  # steps from fresh memory
 _FAR = 1e4  # [m] distance of walls that are not near
 _RADIUS = 5.0  # [m] of an obstacle
@@ -206,37 +225,73 @@ def _differs(report: Report, what: str, place: str, unit: str, claimed: Array, e
     return 0.0
 
 
-def compare_steering(law: Law, claim: SteeringClaim, report: Report) -> None:
-    """Compare the yaw moment and the two filters of the heading loop on a straight leg."""
-    rng, n = np.random.default_rng(12), _POINTS
-    leg = _leg(0.7, 400 * float(claim.lookahead))
-    y, psi = 2 * float(claim.offset) * rng.uniform(-1, 1, n), 0.6 * rng.uniform(-1, 1, n)
-    v, crab, sway = float(claim.cruise) * rng.uniform(-0.2, 0.2, (3, n))
-    r, u = 0.3 * rng.uniform(-1, 1, n), rng.uniform(float(claim.speed[0]), float(claim.speed[1]), n)
+def compare_steering(law: Law, claim: Mapping[str, Any], fins: Mapping[str, float], report: Report) -> None:
+    """Compare the dynamics of the heading loop on a straight leg with the law's list and the equations of the craft.
+
+    The points lie in the region, half of them at its border. The craft has the parameters of the claim at the point,
+    and a surge speed of its own, and the law's yaw moment as far as its thrusters or fins deliver it.
+
+    Args:
+        law: the exported law.
+        claim: a claim of kind `lyapunov` about the system `steered`.
+        fins: the bundle's numbers of fins; empty if the craft has none.
+        report: function that gets one message if something differs.
+    """
+    rng, n = np.random.default_rng(12), _STEERED_POINTS
+    rows = [*claim["states"], *claim["parameters"]]
+    low, high = (np.array([row[key] for row in rows])[:, None] for key in ("lower", "upper"))
+    points, names = low + (high - low) * rng.random((len(rows), n)), [row["name"] for row in rows]
+    if tuple(names[: len(STEERED)]) != STEERED:
+        raise Rejected("the states are not those of the heading loop")
+    [value] = values_at(names, points, {"V": claim["function"]}).values()
+    points[: len(STEERED)] *= np.sqrt(claim["level"] / value) * np.where(np.arange(n) % 2, 1.0, rng.random(n))
+    at = dict(zip(names, points, strict=True))
+    y, psi, v, r, crab, sway = points[: len(STEERED)]
+    u, water = at["u"], at.get("u_model", at["u"])
+    gains, dt, leg = law.gains, law.period, _leg(0.7, 400 * law.gains["lookahead"][0])
     mission = leg.mission(law) | {"walls": 1e3 * leg.mission(law)["walls"]}
     inputs = law.inputs(n, eta=leg.pose(np.zeros(n), y, psi, -3.0), nu=np.vstack([u, v, np.zeros(n), r]))
-    outputs, after = law.step(law.state(n, progress=leg.progress, crab=crab, sway=sway, surge=u), inputs, **mission)
-    late_crab, late_sway = (law.part("state", after, name)[0] for name in ("crab", "sway"))
-    dt, m22 = law.period, float(claim.mass[1])
-    slip = np.arctan2(v, np.maximum(u, float(claim.cruise) / 4))
-    damping = (float(claim.linear[0]) + float(claim.quadratic[0]) * np.abs(sway)) / m22
-    # the law's filters take one implicit step
-    crab_rate = (slip - crab) / (float(claim.crab_time) + dt)
-    sway_rate = -(float(claim.centripetal) / m22 * u * r + damping * sway) / (1 + dt * damping)
-    least, most = commanded_moments(claim, y, psi, r, u, late_crab, late_sway)
-    limit = available(claim, u)  # of fins, which cannot deliver more, whatever the law asks for
-    moment = np.clip(outputs["tau"][3], -limit, limit)
-    inside = np.clip(moment, np.minimum(least, most), np.maximum(least, most))
-    for what, unit, first, second in (
-        ("rate of the crab filter", "rad/s", crab_rate, (late_crab - crab) / dt),
-        ("rate of the sway filter", "m/s^2", sway_rate, (late_sway - sway) / dt),
-        ("yaw moment", "N m", inside, moment),
-    ):
-        if (apart := law.same.apart(first[None], second[None])).any():
-            at = int(np.argmax(apart))
-            place = f"y_e = {y[at]:.4g} m, heading {psi[at]:.4g} rad, yaw rate {r[at]:.4g} rad/s"
-            _differs(report, what, place, unit, first[at : at + 1], second[at : at + 1])
+    outputs, after = law.step(law.state(n, progress=leg.progress, crab=crab, sway=sway, surge=water), inputs, **mission)
+    late = {name: law.part("state", after, name)[0] for name in ("crab", "sway")}
+    damping = (gains["linear_drag"][1] + gains["quadratic_drag"][1] * np.abs(sway)) / gains["mass"][1]
+    left = np.minimum(np.maximum(u, 0) / gains["cruise"][0], 1) ** 2
+    most = gains["thrust_limit"][3] * (1 - gains["fin_share"][0] * (1 - left))
+    moment = np.clip(outputs["tau"][3], -most, most)
+    own = values_at(names, points, claim["dynamics"])
+    # the law's filters take one implicit step, and the moment is that of their new values
+    moved = np.vstack([points[:4], late["crab"], late["sway"], points[len(STEERED) :]])
+    least = next(row["lower"] for row in rows if row["name"] == "share")
+    ends = []
+    for share in (least, 1.0):  # the share of the law's sway speed that the speed cap leaves is not known
+        moved[names.index("share")] = share
+        ends.append(values_at(names, moved, {name: claim["dynamics"][name] for name in ("v", "r")}))
+    rates = _steered_rates(at, moment, fins.get("side_per_m", 0.0))
+    rates["crab"] = (late["crab"] - crab) / dt * (1 + dt / gains["crab_time"][0])
+    rates["sway"] = (late["sway"] - sway) / dt * (1 + dt * damping)
+    for name, rate in rates.items():
+        pair = np.array([end[name] for end in ends] if name in ("v", "r") else [own[name]])
+        claimed = np.clip(rate, pair.min(axis=0), pair.max(axis=0))
+        if (apart := law.same.apart(claimed[None], rate[None])).any():
+            k = int(np.argmax(apart))
+            place = f"y_e = {y[k]:.4g} m, heading {psi[k]:.4g} rad, yaw rate {r[k]:.4g} rad/s"
+            unit = {"y_e": "m/s", "v": "m/s^2", "sway": "m/s^2", "r": "rad/s^2"}.get(name, "rad/s")
+            _differs(report, f"rate of {name}", place, unit, claimed[k : k + 1], rate[k : k + 1])
             return
+
+
+def _steered_rates(at: Mapping[str, Array], moment: Array, side: float) -> dict[str, Array]:
+    """Return the rates of place, heading, sway speed and yaw rate by the equations of the craft."""
+    u, v, r, psi, zero = at["u"], at["v"], at["r"], at["psi"], np.zeros_like(moment)
+    m11, m22, m44, m24 = (at.get(name, zero) for name in ("m11", "m22", "m44", "m24"))
+    load = {"Y": side * moment - m11 * u * r, "N": moment - (m22 - m11) * u * v - m24 * u * r}
+    for name in at.keys() - {*STEERED}:
+        if re.fullmatch("[YN][uvr]?[vr]", name):
+            load[name[0]] -= at[name] * (np.abs(at[name[1]]) if len(name) == 3 else 1) * at[name[-1]]
+    size = m22 * m44 - m24 * m24
+    return {
+        "y_e": u * np.sin(psi) + v * np.cos(psi), "psi": r,
+        "v": (m44 * load["Y"] - m24 * load["N"]) / size, "r": (m22 * load["N"] - m24 * load["Y"]) / size,
+    }  # fmt: skip
 
 
 def compare_braking(law: Law, claim: BrakingClaim, report: Report) -> None:

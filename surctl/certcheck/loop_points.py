@@ -25,7 +25,7 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.instructions import evaluate, read_list
 from surctl.certcheck.patience import go_on
 
-__all__ = ["compare_dynamics"]
+__all__ = ["compare_dynamics", "values_at"]
 
 Array: TypeAlias = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def compare_dynamics(
     rounding = np.max(np.abs(np.vstack([x, z])), axis=1) / period  # the difference z⁺ − z rounds by a share of z
     rounding = np.concatenate([0 * rounding[: len(x)], rounding[len(x) :], np.zeros(len(commands))])
     texts = {**dynamics, **after_next, **commands}
-    claimed = _rates([*names, *commands], np.vstack([points, held[: len(commands)]]), texts)
+    claimed = values_at([*names, *commands], np.vstack([points, held[: len(commands)]]), texts)
     scale = np.max(np.abs(rates))
     entries = [*vectors["plant_state"], *vectors["controller_state"], *commands]
     for entry, rate, spare in zip(entries, rates, 1e-15 * rounding, strict=True):
@@ -104,9 +104,10 @@ def compare_dynamics(
     return ""
 
 
-def _rates(names: Sequence[str], points: Array, dynamics: Mapping[str, str]) -> dict[str, Array]:
+def values_at(names: Sequence[str], points: Array, texts: Mapping[str, str]) -> dict[str, Array]:
+    """Return the values (N,) of texts at points (n, N) of the named variables."""
     table = ExpressionTable(names)
-    roots = [table.read(text) for text in dynamics.values()]
+    roots = [table.read(text) for text in texts.values()]
     rows: list[list[float]] = []
     for point in points.T:
         go_on()
@@ -115,7 +116,7 @@ def _rates(names: Sequence[str], points: Array, dynamics: Mapping[str, str]) -> 
         except Undefined as reason:
             raise Rejected(f"the dynamics are not defined at a point of the box: {reason}") from None
         rows.append([(libmp.to_float(v.value[0]) + libmp.to_float(v.value[1])) / 2 for v in values])
-    return dict(zip(dynamics, np.array(rows).T, strict=True))
+    return dict(zip(texts, np.array(rows).T, strict=True))
 
 
 def _named(ports: Sequence[Port], values: Array) -> dict[str, Array]:

@@ -18,8 +18,9 @@ not be positive.
 
 The change of V (`change`) is compared with the one that the checker computes from the dynamics.
 
-A certificate whose V is a quadratic form about the equilibrium may state `slopes` in the place of all these proofs;
-then `surctl.certcheck.slopes` decides. `surctl.certcheck.sampled` decides about a plant under a sampled controller.
+A certificate whose V is a quadratic form about the equilibrium may state `slopes` in the place of all these proofs,
+with feedbacks of the limits or none; then `surctl.certcheck.slopes` decides. `surctl.certcheck.sampled` decides about
+a plant under a sampled controller.
 """
 
 from __future__ import annotations
@@ -71,7 +72,8 @@ def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
     """Raise Rejected unless the slope rule proves the claim; the region must lie in the box."""
     claim = document["claim"]
     record(document, _FRAME - {"change", "proofs"} | {"slopes"}, "the certificate")
-    record(document["slopes"], set(), "slopes")
+    stated = record(document["slopes"], {"feedbacks"} & document["slopes"].keys(), "slopes").get("feedbacks", [])
+    feedbacks = [[Fraction(repr(number(x))) for x in listed(row)] for row in listed(stated)]
     level, rate = Fraction(repr(number(claim["level"]))), Fraction(0)
     if claim["rate"] is not None:
         _rate(claim["rate"], motion)
@@ -91,7 +93,7 @@ def _check_slopes(document: Mapping[str, Any], motion: Motion) -> None:
         table = ExpressionTable(motion.names)
         motion.require_continuous(table, [table.read(text) for text in motion.rates], "the dynamics contain")
     needed = Decrease(p, centre, level, rate, gains, constant)
-    check_decrease(motion.names, motion.box, motion.rates, needed, discrete=motion.discrete)
+    check_decrease(motion.names, motion.box, motion.rates, needed, discrete=motion.discrete, feedbacks=feedbacks)
 
 
 def _stability(

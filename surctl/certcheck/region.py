@@ -6,7 +6,7 @@ it also has an offset beside the path. With V = (ξ − ξ*)ᵀ P (ξ − ξ*), 
 instant t = 0 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0. The levels floor = ℓ_0 < ℓ_1 < … < 1 divide the
 region into shells. In each shell the closed loop is a linear inclusion, and one negative definite matrix for each
 vertex of the inclusion proves V̇ < −a V. All numbers are exact rational numbers, except the bounds for a current in
-`region_flow`.
+`region_trim`.
 
 Without thrust lag, held commands, current, force and errors of measurement, a proof may also divide the headings into
 cells: the claim is then that of a turning cruise (`turning`) with equal masses and the same ω, with a larger region.
@@ -23,14 +23,11 @@ from typing import Any
 
 from surctl.certcheck.document import Rejected, record
 from surctl.certcheck.patience import go_on
-from surctl.certcheck.region_bounds import shell
-from surctl.certcheck.region_claim import CruiseClaim, number, read_claim
-from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite, quadratic, root_up, scaled
-from surctl.certcheck.region_flow import steady_trim
-from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, vertices
-from surctl.certcheck.region_law import check_identity
-from surctl.certcheck.region_trim import MEAN_SHARE, Trim
-from surctl.certcheck.turning import check_cells
+from surctl.certcheck.region_claim import CruiseClaim, number, read_claim, read_shells, triangle
+from surctl.certcheck.region_exact import inverse, is_positive_definite, scaled
+from surctl.certcheck.region_inclusion import MULTIPLIERS, rate_matrix, shell, vertices
+from surctl.certcheck.region_trim import MEAN_SHARE, steady_trim
+from surctl.certcheck.turning import check_cells, require_bound, require_starts
 from surctl.certcheck.turning_claim import TurningClaim
 
 __all__ = ["check"]
@@ -50,14 +47,15 @@ def check(document: Mapping[str, Any]) -> None:
         check_cells(_turning(claim), record(proof, ("P", "floor", "cells", "shells"), "proof"), _slopes(claim))
         return
     proof = record(proof, ("P", "floor", "hold", "shells"), "proof")
-    p = _matrix(proof["P"], 6 if claim.lag[1] else 4)
+    p = triangle(proof["P"], 6 if claim.lag[1] else 4, "proof.P")
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
-    levels, multipliers = _shells(proof)
+    levels, stated = read_shells(proof, "multipliers", _MOST_SHELLS)
+    multipliers = [_multipliers(factors) for factors in stated]
     hold = number(proof["hold"], "proof.hold")
     covariance, steady = inverse(p), steady_trim(claim)
-    _check_offset(claim, p, steady)
-    _check_ultimate_bound(claim, covariance, steady, levels[0])
+    require_starts(claim, p, steady.omega, steady.aside)
+    require_bound(claim, covariance, steady.omega, steady.aside, levels[0])
     # the reflection y, U_y, F_y → −y, −U_y, −F_y does not change such a V and changes the sign of r
     mirrored = not any(p[i][j] for i in range(0, len(p), 2) for j in range(1, len(p), 2))
     for k, factors in enumerate(multipliers):
@@ -69,7 +67,6 @@ def check(document: Mapping[str, Any]) -> None:
             if not is_positive_definite(scaled(Fraction(-1), m)):
                 raise Rejected(f"V does not decay at the claimed rate between levels {float(low):g} and "
                                f"{float(high):g}, vertex {j}")  # fmt: skip
-        check_identity(claim, at, steady, covariance, high, len(p))
 
 
 def _turning(claim: CruiseClaim) -> TurningClaim:
@@ -121,51 +118,7 @@ def _slopes(claim: CruiseClaim) -> tuple[Fraction, Fraction]:
     return linear * v / stiffness, quadratic * v * v / stiffness
 
 
-def _matrix(rows: Any, size: int) -> Matrix:
-    """Return the symmetric matrix whose lower triangle has the given rows."""
-    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
-    if not shaped or [len(row) for row in rows] != list(range(1, size + 1)):
-        raise Rejected(f"proof.P must be a lower triangle with {size} rows")
-    lower = [[_signed(entry) for entry in row] for row in rows]
-    return [[lower[max(i, j)][min(i, j)] for j in range(size)] for i in range(size)]
-
-
-def _signed(value: Any) -> Fraction:
-    return number(value, "proof.P", least=-(10**9))
-
-
-def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[list[Fraction]]]:
-    """Return the levels of V from the floor to 1, and the multipliers λ_j of each shell."""
-    shells = proof["shells"]
-    if not isinstance(shells, list) or not 1 <= len(shells) <= _MOST_SHELLS:
-        raise Rejected(f"proof.shells must hold 1 to {_MOST_SHELLS} shells")
-    levels, multipliers = [number(proof["floor"], "proof.floor", above=True)], []
-    for entry in shells:
-        one = record(entry, ("level", "multipliers"), "a shell")
-        levels.append(number(one["level"], "the level of a shell", least=levels[-1], above=True))
-        factors = one["multipliers"]
-        if not isinstance(factors, list) or len(factors) != MULTIPLIERS:
-            raise Rejected(f"a shell must have {MULTIPLIERS} multipliers")
-        multipliers.append([number(factor, "a multiplier") for factor in factors])
-    if levels[-1] != 1:
-        raise Rejected("the last shell must end at level 1")
-    return levels, multipliers
-
-
-def _check_offset(claim: CruiseClaim, p: Matrix, steady: Trim) -> None:
-    """Check that the points with x_e = 0, |y_e| = offset and the target's velocity lie in the region for every ω."""
-    for omega in steady.omega:
-        for side in (1, -1):
-            away = side * (claim.offset + steady.aside)
-            start = [omega / claim.k1, away, *[Fraction(0)] * (len(p) - 2)]
-            if quadratic(p, start) > 1:
-                raise Rejected(f"a cross-track offset of {float(claim.offset):g} m is not in the region")
-
-
-def _check_ultimate_bound(claim: CruiseClaim, covariance: Matrix, steady: Trim, floor: Fraction) -> None:
-    """Check that |x_e| and |y_e| in the set V ≤ floor do not exceed the claimed ultimate bound."""
-    away = max(abs(omega) for omega in steady.omega) / claim.k1
-    x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
-    if x + away > claim.ultimate_bound[0] or y + steady.aside > claim.ultimate_bound[1]:
-        raise Rejected(f"the set V <= floor extends to |x_e| = {float(x + away):.4g} m and "
-                       f"|y_e| = {float(y + steady.aside):.4g} m, beyond the claimed ultimate bound")  # fmt: skip
+def _multipliers(factors: Any) -> list[Fraction]:
+    if not isinstance(factors, list) or len(factors) != MULTIPLIERS:
+        raise Rejected(f"a shell must have {MULTIPLIERS} multipliers")
+    return [number(factor, "a multiplier") for factor in factors]

@@ -155,6 +155,8 @@ def _rows(
     """Return rows of texts that have exactly the values `rests` at x*; raise Rejected if they have not."""
     try:
         rows = Rows(names, [span(*ends) for ends in box], texts, covers, centre, level, (), feedbacks)
+        if len(rows.limits) != len(feedbacks):
+            raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(rows.limits)} limits")
         moves = [rows.resting(k, rest) for k, rest in enumerate(rests)]
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import reduce
 from itertools import pairwise, product
 from typing import Any
 
@@ -43,7 +44,7 @@ from surctl.certcheck.identity import Exact
 from surctl.certcheck.patience import go_on
 from surctl.certcheck.region_exact import Matrix
 
-__all__ = ["Number", "Rows", "magnitude", "up"]
+__all__ = ["Number", "Poly", "Rows", "magnitude", "up"]
 
 Array = NDArray[np.float64]
 Poly = dict[tuple[int, ...], Fraction]
@@ -52,6 +53,7 @@ Poly = dict[tuple[int, ...], Fraction]
 _PIECES, _HALVED = 24, 4  # parts of a range on each side of x* for a secant slope; halvings of the part next to x*
 _FEW = 6  # slopes of a row whose vertices are tried for its support
 _NARROW = Fraction(1, 2**33)  # a slope with a smaller relative width counts as a number with an error
+_MORE = 1 + Fraction(1, 10**6)  # least ratio of two costs that differ
 _MOST_TERMS = 4096  # of a polynomial
 _DIGITS = 26  # bits of the ends of a slope's range
 _MOST_EXPONENT = 20_000  # of 2, in an end of a range
@@ -75,6 +77,8 @@ class Rows:
     Attributes:
         rows: row of each rate or successor, a list of polynomials for the places in `linear`.
         slopes: range of each slope.
+        limits: for the node of each limit with a feedback, its operand, the least distance of the operand at x* from
+            the limits, and the feedback.
         linear: positions in `names` of the states and of the disturbances.
 
     Args:
@@ -120,14 +124,12 @@ class Rows:
         self._rows: dict[int, list[Number]] = {}
         self._values: dict[tuple[str, int], Number] = {}
         self._numeric: dict[int, bool] = {}
-        self._limits: dict[int, tuple[int, Fraction, Sequence[Fraction]]] = {}  # operand, least gap at x*, feedback
+        self.limits: dict[int, tuple[int, Fraction, Sequence[Fraction]]] = {}
         self._feedbacks = feedbacks
         self.box = self._variables(box)
         source = ExpressionTable(names)
         self.roots = self._rewritten(source, [source.read(text) for text in rates])
         self.rows = [self.row(root) for root in self.roots]
-        if len(self._limits) != len(feedbacks):
-            raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(self._limits)} limits")
 
     def _variables(self, box: Sequence[Interval]) -> list[tuple[Interval, Interval]]:
         """Return ranges on the region, and values at x*, of all variables."""
@@ -171,7 +173,7 @@ class Rows:
         alone = len({self.base[a] for a in free}) == 1 and all(
             self.base[a] >= 0 or self._numeric[a] for a in args
         )  # a function of one variable
-        one_sided = op in ("min", "max") and self._numeric[args[0]] != self._numeric[args[1]]
+        one_sided = op in ("min", "max") and (self.base[args[0]] < 0) != (self.base[args[1]] < 0)
         if op in ("min", "max", "abs", "select") and not (one_sided and self._feedbacks):
             chosen = self._decided(op, args)
             if chosen is not None:
@@ -179,9 +181,8 @@ class Rows:
         if free and not alone:
             if op == "div" and self.base[args[1]] >= 0:
                 return self._put("mul", (args[0], self._put("pow", (args[1],), Fraction(-1))))
-            if op in ("min", "max"):
-                apart = self._put("sub", (args[1], args[0]))
-                return self._put("add", (args[0], self._put(op, (self._put("num", ()), apart))))
+            if op in ("min", "max") and not (one_sided and self._feedbacks):
+                return self._apart_from(op, args)
             if op == "atan2":
                 if not above(self.range[args[1]]):
                     raise Rejected("the slope rule needs a positive second operand of atan2")
@@ -189,8 +190,8 @@ class Rows:
         at = self.table.put(op, *args, value=value)
         if at not in self.range:
             limit = self._limited(op, args)
-            if limit is not None and len(self._limits) < len(self._feedbacks):
-                self._limits[at] = *limit, self._feedbacks[len(self._limits)]
+            if limit is not None and len(self.limits) < len(self._feedbacks):
+                self.limits[at] = *limit, self._feedbacks[len(self.limits)]
                 alone = False
             self._numeric[at] = op in ("num", "pi") or (op != "var" and all(self._numeric[a] for a in args))
             if not free:
@@ -199,6 +200,11 @@ class Rows:
                 self.base[at] = self.base[free[0]] if alone else at
             self.range[at], self.rest[at] = self._ranges(at)
         return at
+
+    def _apart_from(self, op: str, args: tuple[int, ...]) -> int:
+        """Return a + op(0, b − a) for op(a, b)."""
+        apart = self._put("sub", (args[1], args[0]))
+        return self._put("add", (args[0], self._put(op, (self._put("num", ()), apart))))
 
     def _decided(self, op: str, args: tuple[int, ...]) -> int | None:
         """Return the operand that the function takes on the whole region and at x*; None if it is not decided."""
@@ -213,20 +219,18 @@ class Rows:
         return second if libmp.mpf_gt(whole[0][0], whole[1][1]) else None
 
     def _limited(self, op: str, args: tuple[int, ...]) -> tuple[int, Fraction] | None:
-        """Return y and the least distance of y* from its limits, if the operation limits y on both sides by numbers.
+        """Return y and the least distance of y* from its limits, if the operation limits y on both sides.
 
-        It is min(max(y, lower), upper) or max(min(y, upper), lower), and lower < y* < upper.
+        It is min(max(y, lower), upper) or max(min(y, upper), lower) with limits without states, lower < y* < upper.
         """
-        if op not in ("min", "max") or self._numeric[args[0]] == self._numeric[args[1]]:
+        if op not in ("min", "max") or (self.base[args[0]] < 0) == (self.base[args[1]] < 0):
             return None
-        outer, inner = args if self._numeric[args[0]] else args[::-1]
+        outer, inner = args if self.base[args[0]] < 0 else args[::-1]
         entry = self.table.entries[inner]
-        if (
-            entry.op != ("max" if op == "min" else "min")
-            or self._numeric[entry.args[0]] == self._numeric[entry.args[1]]
-        ):
+        free = [self.base[a] < 0 for a in entry.args]
+        if entry.op not in {"min", "max"} - {op} or free[0] == free[1]:
             return None
-        other, y = entry.args if self._numeric[entry.args[0]] else entry.args[::-1]
+        other, y = entry.args if free[0] else entry.args[::-1]
         low, high = (other, outer) if op == "min" else (outer, other)
         gap = min(_fraction(self._apart(high, y)[0]), _fraction(self._apart(y, low)[0]))
         return (y, gap) if gap > 0 else None
@@ -245,16 +249,17 @@ class Rows:
             enclose(small, [root], [known[a] for a in entry.args])[0].value for known in (self.range, self.rest)
         )
         if 0 <= self.base[at] != at:
-            function, inner = self._function(at), self.range[self.base[at]]
-            hull: Interval | None = None
-            for piece in _pieces(inner, self.rest[self.base[at]]):
-                value = function(piece, 0)[0]
-                hull = value if hull is None else _hull(hull, value)
-            own = _common(own, hull)
-            rest = _common(rest, function(self.rest[self.base[at]], 0)[0])
-        elif self.base[at] == at:
+            image, still = self._image(at)
+            own, rest = _common(own, image), _common(rest, still)
+        elif self.base[at] == at and (entry.op not in ("min", "max") or at in self.limits):
             own = _common(own, _around(rest, self._support(self.row(at))))
         return own, rest
+
+    def _image(self, at: int) -> tuple[Interval, Interval]:
+        """Return the range on the region, and that at x*, of a function of its base."""
+        function, base = self._function(at), self.base[at]
+        values = [function(piece, 0)[0] for piece in _pieces(self.range[base], self.rest[base])]
+        return reduce(_hull, values), function(self.rest[base], 0)[0]
 
     def _support(self, row: list[Number]) -> Fraction:
         """Return an upper bound on |row · (ξ, w)|."""
@@ -274,8 +279,7 @@ class Rows:
     def _extent(self, k: int) -> Fraction:
         """Return an upper bound on |ξ_k|, or on the disturbance of this place."""
         own, rest = self.box[self.linear[k]]
-        apart = libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)
-        return _fraction(apart[1])
+        return _fraction(libmp.mpi_abs(libmp.mpi_sub(own, rest, BITS), BITS)[1])
 
     # ---- rows and values as polynomials in the slopes
 
@@ -293,7 +297,7 @@ class Rows:
             return [Number({})] * len(self.linear)
         if base != at:
             return self._scaled(self._slope(self._secant(at)), self.row(base))
-        if at in self._limits:
+        if at in self.limits:
             return self._limit_row(at)
         match entry.op:
             case "var":
@@ -317,11 +321,13 @@ class Rows:
                 first = self._scaled(self._factor(a), self.row(b))
                 second = self._scaled(self._value(b), self.row(a))
                 return [self.plus(x, y) for x, y in zip(first, second, strict=True)]
+            case "min" | "max":
+                return self.row(self._apart_from(entry.op, args))
         raise Rejected(f"the slope rule does not cover {entry.op} of several variables")
 
     def _limit_row(self, at: int) -> list[Number]:
         """Return the row G + θ (r_y − G), θ in [0, 1], of a limit of y; raise Rejected if G reaches the limits."""
-        y, gap, feedback = self._limits[at]
+        y, gap, feedback = self.limits[at]
         if len(feedback) != self.states or self._ellipsoid(list(feedback)) > gap:
             raise Rejected("the feedback of a limit does not stay within the limit")
         row = [Number({(): x} if x else {}) for x in feedback] + [Number({})] * (len(self.linear) - self.states)
@@ -338,7 +344,8 @@ class Rows:
             low, high = self.range[one]
             return (_fraction(high) - _fraction(low)) * self._support(self.row(other))
 
-        swap = zero[0] and not zero[1] if zero[0] != zero[1] else cost(a, b) > cost(b, a)
+        # rounding must not decide between equal costs
+        swap = zero[0] and not zero[1] if zero[0] != zero[1] else cost(a, b) > cost(b, a) * _MORE
         return (b, a) if swap else (a, b)
 
     def _value(self, at: int) -> Number:
@@ -394,8 +401,7 @@ class Rows:
             if entry.op == "num" and entry.value:
                 self._values[key] = Number({(): 1 / entry.value})
             else:
-                ends = over(rational(Fraction(1)), self.rest[at])
-                self._values[key] = self._slope(ends)
+                self._values[key] = self._slope(over(rational(Fraction(1)), self.rest[at]))
         return self._values[key]
 
     def _slope(self, ends: Interval) -> Number:
@@ -485,12 +491,7 @@ class Rows:
         function, base = self._function(at), self.base[at]
         c = self.rest[base]
         value = function(c, 0)[0]
-        total: Interval | None = None
-        for piece in _pieces(self.range[base], c):
-            go_on()
-            slope = _secant_on(function, piece, c, value)
-            total = slope if total is None else _hull(total, slope)
-        return total
+        return reduce(_hull, (_secant_on(function, piece, c, value) for piece in _pieces(self.range[base], c)))
 
     def resting(self, k: int, moved: Fraction) -> Number:
         """Return f_k(x*, w) − moved without disturbances; it is the number 0 only if it is exactly 0."""
@@ -509,7 +510,14 @@ class Rows:
         apart = small.put("sub", new[self.roots[k]], small.put("num", value=moved))
         if not exactly.of(apart)[0] and not exactly.assumed:
             return Number({})
-        return self._slope(plus(self.rest[self.roots[k]], rational(-moved)))
+        # the mean value theorem bounds it more closely where terms in the parameters cancel
+        box = [own for own, _ in self.box]
+        middle = [rational((_fraction(low) + _fraction(high)) / 2) for low, high in box]
+        total = enclose(small, [apart], middle)[0].value
+        [jet] = enclose(small, [apart], box, order=1)
+        for slope, own, at_middle in zip(jet.slope or (), box, middle, strict=True):
+            total = plus(total, mul(slope, plus(own, minus(at_middle))))
+        return self._slope(_common(plus(self.rest[self.roots[k]], rational(-moved)), total))
 
 
 def _fraction(x: Any) -> Fraction:

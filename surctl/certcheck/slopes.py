@@ -13,7 +13,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import combinations
 from math import prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,7 @@ from surctl.certcheck.identity import Exact
 from surctl.certcheck.inequality import Box
 from surctl.certcheck.patience import afford, go_on
 from surctl.certcheck.region_exact import Matrix, inverse, is_positive_definite
-from surctl.certcheck.slope_rows import Number, Rows, magnitude, up
+from surctl.certcheck.slope_rows import Number, Poly, Rows, magnitude, up
 
 __all__ = [
     "Decrease", "check_decrease", "constants", "is_definite", "multiplied", "quadratic_form", "require_in_box",
@@ -33,7 +35,7 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-_MOST_SLOPES = 18  # in one matrix
+_MOST_SLOPES = 20  # in one matrix
 _MOST_STATES = 20
 _UNIT = 2.0**-53
 _CHUNK = 2**18  # numbers of the matrices that are tested together
@@ -100,7 +102,15 @@ def require_in_box(cover: Matrix, centre: Sequence[Fraction], level: Fraction, b
             raise Rejected("the region reaches the border of the box")
 
 
-def check_decrease(names: Sequence[str], box: Box, rates: Sequence[str], needed: Decrease, *, discrete: bool) -> None:
+def check_decrease(
+    names: Sequence[str],
+    box: Box,
+    rates: Sequence[str],
+    needed: Decrease,
+    *,
+    discrete: bool,
+    feedbacks: Sequence[Sequence[Fraction]] = (),
+) -> None:
     """Raise Rejected unless the slope rule proves the decrease.
 
     Args:
@@ -109,13 +119,17 @@ def check_decrease(names: Sequence[str], box: Box, rates: Sequence[str], needed:
         rates: texts of the rates or successors of the states.
         needed: what is to be shown.
         discrete: whether `rates` are successors.
+        feedbacks: feedback (n,) of each limit, see `surctl.certcheck.slope_rows`.
     """
     try:
         ends = [span(*bounds) for bounds in box]
-        rows = Rows(names, ends, rates, [inverse(needed.p)], needed.centre, needed.level, list(needed.gains))
+        cover, gains = inverse(needed.p), list(needed.gains)
+        rows = Rows(names, ends, rates, [cover], needed.centre, needed.level, gains, feedbacks)
         free = [rows.resting(k, needed.centre[k] if discrete else Fraction(0)) for k in range(len(rates))]
     except Undefined as reason:
         raise Rejected(f"an expression is not defined on the region: {reason}") from None
+    if len(rows.limits) != len(feedbacks):
+        raise Rejected(f"there are {len(feedbacks)} feedbacks for {len(rows.limits)} limits")
     if needed.constant < 0:
         raise Rejected("V would have to become negative")
     moves = any(entry.poly or entry.error for entry in free)
@@ -175,53 +189,121 @@ def _number(x: Fraction) -> Number:
 def is_definite(rows: Rows, whole: list[list[Number]]) -> bool:
     """Return whether the symmetric matrix is shown to be positive definite at all vertices."""
     size = len(whole)
-    used = sorted({k for row in whole for entry in row for term in entry.poly for k in term})
+    lower = [(i, j) for i in range(size) for j in range(i + 1)]
+    ranges = dict(enumerate(rows.slopes))
+    polys = _joined([whole[i][j].poly for i, j in lower], ranges)
+    used = sorted({k for poly in polys for term in poly for k in term})
     if len(used) > _MOST_SLOPES:
         raise Rejected(f"the slope rule needs {len(used)} slopes, more than {_MOST_SLOPES}")
-    terms = sorted({term for row in whole for entry in row for term in entry.poly})
+    terms = sorted({term for poly in polys for term in poly})
     if not terms:
         return False
     # scale by powers of 2, which is exact, so that the diagonal is about 1
     half = [magnitude(rows.size(whole[k][k])) // 2 for k in range(size)]
     # and so that no slope is rounded to 0
-    unit = {k: Fraction(2) ** magnitude(max(map(abs, rows.slopes[k]))) for k in used}
-    afford(8 * (2 * _CHUNK + len(terms) * size**2))
-    numbers = np.zeros((len(terms), size, size))
+    unit = {k: Fraction(2) ** magnitude(max(map(abs, ranges[k]))) for k in used}
+    inner = min(len(used), max(0, (_CHUNK // len(lower)).bit_length() - 1))
+    afford(8 * len(lower) * (len(terms) + 12 * 2**inner))
+    table = {term: np.zeros((len(lower), 1)) for term in terms}
     error = np.zeros((size, size))
-    place = {term: t for t, term in enumerate(terms)}
-    for i in range(size):
-        for j in range(size):
-            factor = Fraction(2) ** -(half[i] + half[j])
-            error[i, j] = up(whole[i][j].error * factor)
-            for term, number in whole[i][j].poly.items():
-                numbers[place[term], i, j] = float(number * prod([unit[k] for k in term], start=factor))
-    ends = np.array([[float(end / unit[k]) for end in rows.slopes[k]] for k in used]).reshape(len(used), 2)
-    members = [[used.index(k) for k in term] for term in terms]
-    largest = np.array([np.prod(np.abs(ends[term]).max(axis=1)) for term in members])
+    for at, ((i, j), poly) in enumerate(zip(lower, polys, strict=True)):
+        factor = Fraction(2) ** -(half[i] + half[j])
+        error[i, j] = error[j, i] = up(whole[i][j].error * factor)
+        for term, number in poly.items():
+            table[term][at] = float(number * prod([unit[k] for k in term], start=factor))
+    ends = {k: (float(ranges[k][0] / unit[k]), float(ranges[k][1] / unit[k])) for k in used}
     # rounding of the numbers, of the products of slopes, and of the sums
-    size_of = np.einsum("t,tij->ij", largest, np.abs(numbers))
-    error += size_of * ((len(terms) + _MOST_SLOPES + 8) * _UNIT)
+    size_of = np.zeros((size, size))
+    for at, (i, j) in enumerate(lower):
+        parts = (abs(table[term][at, 0]) * prod(max(map(abs, ends[k])) for k in term) for term in polys[at])
+        size_of[i, j] = size_of[j, i] = sum(parts)
+    error += size_of * ((len(terms) + 2 * _MOST_SLOPES + 8) * _UNIT)
     trace = float(np.trace(size_of))
     # Rump: if the factorisation of A − shift·I succeeds in floating-point numbers, A is positive semidefinite; with
     # twice the shift, it is positive definite
     shift = 2 * (float(error.sum(axis=1).max()) * (1 + 1e-12) + 8 * (size + 2) * _UNIT * trace)
-    for chosen in _vertices(len(used), max(1, _CHUNK // (size**2 + len(terms)))):
+    for values in _vertices(table, [(k, *ends[k]) for k in used], len(used) - inner):
         go_on()
-        slopes = np.where(chosen, ends[:, 1], ends[:, 0])  # (vertices, slopes)
-        products = np.array([slopes[:, term].prod(axis=1) for term in members])
-        matrices = np.tensordot(products.T, numbers, axes=1) - shift * np.eye(size)
-        try:
-            factors = np.linalg.cholesky(matrices)
-        except np.linalg.LinAlgError:
-            return False
-        if not np.all(np.isfinite(factors)):
-            return False
+        matrix = np.zeros((size, size, values.shape[1]))
+        for at, (i, j) in enumerate(lower):
+            matrix[i, j] = values[at] - shift if i == j else values[at]
+        for k in range(size):
+            if not np.all((matrix[k, k] > 0) & (matrix[k, k] < np.inf)):  # a NaN fails this test too
+                return False
+            column = matrix[k + 1 :, k] / np.sqrt(matrix[k, k])
+            for i in range(size - k - 1):
+                matrix[k + 1 + i, k + 1 : k + 2 + i] -= column[i] * column[: i + 1]
     return True
 
 
-def _vertices(count: int, together: int) -> Iterator[NDArray[np.bool_]]:
-    """Yield all vertices of a box, in parts (K, count) of at most `together`."""
-    together = min(together, 2**count)
-    for begin in range(0, 2**count, together):
-        indices = np.arange(begin, begin + together)  # from 2^count on, vertices are repeated
-        yield ((indices[:, None] >> np.arange(count)) & 1).astype(bool)
+def _vertices(
+    table: dict[tuple[int, ...], Array], slopes: Sequence[tuple[int, float, float]], outer: int
+) -> Iterator[Array]:
+    """Yield the values (entries, vertices) of polynomials in the slopes at all vertices of their ranges, in parts.
+
+    Args:
+        table: coefficients (entries, 1) of each term.
+        slopes: each slope with its range.
+        outer: number of slopes that have one value in a part.
+    """
+    if not slopes:
+        yield table[()]
+        return
+    (k, low, high), rest = slopes[0], slopes[1:]
+    for values in ((low,), (high,)) if outer > 0 else ((low, high),):
+        reduced: dict[tuple[int, ...], Array] = {}
+        for term, numbers in table.items():
+            parts = [numbers * value if k in term else numbers for value in values]
+            own = tuple(other for other in term if other != k)
+            more = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+            reduced[own] = reduced[own] + more if own in reduced else more
+        yield from _vertices(reduced, rest, outer - 1)
+
+
+def _joined(polys: Sequence[Poly], ranges: dict[int, tuple[Fraction, Fraction]]) -> list[Poly]:
+    """Return polynomials with fewer slopes: if two only occur in multiples of one function of both, it is one slope.
+
+    The function is x a + y b + z a b. The range of the slope, which is added to `ranges`, is that at the vertices.
+    """
+    polys = list(polys)
+    while pair := _pair(polys):
+        go_on()
+        (a, b), (x, y, z) = pair
+        new = max(ranges) + 1
+        ends = [x * s + y * t + z * s * t for s in ranges[a] for t in ranges[b]]
+        ranges[new] = min(ends), max(ends)
+        for at, poly in enumerate(polys):
+            first = next(k for k, size in (((a,), x), ((b,), y), ((a, b), z)) if size)
+            polys[at] = {}
+            for term, number in poly.items():
+                own = tuple(k for k in term if k in (a, b))
+                if own in ((), first):
+                    rest = (k for k in term if k not in own)
+                    size = {(): Fraction(1), (a,): x, (b,): y, (a, b): z}[own]
+                    polys[at][tuple(sorted([*rest, *([new] if own else [])]))] = number / size
+    return polys
+
+
+def _pair(polys: Sequence[Poly]) -> tuple[tuple[int, int], tuple[Fraction, ...]] | None:
+    """Return two slopes a < b and x, y, z, if they only occur in multiples of x a + y b + z a b; None if none do."""
+    places: dict[int, dict[Any, Fraction]] = {}
+    for at, poly in enumerate(polys):
+        for term, number in poly.items():
+            for k in term:
+                places.setdefault(k, {})[at, term] = number
+    polys_of = {k: {at for at, _ in own} for k, own in places.items()}
+    for a, b in combinations(sorted(places), 2):
+        few, many = sorted((len(places[a]), len(places[b])))
+        if polys_of[a] != polys_of[b] or many not in (few, 2 * few):
+            continue
+        triples: dict[Any, list[Fraction]] = {}
+        for k, at in ((a, 0), (b, 1)):
+            for (poly, term), number in places[k].items():
+                both = a in term and b in term
+                rest = tuple(k for k in term if k not in (a, b))
+                triples.setdefault((poly, rest), [Fraction(0)] * 3)[2 if both else at] = number
+        first = next(iter(triples.values()))
+        i = next(i for i, number in enumerate(first) if number)
+        if all(x[j] * first[i] == x[i] * first[j] for x in triples.values() for j in range(3)):
+            return (a, b), tuple(first)
+    return None

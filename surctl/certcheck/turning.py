@@ -1,11 +1,11 @@
 """Check of a `turning` certificate: V decays on every motion of a cruise with unequal masses at any heading.
 
 The claim states that, for all constant true parameters in their ranges, there is a steady cruise ξ* with the offset
-x_e* = −ω/k1 along the path, and in a current with one across it (`turning_flow`). With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ =
-(x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
+x_e* = −ω/k1 along the path, and in a current with one across it (`turning_terms`). With V = (ξ − ξ*)ᵀ P (ξ − ξ*) and ξ
+= (x_e, y_e, U_x, U_y), every motion that starts in V ≤ 1 satisfies V(t) ≤ max(e^(−a t) V(0), floor) for all t ≥ 0,
 however the heading moves with |r| ≤ yaw_rate_rad_per_s and on any curve with |curvature| ≤ curvature_per_m, and in any
 constant current of at most current_m_per_s. With thrust lag, q |E|² is added to V; with commands that are held for a
-period that begins at t = 0, a term that vanishes at each control instant (`turning_late`). The levels floor = ℓ_0 <
+period that begins at t = 0, a term that vanishes at each control instant (`turning_form`). The levels floor = ℓ_0 <
 ℓ_1 < … < 1 divide the region into shells, and `turning_cells` proves the decay in every shell and every cell of
 headings. P > 0, the offsets, the ultimate bound and the Munk moment are checked in exact rational arithmetic.
 """
@@ -19,7 +19,7 @@ from itertools import pairwise
 from typing import Any
 
 from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.region_claim import number
+from surctl.certcheck.region_claim import CruiseClaim, number, read_shells, triangle
 from surctl.certcheck.region_exact import (
     Matrix,
     inverse,
@@ -28,15 +28,12 @@ from surctl.certcheck.region_exact import (
     quadratic,
     root_up,
 )
-from surctl.certcheck.turning_cells import Trim, check_shell, heading_cells, lateness, steady
+from surctl.certcheck.turning_cells import check_shell, heading_cells, lateness, steady
 from surctl.certcheck.turning_claim import Pair, TurningClaim, factors, read_claim
-from surctl.certcheck.turning_flow import STILL
-from surctl.certcheck.turning_form import Form
-from surctl.certcheck.turning_late import Phase
-from surctl.certcheck.turning_law import check_samples
-from surctl.certcheck.turning_terms import coupled_mass, other_forces, other_moment
+from surctl.certcheck.turning_form import Form, Phase
+from surctl.certcheck.turning_terms import STILL, coupled_mass, other_forces, other_moment
 
-__all__ = ["check", "check_cells"]
+__all__ = ["check", "check_cells", "require_bound", "require_starts"]
 
 _MOST_SHELLS = 24
 _CELLS = (4, 96)  # least and largest number of cells of headings
@@ -70,7 +67,7 @@ def check_cells(
     Raises:
         Rejected: the proof does not prove the claim; the message names the first failure.
     """
-    p = _matrix(proof["P"])
+    p = triangle(proof["P"], 4, "proof.P")
     if not is_positive_definite(p):
         raise Rejected("P is not positive definite")
     if any(p[i][j] for i, j in _UNMIRRORED):
@@ -78,10 +75,11 @@ def check_cells(
     trim, cells = steady(claim, slopes, flow), proof["cells"]
     if type(cells) is not int or not _CELLS[0] <= cells <= _CELLS[1]:
         raise Rejected(f"proof.cells must be a whole number from {_CELLS[0]} to {_CELLS[1]}")
-    levels, growths = _shells(proof)
+    levels, stated = read_shells(proof, "growth", _MOST_SHELLS)
+    growths = [number(growth, "the growth of a shell") for growth in stated]
     covariance = inverse(p)
-    _check_starts(claim, p, trim)
-    _check_ultimate_bound(claim, covariance, trim, levels[0])
+    require_starts(claim, p, trim.moved, trim.beside, claim.rest_offset)
+    require_bound(claim, covariance, trim.moved, trim.beside, levels[0])
     fastest = claim.cruise + claim.current + root_up(largest_eigenvalue([row[2:] for row in covariance[2:]]))
     _check_munk_moment(claim, fastest)
     forces = other_forces(claim, fastest)
@@ -93,20 +91,10 @@ def check_cells(
             late = lateness(claim, trim, divided, form, forces)
         for (low, high), growth in zip(pairwise(levels), growths, strict=True):
             check_shell(claim, trim, divided, form, low, high, growth, forces, late, phase)
-    check_samples(claim, trim, form.p, float(levels[0]))
-
-
-def _matrix(rows: Any) -> Matrix:
-    """Return the symmetric matrix (4, 4) whose lower triangle has the given rows."""
-    shaped = isinstance(rows, list) and all(isinstance(row, list) for row in rows)
-    if not shaped or [len(row) for row in rows] != [1, 2, 3, 4]:
-        raise Rejected("proof.P must be a lower triangle with 4 rows")
-    lower = [[number(entry, "proof.P", least=-(10**9)) for entry in row] for row in rows]
-    return [[lower[max(i, j)][min(i, j)] for j in range(4)] for i in range(4)]
 
 
 def _thrust(claim: TurningClaim, value: Any) -> tuple[Fraction, tuple[Phase, ...]]:
-    """Return the weight q, and the forms of `turning_late` that decide.
+    """Return the weight q, and the forms of `turning_form` that decide.
 
     Raises:
         Rejected: the proof has other numbers, or the claim is about a curved path or an inertia with m12.
@@ -144,40 +132,37 @@ def _slopes(value: Any) -> tuple[Fraction, Fraction]:
     return first, second
 
 
-def _shells(proof: Mapping[str, Any]) -> tuple[list[Fraction], list[Fraction]]:
-    """Return the levels of V from the floor to 1, and the growth η of each shell."""
-    shells = proof["shells"]
-    if not isinstance(shells, list) or not 1 <= len(shells) <= _MOST_SHELLS:
-        raise Rejected(f"proof.shells must hold 1 to {_MOST_SHELLS} shells")
-    levels, growths = [number(proof["floor"], "proof.floor", above=True)], []
-    for entry in shells:
-        one = record(entry, ("level", "growth"), "a shell")
-        levels.append(number(one["level"], "the level of a shell", least=levels[-1], above=True))
-        growths.append(number(one["growth"], "the growth of a shell"))
-    if levels[-1] != 1:
-        raise Rejected("the last shell must end at level 1")
-    return levels, growths
+def require_starts(
+    claim: CruiseClaim | TurningClaim, p: Matrix, moved: Pair, beside: Fraction, rest: Fraction | None = None
+) -> None:
+    """Raise Rejected unless the starts with x_e = 0, |y_e| = offset lie in V ≤ 1 for all steady cruises.
 
-
-def _check_starts(claim: TurningClaim, p: Matrix, trim: Trim) -> None:
-    """Check that the claimed starts, moving with the target and at rest, lie in the region for every ω."""
+    Args:
+        claim: the claim.
+        p: matrix P of V.
+        moved: range of the commanded speed at the steady cruise minus the cruise speed [m/s].
+        beside: largest steady offset beside the path [m].
+        rest: offset of the start at rest [m]; the other start has the target's velocity.
+    """
     starts = [(claim.offset, Fraction(0), "with the target's velocity")]
-    if claim.rest_offset is not None:
-        starts.append((claim.rest_offset, -claim.cruise, "at rest"))
-    for omega in trim.moved:
-        for beside, speed, how in starts:
-            for side in (beside + trim.beside, beside - trim.beside):
-                if quadratic(p, [omega / claim.k1, side, speed, Fraction(0)]) > 1:
-                    raise Rejected(f"a start {how} {float(beside):g} m beside the path is not in the region")
+    if rest is not None:
+        starts.append((rest, -claim.cruise, "at rest"))
+    none = [Fraction(0)] * (len(p) - 3)
+    for omega in moved:
+        for offset, speed, how in starts:
+            for side in (1, -1):
+                if quadratic(p, [omega / claim.k1, side * (offset + beside), speed, *none]) > 1:
+                    raise Rejected(f"a start {how} {float(offset):g} m beside the path is not in the region")
 
 
-def _check_ultimate_bound(claim: TurningClaim, covariance: Matrix, trim: Trim, floor: Fraction) -> None:
-    """Check that |x_e| and |y_e| in the set V ≤ floor do not exceed the claimed ultimate bound."""
-    away = max(map(abs, trim.moved)) / claim.k1
-    x, y = (root_up(covariance[k][k] * floor) for k in (0, 1))
-    y += trim.beside
-    if x + away > claim.ultimate_bound[0] or y > claim.ultimate_bound[1]:
-        raise Rejected(f"the set V <= floor extends to |x_e| = {float(x + away):.4g} m and |y_e| = {float(y):.4g} m, "
+def require_bound(
+    claim: CruiseClaim | TurningClaim, covariance: Matrix, moved: Pair, beside: Fraction, floor: Fraction
+) -> None:
+    """Raise Rejected unless |x_e| and |y_e| in V ≤ floor are within the ultimate bound; see `require_starts`."""
+    away = max(map(abs, moved)) / claim.k1
+    x, y = (root_up(covariance[k][k] * floor) + shift for k, shift in enumerate((away, beside)))
+    if x > claim.ultimate_bound[0] or y > claim.ultimate_bound[1]:
+        raise Rejected(f"the set V <= floor extends to |x_e| = {float(x):.4g} m and |y_e| = {float(y):.4g} m, "
                        "beyond the claimed ultimate bound")  # fmt: skip
 
 

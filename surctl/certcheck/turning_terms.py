@@ -1,4 +1,4 @@
-"""Forces beside equation (3) of the paper in a turning cruise: coupled inertia, drag by other velocities, constants.
+"""Bounds of what acts on a turning cruise: forces beside equation (3) of the paper, inertia, and a current.
 
 Let ν be the horizontal velocity in the body frame, w the heave velocity, r the yaw rate, and S the quarter turn. The
 horizontal part of the dynamics with a full inertia matrix is
@@ -9,17 +9,32 @@ horizontal part of the dynamics with a full inertia matrix is
 d_0 are the constant forces. The claim bounds w, ẇ, r and ṙ, and the region bounds ν, so that each entry of d is
 bounded. m12 is part of the proof's matrices (`turning_cells`). Each true term is its value times a factor: that of the
 masses for m12 to m24, that of the drag for all others; the bounds take the largest factor.
+
+A constant current changes the trim force, and the steady command shifts with it. Let c be the current, n_i an axis of
+the body in the path frame, and δ = −n_i G c the shift of the steady command along it, G = diag(g_x, g_y). The law adds
+m_i k_v δ and the change of its feedforward, and the drag at the target's velocity changes by the current. With α =
+m_i k_v + â + b̂ S_w and β = f a + g b S_u, the error on axis i changes by n_i (β − α G) c. S_w is the secant slope of
+|w| w from w = n_i (v + ω, 0) to w + δ, and S_u that of |u| u from u = n_i (v, 0) to u − n_i c, both between
+max(2 (√2 − 1) |u|, 2 |u| − change) and 2 |u| + change. For given slopes, β − α g_k is affine in the drag factors, so
+that their vertices decide.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 
-from surctl.certcheck.document import Rejected
-from surctl.certcheck.turning_claim import TurningClaim
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["coupled_mass", "other_forces", "other_moment"]
+from surctl.certcheck.document import Rejected
+from surctl.certcheck.turning_claim import Pair, TurningClaim, drag_factors, factors
+
+__all__ = [
+    "STILL", "UP", "Coupling", "Turn", "coupled_mass", "coupling_of", "flow_gains", "flow_lack", "inverse_masses",
+    "other_forces", "other_moment", "turn_points",
+]  # fmt: skip
 
 _FORCES, _VELOCITIES = "XY", "uvwr"
 
@@ -69,3 +84,108 @@ def other_forces(claim: TurningClaim, fastest: Fraction) -> tuple[Fraction, Frac
 def other_moment(claim: TurningClaim, fastest: Fraction) -> Fraction:
     """Return a bound on the yaw moment u p_y − v p_x beside (m22 − m11) u v, with (p_x, p_y) the momentum [N m]."""
     return fastest * (fastest * coupled_mass(claim) + sum(_carried(claim)))
+
+
+UP = 1 + 1e-9
+"""Factor that covers the rounding of a bound."""
+
+Turn = tuple[float, float, float, float]
+"""The numbers r e1, r e2, turn rate of the path frame, and r; r is 0 in claims whose thrust is the present command."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """Bounds of what m12 changes: 1 − ρ², the largest |β| [1/kg], and the norm `loose` [1/s] of the loose terms."""
+
+    remaining: Fraction
+    cross: Fraction
+    loose: Fraction
+
+
+def coupling_of(claim: TurningClaim) -> Coupling:
+    """Return the bounds of what m12 changes for all masses."""
+    c = coupled_mass(claim)
+    first, second = (claim.mass_factor[0] * m for m in claim.mass)
+    rho = c * c / (first * second)
+    ratio = _ratio(claim) * max(claim.mass[0] / claim.mass[1], claim.mass[1] / claim.mass[0])
+    loose = claim.yaw_rate * (c * (1 / first + 1 / second) + rho * (1 + ratio)) / (1 - rho)
+    return Coupling(1 - rho, c / (first * second * (1 - rho)), loose)
+
+
+def inverse_masses(claim: TurningClaim, coupling: Coupling) -> list[tuple[float, float, float]]:
+    """Return the vertices of the diagonal of M⁻¹ and of its other entry.
+
+    Two equal factors g with f < g < h are left out: the point (1/g, 1/g) lies between (1/f, 1/f) and (1/h, 1/h).
+    """
+    ends = claim.mass_factor[0] * coupling.remaining, claim.mass_factor[1]
+    pairs = [pair for pair in factors(ends, claim.mass_asymmetry, 2) if pair[0] != pair[1] or pair[0] in ends]
+    cross = float(coupling.cross) * UP
+    signs = sorted({cross, -cross})
+    first, second = claim.mass
+    return [(float(1 / (f * first)), float(1 / (g * second)), b) for f, g in pairs for b in signs]
+
+
+def _ratio(claim: TurningClaim) -> Fraction:
+    """Return the largest ratio of the factors of the two masses."""
+    ratio = (2 + claim.mass_asymmetry) / (2 - claim.mass_asymmetry)
+    return min(ratio, claim.mass_factor[1] / claim.mass_factor[0])
+
+
+def turn_points(claim: TurningClaim) -> list[Turn]:
+    """Return points whose hull contains (r e1, r e2, σ, r) for all masses, |r| ≤ r_max and all curvatures.
+
+    With q = m11/m22, (1 − e1)(1 + e2) = 1/q · q = 1 is a hyperbola, which lies in the triangle of its ends and of the
+    intersection of the tangents there.
+    """
+    ratio = _ratio(claim)
+    low, high = claim.mass[0] / claim.mass[1] / ratio, claim.mass[0] / claim.mass[1] * ratio
+    points = {(1 - 1 / q, q - 1) for q in (low, high)} | {(1 - 2 / (low + high), 2 * low * high / (low + high) - 1)}
+    turn = claim.yaw_rate if claim.behind else Fraction(0)
+    ends = {(sign * claim.yaw_rate * a, sign * claim.yaw_rate * b, sign * turn) for a, b in points for sign in (1, -1)}
+    bend = float(claim.curvature * claim.cruise) * UP
+    return [(float(a) * UP, float(b) * UP, c, float(r) * UP) for a, b, r in sorted(ends) for c in sorted({bend, -bend})]
+
+
+Array = NDArray[np.float64]
+
+STILL: tuple[Pair, Pair, Pair] = ((Fraction(0), Fraction(0)),) * 3
+"""Coefficients of the gains of a steady command that does not shift."""
+
+_FIRST = 2 * (np.sqrt(2) - 1)  # least secant slope of |u| u from v, divided by v
+
+
+def flow_gains(flow: tuple[Pair, Pair, Pair], f: tuple[Fraction, ...]) -> Pair:
+    """Return (g_x, g_y) for the drag factors (linear surge, linear sway, quadratic surge, quadratic sway)."""
+    means = Fraction(1), (f[0] + f[1]) / 2 - 1, (f[2] + f[3]) / 2 - 1
+    along, across = (sum((row[k] * mean for row, mean in zip(flow, means, strict=True)), Fraction(0)) for k in (0, 1))
+    return along, across
+
+
+def flow_lack(claim: TurningClaim, flow: tuple[Pair, Pair, Pair], omega: tuple[float, float], share: Array) -> Array:
+    """Return the largest error [N] (cells, 2) on each axis by the current; arguments as in `turning_cells`."""
+    v, current = float(claim.cruise), float(claim.current) * UP
+    moved = current * max(abs(float(g)) for f in drag_factors(claim) for g in flow_gains(flow, f))
+    lack = np.zeros(share.shape[:2])
+    for axis in (0, 1):
+        gain, linear, square = (float(n) for n in (claim.mass[axis] * claim.k_v, claim.linear[axis],
+                                                   claim.quadratic[axis]))  # fmt: skip
+        low, high = share[:, axis, 0], share[:, axis, 1]
+        most = np.stack([high, np.sqrt(np.clip(1 - low**2, 0, 1))], 1)  # |n_i| along and across the path
+        for f in drag_factors(claim):
+            gains = [float(g) for g in flow_gains(flow, f)]
+            law = [gain + linear + square * s for s in _slopes((v + omega[0]) * low, (v + omega[1]) * high, moved)]
+            drag = [float(f[axis]) * linear + float(f[2 + axis]) * square * s
+                    for s in _slopes(v * low, v * high, current)]  # fmt: skip
+            left = np.stack([
+                np.max([np.abs(beta - alpha * g) for alpha in law for beta in drag], axis=0) for g in gains
+            ], 1)  # fmt: skip
+            size = max(map(abs, gains)) * law[1] + drag[1]
+            lack[:, axis] = np.maximum(
+                lack[:, axis], current * (np.linalg.norm(left * most, axis=1) + 1e-12 * size) * UP
+            )
+    return lack
+
+
+def _slopes(low: Array, high: Array, change: float) -> tuple[Array, Array]:
+    """Return bounds of the secant slopes of |u| u from u in [low, high] to a point at most `change` away."""
+    return np.maximum(_FIRST * low, 2 * low - change) / UP, (2 * high + change) * UP

@@ -9,12 +9,11 @@ import sys
 import warnings
 
 import click
+from click.shell_completion import get_completion_class
 
 from surctl import __version__
-from surctl.cli.activity import signs_of_life
 from surctl.cli.calibrate import calibrate
 from surctl.cli.check import check
-from surctl.cli.completion import completion
 from surctl.cli.export import export
 from surctl.cli.fly import fly
 from surctl.cli.gains import gains
@@ -22,11 +21,22 @@ from surctl.cli.lint import lint
 from surctl.cli.listing import listing
 from surctl.cli.mission import scenario
 from surctl.cli.new import new
-from surctl.cli.output import LOST, Stopped, interrupted, noting_interrupts, print_message
+from surctl.cli.output import (
+    LOST,
+    OutputLost,
+    Stopped,
+    discard_stdout,
+    failed_write,
+    guarded_stdout,
+    interrupted,
+    noting_interrupts,
+    open_closed_streams,
+    print_message,
+    signs_of_life,
+)
 from surctl.cli.reproduce import reproduce
 from surctl.cli.simulate import simulate
 from surctl.cli.sonar_replay import sonar_replay
-from surctl.cli.streams import OutputLost, discard_stdout, failed_write, guarded_stdout, open_closed_streams
 from surctl.cli.study import study
 from surctl.cli.sweep import sweep
 from surctl.cli.tune import tune
@@ -56,6 +66,21 @@ def app() -> None:
     Exit status: 0 finished with the expected result, 1 finished with another result, 2 wrong input, 3 some output
     could not be written.
     """
+
+
+@click.command
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
+    """Print a script with which a shell completes commands, options and choices.
+
+    For bash, add this line to ~/.bashrc: eval "$(surctl completion bash)".
+
+    Examples: surctl completion bash; surctl completion fish > ~/.config/fish/completions/surctl.fish
+    """
+    completer = get_completion_class(shell)
+    assert completer is not None  # click supports all three shells
+    root = click.get_current_context().find_root().command
+    sys.stdout.write(completer(root, {}, "surctl", "_SURCTL_COMPLETE").source() + "\n")
 
 
 _COMMANDS = {  # in the order in which a newcomer needs them; a description fits one line of 80 columns

@@ -1,30 +1,128 @@
-"""`surctl export`: write the controller as C code."""
+"""`surctl export`: write the controller of the robot or of a system as C code or FMU, and compare it with Python."""
 
 from __future__ import annotations
 
 import shlex
+import tempfile
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import click
 from click.core import ParameterSource
 
-from surctl.cli.activity import progress
-from surctl.cli.gains_choice import GAINS_HELP, choose_gains
-from surctl.cli.law_option import choose_law, law_option
-from surctl.cli.next_export import MISSION
-from surctl.cli.output import as_json, finish, finite
-from surctl.cli.priority_options import priority_options
-from surctl.cli.scene_export import export_scene
-from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options
-from surctl.cli.system_export import SystemExport, export_system
-from surctl.cli.system_option import is_system, seconds_option
-from surctl.cli.thruster_options import split_faults
+from surctl.cli.output import as_json, collected, finish, finite, progress
+from surctl.cli.robot_options import (
+    GAINS_HELP,
+    MISSION,
+    RobotOptions,
+    choose_gains,
+    choose_law,
+    choose_vehicle,
+    law_option,
+    priority_options,
+)
+from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, split_faults
+from surctl.cli.subject import assigned, cost_data, cost_lines, end_text, is_system, load_system, seconds_option
 
 if TYPE_CHECKING:
+    from surctl.export import CheckReport, ProofReport, Records, SilReport
+    from surctl.export.bundle import Bundle
+    from surctl.export.contract import Exportable
+    from surctl.export.emulated import Target
     from surctl.marine.simulation import Run
 
-__all__ = ["export"]
+    Tools: TypeAlias = tuple[Sequence[Target], Mapping[str, tuple[str, ...]]]
+
+__all__ = ["ExportOptions", "export", "export_scene", "export_system"]
+
+_TARGETS = ("c99", "fmu", "fmu3")
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """The options about the bundle: prefix, output, number type, checks, proof, folder."""
+
+    name: str | None
+    target: str
+    real: str
+    check: bool
+    targets: str | None
+    steps: int | None
+    prove: bool
+    out: Path
+
+    def tools(self) -> Tools:
+        """Return the compilers and processors of `--check`, and those that are not available.
+
+        Raises:
+            InputError: `--check` is missing, or a target is unknown.
+            ToolMissing: there is no C compiler.
+        """
+        from surctl.errors import InputError
+        from surctl.export.emulated import chosen_targets
+        from surctl.ir import find_compiler
+
+        if not self.check and (self.targets or self.steps):
+            raise InputError("needs --check", key="--targets" if self.targets else "--steps", remedy="add --check")
+        tools = chosen_targets([name.strip() for name in self.targets.split(",")] if self.targets else ())
+        find_compiler()
+        return tools
+
+    def proved(self, controller: Exportable, bundle: Bundle, limit: Any = None) -> tuple[Bundle, ProofReport | None]:
+        """Return the bundle with its proof, and the proof, if it is requested; else the bundle and None."""
+        if not self.prove:
+            return bundle, None
+        from surctl.export.prove import prove_bundle, with_proof
+
+        progress("proving")
+        proof = prove_bundle(controller, bundle, limit)
+        return with_proof(bundle, proof), proof
+
+    def compared(self, controller: Exportable, bundle: Bundle, records: Records, gains: Any, tools: Tools) -> Compared:
+        """Return the comparison of C and Python over a run, the report of `--check`, and the binary files."""
+        from surctl.export.check import STEPS, check_builds
+        from surctl.export.fmu import write_fmu
+        from surctl.export.process import build_controller
+        from surctl.export.sil import compare_runs
+
+        progress("compiling and replaying")
+        binaries, report = dict[str, bytes](), None
+        with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
+            compiled = build_controller(controller, bundle, Path(scratch, bundle.name))
+            (sil,) = compare_runs(compiled, [records])
+            if self.check:
+                steps, (tried, untried) = self.steps or STEPS, tools
+                report = check_builds(compiled, [records], tried, steps=steps, untried=untried, progress=progress)
+            if self.target != "c99":
+                progress("compiling the functional mock-up unit")
+                fmi = 3 if self.target == "fmu3" else 2
+                unit = write_fmu(controller, bundle, controller.gains.pack(gains), scratch, fmi=fmi)
+                binaries[unit.path.name] = unit.path.read_bytes()
+        return Compared(sil, report, binaries)
+
+
+class Compared(NamedTuple):
+    """Comparison of C and Python over a run, report of `--check` or None, binary files by name."""
+
+    sil: SilReport
+    report: CheckReport | None
+    binaries: dict[str, bytes]
+
+    def summaries(self, proof: ProofReport | None) -> list[str]:
+        """Return the lines about the proof and the report."""
+        return [line for one in (proof, self.report) if one is not None for line in ("", one.summary())]
+
+    def passed(self, proof: ProofReport | None) -> bool:
+        """Whether proof and report are as expected."""
+        return (self.report is None or self.report.passed) and (proof is None or proof.proved)
+
+    def data(self, proof: ProofReport | None) -> dict[str, Any]:
+        """Return comparison, proof and report for JSON."""
+        parts = {"sil": self.sil, "proof": proof, "check": self.report}
+        return {name: part.to_dict() for name, part in parts.items() if part is not None}
 
 
 @click.command
@@ -83,32 +181,16 @@ __all__ = ["export"]
     "--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Seed of the replayed run (default 0)."
 )
 @as_json
+@collected(robot=RobotOptions, sensors=SensorOptions, options=ExportOptions)
 def export(
     system: tuple[str, ...],
     seconds: float | None,
-    gains: str,
-    vehicle: str | None,
     scenario: str,
-    law: str | None,
-    avoidance: str,
-    guidance: str,
-    priority_mode: str,
-    fallback: str,
-    sensing: str | None,
-    faults: tuple[str, ...],
-    chances: tuple[str, ...],
-    beam: float | None,
-    own_state: str | None,
-    name: str | None,
-    target: str,
-    real: str,
+    robot: RobotOptions,
+    sensors: SensorOptions,
+    options: ExportOptions,
     constant_gains: bool,
     certificates: tuple[Path, ...],
-    check: bool,
-    prove: bool,
-    targets: str | None,
-    steps: int | None,
-    out: Path,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -122,42 +204,28 @@ def export(
     Examples: surctl export --gains surctl-out/gains.toml --out firmware; surctl export --law closed_form --sensing
     truth --constant-gains --check; surctl export my_system.py:build --seconds 5
     """
-    if is_system(system, "seconds", "as_json", *SystemExport._fields):
-        own = SystemExport(name, target, real, check, targets, steps, prove, out)
+    if is_system(system, "seconds", "as_json", *(one.name for one in fields(ExportOptions))):
         from surctl.marine.control.registry import LAWS
 
         reserved = {*LAWS, *(source.name for source in LAWS.values())}
-        export_system(system, own, seconds=seconds, as_json=as_json, reserved=reserved)
+        export_system(system, options, seconds=seconds, as_json=as_json, reserved=reserved)
     if system:
         raise click.UsageError(f"Got unexpected extra argument ({system[0]})")
-    import tempfile
-    from dataclasses import replace
-
     import numpy as np
 
-    from surctl.cli.single_run import failure
-    from surctl.cli.vehicle_choice import choose_vehicle
+    from surctl.cli.runs import failure
     from surctl.errors import InputError, nearest
     from surctl.export import (
         REALS,
-        STEPS,
         Records,
         as_records,
-        build_controller,
-        check_builds,
         check_folder,
-        chosen_targets,
-        compare_runs,
         evidence_of,
         gain_box,
-        prove_bundle,
         with_evidence,
-        with_proof,
         write_bundle,
-        write_fmu,
     )
-    from surctl.ir import find_compiler
-    from surctl.marine.control import build_law, law_source
+    from surctl.marine.control import law_source
     from surctl.marine.export import build_bundle, closed_form, load_certificates, operating_envelope, origin_of
     from surctl.marine.guidance import MAX_WAYPOINTS
     from surctl.marine.simulation import SENSING, law_numbers, load_scenario, simulate
@@ -166,45 +234,30 @@ def export(
     from surctl.marine.vehicle.linearise import command_range
 
     checked = (
-        ("--target", target, ("c99", "fmu", "fmu3", "mjcf")),
-        ("--real", real, REALS),
-        ("--sensing", sensing or SENSING[0], SENSING),
+        ("--target", options.target, (*_TARGETS, "mjcf")),
+        ("--real", options.real, REALS),
+        ("--sensing", robot.sensing or SENSING[0], SENSING),
     )
     for key, value, known in checked:
         if value not in known:
             raise InputError("is not available", key=key, value=value, remedy=nearest(value, known))
-    if target == "mjcf":
-        export_scene(scenario, vehicle, out=out, as_json=as_json)
-    if not check and (targets or steps):
-        raise InputError("needs --check", key="--targets" if targets else "--steps", remedy="add --check")
-    precision = REALS[REALS.index(real)]
-    find_compiler()
-    tried, untried = chosen_targets([name.strip() for name in targets.split(",")] if targets else ())
-    faults, _ = split_faults(faults, refused="give the exported step the input `working`, or use surctl simulate")
-    sensors = SensorOptions(faults, chances, beam, own_state)
+    if options.target == "mjcf":
+        export_scene(scenario, robot.vehicle, out=options.out, as_json=as_json)
+    tools = options.tools()
+    refused = "give the exported step the input `working`, or use surctl simulate"
+    sensors = replace(sensors, faults=split_faults(sensors.faults, refused=refused)[0])
     mission = load_scenario(scenario)
-    choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
-    robot = load_vehicle(choice.word)
-    law, why = choose_law(law, [robot])
-    sensing = sensing or ("sonar" if "sonar" in law_source(law).sensing else "truth")
+    choice = choose_vehicle(robot.vehicle, (mission.name, mission.vehicle))
+    vehicle = load_vehicle(choice.word)
+    law, why = choose_law(robot.law, [vehicle])
+    sensing = robot.sensing or ("sonar" if "sonar" in law_source(law).sensing else "truth")
     click.get_current_context().params["sensing"] = sensing
     sensors.check(law=law, sensing=sensing)
     mission = sensors.over(mission)
-    equipment = mission.sensors.on(robot["radius"])
-    built = build_law(
-        law,
-        avoidance=avoidance,
-        mode=priority_mode,
-        sonar=sensing == "sonar",
-        equipment=equipment,
-        guidance=guidance,
-        fallback=fallback,
-        depths=mission.depths is not None,
-        actuators=robot.actuators,
-    )
-    chosen = choose_gains(gains, robot, cruise=mission.cruise, own=law_source(law).gains)
+    built = replace(robot, sensing=sensing).build(law, mission, vehicle)
+    chosen = choose_gains(robot.gains, vehicle, cruise=mission.cruise, own=law_source(law).gains)
     tuned = chosen.gains
-    numbers = law_numbers(mission, tuned, robot)
+    numbers = law_numbers(mission, tuned, vehicle)
     if mission.path.fed and constant_gains:
         raise InputError(
             f"has more than {MAX_WAYPOINTS} points, or speeds or depths for its legs, which are inputs of the program",
@@ -213,49 +266,27 @@ def export(
             remedy="remove --constant-gains",
         )
     table = mission.path.table(visits=mission.corners == "visit") if mission.path.fed else None
-    shipped = closed_form(built, real=precision, constants=numbers if constant_gains else None)
-    within = operating_envelope(built, mission, robot, shipped.gains, tuned=None if constant_gains else numbers)
-    if prove and not constant_gains:
+    real = REALS[REALS.index(options.real)]
+    shipped = closed_form(built, real=real, constants=numbers if constant_gains else None)
+    within = operating_envelope(built, mission, vehicle, shipped.gains, tuned=None if constant_gains else numbers)
+    if options.prove and not constant_gains:
         within = replace(within, gains=gain_box(built, numbers, {**tuned.ranges, **fed_ranges(mission)}))
     fixed = {} if constant_gains else built.gains.unpack(numbers)
-    assumed = equipment if sensing == "sonar" else None
-    origin = origin_of(built, robot, load_certificates(certificates), equipment=assumed)
-    check_folder(out)  # an invalid name or folder is reported before the simulation
-    bundle = build_bundle(shipped, fixed, name=name, real=precision, envelope=within, origin=origin, mission=table)
-    proof = None
-    if prove:
-        progress("proving")
-        limit = command_range(robot) if robot.actuators is None else robot.thrust_bound
-        proof = prove_bundle(shipped, bundle, limit)
-        bundle = with_proof(bundle, proof)
+    assumed = mission.sensors.on(vehicle["radius"]) if sensing == "sonar" else None
+    origin = origin_of(built, vehicle, load_certificates(certificates), equipment=assumed)
+    check_folder(options.out)  # an invalid name or folder is reported before the simulation
+    bundle = build_bundle(shipped, fixed, name=options.name, real=real, envelope=within, origin=origin, mission=table)
+    limit = command_range(vehicle) if vehicle.actuators is None else vehicle.thrust_bound
+    bundle, proof = options.proved(shipped, bundle, limit)
     progress(f"simulating {mission.name}")
-    run = simulate(mission, robot, gains=tuned, law=built, sensing=sensing, seed=seed)
-    record, metrics = run.record, run.metrics
-    progress("compiling and replaying")
-    binaries = {}
-    with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
-        controller = build_controller(shipped, bundle, Path(scratch, bundle.name))
-        records = as_records(
-            shipped,
-            Records(
-                record.law_state,
-                record.law_input,
-                np.zeros((len(record.law_state), 0)) if constant_gains else record.step_parameters,
-            ),
-        )
-        (sil,) = compare_runs(controller, [records])
-        report = (
-            check_builds(controller, [records], tried, steps=steps or STEPS, untried=untried, progress=progress)
-            if check
-            else None
-        )
-        if target in ("fmu", "fmu3"):
-            progress("compiling the functional mock-up unit")
-            unit = write_fmu(shipped, bundle, shipped.gains.pack(fixed), scratch, fmi=3 if target == "fmu3" else 2)
-            binaries[unit.path.name] = unit.path.read_bytes()
+    run = simulate(mission, vehicle, gains=tuned, law=built, sensing=sensing, seed=seed)
+    record, metrics, failed = run.record, run.metrics, failure(run)
+    p = np.zeros((len(record.law_state), 0)) if constant_gains else record.step_parameters
+    records = as_records(shipped, Records(record.law_state, record.law_input, p))
+    compared = options.compared(shipped, bundle, records, fixed, tools)
     replayed = {
         "scenario": mission.name,
-        "vehicle": robot.name,
+        "vehicle": vehicle.name,
         "sensing": sensing,
         "seed": seed,
         "path_length_m": mission.path.length,
@@ -263,52 +294,45 @@ def export(
         "obstacles": [obstacle.model_dump(mode="json", exclude_defaults=True) for obstacle in mission.obstacles],
         "stopped_because": metrics.stopped_because,
         "time_s": metrics.time_s,
-        "failure": failure(run),
+        "failure": failed,
     }
-    evidence = evidence_of(run=replayed, sil=sil, check=report, proof=proof, statuses=record.status, period=built.dt)
+    evidence = evidence_of(
+        run=replayed, sil=compared.sil, check=compared.report, proof=proof, statuses=record.status, period=built.dt
+    )
     evidence["assessment"] = _assessed(run, sensing)
     # a bundle appears when it is complete and checked, at once
-    files = write_bundle(with_evidence(bundle, evidence, binaries=binaries), out)
+    files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
     result: dict[str, Any] = {
-        "failure": failure(run),
+        "failure": failed,
         "name": bundle.name,
         "id": bundle.id,
         "vehicle_from": choice.origin,
         "derived_gains": chosen.data,
         "files": [str(f.path) for f in files],
-        "sha256": {f.path.relative_to(out).as_posix(): f.sha256 for f in files},
+        "sha256": {f.path.relative_to(options.out).as_posix(): f.sha256 for f in files},
         "run": run.to_dict() | ({"sensors": sensor_data(mission)} if sensing == "sonar" else {}),
-        "real": real,
-        "sil": sil.to_dict(),
+        "real": options.real,
+        **compared.data(proof),
     }
-    if proof is not None:
-        result["proof"] = proof.to_dict()
-    started = _how_to_start(out, click.get_current_context())
-    if report is not None:
-        result["check"] = report.to_dict()
-    failed = result["failure"]
-    replay_text = f"replayed: {mission.name} by {robot.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
+    started = _how_to_start(options.out, click.get_current_context())
+    replay_text = f"replayed: {mission.name} by {vehicle.name}, {sensing}, seed {seed}: {metrics.stopped_because} at "
     lines = [
         *why,
         *(f"{f.sha256[:12]}  {f.path}" for f in files),
         "",
-        *(choice.line(robot.name), *chosen.lines),
+        *(choice.line(vehicle.name), *chosen.lines),
         f"{replay_text}{metrics.time_s:.2f} s",
-        sil.summary(),
+        compared.sil.summary(),
     ]
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
-    lines += [] if proof is None else ["", proof.summary()]
-    lines += [] if report is None else ["", report.summary()]
-    belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(out)]) for file in certificates[:1]]
+    lines += compared.summaries(proof)
+    belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     finish(
         result,
         lines,
         as_json=as_json,
-        passed=failed is None
-        and sil.conclusive
-        and (report is None or report.passed)
-        and (proof is None or proof.proved),
-        then=[*belong, *(() if mission.path.fed and real != "float64" else started)],
+        passed=failed is None and compared.sil.conclusive and compared.passed(proof),
+        then=[*belong, *(() if mission.path.fed and options.real != "float64" else started)],
     )
 
 
@@ -348,3 +372,108 @@ def _how_to_start(out: Path, context: click.Context) -> tuple[str, str]:
     port = 5555
     run = f"make -C {shlex.quote(str(out))} controller && {shlex.quote(str(out / 'controller'))} {port}"
     return run, f"surctl simulate {shlex.join(words)} --controller tcp://127.0.0.1:{port}"
+
+
+def export_system(
+    words: Sequence[str],
+    options: ExportOptions,
+    *,
+    seconds: float | None,
+    as_json: bool,
+    reserved: Collection[str] = (),
+) -> None:
+    """Write the controller as C, compare C and Python over a run; exit with status 1 if a number differs.
+
+    Raises:
+        InputError: an option is not available, `--check` is missing, or the name is one of `reserved`.
+    """
+    from surctl.assessment import ClosedLoop, assess
+    from surctl.errors import InputError, nearest
+    from surctl.export.bundle import build_bundle, check_folder, write_bundle
+    from surctl.export.envelope import as_records
+    from surctl.export.evidence import evidence_of, with_evidence
+    from surctl.export.precision import REALS
+    from surctl.export.supplement import PlantLists
+    from surctl.system import LOST, run_system
+    from surctl.system.values import run_numbers
+
+    for key, value, known in (("--target", options.target, _TARGETS), ("--real", options.real, REALS)):
+        if value not in known:
+            problem = "is not available for a system of your own"
+            raise InputError(problem, key=key, value=value, remedy=nearest(value, known))
+    tools = options.tools()
+    real = REALS[REALS.index(options.real)]
+    own = load_system(words)
+    duration, values = own.seconds(seconds), assigned(own.settings)
+    name = own.exported_name(options.name, reserved=reserved)
+    check_folder(options.out)
+    controller = own.system.controller
+    record = run_system(own.system, duration, values)
+    gains = controller.gains.unpack(record.controller[2])
+    plant = PlantLists(own.system.plant, run_numbers(own.system, values).plant[0])
+    bundle, proof = options.proved(controller, build_bundle(controller, gains, name=name, real=real, supplement=plant))
+    compared = options.compared(controller, bundle, as_records(controller, record), gains, tools)
+    replayed = {
+        "system": own.label,
+        "text": end_text(own, record),
+        "failure": record.lost if record.stopped == LOST else None,
+    }
+    assessment = assess(ClosedLoop(own.system, values, record=record))
+    sil = compared.sil
+    evidence = evidence_of(run=replayed, sil=sil, check=compared.report, proof=proof)
+    evidence["assessment"] = finite(assessment.to_dict())
+    files = write_bundle(with_evidence(bundle, evidence, binaries=compared.binaries), options.out)
+    lines = [*(f"{file.sha256[:12]}  {file.path}" for file in files), "", f"replayed: {end_text(own, record)}"]
+    lines += [*cost_lines(own.system, record.figures), *(f"{line.mark} {line.text}" for line in assessment.lines)]
+    lines += [sil.summary(), *compared.summaries(proof)]
+    data = {
+        **own.names,
+        "name": bundle.name,
+        "id": bundle.id,
+        "real": real,
+        "commands": {port.name: port.unit for port in own.system.commands},
+        "files": [str(file.path) for file in files],
+        "sha256": {file.path.relative_to(options.out).as_posix(): file.sha256 for file in files},
+        "stopped": record.stopped,
+        "duration_s": record.duration,
+        "costs": cost_data(own.system, record.figures),
+        "assessment": assessment.to_dict(),
+        "largest_difference": max(part.absolute for part in (sil.tau, sil.state, sil.telemetry)),
+        **compared.data(proof),
+    }
+    passed = sil.exact and record.stopped != LOST and compared.passed(proof)
+    then = [f"make -C {shlex.quote(str(options.out))} check"]
+    finish(data, lines, as_json=as_json, passed=passed, then=then)
+
+
+_APPLY = ("scenario", "vehicle", "target", "out", "as_json")
+
+
+def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool) -> None:
+    """Write the model and the force of the water to a folder, and end the command.
+
+    Raises:
+        InputError: an option concerns the controller, which is not part of the model, or the hull starts inside an
+            obstacle.
+    """
+    from surctl.errors import InputError
+    from surctl.marine.engine import EngineOptions, write_mjcf
+    from surctl.marine.simulation import load_scenario
+    from surctl.marine.vehicle import load_vehicle
+
+    context = click.get_current_context()
+    for parameter in context.command.params:
+        typed = context.get_parameter_source(str(parameter.name)) != ParameterSource.DEFAULT
+        if typed and parameter.name not in _APPLY:
+            remedy = "drop it: the model holds the scenario and the vehicle, without a controller"
+            raise InputError("does not apply to --target mjcf", key=parameter.opts[0], remedy=remedy)
+    mission = load_scenario(scenario)
+    choice = choose_vehicle(vehicle, (mission.name, mission.vehicle))
+    robot = load_vehicle(choice.word)
+    files = write_mjcf(mission, robot, out)
+    hashes = {file.name: sha256(file.read_bytes()).hexdigest() for file in files}
+    dof = EngineOptions().of(robot).dof
+    lines = [choice.line(robot.name), f"{mission.name}, {dof} degrees of freedom"]
+    lines += [f"{hashes[file.name][:12]}  {file}" for file in files]
+    result = {"files": [str(file) for file in files], "sha256": hashes, "dof": dof, "vehicle_from": choice.origin}
+    finish(result, lines, as_json=as_json, passed=True)

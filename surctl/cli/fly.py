@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.activity import progress, waiting
-from surctl.cli.gains_choice import GAINS_HELP, choose_gains
-from surctl.cli.law_option import choose_law, law_option
-from surctl.cli.output import FiniteRange, Stopped, as_json, finish
+from surctl.cli.output import FiniteRange, Stopped, as_json, finish, progress, waiting
+from surctl.cli.robot_options import GAINS_HELP, choose_gains, choose_law, law_option
 
 if TYPE_CHECKING:
     from surctl.marine.bridge import Act, Address, Bridge, LinkQuality, RehearsalResult
@@ -99,7 +97,7 @@ def fly(
     """
     from math import radians
 
-    from surctl.cli.vehicle_choice import choose_vehicle
+    from surctl.cli.robot_options import choose_vehicle
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
     from surctl.marine.bridge import Bridge, LinkQuality, Wire, mode_of, parse_address, parse_site, plan_session

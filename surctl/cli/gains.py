@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.gains_choice import derive_words, margin_short
 from surctl.cli.new import write_new
 from surctl.cli.output import FiniteRange, as_json, finish
+from surctl.cli.robot_options import derive_words, margin_short
 
 if TYPE_CHECKING:
     from surctl.marine.simulation import SafetyClaim
@@ -91,7 +91,7 @@ def derive(
 
 def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplicable | None:
     """Return the no-contact claim of the gains on a straight path in still water; None if it is not about the law."""
-    from surctl.marine.assessment.motion import judged_contact
+    from surctl.marine.assessment import judged_contact
     from surctl.marine.control import CASCADE, default_law, law_source
     from surctl.marine.simulation import mission_size, straight_mission
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from surctl.cli.gains_choice import derive_words, margin_short
 from surctl.cli.output import as_json, finish, printable
+from surctl.cli.robot_options import derive_words, margin_short
 
 if TYPE_CHECKING:
     from surctl.marine.assessment import Mission
@@ -135,7 +135,7 @@ def _linted(file: str, vehicle: str | None) -> _Linted:
     Raises:
         InputError: the file cannot be read, or is of no known kind.
     """
-    from surctl.cli.vehicle_choice import choose_vehicle
+    from surctl.cli.robot_options import choose_vehicle
     from surctl.errors import InputError
     from surctl.files import pick, read_toml
     from surctl.lyapunov import load_problem

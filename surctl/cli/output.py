@@ -1,7 +1,10 @@
-"""The output of all commands: a text summary or one JSON object on stdout, and progress on stderr."""
+"""The output of all commands: text or one JSON object on stdout, progress and signs of life on stderr."""
 
 from __future__ import annotations
 
+import codecs
+import errno
+import io
 import json
 import math
 import os
@@ -10,15 +13,17 @@ import shlex
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, fields
+from functools import wraps
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar, cast
 
 import click
 
-from surctl.cli.streams import is_utf8
 from surctl.errors import SurctlError
 
 if TYPE_CHECKING:
@@ -27,22 +32,213 @@ if TYPE_CHECKING:
 __all__ = [
     "LOST",
     "FiniteRange",
+    "OutputLost",
     "Stopped",
     "as_json",
+    "collected",
+    "discard_stdout",
+    "doing",
+    "failed_write",
     "finish",
     "finite",
+    "guarded_stdout",
     "interrupted",
+    "is_utf8",
     "noting_interrupts",
+    "open_closed_streams",
     "out_folder",
     "print_message",
     "printable",
+    "progress",
     "raise_lost_interrupt",
     "refusal_line",
     "same_command",
     "saving",
+    "signs_of_life",
     "stoppable",
+    "timed",
     "together",
+    "waiting",
 ]
+
+_ESCAPE = "surctl-escape"
+_LOSES_TEXT = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+
+
+class OutputLost(Exception):
+    """Standard output cannot be written; the message is empty if only its reader has ended, as `head` does."""
+
+
+def open_closed_streams() -> None:
+    """Connect closed standard streams (`>&-`, a service, pythonw) to the null device.
+
+    Otherwise the next file that the process opens takes the descriptor, and a compiler's messages go into that file.
+    """
+    number = 0
+    while number < 3:
+        number = os.open(os.devnull, os.O_RDWR)
+        if number < 3:
+            os.set_inheritable(number, True)
+    os.close(number)
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  # open until the end
+
+
+@contextmanager
+def guarded_stdout() -> Iterator[None]:
+    r"""Inside the `with` statement, stdout writes \uXXXX for characters that its encoding lacks.
+
+    An error handler that the user has set (PYTHONIOENCODING=ascii:ignore) stays active.
+
+    Raises:
+        OutputLost: stdout cannot be written.
+    """
+    codecs.register_error(_ESCAPE, _escaped)
+    stream = sys.stdout
+    if isinstance(stream, io.TextIOWrapper) and stream.errors in ("strict", "surrogateescape"):
+        stream.reconfigure(errors=_ESCAPE)
+    sys.stdout = cast("TextIO", _Guarded(stream))
+    try:
+        yield
+    finally:
+        sys.stdout = stream
+
+
+class _Guarded:
+    """A text stream whose failures cannot be taken for those of another file."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with _reported():
+            return self._stream.write(text)
+
+    def flush(self) -> None:
+        with _reported():
+            self._stream.flush()
+
+
+@contextmanager
+def _reported() -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise OutputLost("" if error.errno == errno.EPIPE else _lost_text(error)) from None
+
+
+def is_utf8() -> bool:
+    """Return whether stdout can write every character unchanged."""
+    named = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return codecs.lookup(named).name == "utf-8"
+
+
+def failed_write(error: OSError) -> str | None:
+    """Return the message if the error means that output to a file was lost; None for any other error."""
+    if error.errno not in _LOSES_TEXT:
+        return None
+    return (f"{error.filename}: " if error.filename else "") + _lost_text(error)
+
+
+def _lost_text(error: OSError) -> str:
+    reason = os.strerror(error.errno or errno.EIO).lower()
+    return f"the output cannot be written ({reason}); free disk space, or write to another place"
+
+
+def discard_stdout() -> None:
+    """Let later writes to stdout succeed without effect: after a failed write, Python writes the rest at its end."""
+    with suppress(OSError, ValueError):  # a stream in memory has no descriptor
+        nothing = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nothing, sys.stdout.fileno())
+        os.close(nothing)
+
+
+def _escaped(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    codes = map(ord, error.object[error.start : error.end])
+    return "".join(f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}" for code in codes), error.end
+
+
+_LONGEST = 60.0  # s between two signs of life
+_WORTH_TELLING = 2.0  # s
+
+
+@dataclass
+class _Activity:
+    text: str = ""
+    shown: float = 0.0  # time at which a line was printed [s]
+    over: threading.Event = field(default_factory=threading.Event)
+
+    def print(self, text: str) -> None:
+        self.shown = time.monotonic()
+        with suppress(OSError):  # a log that cannot be written does not stop the computation
+            sys.stderr.write(f"  {text}\n")
+            sys.stderr.flush()
+
+
+_activity = _Activity()
+
+
+def progress(text: str) -> None:
+    """Print one line of progress on stderr."""
+    doing(text)
+    _activity.print(text)
+
+
+@contextmanager
+def timed(name: str, limit: float | None = None) -> Iterator[None]:
+    """Print the name and the limit of the processor time [s], and at the end the time that the work took."""
+    began, worked = time.monotonic(), time.process_time()
+    progress(name if limit is None else f"{name}: at most {limit:g} s of processor time (--time-limit)")
+    yield
+    clock = time.monotonic() - began
+    if clock >= _WORTH_TELLING:
+        progress(f"{name}: {time.process_time() - worked:.1f} s of processor time, {clock:.1f} s by the clock")
+
+
+def doing(text: str) -> None:
+    """Set what the next sign of life says; this prints nothing, and raises an interrupt that was lost."""
+    _activity.text = text
+    raise_lost_interrupt()
+
+
+def waiting() -> None:
+    """Print no more signs of life, because the command waits for its user."""
+    _activity.over.set()
+
+
+@contextmanager
+def signs_of_life(patience: float = 10.0) -> Iterator[None]:
+    """Inside the `with` statement, print what the command does when it has printed nothing for `patience` [s].
+
+    The lines become rarer, down to one a minute, until the command itself prints a line.
+    """
+    global _activity
+    _activity = activity = _Activity(shown=time.monotonic())
+    began = activity.shown
+
+    def watch() -> None:
+        wait, latest = patience, began
+        while not activity.over.wait(patience / 10):
+            if activity.shown != latest:
+                wait, latest = patience, activity.shown
+            if time.monotonic() - latest >= wait:
+                activity.print(f"{activity.text or 'still working'} ({time.monotonic() - began:.0f} s so far)")
+                wait, latest = min(2 * wait, _LONGEST), activity.shown
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        activity.over.set()
+        thread.join()
+
 
 C = TypeVar("C", bound=Callable[..., Any])
 
@@ -69,6 +265,27 @@ def together(*options: Callable[[C], C]) -> Callable[[C], C]:
         for option in reversed(options):
             command = option(command)
         return command
+
+    return decorate
+
+
+def collected(**kinds: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator of a command that receives its options as objects of dataclasses, by the names in `kinds`.
+
+    A field of a dataclass takes the parameter of the same name; without one, it has its default.
+    """
+    used = {one.name for kind in kinds.values() for one in fields(kind)}
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def call(**values: Any) -> None:
+            groups = {
+                name: kind(**{one.name: values[one.name] for one in fields(kind) if one.name in values})
+                for name, kind in kinds.items()
+            }
+            command(**{name: value for name, value in values.items() if name not in used}, **groups)
+
+        return call
 
     return decorate
 

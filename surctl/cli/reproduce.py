@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.activity import progress
-from surctl.cli.output import as_json, finish, out_folder, saving, stoppable
+from surctl.cli.output import as_json, finish, out_folder, progress, saving, stoppable
 
 if TYPE_CHECKING:
     from surctl.marine.reproduction import Row
@@ -73,7 +72,7 @@ def reproduce(
         ]
         words += [f"--seeds {seeds}"] if seeds else []
         with saving("page"):
-            from surctl.marine.reproduction.page import write_reproduction
+            from surctl.marine.reproduction.reproduction import write_reproduction
 
             page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
             lines.append(f"page {page}")

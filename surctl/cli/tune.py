@@ -3,23 +3,35 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from surctl.cli.activity import progress
-from surctl.cli.law_option import law_words, trust_option
-from surctl.cli.next_export import export_command
-from surctl.cli.output import as_json, finish, finite, same_command, saving, stoppable
-from surctl.cli.speeds import SPEEDS
-from surctl.cli.system_option import is_system, seconds_option
-from surctl.cli.system_tune import tune_own_system
-from surctl.cli.tuning_lines import caps, check_goal_cases, floor_lines, look, region_words, unrepresentative
-from surctl.cli.vehicle_choice import at_hand
+from surctl.cli.output import as_json, doing, finish, finite, progress, same_command, saving, stoppable
+from surctl.cli.robot_options import SPEEDS, at_hand, export_command, law_words, trust_option
+from surctl.cli.subject import (
+    OwnSystem,
+    command_line,
+    cost_data,
+    gain_ranges_of,
+    is_system,
+    listed_values,
+    load_system,
+    nominal_gains,
+    seconds_option,
+)
+from surctl.cli.tuning_output import caps, check_goal_cases, floor_lines, look, region_words, unrepresentative
 
-__all__ = ["tune"]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["tune", "tune_own_system"]
 
 
 @click.command
@@ -91,7 +103,6 @@ __all__ = ["tune"]
     metavar="N",
     help="New runs that verify a round (default 2000); up to 10 N more runs train.",
 )
-@click.option("--descend", is_flag=True, help="Also start from gradient descent (takes minutes).")
 @click.option(
     "--workers",
     type=click.IntRange(min=1),
@@ -129,7 +140,6 @@ def tune(
     guidance: str | None,
     rounds: int,
     runs: int,
-    descend: bool,
     workers: int,
     out: Path,
     page: bool,
@@ -159,7 +169,7 @@ def tune(
     shown = ("page", "port", "no_browser")
     if is_system(words, "gain", "goals_file", "seconds", "trials", "seed", "workers", "out", "as_json", *shown):
         if page:
-            from surctl.cli.tuning_page import serve_system_page
+            from surctl.cli.tuning_output import serve_system_page
 
             serve_system_page(words, ranges, goals_file, seconds=seconds, port=port, browser=not no_browser)
             return
@@ -169,7 +179,7 @@ def tune(
         raise click.UsageError(f"Got unexpected extra argument ({words[1]})")
     file = words[0] if words else None
     if page:
-        from surctl.cli.tuning_page import serve_page
+        from surctl.cli.tuning_output import serve_page
 
         serve_page(
             file, goals_file, vehicles,
@@ -203,9 +213,9 @@ def tune(
         with_floor,
     )
     from surctl.marine.tuning import tune as run_tuning
+    from surctl.marine.tuning.search import BEST
     from surctl.marine.vehicle import load_vehicle
     from surctl.own_code import label
-    from surctl.tuning.journal import BEST
 
     plan = load_plan(file, trust=trust)
     plan = plan if law is None else plan.with_law(law)
@@ -269,9 +279,7 @@ def tune(
         threads=workers,
     )
     with stoppable(f"the finished trials are in {out}, the best gains in {out / BEST}; to continue: {same_command()}"):
-        tuning = run_tuning(
-            request, trials=trials, rounds=rounds, runs=runs, descend=descend, folder=out, progress=progress
-        )
+        tuning = run_tuning(request, trials=trials, rounds=rounds, runs=runs, folder=out, progress=progress)
         subject = replace(plan, guidance=cases[0].guidance)
         tuning, checked = check_finals(
             tuning, finals, lambda gains: assessed(subject, gains), default=default, progress=progress
@@ -359,3 +367,116 @@ def _gain(text: str) -> tuple[str, tuple[float, float] | None]:
     except ValueError:
         pass
     raise click.BadParameter(f"{text!r} is not NAME=LOW..HIGH", param_hint="--gain")
+
+
+_SO_FAR = "best-so-far.csv"
+
+
+def tune_own_system(
+    words: Sequence[str],
+    ranges: Mapping[str, tuple[float, float] | None],
+    *,
+    seconds: float | None,
+    trials: int,
+    seed: int,
+    workers: int,
+    out: Path,
+    goals: str | None,
+    as_json: bool,
+) -> None:
+    """Search gains, write them, print each figure before and after; the exit status is 1 if a bound is violated."""
+    from surctl.assessment import ClosedLoop, Comparison, assess
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.recorded_write import write_csv
+    from surctl.tuning.goals import load_system_goals, not_representative, step_goals
+    from surctl.tuning.systems import check_tuning, tune_system
+
+    own = load_system(words)
+    about_loop, points, about_runs = ((), {}, ()) if goals is None else load_system_goals(goals, own.system)
+    duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
+    cases, space = _cases(own), gain_ranges_of(own, ranges)
+    check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
+    prepare_folder(out)
+    progress(f"up to {trials} gain sets")
+    file = out / _SO_FAR
+
+    def note(tried: int, best: Mapping[str, float]) -> None:
+        doing(f"{tried} of {trials} gain sets")
+        write_csv(file, {name: [value] for name, value in best.items()})
+
+    try:
+        message = f"the best gains so far are in {file}, without a check of their disk margin; to continue: "
+        with stoppable(message + same_command()):
+            note(0, {name: value for name, value in nominal_gains(own).items() if name in space})
+            result = tune_system(
+                own.system, duration, space,
+                cases=cases, trials=trials, seed=seed, threads=workers, out=out, goals=about_loop, points=points,
+                run_goals=about_runs, progress=note,
+            )  # fmt: skip
+    except InputError as error:
+        raise (error.inside(goals) if (error.key or "").startswith(("goals.", "point ")) else error) from None
+    table: Path | None = None
+    with saving("gains"):
+        table = write_csv(out / "gains.csv", {name: [value] for name, value in result.gains.items()})
+        file.unlink(missing_ok=True)
+    first = {name: value[:1] if value.ndim else value for name, value in cases.items()}
+    run = duration or None
+    comparison = Comparison(*(assess(ClosedLoop(own.system, {**first, **g}, seconds=run)) for g in ({}, result.gains)))
+    headline, *figures = comparison.lines()
+    doubtful = []
+    limited = comparison.after.figures.get("limited_share")
+    if limited is not None:
+        linear, costs = [goal.name for goal in step_goals(about_loop)], own.system.costs
+        late = next((name for name, cost in costs.items() if cost.how == "last_time"), next(iter(costs), None))
+        remedy = f'ask it of the run, such as metric = "{late}"' if late else "give the system a cost of its runs"
+        limit = f"command {limited.where}"
+        doubtful = not_representative(linear, limited.value, limit=limit, run="the run", remedy=remedy)
+    earlier = f" ({result.restored} of them before the interruption)" * bool(result.restored)
+    runs = f", runs of {duration:g} s" if own.system.costs else ""
+    lines = [
+        headline,
+        *doubtful,
+        f"{own.title}: {result.trials} gain sets{earlier}{runs}",
+        *(f"  {line}" for line in result.lines(own.system)),
+        *([f"gains {table}"] if table else []),
+        "",
+        "of the first case:",
+        *figures,
+    ]
+    data = {
+        **own.names,
+        "seconds": duration,
+        "objective": result.objective,
+        "best": {"gains": dict(result.gains), "costs": cost_data(own.system, result.costs)},
+        "before": dict(result.before),
+        "assessment": comparison.to_dict(),
+        "least_disk_margin": result.least_disk_margin,
+        "goals": [] if result.goals is None else [score.to_dict() for score in result.goals.scores],
+        "run_goals": [goal.to_dict() for goal in result.run_goals],
+        "not_representative": doubtful,
+        "unmet": list(result.unmet),
+        "trials": result.trials,
+        "restored": result.restored,
+        "gains": None if table is None else str(table),
+    }
+    numbers = [f"{name}={value!r}" for name, value in result.gains.items()]
+    then = [
+        command_line("verify", own, *numbers),
+        command_line("export", own, *numbers, "--seconds", f"{duration or 100 * own.system.dt:g}"),
+    ]
+    fine = all(map(math.isfinite, result.costs.values()))
+    finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
+
+
+def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:
+    """Return the values of each name in all cases from words NAME=V1,V2,…; a single value is for all cases."""
+    import numpy as np
+
+    from surctl.system.values import check_scalar
+
+    values = listed_values(own.settings)
+    for name in values:
+        if len(values[name]) > 1:
+            check_scalar(own.system, name)
+    return {name: np.array(v[0] if len(v) == 1 else v) for name, v in values.items()}

@@ -12,26 +12,31 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from surctl.cli.activity import progress, timed
-from surctl.cli.barrier_options import barrier_options
-from surctl.cli.claim_lines import claim_line, statement_lines
-from surctl.cli.gains_choice import GAINS_HELP, choose_gains, derive_words, margin_short
-from surctl.cli.motion_verify import are_problems, verify_motion
-from surctl.cli.output import FiniteRange, as_json, finish, refusal_line, same_command, saving, stoppable
-from surctl.cli.speeds import SPEEDS
-from surctl.cli.system_option import is_system
-from surctl.cli.system_verify import verify_system
+from surctl.cli.claims import are_problems, claim_line, statement_lines, verify_motion
+from surctl.cli.output import (
+    FiniteRange,
+    as_json,
+    finish,
+    progress,
+    refusal_line,
+    same_command,
+    saving,
+    stoppable,
+    timed,
+)
+from surctl.cli.robot_options import GAINS_HELP, SPEEDS, barrier_options, choose_gains, derive_words, margin_short
+from surctl.cli.subject import assigned, command_line, is_system, load_system, loop_data, loop_lines
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from surctl.errors import NotApplicable
+    from surctl.lyapunov import Solution
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Claim, Verdict
     from surctl.verification.stack import StackConditions
 
-__all__ = ["verify"]
-
+__all__ = ["verify", "verify_system"]
 
 _SHORT, _LONG = 20.0, 60.0  # s
 _GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived
@@ -127,13 +132,17 @@ def verify(
     if are_problems(claims, only=("seed", "time_limit", "out", "as_json")):
         verify_motion(claims, seed=seed, time_limit=time_limit or _LONG, out=out, as_json=as_json)
     from surctl.assessment import assess
-    from surctl.cli.barrier_options import check_barrier
-    from surctl.cli.braking import is_braking, prove_all
-    from surctl.cli.law_option import choose_law
+    from surctl.cli.claims import (
+        check_regions,
+        is_braking,
+        is_region,
+        prove_all,
+        prove_regions,
+        region_of,
+        require_own_speeds,
+    )
     from surctl.cli.linear_part import LinearPart, linear_part, over_speeds, speed_lines
-    from surctl.cli.next_export import export_command
-    from surctl.cli.regions import check_regions, is_region, prove_regions, region_of, require_own_speeds
-    from surctl.cli.vehicle_choice import choose_vehicle
+    from surctl.cli.robot_options import check_barrier, choose_law, choose_vehicle, export_command
     from surctl.files import prepare_folder
     from surctl.marine.assessment import Mission
     from surctl.marine.control import CASCADE, PATH_FOLLOWING, build_law, law_source
@@ -290,7 +299,7 @@ def _speeds(cruise: float | None, cap: float | None, scenario: str | None) -> tu
     The default speed limit is that of the scenario. If the cruise speed exceeds this limit, the limit is multiplied by
     (cruise speed)/(cruise speed of the scenario).
     """
-    from surctl.cli.next_export import MISSION
+    from surctl.cli.robot_options import MISSION
     from surctl.errors import InputError
     from surctl.marine.simulation import load_scenario
 
@@ -380,3 +389,62 @@ def _verdict_data(verdict: Verdict, files: Mapping[str, Path]) -> dict[str, Any]
         file = files.get(verdict.claim.name)
         data["certificate"]["file"] = None if file is None else str(file)
     return data
+
+
+def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
+    """Print equilibrium, sampled closed-loop poles and margins, and prove a region of attraction if its box is given.
+
+    The exit status is 1 if a margin is too small at a corner of the ranges, or if no region is proved.
+    """
+    from surctl.assessment import ClosedLoop, assess
+    from surctl.cli.claims import write_solution
+    from surctl.cli.subject import region_words
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.lyapunov import solve
+
+    own = load_system(words)
+    others, region, uncertain = region_words(own.settings, own.system)
+    values = assigned(others)
+    uncertain = {**own.system.ranges, **uncertain}
+    if out is not None:
+        if region is None:
+            remedy = "add within.STATE=LOW..HIGH for every state, or drop it"
+            raise InputError(
+                "has no effect: no region of attraction is requested, so there is no certificate to write",
+                key="--out",
+                remedy=remedy,
+            )
+        prepare_folder(out)
+    problem = None if region is None else region.problem(own.system, values)
+
+    def solved() -> Solution:
+        assert problem is not None  # the subject asks only then
+        with timed("region of attraction", time_limit):
+            return solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+
+    subject = ClosedLoop(own.system, values, uncertain, region=None if problem is None else solved)
+    assessment = assess(subject)
+    loop = assessment.sources["loop"]
+    if isinstance(loop, InputError):
+        raise loop
+    lines, data = loop_lines(own, loop), loop_data(own, loop)
+    data |= {"values": {name: value.ravel().tolist() for name, value in values.items()}}
+    certificates = list[str]()
+    solution = assessment.sources.get("region")
+    if solution is not None:
+        about = "sampled loop, with held commands" if solution.sampled else "control law in continuous time"
+        lines += [f"region of attraction of the {about}:", *solution.lines()]
+        data["region"] = solution.to_dict()
+        if out is not None:
+            written = [str(path) for path in write_solution(solution, out)]
+            data["region"]["files"] = written
+            lines += [f"  {path}" for path in written]
+            certificates = written[:1]
+    lines += [f"{line.mark} {line.text}" for line in assessment.lines]
+    passed = assessment.passed is True
+    data = {**own.names, **data, "assessment": assessment.to_dict()}
+    settings = [word for word in others if not word.startswith("start.")]
+    then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
+    then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
+    finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())

@@ -3,18 +3,26 @@
 from surctl.export.bundle import Bundle, ExportedFile, check_folder, write_bundle
 from surctl.export.check import STEPS, BuildReport, CheckReport, check_builds
 from surctl.export.contract import STATUS, Exportable
-from surctl.export.emulated import EmulatedLine, Line, LineDown, Reply, connect, emulated, emulated_target
-from surctl.export.envelope import Envelope, Rate
+from surctl.export.emulated import (
+    TARGETS,
+    EmulatedLine,
+    LineDown,
+    Reply,
+    SerialLine,
+    Target,
+    chosen_targets,
+    connect,
+    emulated,
+    emulated_target,
+)
+from surctl.export.envelope import Envelope, Rate, Records, as_records
 from surctl.export.evidence import evidence_of, with_evidence
 from surctl.export.fmu import write_fmu
-from surctl.export.in_process import ExportedController, ExportedStep
 from surctl.export.precision import REALS
-from surctl.export.process import Controller, build_controller
+from surctl.export.process import Controller, ExportedController, ExportedStep, build_controller
 from surctl.export.prove import Alarm, ProofReport, gain_box, prove_bundle, with_proof
-from surctl.export.records import Records, as_records
 from surctl.export.sil import Difference, SilReport, compare_runs, software_in_the_loop, software_in_the_loop_runs
 from surctl.export.supplement import Supplement
-from surctl.export.targets import TARGETS, Target, chosen_targets
 
 __all__ = [
     "REALS",
@@ -33,12 +41,12 @@ __all__ = [
     "ExportedController",
     "ExportedFile",
     "ExportedStep",
-    "Line",
     "LineDown",
     "ProofReport",
     "Rate",
     "Records",
     "Reply",
+    "SerialLine",
     "SilReport",
     "Supplement",
     "Target",

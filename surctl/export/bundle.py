@@ -19,13 +19,11 @@ from surctl import __version__
 from surctl.certcheck.bundle import manifest_seal, numbers_sha256
 from surctl.errors import InputError
 from surctl.export.contract import DATA, FILES, Exportable, checked_name, commands, is_robot_law
-from surctl.export.envelope import Envelope, anywhere
-from surctl.export.gain_store import gains_id
+from surctl.export.envelope import Envelope, anywhere, self_test_vectors
 from surctl.export.guard_text import range_text
 from surctl.export.precision import in_precision, rounded
 from surctl.export.rendering import render_files
-from surctl.export.supplement import LAW, Supplement, law_list
-from surctl.export.vectors import self_test_vectors
+from surctl.export.supplement import LAW, Supplement, gains_id, law_list
 from surctl.ir import Layout, Real
 
 __all__ = ["Bundle", "ExportedFile", "build_bundle", "check_folder", "law_id", "manifest_with", "write_bundle"]

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from surctl.errors import SurctlError, ToolMissing
 from surctl.export.bundle import Bundle, write_bundle
 from surctl.export.contract import Exportable
-from surctl.export.envelope import Envelope
+from surctl.export.emulated import Target
+from surctl.export.envelope import Envelope, Records, Rows, as_records
 from surctl.export.precision import Guarded, Rounded, plain, replayed, rounded
 from surctl.export.process import Controller, code_bytes, compile_controller
-from surctl.export.records import Records, Rows, as_records
-from surctl.export.targets import Target
 from surctl.ir import Real, compile_program, compiler_version, stack_from_report
 
 __all__ = [

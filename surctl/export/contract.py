@@ -20,8 +20,8 @@ __all__ = [
     "MISSION_FILES",
     "SATURATED",
     "STATUS",
-    "Around",
     "Exportable",
+    "WrappedLaw",
     "checked_name",
     "command_size",
     "command_word",
@@ -96,7 +96,7 @@ Exportable: TypeAlias = SampledController
 
 
 @dataclass(frozen=True, eq=False)
-class Around:
+class WrappedLaw:
     """Base class of a law that wraps another law and has its name, period, states, inputs and outputs."""
 
     law: Exportable
@@ -150,7 +150,7 @@ def glance(law: Exportable) -> tuple[tuple[Port, ...], tuple[Port, ...]]:
 
 def is_robot_law(law: Exportable) -> bool:
     """Return True for a control law of the robot, False for a `surctl.system.Controller` of another plant."""
-    while isinstance(law, Around):
+    while isinstance(law, WrappedLaw):
         law = law.law
     return not isinstance(law, Controller)
 

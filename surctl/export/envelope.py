@@ -2,20 +2,132 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.export.contract import SATURATED, Exportable, command_size
-from surctl.export.records import Records, Rows
 from surctl.ir import Real
+from surctl.system import Record
 
-__all__ = ["ITER", "NONFINITE", "NULL", "RANGE", "STALE", "Envelope", "Rate", "anywhere"]
+__all__ = [
+    "ITER",
+    "NONFINITE",
+    "NULL",
+    "RANGE",
+    "STALE",
+    "TOLERANCE",
+    "AnyRecord",
+    "Envelope",
+    "Rate",
+    "Records",
+    "Rows",
+    "SelfTest",
+    "anywhere",
+    "as_records",
+    "self_test_vectors",
+]
+
+# Recorded runs of a law, in the form that the software-in-the-loop test replays
+
+
+class Rows(NamedTuple):
+    """Results of T steps of a controller that is compiled or evaluated in Python.
+
+    Attributes:
+        status: status codes (T,).
+        tau: commands (T, n_tau).
+        state: state after each step (T, nx).
+        telemetry: telemetry (T, k).
+    """
+
+    status: NDArray[np.int64]
+    tau: NDArray[np.float64]
+    state: NDArray[np.float64]
+    telemetry: NDArray[np.float64]
+
 
 Vector = NDArray[np.float64]
+_Triple = tuple[ArrayLike, ArrayLike, ArrayLike]
+
+
+@dataclass(frozen=True)
+class Records:
+    """State, inputs and gains of each step of a recorded run.
+
+    Attributes:
+        X: state before each step (T, nx).
+        U: inputs of each step (T, nu).
+        P: gains of each step (T, np).
+    """
+
+    X: Vector
+    U: Vector
+    P: Vector
+
+    def __len__(self) -> int:
+        """Return the number of recorded steps T."""
+        return len(self.X)
+
+
+AnyRecord: TypeAlias = Records | Record | Sequence[_Triple]
+
+
+def as_records(law: Exportable, records: AnyRecord) -> Records:
+    """Return `Records` of a law from a recorded run.
+
+    Args:
+        law: the law that ran.
+        records: triples (state, inputs, gains), `Records` whose gains P may be one vector (np,), or the `Record` of a
+            system that `law` controls.
+
+    Raises:
+        InputError: there is no step, or an array does not fit the law's layouts.
+
+    Example:
+        >>> from surctl.marine.control import build_law, load_gains
+        >>> from surctl.export import Records, as_records
+        >>> from surctl.marine.simulation import law_numbers, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> mission, vehicle, gains = load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default")
+        >>> law, p = build_law("closed_form"), law_numbers(mission, gains, vehicle)
+        >>> run = simulate(mission, vehicle, gains=gains, law=law)
+        >>> recording = Records(run.record.law_state, run.record.law_input, run.record.law_parameters)
+        >>> records = as_records(law, recording)  # one vector of gains becomes one row per step
+        >>> recording.P.shape, records.P.shape == (len(recording.X), law.gains.size)
+        ((70,), True)
+    """
+    if isinstance(records, Record):
+        records = Records(*records.controller)
+    if not isinstance(records, Records):
+        rows = list(records)
+        records = Records(*(_stack([row[k] for row in rows]) for k in range(3)))
+    steps = len(records.X)
+    if steps == 0:
+        raise InputError("holds no step", key="records", remedy="record at least one step of the law")
+    P = records.P if np.ndim(records.P) == 2 else np.tile(records.P, (steps, 1))
+    return Records(
+        _sized(records.X, steps, law.state.size, "records.X"),
+        _sized(records.U, steps, law.inputs.size, "records.U"),
+        _sized(P, steps, law.gains.size, "records.P"),
+    )
+
+
+def _stack(rows: list[ArrayLike]) -> Vector:
+    return np.array([np.asarray(r, dtype=float).reshape(-1) for r in rows], dtype=float)
+
+
+def _sized(array: ArrayLike, steps: int, size: int, key: str) -> Vector:
+    rows = np.asarray(array, dtype=float)
+    if rows.shape != (steps, size):
+        raise InputError(f"has shape {rows.shape}, expected {(steps, size)}", key=key, remedy="give one row per step")
+    return rows
+
 
 NULL, NONFINITE, RANGE, STALE, ITER = -1, -2, -3, -4, -5
 
@@ -166,3 +278,67 @@ def anywhere(law: Exportable) -> Envelope:
         np.tile([-np.inf, np.inf], (layout.size, 1)) for layout in (law.state, law.inputs, law.gains)
     )
     return Envelope(state, inputs, gains)
+
+
+# Test vectors inside the exported source: a short run of the law with perturbed inputs
+
+
+TOLERANCE: Mapping[Real, float] = MappingProxyType({"float64": 1e-9, "float32": 1e-5})
+"""Largest difference, relative or absolute, that the exported self-test accepts, by precision.
+
+Doubles are stored with 12 digits. Floats are stored exactly, but a processor may compute in a wider format.
+"""
+
+_SPREADS = (0.0, 0.1, 0.5, 1.0, 1.0, 2.0)  # perturbation of each step; a wide one also switches flags on
+_GOLDEN = 0.6180339887498949
+
+
+@dataclass(frozen=True)
+class SelfTest:
+    """Inputs and expected results of the self-test, a run of the law from its initial state.
+
+    Attributes:
+        inputs: inputs of each step (T, nu).
+        tau: expected thrust (T, n_tau) [N, N m].
+        state: expected state after each step (T, nx).
+        status: expected status of each step (T,).
+    """
+
+    inputs: Vector
+    tau: Vector
+    state: Vector
+    status: tuple[int, ...]
+
+
+def self_test_vectors(law: Exportable, gains: Vector, within: Envelope) -> SelfTest:
+    """Run `law` for one step on default inputs, then on perturbed inputs; return inputs and results as a `SelfTest`.
+
+    The perturbation is a low-discrepancy sequence of ±0.1 to ±2 times 1 + |default|, so nothing is random. Expected
+    values are rounded to 12 digits, so that the bundle does not depend on the last bits of the machine's sine function.
+    Inputs are rounded to 6 digits to be short, and limited to the accepted ranges, so that the input check accepts
+    every step.
+    """
+    default = law.inputs.pack()
+    inputs = np.array([_perturbed(default, k, spread) for k, spread in enumerate(_SPREADS)])
+    inputs = np.clip(inputs, within.inputs[:, 0], within.inputs[:, 1])
+    x, rows = law.initial_state(), []
+    for u in inputs:
+        step = law.step(x, u, gains)
+        rows.append(step)
+        x = step.x_next
+    return SelfTest(
+        inputs,
+        np.array([_rounded(s.tau) for s in rows]),
+        np.array([_rounded(s.x_next) for s in rows]),
+        tuple(int(s.status) for s in rows),
+    )
+
+
+def _perturbed(default: Vector, k: int, spread: float) -> Vector:
+    phase = (np.arange(default.size) + 1 + k * default.size) * _GOLDEN
+    offset = 2.0 * (phase - np.floor(phase)) - 1.0
+    return _rounded(default + spread * (1.0 + np.abs(default)) * offset, digits=6)
+
+
+def _rounded(values: Vector, digits: int = 12) -> Vector:
+    return np.array([float(f"{v:.{digits - 1}e}") for v in values], dtype=float)

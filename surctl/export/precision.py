@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.export.contract import Around, Exportable, command_size
-from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope
-from surctl.export.records import Records, Rows
-from surctl.export.wiring import aged
+from surctl.export.contract import Exportable, WrappedLaw, command_size
+from surctl.export.envelope import ITER, NONFINITE, RANGE, Envelope, Records, Rows
+from surctl.export.supplement import aged
 from surctl.ir import Block, Layout, Real, replay
 from surctl.system.controller import ControllerStep
 
@@ -25,7 +24,7 @@ _NUMPY: dict[Real, type[np.float64] | type[np.float32]] = {"float64": np.float64
 
 
 @dataclass(frozen=True, eq=False)
-class _Same(Around):
+class _Same(WrappedLaw):
     # shares gains and instruction list with the wrapped law
     @property
     def gains(self) -> Layout:

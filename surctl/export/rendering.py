@@ -28,8 +28,7 @@ from surctl.export.contract import (
     telemetry_ports,
     transfers,
 )
-from surctl.export.envelope import Envelope
-from surctl.export.gain_store import gains_values
+from surctl.export.envelope import TOLERANCE, Envelope, SelfTest
 from surctl.export.guard_text import (
     ANY_NUMBER,
     EXAMPLES,
@@ -43,12 +42,19 @@ from surctl.export.guard_text import (
     order_lines,
     range_text,
 )
-from surctl.export.supplement import Supplement
-from surctl.export.vectors import TOLERANCE, SelfTest
-from surctl.export.wiring import RESTART, aged_runs, forgotten, forgotten_runs, longest_gap, wiring_values
+from surctl.export.supplement import (
+    RESTART,
+    Supplement,
+    aged_runs,
+    forgotten,
+    forgotten_runs,
+    gains_values,
+    longest_gap,
+    wiring_values,
+)
 from surctl.ir import C_TYPE, Layout, Parts, Port, Program, Real, c_literal, emit_parts, memory
 from surctl.ir.c99_folded import PRAGMA, folded_lines, inline_helpers, own_helpers
-from surctl.ir.compiler import FLAGS
+from surctl.ir.cache import FLAGS
 
 __all__ = ["comment", "render_files", "render_unit", "templates", "with_own_names"]
 

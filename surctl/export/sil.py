@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.export.bundle import build_bundle
 from surctl.export.contract import Exportable, command_word, entries
-from surctl.export.envelope import NULL, STALE, Envelope, anywhere
+from surctl.export.envelope import NULL, STALE, AnyRecord, Envelope, Records, Rows, anywhere, as_records
 from surctl.export.precision import Guarded, evaluated, replayed, rounded
 from surctl.export.process import Controller, build_controller
-from surctl.export.records import AnyRecord, Records, Rows, as_records
 from surctl.ir import Real, compiler_version
 
 __all__ = [

@@ -1,15 +1,23 @@
 """Intermediate representation of symbolic functions (instruction lists with bounded loops), and its back ends."""
 
-from surctl.ir.angles import nearby_angles
 from surctl.ir.batch import Batch, batch_source, compile_batch, compile_batch_source
 from surctl.ir.c99 import C_TYPE, Real, c_literal, emit_c99, identifier, rearranged
 from surctl.ir.c99_folded import Feed, emit_lanes
-from surctl.ir.c99_parts import Parts, emit_parts
-from surctl.ir.c99_routine import emit_block
+from surctl.ir.c99_routine import Parts, emit_block, emit_parts
 from surctl.ir.c99_wide import Wide, emit_wide
-from surctl.ir.cache import CacheUnused, cache_folder, cached_bytes, shared_library, source_digest
-from surctl.ir.compiler import compile_program, compiler_version, find_compiler, packaged_compiler, tuned_flags
-from surctl.ir.elementary import without_libm
+from surctl.ir.cache import (
+    CacheUnused,
+    cache_folder,
+    cached_bytes,
+    compile_program,
+    compiler_version,
+    find_compiler,
+    packaged_compiler,
+    shared_library,
+    source_digest,
+    tuned_flags,
+)
+from surctl.ir.elementary import nearby_angles, without_libm
 from surctl.ir.folding import fused, shared_divisors, with_constants
 from surctl.ir.frames import stack_bytes, stack_from_report, stack_of
 from surctl.ir.native import Native, SlowerEngine, Workspace, compile_block, runnable, warn_slower

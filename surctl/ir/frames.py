@@ -10,7 +10,7 @@ from pathlib import Path
 from surctl.errors import InputError, SurctlError, ToolMissing, nearest
 from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
-from surctl.ir.compiler import compile_program, compiler_version
+from surctl.ir.cache import compile_program, compiler_version
 from surctl.ir.routine import Block
 
 __all__ = ["stack_bytes", "stack_from_report", "stack_of"]

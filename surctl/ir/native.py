@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.ir.c99 import C_TYPE, Real
 from surctl.ir.c99_routine import emit_block
-from surctl.ir.cache import shared_library, source_digest
-from surctl.ir.compiler import quick_flags
+from surctl.ir.cache import quick_flags, shared_library, source_digest
 from surctl.ir.folding import shortened
 from surctl.ir.replay import replay
 from surctl.ir.routine import Block

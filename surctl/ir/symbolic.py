@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir.dual import Dual
-from surctl.ir.procedure import Procedure
+from surctl.ir.procedure import Dual, Procedure
 from surctl.ir.program import Program
 from surctl.ir.routine import Block, Call, Gather, Loop, Routine, nested
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +13,255 @@ from numpy.typing import NDArray
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, common_quadratic
 from surctl.lyapunov.rays import Grid, directions, grid
-from surctl.lyapunov.seeds import sampled_function, without_neutral
-from surctl.lyapunov.shape import enlarge
-from surctl.lyapunov.symmetry import invariant, sign_symmetries
 from surctl.lyapunov.template import Template, polynomials, quadratic, with_cosines
 from surctl.verification.formula import Node
 
-__all__ = ["Candidate", "candidates", "strict_variants"]
+__all__ = [
+    "Candidate",
+    "candidates",
+    "enlarge",
+    "invariant",
+    "sign_symmetries",
+    "strict_variants",
+]
+
+# First functions of a template by linear programs over samples, where the linearisation gives no quadratic one
+
 
 Array = NDArray[np.float64]
+
+_PARTS = (0.5, 0.2, 0.05)  # radii of the sampled ball, relative to the box
+_ORDERS = (2, 4)  # V and its decrease are bounded below by multiples of r^order
+_FLAT = 1e-9  # singular values below this share of the largest one count as 0
+_LEAST = 1e-7  # least multiple, for scaled coefficients of at most 1
+
+
+def _sampled_function(
+    template: Template, scales: Array, corners: Array, *, half: bool, matrices: Array
+) -> Array | None:
+    """Return coefficients (K,) with which V is positive and decreases at samples close to the equilibrium, or None.
+
+    The linear program maximises t with V ≥ t r^p and V' ≤ −t r^q, or V⁺ − V ≤ −t r^q, at all samples.
+
+    Args:
+        template: the template.
+        scales: lengths (n,) of the states.
+        corners: values (m, C) of the parameters.
+        half: whether dynamics and template are symmetric to the equilibrium.
+        matrices: Jacobians (C, n, n) of the dynamics.
+    """
+    from scipy.optimize import linprog
+
+    n, count = len(scales), len(template.basis)
+    level = _neutral(template, scales, matrices)
+    for part in _PARTS:
+        rays = 64 if n == 2 else 2 if n == 1 else 256
+        samples = grid(
+            template, scales, rays=rays, points=10, corners=corners, outer=np.full(rays, part), half=half, beyond=0
+        )
+        size = np.abs(samples.values).max(axis=1)
+        values = samples.values / size[:, None]
+        changes = samples.changes / size[:, None]
+        r = np.sqrt(samples.square) / part
+        for p in _ORDERS:
+            for q in (p, p + 2):
+                # rows divided by r^order, so that samples close to the equilibrium count as much as the others
+                rows = [np.column_stack([-(values / r**p).T, np.ones(r.size)])]
+                rows += [np.column_stack([(change / r**q).T, np.ones(r.size)]) for change in changes]
+                matrix = np.vstack(rows)
+                run = linprog(
+                    np.append(np.zeros(count), -1.0), A_ub=matrix, b_ub=np.zeros(len(matrix)),
+                    A_eq=np.column_stack([level / size, np.zeros(len(level))]), b_eq=np.zeros(len(level)),
+                    bounds=[(-1, 1)] * count + [(0, 1)], method="highs",
+                )  # fmt: skip
+                if run.status == 0 and run.x[-1] > _LEAST:
+                    return np.asarray(run.x[:-1] / size)
+    return None
+
+
+def _without_neutral(template: Template, scales: Array, matrices: Array) -> Template:
+    """Return the template without the products whose coefficient has to be 0 by the equations of `_neutral`.
+
+    Args:
+        template: the template.
+        scales: lengths (n,) of the states.
+        matrices: Jacobians (C, n, n) of the dynamics.
+    """
+    used = np.abs(_neutral(template, scales, matrices)) > _FLAT
+    keep = np.ones(len(template.basis), dtype=bool)
+    while True:
+        alone = used[(used & keep).sum(axis=1) == 1]
+        if not alone.size or not (keep & alone.any(axis=0)).any():
+            break
+        keep &= ~alone.any(axis=0)
+    basis = tuple(node for node, stays in zip(template.basis, keep, strict=True) if stays)
+    return Template(template.dynamics, basis, template.sizes[keep])
+
+
+def _neutral(template: Template, scales: Array, matrices: Array) -> Array:
+    """Return the rows (k, K) of equations without which V' is not negative close to the equilibrium.
+
+    Along a direction v with A v = 0, the second order of V' = z'(A'P + P A)z vanishes, so that (A'P + P A)v = A'P v
+    has to be 0: else V' changes its sign close to v. In discrete time, A − I takes the place of A.
+    """
+    n = len(scales)
+    place = {node: k for k, node in enumerate(template.basis)}
+    products = polynomials(template.dynamics, 2, scales).basis
+    total = [np.zeros((0, len(place)))]
+    for matrix in matrices:
+        a = (matrix - np.eye(n) if template.dynamics.discrete else matrix) * scales / scales[:, None]
+        _, sizes, directions = np.linalg.svd(a)
+        for v in directions[sizes <= _FLAT * max(float(sizes.max()), 1e-300)]:
+            equations = np.zeros((n, len(place)))
+            for node, i, j in zip(products, *np.triu_indices(n), strict=True):
+                if node in place:
+                    # in scaled states, the coefficient of a product counts as much as its monomial
+                    equations[:, place[node]] = scales[i] * scales[j] * (a[i] * v[j] + a[j] * v[i]) / 2
+            total.append(equations[np.abs(equations).max(axis=1) > 0])
+    return np.vstack(total)
+
+
+# Shape a function of a template for a large region V < γ, by an evolution strategy with covariance adaptation
+
+
+_FLOOR = 1e-5  # least eigenvalue of the correlation of the features that is scaled up
+_STALL = 1e-4  # relative growth of the volume in `patience` generations below which the search stops
+
+
+def enlarge(
+    grid: Grid, start: Array, *, seconds: float, rate: float = 0.0, seed: int = 0, step: float = 0.02
+) -> tuple[Array, float]:
+    """Return coefficients (K,) whose region V < γ is large, and its relative volume; γ is 1.
+
+    The strategy is the covariance matrix adaptation of Hansen (2016) on the logarithm of the volume.
+
+    Args:
+        grid: features of the template on rays.
+        start: coefficients (K,) of a function with a region that is not empty.
+        seconds: limit of the processor time [s].
+        rate: decay rate that V must have in the region.
+        seed: seed of the random numbers.
+        step: first standard deviation, relative to the coefficients that keep V within 1 on the region.
+    """
+    until = time.process_time() + seconds
+    random = np.random.default_rng(seed)
+    first = grid.sizes(start[None], rate)
+    if not first.level[0] > 0:
+        return start, 0.0
+    mean0 = start / first.level[0]
+    # coordinates in which the features are nearly uncorrelated, with about unit variance
+    gram = grid.values @ grid.values.T / grid.values.shape[1]
+    size = np.sqrt(np.diag(gram))
+    values, vectors = np.linalg.eigh(gram / np.outer(size, size))
+    spread = (vectors / np.sqrt(np.maximum(values, _FLOOR * values.max()))).T / size  # rows are directions
+    n = len(start)
+    batch = 4 + int(3 * np.log(n)) * 2
+    half = batch // 2
+    weights = np.log(half + 0.5) - np.log(np.arange(1, half + 1))
+    weights /= weights.sum()
+    mass = 1 / (weights**2).sum()
+    c_sigma, c_c = (mass + 2) / (n + mass + 5), (4 + mass / n) / (n + 4 + 2 * mass / n)
+    c_1 = 2 / ((n + 1.3) ** 2 + mass)
+    c_mu = min(1 - c_1, 2 * (mass - 2 + 1 / mass) / ((n + 2) ** 2 + mass))
+    damping = 1 + 2 * max(0.0, np.sqrt((mass - 1) / (n + 1)) - 1) + c_sigma
+    chi = np.sqrt(n) * (1 - 1 / (4 * n) + 1 / (21 * n**2))
+    mean, sigma = np.zeros(n), step
+    covariance, path_sigma, path_c = np.eye(n), np.zeros(n), np.zeros(n)
+    root, inverse = np.eye(n), np.eye(n)
+    best, best_volume = mean0, float(first.volume[0])
+    history = [best_volume]
+    patience = 30 + 3 * n
+    generation = 0
+    while time.process_time() < until:
+        generation += 1
+        z = random.standard_normal((batch, n)) @ root
+        trial = mean + sigma * z
+        coefficients = mean0 + trial @ spread
+        sizes = grid.sizes(coefficients, rate)
+        possible = sizes.volume > 0
+        if possible.sum() < half:
+            sigma /= 2
+            if sigma < 1e-9:
+                break
+            continue
+        order = np.argsort(-sizes.volume, kind="stable")
+        top = order[0]
+        if sizes.volume[top] > best_volume:
+            best, best_volume = coefficients[top] / sizes.level[top], float(sizes.volume[top])
+        picked = z[order[:half]]
+        move = weights @ picked
+        mean = mean + sigma * move
+        path_sigma = (1 - c_sigma) * path_sigma + np.sqrt(c_sigma * (2 - c_sigma) * mass) * (move @ inverse)
+        length = np.linalg.norm(path_sigma)
+        calm = length / np.sqrt(1 - (1 - c_sigma) ** (2 * generation)) < (1.4 + 2 / (n + 1)) * chi
+        path_c = (1 - c_c) * path_c + calm * np.sqrt(c_c * (2 - c_c) * mass) * move
+        covariance = (
+            (1 - c_1 - c_mu) * covariance + c_1 * np.outer(path_c, path_c) + c_mu * (picked.T * weights) @ picked
+        )
+        sigma *= np.exp(min(1.0, c_sigma / damping * (length / chi - 1)))
+        if generation % max(1, n // 10) == 0:
+            eigen, basis = np.linalg.eigh((covariance + covariance.T) / 2)
+            scale = np.sqrt(np.maximum(eigen, 1e-14))
+            root, inverse = (basis * scale) @ basis.T, (basis / scale) @ basis.T
+        history.append(best_volume)
+        if len(history) > patience and history[-1] <= history[-patience] * (1 + _STALL):
+            break
+    return best, best_volume
+
+
+# Sign symmetries of dynamics: changes of the signs of some states that map solutions to solutions
+
+
+_SAMPLES, _MOST_STATES = 32, 10
+_SAME = 1e-9  # largest difference, relative to the largest value
+
+
+def sign_symmetries(dynamics: Dynamics) -> Array:
+    """Return the sign changes s (m, n) of x − x* with f(x* + s z) = s f(x* + z), other than none, judged by samples.
+
+    Args:
+        dynamics: the dynamics.
+    """
+    d = dynamics
+    n = len(d.states)
+    if n > _MOST_STATES:
+        return np.zeros((0, n))
+    random = np.random.default_rng(0)
+    size = np.minimum(d.box[1] - d.equilibrium, d.equilibrium - d.box[0])
+    z = size[:, None] * random.uniform(-1, 1, (n, _SAMPLES))
+    low, high = d.ranges
+    w = low[:, None] + (high - low)[:, None] * random.uniform(0, 1, (len(low), _SAMPLES))
+    x = d.equilibrium[:, None]
+    centre = x if d.discrete else 0.0
+    rates = d.evaluate(x + z, w) - centre
+    limit = _SAME * np.maximum(np.abs(rates).max(axis=1, keepdims=True), 1e-300)
+    signs = [np.array(s) for s in itertools.product((1.0, -1.0), repeat=n)][1:]
+    return np.array(
+        [s for s in signs if np.all(np.abs(d.evaluate(x + s[:, None] * z, w) - centre - s[:, None] * rates) <= limit)]
+    ).reshape(-1, n)
+
+
+def invariant(template: Template, scales: Array, signs: Array) -> Template:
+    """Return the basis functions of a template that no sign change alters.
+
+    The mean of a Lyapunov function over all changes is one as well, so nothing is lost.
+
+    Args:
+        template: the template.
+        scales: lengths (n,) of the states.
+        signs: the sign changes (m, n).
+    """
+    d = template.dynamics
+    z = scales[:, None] * np.random.default_rng(0).uniform(0.1, 1, (len(scales), 4))
+    w = d.corners()[:, 0]
+    x = d.equilibrium[:, None]
+    values = template.features(x + z, w)[0]
+    keep = np.ones(len(template.basis), dtype=bool)
+    for s in signs:
+        keep &= np.isclose(template.features(x + s[:, None] * z, w)[0], values).all(axis=1)
+    basis = tuple(node for node, used in zip(template.basis, keep, strict=True) if used)
+    return Template(d, basis, template.sizes[keep])
+
 
 _MOST_CORNERS = 8
 _MOST_TERMS = 130  # polynomials with more terms are not searched
@@ -40,11 +281,13 @@ class Candidate:
         label: description, such as "polynomial of degree 4".
         function: V, with rounded coefficients; the region is about V < 1.
         volume: estimated volume of the region, relative to the box.
+        feedbacks: feedbacks (k, n) of limits, for a proof by the slope rule.
     """
 
     label: str
     function: Node
     volume: float
+    feedbacks: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 def candidates(
@@ -71,7 +314,7 @@ def candidates(
 
     def restricted(degree: int, *, even: bool = False) -> Template:
         whole = invariant(polynomials(d, degree, scales, even=even), scales, signs)
-        return without_neutral(whole, scales, linear.matrices) if linear.verdict == "marginal" else whole
+        return _without_neutral(whole, scales, linear.matrices) if linear.verdict == "marginal" else whole
 
     template = restricted(2)
     matrix = (
@@ -80,13 +323,13 @@ def candidates(
         else common_quadratic(_shifted(d, linear, rate), scales, discrete=d.discrete)
     )
     start = (
-        sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
+        _sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
         if matrix is None
         else _quadratic(template, matrix, scales)
     )
     if start is None and degree >= 4:
         template = restricted(4, even=shaper.half)
-        start = sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
+        start = _sampled_function(template, scales, shaper.corners, half=shaper.half, matrices=linear.matrices)
     if start is None:
         return
     if linear.verdict == "stable" and matrix is not None:

@@ -18,9 +18,7 @@ from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safet
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import linearisation
 from surctl.lyapunov.falsified import least_level
-from surctl.lyapunov.inward import inward_speeds, short
-from surctl.lyapunov.near import fails_nearby
-from surctl.lyapunov.stationary import stationary_state
+from surctl.lyapunov.near import fails_nearby, inward_speeds, short, stationary_state
 from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.doubtful import undefined_at
@@ -178,15 +176,17 @@ def has_branches(dynamics: Dynamics) -> bool:
     return any(node.op in BRANCHING for node in ordered(*dynamics.rates))
 
 
-def prove_by_slopes(claim: Stability | Bound, *, time_limit: float) -> Decision:
+def prove_by_slopes(claim: Stability | Bound, *, time_limit: float, feedbacks: Array | None = None) -> Decision:
     """Prove a claim by the slope rule of the checker, which needs nothing but a quadratic V.
 
     Args:
         claim: the claim.
         time_limit: limit of the processor time [s].
+        feedbacks: feedback (k, n) of each limit; None or k = 0 for a proof without them.
     """
     began = time.perf_counter()
-    document = seal(claim.kind, claim.plain(), {"slopes": {}})
+    stated = {} if feedbacks is None or not len(feedbacks) else {"feedbacks": feedbacks.tolist()}
+    document = seal(claim.kind, claim.plain(), {"slopes": stated})
     checked = check_document(document, time_limit=min(time_limit, PATIENCE))
     if checked.accepted:
         return Decision(claim, "proved", document, "", {}, time.perf_counter() - began, checked.vacuous)

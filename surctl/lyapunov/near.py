@@ -4,18 +4,117 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.lyapunov.claims import Power, Stability
+from surctl.lyapunov.claims import Power, Safety, Stability
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear
-from surctl.verification.formula import Node
-from surctl.verification.proving import certain_excess
+from surctl.verification.falsifier import sobol
+from surctl.verification.formula import Node, number, substitute, values_of
+from surctl.verification.proving import certain_excess, range_at, vanishes
 
-__all__ = ["Failure", "fails_nearby", "slowest", "too_fast"]
+__all__ = [
+    "Failure",
+    "fails_nearby",
+    "inward_speeds",
+    "short",
+    "slowest",
+    "stationary_state",
+    "too_fast",
+]
+
+# Rates at which states move inwards on the faces of the box, for the proof that solutions do not leave it
+
+
+_SAMPLES = 2048
+
+
+def inward_speeds(claim: Safety) -> list[float] | None:
+    """Return a rate for each face at which the state moves inwards, as samples with B ≤ 0 show; None if one does not.
+
+    In discrete time, there are no rates: the list is empty, or None if the successor of a sample leaves the box.
+    """
+    d = claim.dynamics
+    low, high = (np.concatenate(ends) for ends in zip(d.box, d.ranges, strict=True))
+    names, speeds = [v.name for v in d.variables], list[float]()
+    wide = low[:, None] + (high - low)[:, None] * sobol(len(low), _SAMPLES, 0)
+    if d.discrete:
+        barrier, *after = values_of((claim.function, *d.rates), dict(zip(names, wide, strict=True)))
+        ends = zip(after, *d.box, strict=True)
+        leaves = np.any([(x < bottom) | (x > top) for x, bottom, top in ends], axis=0)
+        return None if np.any(leaves & (barrier <= 0)) else speeds
+    for k, rate in enumerate(d.rates):
+        for end, sign in ((low[k], 1.0), (high[k], -1.0)):
+            points = wide.copy()
+            points[k] = end
+            barrier, moved = values_of((claim.function, rate), dict(zip(names, points, strict=True)))
+            least = float((sign * moved[barrier <= 0]).min(initial=1.0))
+            if not least > 0:
+                return None
+            speeds.append(short(1e-3 * least))
+    return speeds
+
+
+def short(value: float, *, digits: int = 3, up: bool = False) -> float:
+    """Return a positive number of few digits, not above `value` (not below it if `up`); 1 for 0."""
+    if value == 0:
+        return 1.0
+    size = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
+    count = np.ceil(value / size) if up else np.floor(value / size)
+    return float(f"{count * size:.6g}")
+
+
+# States at which a function does not change at all, which no strict decrease allows: found and shown exactly
+
+
+_SHARES = (0.5, 0.1, 0.01, 0.001)  # of the distance from the equilibrium to a bound
+
+
+def stationary_state(claim: Stability) -> Mapping[str, float] | None:
+    """Return a state of the region, other than the equilibrium, at which V does not change; None if none is found.
+
+    The change of V is shown to be 0 on a line through the equilibrium parallel to an axis, by exact rewriting. So V is
+    a first integral, or decreases only in other states, as the energy of a pendulum does.
+
+    Args:
+        claim: the claim.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, Stability, State
+        >>> from surctl.lyapunov.near import stationary_state
+        >>> from surctl.verification.formula import parse, variable
+        >>> names = {"x": variable("x"), "v": variable("v")}
+        >>> states = State("x", -2.0, 2.0), State("v", -2.0, 2.0)
+        >>> spring = Dynamics("spring", "continuous", states, (parse("v", names), parse("-x - v", names)))
+        >>> stationary_state(Stability(spring, parse("x^2 + v^2", names), 1.5))
+        {'x': 1.0, 'v': 0.0}
+    """
+    d = claim.dynamics
+    loss = d.change(claim.function)
+    if d.discrete:
+        loss = loss - claim.function
+    fixed = {w.name: _exact(w.lower) for w in d.parameters}
+    rest = {s.name: float(s.equilibrium) for s in d.states} | {w.name: float(w.lower) for w in d.parameters}
+    for s in d.states:
+        others = fixed | {o.name: number(o.rest) for o in d.states if o is not s}
+        if not vanishes(substitute(loss, others)):
+            continue
+        for share in _SHARES:
+            for end in (s.upper, s.lower):
+                point = rest | {s.name: s.equilibrium + share * (end - s.equilibrium)}
+                value, change = range_at(claim.function, point), range_at(loss, point)
+                if value is not None and change is not None and value[1] < claim.level:
+                    return point
+    return None
+
+
+def _exact(value: float) -> Node:
+    return number(Fraction(repr(float(value))))
+
 
 Array = NDArray[np.float64]
 

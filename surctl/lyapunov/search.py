@@ -15,13 +15,11 @@ from surctl.lyapunov.decide import Decision, decide_motion, has_branches, prove_
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, linearisation
 from surctl.lyapunov.falsified import Falsified, least_level
-from surctl.lyapunov.hugging import hugged
-from surctl.lyapunov.inward import short
-from surctl.lyapunov.near import Failure, fails_nearby, too_fast
+from surctl.lyapunov.near import Failure, fails_nearby, short, stationary_state, too_fast
+from surctl.lyapunov.rays import hugged
 from surctl.lyapunov.sampled import sampled_region
 from surctl.lyapunov.slope_search import LABEL as SLOPES
 from surctl.lyapunov.slope_search import slope_candidate
-from surctl.lyapunov.stationary import stationary_state
 from surctl.verification.formula import Node, text_of
 
 __all__ = ["StabilityResult", "find_stability"]
@@ -248,7 +246,7 @@ def _by_slopes(
     until = time.process_time() + _PROOF * seconds
     for level in _SAFE:
         claim = Stability(hugged(d, candidate.function, level), candidate.function, level, rate)
-        trial = prove_by_slopes(claim, time_limit=until - time.process_time())
+        trial = prove_by_slopes(claim, time_limit=until - time.process_time(), feedbacks=candidate.feedbacks)
         _say(progress, f"{candidate.label}: level {level:.4g} {trial.verdict} {trial.reason}")
         if trial.verdict == "proved":
             # only figures of a page: for many states, the search takes longer than the proof

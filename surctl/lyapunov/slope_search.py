@@ -1,5 +1,10 @@
 """Search of quadratic Lyapunov functions by the slope rule: V and level of a large region, proposed by cutting planes.
 
+The dynamics are x' = A(θ)(x − x*) on {V ≤ level}, with a matrix that has degree at most 1 in each slope θ. The slopes
+are those of `surctl.certcheck.slope_rows`, with sampled ranges of functions: they only serve to propose V and level,
+and the checker encloses the ranges itself. With feedbacks, the output of each limit lies between its operand and a
+variable of its own, beside ξ: the value G·ξ of its feedback.
+
 A matrix inequality must hold at every vertex of the ranges of the slopes. The vertices where it is closest to failing
 are found by alternating between the worst state for a vertex and the worst vertex for a state; the checker tests all.
 """
@@ -8,39 +13,179 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from fractions import Fraction
+from itertools import product
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
+from mpmath import libmp
 from numpy.typing import NDArray
 
+from surctl.certcheck import Rejected
+from surctl.certcheck.enclosure import Interval, Undefined, span
+from surctl.certcheck.slope_rows import Number, Rows
 from surctl.errors import UnsupportedOperation
 from surctl.lyapunov.candidates import Candidate
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import Linear, common_quadratic
 from surctl.lyapunov.near import slowest
-from surctl.lyapunov.slopes import Embedding
 from surctl.verification.conic import minimise, symmetric_basis
-from surctl.verification.formula import Node, number, power, variable
+from surctl.verification.formula import Node, number, power, text_of, to_casadi, values_of, variable
 
-__all__ = ["LABEL", "Family", "quadratic", "relative_volume", "slope_candidate"]
+__all__ = ["LABEL", "Embedding", "Family", "form_of", "quadratic", "relative_volume", "slope_candidate"]
+
+Array = NDArray[np.float64]
+
+_POINTS = 65  # samples of a range
+_FEW = 6  # slopes of a row whose vertices are tried
+_WIDER = 1e-3  # by which sampled ranges are widened, relative to their width
+
+
+class Embedding(Rows):
+    """The slopes of dynamics where |c·ξ|² ≤ c Q c', ξ = x − x*, for all rows c and one of the covers Q.
+
+    The entries of `rows` after those of the n states are those of the values of the k feedbacks.
+
+    Attributes:
+        covers: Q of the states and of the values of the feedbacks (K, n + k, n + k).
+        inner: rows (M, n + k) of each expression whose range decides a slope, at vertices of the slopes.
+
+    Args:
+        dynamics: the dynamics.
+        covers: the covers (K, n, n).
+        rates: expressions in place of the rates of the dynamics.
+        feedbacks: G (k, n) of the limits; more rows than there are limits have no effect.
+
+    Raises:
+        UnsupportedOperation: the slope rule does not cover the expressions.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        covers: Array,
+        *,
+        rates: Sequence[Node] | None = None,
+        feedbacks: Array | None = None,
+    ) -> None:
+        d, n = dynamics, len(dynamics.names)
+        gains = np.zeros((0, n)) if feedbacks is None else feedbacks
+        wide = np.vstack([np.eye(n), gains])
+        self.covers, self.inner = np.asarray(wide @ covers @ wide.T), list[Array]()
+        values = [f"feedback {k}" for k in range(len(gains))]  # no expression has a variable with such a name
+        try:
+            super().__init__(
+                [*(v.name for v in d.variables), *values],
+                [*(span(v.lower, v.upper) for v in d.variables), *[span(0.0, 0.0)] * len(values)],
+                [text_of(rate) for rate in (d.rates if rates is None else rates)],
+                [[[Fraction(x) for x in row] for row in cover.tolist()] for cover in covers],
+                [s.rest for s in d.states],
+                Fraction(1),
+                values,
+                gains.tolist(),
+            )
+        except (Rejected, Undefined) as reason:
+            raise UnsupportedOperation(str(reason), key="slopes") from None
+
+    def ends(self, k: int) -> tuple[float, float]:
+        """Return the range of a rate on the region."""
+        whole = [*_ends(self.range[self.roots[k]]), *_ends(self.rest[self.roots[k]])]
+        return min(whole), max(whole)
+
+    def gaps(self) -> Array:
+        """Return the least distance of the operand of each limit at x* from it (k,)."""
+        return np.array([float(gap) for _, gap, _ in self.limits.values()])
+
+    def operands(self) -> list[Array]:
+        """Return the row of the operand of each limit, in the middle of all slopes."""
+        return [self._vertices_of(self.row(y), most=0)[0] for y, _, _ in self.limits.values()]
+
+    def _limit_row(self, at: int) -> list[Number]:
+        share = self._slope((libmp.fzero, libmp.fone))
+        row = self._scaled(share, self.row(self.limits[at][0]))
+        rest = self.plus(Number({(): Fraction(1)}), self.times(Number({(): Fraction(-1)}), share))
+        row[self.states + list(self.limits).index(at)] = rest
+        return row
+
+    def _image(self, at: int) -> tuple[Interval, Interval]:
+        base = self.base[at]
+        values = self._along(at, np.linspace(*_ends(self.range[base]), _POINTS))
+        return _interval(values), _interval(self._along(at, np.array(_ends(self.rest[base]))))
+
+    def _along(self, at: int, values: Array) -> Array:
+        """Return the values of a function of its base."""
+        new = {self.base[at]: variable("t")}
+        for k in self.table.needed([at]):
+            entry = self.table.entries[k]
+            if k not in new and all(a in new for a in entry.args) and entry.op != "var":
+                new[k] = Node(entry.op, tuple(new[a] for a in entry.args), entry.value)
+        out: Array = values_of([new[at]], {"t": values})[0]
+        return out
+
+    def _secant(self, at: int) -> Interval:
+        base = self.base[at]
+        rest, (low, high) = _ends(self.rest[base]), _ends(self.range[base])
+        t, slopes = np.linspace(low, high, _POINTS), []
+        for c in dict.fromkeys((*rest, sum(rest) / 2)):
+            near = max(high - low, 1e-9) * 1e-5
+            apart = np.where(np.abs(t - c) < near, near, t - c)
+            value = self._along(at, np.array([c, c - near]))
+            slopes += [(self._along(at, c + apart) - value[0]) / apart, np.array([(value[0] - value[1]) / near])]
+        every = np.concatenate(slopes)
+        every = every[np.isfinite(every)]
+        if not every.size:
+            raise Undefined("an expression that is not finite on the region")
+        if self.table.entries[base].op != "var":
+            self.inner.append(self._vertices_of(self.row(base), most=2))
+        if np.ptp(every) <= 1e-6 * np.abs(every).max():
+            return _interval(every.mean())
+        return _interval(every + _WIDER * np.ptp(every) * np.sign(every - every.mean()))
+
+    def _vertices_of(self, row: list[Number], most: int = _FEW) -> Array:
+        used = sorted({k for entry in row for term in entry.poly for k in term})[:most]
+        ends = np.array(self.slopes, dtype=float).reshape(-1, 2)
+        rows = []
+        for vertex in product(*ends[used]):
+            value = ends.mean(axis=1)
+            value[used] = vertex
+            rows.append([sum(float(x) * value[list(t)].prod() for t, x in entry.poly.items()) for entry in row])
+        return np.array(rows, dtype=float)
+
+    def _support(self, row: list[Number]) -> Fraction:
+        at = self._vertices_of(row)
+        return Fraction(float(np.sqrt(np.einsum("ki,cij,kj->ck", at, self.covers, at).clip(0).max())))
+
+
+def _ends(a: Interval) -> tuple[float, float]:
+    return float(libmp.to_float(a[0])), float(libmp.to_float(a[1]))
+
+
+def _interval(values: Array) -> Interval:
+    if not np.all(np.isfinite(values)):
+        raise Undefined("an expression that is not finite on the region")
+    return libmp.from_float(float(np.min(values))), libmp.from_float(float(np.max(values)))
+
 
 LABEL = "quadratic by the slope rule"
 """How a function of the slope rule was found, in words."""
 
-Array = NDArray[np.float64]
 Bits = NDArray[np.bool_]
 
-_MOST, _MOST_STATES = 17, 20  # slopes of a matrix; states
+_MOST, _MOST_STATES = 40, 20  # slopes of a matrix; states
 _SLOW, _FASTER = 0.02, 1.02  # decay rate relative to that of the linearisation, and to the demanded one
 _NEGLIGIBLE, _DIGITS = 1e-5, 6  # coefficients of V: what is left out, and digits after the first
-_STARTS, _TURNS, _SWEEPS = 8, 8, 2  # random starts of the search for vertices; its turns; sweeps over all slopes
-_HALVINGS, _ROUNDS, _CUTS = 6, 24, 8
+_STARTS, _TURNS, _SWEEPS = 256, 8, 2  # random starts of the search for vertices; its turns; sweeps over all slopes
+_HALVINGS, _ROUNDS, _CUTS = 6, 40, 10
 _WORST = 6  # vertices that a cut adds
-_STRETCH, _LEAST_STRETCH = 1.2, 1.03  # by which the extents that decide slopes may grow in a round
+_STRETCH, _LEAST_STRETCH = 1.4, 1.03  # by which the extents that decide slopes may grow in a round
+_NEAR = 1e-4  # level near the equilibrium, relative to the level at which V leaves the box
 _GROWTH = 1.01  # least growth of the mean extent of the region in a round
 _INSIDE = 1e-4  # by which the region stays inside the box, relative to it
-_SPARE = 1e-3  # of the rate, so that the checker's wider ranges do not matter
+_SPARE = 1e-2  # of the rate, so that the checker's wider ranges do not matter
 
 
 class Family:
@@ -48,7 +193,7 @@ class Family:
 
     def __init__(self, embedding: Embedding) -> None:
         n = len(embedding.rows)
-        terms = sorted({term for row in embedding.rows for entry in row for term in entry})
+        terms = sorted({term for row in embedding.rows for entry in row for term in entry.poly})
         used = sorted({k for term in terms for k in term})
         if len(used) > _MOST:
             raise UnsupportedOperation(f"{len(used)} slopes", key="slopes")
@@ -56,10 +201,17 @@ class Family:
         place = {term: t for t, term in enumerate(terms)}
         for i, row in enumerate(embedding.rows):
             for j, entry in enumerate(row):
-                for term, x in entry.items():
+                for term, x in entry.poly.items():
                     self.numbers[place[term], i, j] = x
-        self.low, self.high = np.array([embedding.slopes[k] for k in used]).reshape(-1, 2).T
+        self.low, self.high = np.array([embedding.slopes[k] for k in used], dtype=float).reshape(-1, 2).T
         self.members = np.array([[k in term for k in used] for term in terms]).reshape(len(terms), len(used))
+
+    def closed(self, feedbacks: Array) -> Family:
+        """Return the matrices (n, n) with these feedbacks (k, n) in the place of their variables."""
+        n = self.numbers.shape[1]
+        family = copy(self)
+        family.numbers = self.numbers[..., :n] + self.numbers[..., n:] @ feedbacks
+        return family
 
     def at(self, slopes: Array) -> Array:
         """Return A(θ) (B, n, n) for slopes (B, K)."""
@@ -84,12 +236,20 @@ class Family:
         return chosen
 
 
+class Shape(NamedTuple):
+    """P (n, n) of a region ξ' P ξ < 1, and the feedbacks (k, n) of the limits."""
+
+    p: Array
+    feedbacks: Array
+
+
 @dataclass
 class _Shapes:
     """What a quadratic form must satisfy at the matrices of a family."""
 
     dynamics: Dynamics
     rate: float
+    toward: str = ""
     scales: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -131,28 +291,34 @@ class _Shapes:
         order = np.argsort(least)
         return least[order], chosen[order]
 
-    def holds(self, p: Array, level: float) -> bool:
+    def holds(self, shape: Shape, level: float = 1.0) -> bool:
         """Return whether no vertex is known at which the matrix inequality fails on {V ≤ level}."""
+        p, g = shape
         try:
-            family = Family(Embedding(self.dynamics, _cover(p, level)))
-            return bool(self.worst(family, p)[0][0] > 0)
+            embedding = Embedding(self.dynamics, _cover(p, level), feedbacks=g if len(g) else None)
+            values = np.sqrt(level * np.einsum("ki,ij,kj->k", g, np.linalg.inv(p), g))
+            if not np.all(values < embedding.gaps() * (1 - _INSIDE / 2)):
+                return False
+            return bool(self.worst(Family(embedding).closed(g), p)[0][0] > 0)
         except (UnsupportedOperation, np.linalg.LinAlgError):
             return False
 
 
-def _largest_level(shapes: _Shapes, p: Array) -> float:
+def _largest_level(shapes: _Shapes, shape: Shape) -> float:
     """Return a level up to which the slope rule shows that V = ξ' P ξ decreases in the box; 0 if there is none."""
-    top = float((shapes.scales**2 / np.diag(np.linalg.inv(p))).min()) * (1 - _INSIDE)
-    if shapes.holds(p, top):
+    top = float((shapes.scales**2 / np.diag(np.linalg.inv(shape.p))).min()) * (1 - _INSIDE)
+    if shapes.holds(shape, top):
         return top
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = (low + high) / 2 if low else high / 4
-        low, high = (middle, high) if shapes.holds(p, middle * top) else (low, middle)
+        low, high = (middle, high) if shapes.holds(shape, middle * top) else (low, middle)
     return low * top
 
 
-def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, seconds: float) -> Candidate | None:
+def slope_candidate(
+    dynamics: Dynamics, linear: Linear, rate: float | None, *, seconds: float, toward: str = ""
+) -> Candidate | None:
     """Return a quadratic V with a large region V < 1 that the slope rule is likely to prove; None if none is found.
 
     Args:
@@ -160,18 +326,24 @@ def slope_candidate(dynamics: Dynamics, linear: Linear, rate: float | None, *, s
         linear: the stable linearisation.
         rate: demanded decay rate of V; None means any decrease.
         seconds: limit of the processor time [s].
+        toward: state along which the region is to be long; empty for a large volume.
     """
     d = dynamics
     if len(d.states) > _MOST_STATES:
         return None
     demanded = max(_FASTER * (rate or 0.0), _SLOW * slowest(d, linear)[1])
     try:
-        p = _slope_function(d, linear.matrices, demanded, time.process_time() + seconds)
+        shape = _slope_function(_Shapes(d, demanded, toward), linear.matrices, time.process_time() + seconds)
     except (UnsupportedOperation, np.linalg.LinAlgError):
         return None
-    if p is None:
+    if shape is None:
         return None
-    return Candidate(LABEL, quadratic(d, p), relative_volume(d, p))
+    return Candidate(LABEL, quadratic(d, shape.p), relative_volume(d, shape.p), _rounded(shape.feedbacks))
+
+
+def _rounded(feedbacks: Array) -> Array:
+    """Return the numbers with as many digits as the coefficients of V; the spare of the limits covers the rounding."""
+    return np.array([[float(f"{x:.{_DIGITS}e}") for x in row] for row in feedbacks]).reshape(feedbacks.shape)
 
 
 def quadratic(d: Dynamics, p: Array) -> Node:
@@ -190,6 +362,12 @@ def quadratic(d: Dynamics, p: Array) -> Node:
     return total
 
 
+def form_of(function: Node, names: Sequence[str]) -> Array:
+    """Return the matrix (n, n) of a quadratic form of the named variables."""
+    symbols = {name: ca.SX.sym(name) for name in names}
+    return np.asarray(ca.DM(ca.hessian(to_casadi(function, symbols), ca.vertcat(*symbols.values()))[0])) / 2
+
+
 def relative_volume(d: Dynamics, p: Array) -> float:
     """Return the volume of {ξ' P ξ < 1} relative to the box."""
     n = len(p)
@@ -197,91 +375,165 @@ def relative_volume(d: Dynamics, p: Array) -> float:
     return float(ball / np.sqrt(np.linalg.det(p * np.outer(*[d.box[1] - d.box[0]] * 2))))
 
 
-def _slope_function(dynamics: Dynamics, matrices: Array, rate: float, until: float) -> Array | None:
-    """Return P (n, n) of a large region V < 1 that the slope rule is likely to prove; None if none is found."""
-    shapes = _Shapes(dynamics, rate)
-    p = common_quadratic(matrices, shapes.scales.tolist(), discrete=dynamics.discrete)
-    level = 0.0 if p is None else _largest_level(shapes, p)
-    if p is None or not level > 0:
+def _slope_function(shapes: _Shapes, matrices: Array, until: float) -> Shape | None:
+    """Return a large region that the slope rule is likely to prove; None if none is found."""
+    p = _start(shapes, matrices)
+    if p is None:
         return None
-    best = p / level
-    size, stretch, pool = _extent(best, shapes.scales), _STRETCH, list[Bits]()
+    plain = _grown(shapes, Shape(p, np.zeros((0, len(p)))), until)
+    limited = _limited(shapes, plain)
+    if limited is None:
+        return plain
+    limited = _grown(shapes, limited, until)
+    if plain is None or (limited is not None and _extent(limited.p, shapes) > _extent(plain.p, shapes)):
+        return limited
+    return plain
+
+
+def _start(shapes: _Shapes, matrices: Array) -> Array | None:
+    """Return P that decreases near the equilibrium, also at vertices that no corner of the parameters reaches."""
+    d, rate = shapes.dynamics, shapes.rate
+    for _ in range(_CUTS):
+        faster = matrices / np.sqrt(1 - rate) if d.discrete else matrices + rate / 2 * np.eye(len(shapes.scales))
+        p = common_quadratic(faster, shapes.scales.tolist(), discrete=d.discrete)
+        if p is None:
+            return None
+        top = float((shapes.scales**2 / np.diag(np.linalg.inv(p))).min())
+        family = Family(Embedding(d, _cover(p, _NEAR * top)))
+        least, worst = shapes.worst(family, p)
+        if least[0] > 0:
+            return p
+        matrices = np.concatenate([matrices, family.vertices(worst[:_WORST])])
+    return p
+
+
+def _limited(shapes: _Shapes, shape: Shape | None) -> Shape | None:
+    """Return a small region with feedbacks for the limits that act in a region; None if none acts."""
+    if shape is None:
+        return None
+    n = len(shape.p)
+    small = 1e-8 * _cover(shape.p, 1.0)
+    embedding = Embedding(shapes.dynamics, small, feedbacks=np.zeros((4 * n, n)))
+    if not embedding.limits:
+        return None
+    feedbacks = np.zeros((len(embedding.limits), n))
+    for k, row in enumerate(embedding.operands()):
+        feedbacks[k] = row[:n] + row[n : n + len(feedbacks)] @ feedbacks
+    return Shape(shape.p, feedbacks)
+
+
+def _grown(shapes: _Shapes, shape: Shape, until: float) -> Shape | None:
+    """Return the largest region that the rounds of the search reach from the shape of a small one."""
+    level = _largest_level(shapes, shape)
+    if not level > 0:
+        return None
+    best = Shape(shape.p / level, shape.feedbacks)
+    size, stretch, pool = _extent(best.p, shapes), _STRETCH, list[Bits]()
     for _ in range(_ROUNDS):
         if time.process_time() > until:
             break
         trial = _reshaped(shapes, best, stretch, pool)
-        new = 0.0 if trial is None else _extent(trial, shapes.scales)
-        if trial is not None and new > _GROWTH * size and shapes.holds(trial, 1.0):
+        new = 0.0 if trial is None else _extent(trial.p, shapes)
+        if trial is not None and new > _GROWTH * size and shapes.holds(trial):
             best, size = trial, new
         else:
             stretch = 1 + (stretch - 1) / 2
             if stretch < _LEAST_STRETCH:
                 break
-    return best / _largest_level(shapes, best) if shapes.holds(best, 1.0) else best
+    return Shape(best.p / _largest_level(shapes, best), best.feedbacks) if shapes.holds(best) else best
 
 
-def _extent(p: Array, scales: Array) -> float:
-    """Return a mean extent of {ξ' P ξ ≤ 1}, relative to the scales."""
+def _extent(p: Array, shapes: _Shapes) -> float:
+    """Return the mean extent of {ξ' P ξ ≤ 1}, or that along the state `toward`, relative to the scales."""
+    scales = shapes.scales
+    if shapes.toward:
+        k = shapes.dynamics.names.index(shapes.toward)
+        return float(1 / np.sqrt(p[k, k]) / scales[k])
     return float(np.exp(-np.linalg.slogdet(p * np.outer(scales, scales))[1] / 2 / len(scales)))
 
 
-def _reshaped(shapes: _Shapes, p: Array, stretch: float, pool: list[Bits]) -> Array | None:
-    """Return P of a larger ellipsoid {ξ' P ξ ≤ 1} on which the slopes stay those of p/stretch², if there is one.
+def _reshaped(shapes: _Shapes, shape: Shape, stretch: float, pool: list[Bits]) -> Shape | None:
+    """Return a larger region on which the slopes stay those of p/stretch², if there is one.
 
     The unknowns are Q = P⁻¹ in scaled states, whose square root of r Q r' is the extent of the ellipsoid along a row r,
-    and W ⪰ Q⁻¹ for the volume. Vertices that decided earlier shapes are in `pool`.
+    W ⪰ Q⁻¹ for the volume, and Y = G Q for the feedbacks G. Vertices that decided earlier shapes are in `pool`.
     """
+    p, g = shape
     try:
-        embedding = Embedding(shapes.dynamics, _cover(p, stretch**2))
+        embedding = Embedding(shapes.dynamics, _cover(p, stretch**2), feedbacks=g / stretch if len(g) else None)
         family = Family(embedding)
     except UnsupportedOperation:
         return None
-    n, cover, discrete = len(p), embedding.covers[0], shapes.dynamics.discrete
-    size = np.diag(shapes.scales)
-    family.numbers = np.linalg.inv(size) @ family.numbers @ size
+    n, k, cover, discrete = len(p), len(g), np.linalg.inv(p) * stretch**2, shapes.dynamics.discrete
+    lengths, limits = np.sqrt(np.diag(cover)), embedding.gaps()
+    size = np.diag(lengths)
+    wide = np.zeros((n + k, n + k))
+    wide[:n, :n], wide[n:, n:] = size, np.diag(limits)
+    family.numbers = np.linalg.inv(size) @ family.numbers @ wide
     basis = symmetric_basis(n)
-    rows = [*np.eye(n) / (1 - _INSIDE)]
-    for row in [*np.eye(n), *(row for _, rows in embedding.inner for row in rows)]:
+    count = 2 * len(basis) + k * n
+    inverses, inverse_bounds, sides = np.zeros((count, n, n)), np.zeros((count, n, n)), np.zeros((count, k, n))
+    inverses[: len(basis)], inverse_bounds[len(basis) : 2 * len(basis)] = basis, basis
+    sides[2 * len(basis) :] = np.eye(k * n).reshape(k * n, k, n)
+    rows = [*np.diag(lengths / shapes.scales) / (1 - _INSIDE)]
+    for row in [*np.eye(n), *(row[:n] + row[n:] @ g for rows in embedding.inner for row in rows)]:
         most = float(row @ cover @ row)
         if most > 0:
             rows.append(row @ size / np.sqrt(most))
-    own, none = size @ p @ size, np.zeros_like(basis)
-    extents = np.einsum("ri,bij,rj->rb", rows, np.concatenate([basis, none]), rows)
-    inner = np.ones((len(rows), 1, 1)), -extents[:, :, None, None]
-    pair = np.block([[np.zeros((n, n)), np.eye(n)], [np.eye(n), np.zeros((n, n))]])[None]
-    volume = pair, np.concatenate([_blocks(basis, none), _blocks(none, basis)])[None]
-    cost = np.tensordot(np.concatenate([none, basis]), np.linalg.inv(own) / n, axes=2)  # gradient of log det P
-    chosen = shapes.worst(family, own)[1][:_WORST]
+    own = size @ p @ size
+    extents = np.einsum("ri,bij,rj->rb", rows, inverses, rows)
+    volume = np.kron(np.array([[0.0, 1.0], [1.0, 0.0]]), np.eye(n))[None]
+    fixed = [
+        (np.ones((len(rows), 1, 1)), -extents[:, :, None, None]),
+        (volume, _blocks(inverses, inverse_bounds)[None]),
+    ]
+    one = np.zeros((n + 1, n + 1))
+    one[0, 0] = (1 - _INSIDE) ** 2
+    for row in range(k):
+        bound = np.zeros((count, n + 1, n + 1))
+        bound[:, 1:, 1:] = inverses
+        bound[:, 0, 1:] = bound[:, 1:, 0] = sides[:, row]
+        fixed.append((one[None], bound[None]))
+    if shapes.toward:
+        at = shapes.dynamics.names.index(shapes.toward)
+        gradient = 0.01 * np.linalg.inv(own) / n
+        gradient[at, at] += 1.0
+    else:
+        gradient = np.linalg.inv(own) / n  # of log det P
+    cost = np.tensordot(inverse_bounds, gradient, axes=2)
+    chosen = shapes.worst(family.closed(g @ size / limits[:, None]), own)[1][:_WORST]
     if pool and pool[0].shape[1] == chosen.shape[1]:
         chosen = np.unique(np.vstack([chosen, pool[0]]), axis=0)
     rate = shapes.rate * (1 + _SPARE) + 1e-9
     for _ in range(_CUTS):
-        moved = family.vertices(chosen)[:, None] @ basis[None]  # A Q
+        at_vertices = family.vertices(chosen)[:, None]
+        moved = at_vertices[..., :n] @ inverses + at_vertices[..., n:] @ sides  # A Q
         if discrete:
-            loss = _blocks(np.broadcast_to((1 - rate) * basis, moved.shape), np.broadcast_to(basis, moved.shape))
+            loss = _blocks(np.broadcast_to((1 - rate) * inverses, moved.shape), np.broadcast_to(inverses, moved.shape))
             loss[..., n:, :n], loss[..., :n, n:] = moved, moved.swapaxes(-1, -2)
         else:
-            loss = -(moved + moved.swapaxes(-1, -2)) - rate * basis
-        losses = np.zeros((len(chosen), *loss.shape[2:])), np.concatenate([loss, np.zeros_like(loss)], axis=1)
-        x = minimise(cost, [inner, volume, losses], tolerance=1e-7)
+            loss = -(moved + moved.swapaxes(-1, -2)) - rate * inverses
+        x = minimise(cost, [*fixed, (np.zeros((len(chosen), *loss.shape[2:])), loss)], tolerance=1e-7)
         if x is None:
             return None
-        q = np.tensordot(x[: len(basis)], basis, axes=1)
+        q = np.tensordot(x, inverses, axes=1)
         if np.linalg.eigvalsh(q)[0] <= 0:
             return None
         trial = np.linalg.inv(q)
         trial = (trial + trial.T) / 2
-        least, worst = shapes.worst(family, trial)
+        new = np.tensordot(x, sides, axes=1) @ trial
+        closed = family.closed(new)
+        least, worst = shapes.worst(closed, trial)
         if least[0] > -1e-7:
             break
         chosen = np.unique(np.vstack([chosen, worst[:_WORST]]), axis=0)
     else:
         return None
     root = np.linalg.cholesky(q)
-    active = np.linalg.eigvalsh(root.T @ shapes.losses(family.vertices(chosen), trial) @ root)[:, 0]
+    active = np.linalg.eigvalsh(root.T @ shapes.losses(closed.vertices(chosen), trial) @ root)[:, 0]
     pool[:] = [chosen[np.argsort(active)[: 4 * _WORST]]]
     inverse = np.linalg.inv(size)
-    return np.asarray(inverse @ trial @ inverse)
+    return Shape(np.asarray(inverse @ trial @ inverse), limits[:, None] * new @ inverse)
 
 
 def _cover(p: Array, level: float) -> Array:

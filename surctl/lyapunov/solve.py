@@ -3,27 +3,140 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
 
 from surctl.errors import InputError
-from surctl.lyapunov.barrier_search import find_barrier
+from surctl.lyapunov.barrier_search import decide_safety, find_barrier
 from surctl.lyapunov.claims import Safety, every_digit
 from surctl.lyapunov.decide import Decision, decide_motion
 from surctl.lyapunov.dynamics import Dynamics
-from surctl.lyapunov.equilibrium import at_equilibrium, equilibria
-from surctl.lyapunov.next_step import next_step
+from surctl.lyapunov.equilibrium import at_equilibrium, equilibria, linearisation
 from surctl.lyapunov.problem import Problem
-from surctl.lyapunov.safety import decide_safety
 from surctl.lyapunov.sampled import SampledStability
 from surctl.lyapunov.search import find_stability
-from surctl.lyapunov.switching import limits_sentence
-from surctl.verification.formula import parse, text_of
-from surctl.verification.formula.text import decimal_text
+from surctl.verification.falsifier import sobol
+from surctl.verification.formula import Node, ordered, parse, text_of, values_of
+from surctl.verification.formula.parser import decimal_text
 
-__all__ = ["Solution", "solve"]
+__all__ = [
+    "NextStep",
+    "Solution",
+    "limits_sentence",
+    "solve",
+]
+
+# What is proved about dynamics where a claim is not: a lower level, a lower rate, narrower ranges, a smaller box
+
+
+class NextStep(NamedTuple):
+    """What is proved instead of a claim, as entries of its file, and what is not proved either."""
+
+    instead: str
+    tried: tuple[str, ...]
+
+
+def _next_step(problem: Problem, *, seconds: float, seed: int = 0) -> NextStep:
+    """Return the first weaker claim about a region of attraction that is proved.
+
+    Args:
+        problem: a problem of kind `lyapunov` whose claim is not decided.
+        seconds: processor time of all attempts [s].
+        seed: seed of the random numbers.
+    """
+    if linearisation(problem.dynamics).verdict != "stable":
+        return NextStep("", ())  # no quadratic function exists, so the attempts would fail too
+    trials = list(_weaker(problem))
+    for number, (words, one) in enumerate(trials):
+        result = find_stability(
+            one.dynamics, function=one.function, level=one.level, rate=one.rate, first=True,
+            time_limit=seconds / len(trials), seed=seed,
+        )  # fmt: skip
+        if result.verdict == "proved" and result.claim is not None:
+            level = f"level = {every_digit(result.claim.level)}"
+            text = words if one.function is None or one.level is not None else f"{words}, {level}" if words else level
+            return NextStep(text, tuple(tried for tried, _ in trials[:number]))
+    return NextStep("", tuple(words or "a lower level" for words, _ in trials))
+
+
+def _weaker(problem: Problem) -> Iterator[tuple[str, Problem]]:
+    if problem.level is not None:
+        yield "", replace(problem, level=None)
+    if problem.rate is not None:
+        yield f"rate = {problem.rate / 4:.4g}", replace(problem, rate=problem.rate / 4)
+    d = problem.dynamics
+    if any(p.lower < p.upper for p in d.parameters):
+        middle = _shrunk(d)
+        ranges = ", ".join(f"{p.name} in [{p.lower:.4g}, {p.upper:.4g}]" for p in middle.parameters)
+        yield ranges, replace(problem, dynamics=middle)
+    if problem.function is None:
+        bounds = {s.name: ((s.lower + s.equilibrium) / 2, (s.upper + s.equilibrium) / 2) for s in d.states}
+        box = ", ".join(f"{name} in [{low:.4g}, {high:.4g}]" for name, (low, high) in bounds.items())
+        yield box, replace(problem, dynamics=d.on(bounds))
+
+
+def _shrunk(d: Dynamics) -> Dynamics:
+    # every parameter in the middle half of its range
+    halves = [replace(p, lower=(3 * p.lower + p.upper) / 4, upper=(p.lower + 3 * p.upper) / 4) for p in d.parameters]
+    return replace(d, parameters=tuple(halves))
+
+
+# Whether the limits in the rates of dynamics, such as a saturation, act inside a region V < level
+
+
+_SAMPLES, _NEAR = 2048, (1.0, 0.3, 0.1, 0.03, 0.01)
+_FEWEST = 64  # samples of a region that say something about it
+
+
+def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dynamics) -> str:
+    """Return a sentence if no limit (min or max) of the rates acts at samples of V < level; empty if one acts.
+
+    A limit acts where another one of its two arguments decides than at the equilibrium.
+
+    Args:
+        dynamics: the dynamics of the claim.
+        function: V, an expression of the states.
+        level: level of the region.
+        whole: the same dynamics with the bounds of the problem, to find where a limit acts.
+
+    Example:
+        >>> from surctl.lyapunov import Dynamics, State
+        >>> from surctl.lyapunov.solve import limits_sentence
+        >>> from surctl.verification.formula import parse, variable
+        >>> x = {"x": variable("x")}
+        >>> held = Dynamics("held", "continuous", (State("x", -2.0, 2.0),), (parse("max(-1, min(1, -2*x))", x),))
+        >>> limits_sentence(held, parse("x^2", x), 0.2, held)
+        'no limit (min, max) of the rates acts in the region, at 2048 samples of it; one acts at V = 0.25'
+        >>> limits_sentence(held, parse("x^2", x), 0.3, held)
+        ''
+    """
+    limits = [node for node in ordered(*dynamics.rates) if node.op in ("min", "max")]
+    if not limits:
+        return ""
+    roots = [function, *(argument for node in limits for argument in node.args)]
+    states, rest = len(dynamics.states), dynamics.equilibrium[:, None]
+    unit = sobol(states + len(dynamics.parameters), _SAMPLES, 0)
+    low, high = dynamics.ranges[:, :, None]
+    boxes = (dynamics.box[:, :, None], whole.box[:, :, None])
+    spread = [start - rest + (end - start) * unit[:states] for start, end in boxes]
+    x = rest + np.hstack([part * near for part in spread for near in _NEAR])
+    w = np.tile(low + (high - low) * unit[states:], 2 * len(_NEAR))
+    names = [v.name for v in dynamics.variables]
+    values = values_of(roots, dict(zip(names, (*x, *w), strict=True)))
+    still = values_of(roots, dict(zip(names, (*np.broadcast_to(rest, x.shape), *w), strict=True)))
+    acts = np.any((values[1::2] - values[2::2]) * (still[1::2] - still[2::2]) <= 0, axis=0)
+    v = values[0]
+    inside = v < level
+    if inside.sum() < _FEWEST or np.any(acts & inside):
+        return ""
+    text = f"no limit (min, max) of the rates acts in the region, at {inside.sum()} samples of it; "
+    beyond = v[acts & np.isfinite(v)]
+    return text + (f"one acts at V = {beyond.min():.3g}" if beyond.size else "none acts in the box either")
+
 
 _SHOWN = 400  # characters of a printed rate
 _HELP, _HELP_MOST = 0.25, 15.0  # share of the time limit for weaker claims, and the most [s]
@@ -185,7 +298,7 @@ def solve(
     if solution.verdict != "unknown" or problem.kind != "lyapunov":
         return solution
     began = time.perf_counter()
-    step = next_step(solution.problem, seconds=min(_HELP * time_limit, _HELP_MOST), seed=seed)
+    step = _next_step(solution.problem, seconds=min(_HELP * time_limit, _HELP_MOST), seed=seed)
     reason = solution.reason
     if step.tried:
         reason += f"; not proved either: {'; '.join(step.tried)}"

@@ -1,5 +1,10 @@
 """Priority laws: the null-space-based behavioural (NSB) law of the paper, and quadratic programmes with limits.
 
+`solve` runs the compiled step of its mode. With `backend=` it runs the reference solver instead, which shares no code
+with the step. Four modes exist, for these reasons: nsb is the law of the paper, which others are compared with; filter
+is the safety filter that is added to a law that exists; projected is that of the built-in laws, the fastest with
+limits, with a bounded fallback and float for small processors; lexicographic is strict priority on all levels.
+
 The status of a solution, in `solve` (and the name of the stage in a compiled step, where it differs), says what v is:
 
 * optimal (met), limited: v is optimal for the mode; limited, if the limits prevent the first task from being met.
@@ -11,7 +16,7 @@ Every solution that limits affect is checked after the solver. It is optimal if 
 at most 1e-7·(s + r) above the smallest that the limits and the levels above allow, with s = max(1, largest |entry of
 J|), and if the same holds, with s = 1, for the distance to the target and for the least relaxation of the limits. The
 bound includes what rounding errors of the problem may change. See modules `optimality`,
-`compiled.confirmation` and `hierarchy.proof`.
+`compiled.confirmation` and `hierarchy.search`.
 
 Limits that cross are handled by one rule, in `build_problem`, `assemble` and compiled steps:
 
@@ -19,7 +24,8 @@ Limits that cross are handled by one rule, in `build_problem`, `assemble` and co
    exceeds a bound that allows 0, such as an actuator limit. (`build_problem` refuses numbers lower > upper.)
 2. Of actuator limits on a single velocity that exclude each other, the earlier one is harder; the later one becomes the
    point nearest to it that the earlier ones allow. So write physical limits first, dampers after them.
-3. Barrier and set limits that contradict the others are relaxed by the least uniform amount.
+3. Barrier and set limits that contradict the others are relaxed together, by the least uniform amount for rows of
+   length 1.
 4. Other actuator limits that contradict each other: the status is clamped.
 
 The limits of rules 1 to 3 are named in `relaxed`, and in `moved` of an assembled step.
@@ -28,21 +34,16 @@ The limits of rules 1 to 3 are named in `relaxed`, and in `moved` of an assemble
 from __future__ import annotations
 
 from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
-from surctl.priority.cascade import nsb_sweep
 from surctl.priority.compiled.assemble import AssembledStep, Assembly, assemble
-from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.compiled.runner import PriorityStep
-from surctl.priority.compiled.step import priority_step
+from surctl.priority.compiled.decomposition import LevelShape
+from surctl.priority.compiled.step import PriorityStep, priority_step
+from surctl.priority.compiled.sweep import nsb_symbolic
 from surctl.priority.optimality import nsb
-from surctl.priority.persistent import PersistentDaqp, PersistentOsqp
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
+from surctl.priority.reference import nsb_sweep
 from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
-from surctl.priority.solution import PrioritySolution
 from surctl.priority.solver.fallback import safe_step
-from surctl.priority.solver.safe_point import SafePoint, least_distance
-from surctl.priority.solving import solve
-from surctl.priority.symbolic import nsb_symbolic
-from surctl.priority.timeline import PriorityTimeline
+from surctl.priority.solving import PrioritySolution, PriorityTimeline, solve
 
 __all__ = [
     "BACKENDS",
@@ -54,19 +55,15 @@ __all__ = [
     "Level",
     "LevelShape",
     "Mode",
-    "PersistentDaqp",
-    "PersistentOsqp",
     "PriorityProblem",
     "PrioritySolution",
     "PriorityStep",
     "PriorityTimeline",
     "Row",
-    "SafePoint",
     "Settings",
     "assemble",
     "build_problem",
     "check_fallback",
-    "least_distance",
     "nsb",
     "nsb_sweep",
     "nsb_symbolic",

@@ -18,43 +18,77 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.priority.rowspace import row_space
-from surctl.priority.solver.dual_step import OPTIMAL, STUCK
-from surctl.priority.solver.safe_point import nearest_to_zero
+from surctl.priority.settings import CUTOFF, ZERO_ROW
 
 __all__ = [
     "BACKENDS",
-    "DAQP_INFEASIBLE",
-    "DAQP_TOLERANCE",
     "FEASIBLE",
-    "NO_BOUND",
     "Backend",
     "Kernel",
     "KernelSolution",
     "LeastDistance",
+    "RowSpace",
     "Status",
     "check_backend",
-    "daqp_kernel",
-    "daqp_solution",
-    "holds",
-    "new_osqp",
-    "osqp_kernel",
-    "osqp_solution",
-    "own_kernel",
+    "project",
+    "row_space",
     "solve_least_distance",
-    "unfit",
 ]
 
 Array: TypeAlias = NDArray[np.float64]
 
-NO_BOUND = 1e30
-"""The value that DAQP and OSQP use for infinity."""
 
-DAQP_TOLERANCE = 1e-11
-"""Largest violation of an inequality that DAQP accepts, for a normal of length 1."""
+@dataclass(frozen=True)
+class RowSpace:
+    """A singular value decomposition J = left · diag(s) · rows, without singular values below the cut-off.
 
-DAQP_INFEASIBLE = -1
-"""The flag with which DAQP reports an infeasible problem."""
+    Attributes:
+        left: (k, r), orthonormal columns.
+        s: (r,), singular values, all positive.
+        rows: (r, n), an orthonormal basis of the row space.
+        null: (n − r, n), an orthonormal basis of the null space.
+    """
+
+    left: Array
+    s: Array
+    rows: Array
+    null: Array
+
+    def pinv(self) -> Array:
+        """Return the pseudo-inverse J⁺, (n, k)."""
+        return (self.rows.T / self.s) @ self.left.T
+
+    def particular(self, x: Array) -> Array:
+        """Return the product J⁺x, (n,)."""
+        return self.rows.T @ ((self.left.T @ x) / self.s)
+
+
+def row_space(J: Array, *, cutoff: float = CUTOFF, scale: float | None = None) -> RowSpace:
+    """Decompose J (k, n) without singular values below `cutoff`·`scale` or `ZERO_ROW`; `scale` None means ‖J‖."""
+    left, s, rows = np.linalg.svd(J, full_matrices=True)
+    largest = scale if scale is not None else float(s[0]) if s.size else 0.0
+    rank = int(np.count_nonzero(s > max(cutoff * largest, ZERO_ROW)))
+    return RowSpace(left[:, :rank], s[:rank], rows[:rank], rows[rank:])
+
+
+def project(w: Array, J: Array, *, x: Array) -> Array:
+    """Return, of all z that minimise ‖J z − x‖, the one nearest to w (n,), which is w + J⁺(x − J w).
+
+    This also holds for a rank-deficient J.
+    """
+    if J.shape[0] == 1:
+        row = J[0]
+        square = row @ row
+        return w if square <= ZERO_ROW**2 else w + row * ((x[0] - row @ w) / square)
+    space = row_space(J)
+    # J w is not computed, because its error would be divided by the smallest singular value
+    moved: Array = w + space.rows.T @ ((space.left.T @ x) / space.s - space.rows @ w)
+    return moved
+
+
+_NO_BOUND = 1e30  # the value that DAQP uses for infinity
+_DAQP_TOLERANCE = 1e-11  # largest violation of an inequality that DAQP accepts, for a normal of length 1
+_DAQP_INFEASIBLE = -1
 
 
 @dataclass(frozen=True)
@@ -82,109 +116,36 @@ class Kernel(Protocol):
         ...
 
 
-def unfit(G: Array, lower: Array, upper: Array) -> KernelSolution | None:
-    """Return a result with status "infeasible" if lower > upper in some row, "failed" for a NaN, and otherwise None.
-
-    The solvers do not handle these cases: DAQP treats an inequality with a NaN as satisfied, and for lower > upper DAQP
-    and OSQP return the solution of the previous call.
-    """
-    if (lower <= upper).all() and np.isfinite(G).all():  # comparisons with a NaN are false
-        return None
-    whole = np.isfinite(G).all() and not (np.isnan(lower).any() or np.isnan(upper).any())
-    return KernelSolution(None, np.zeros(lower.size), 0, "infeasible" if whole else "failed")
-
-
-def daqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
+def _daqp(G: Array, lower: Array, upper: Array) -> KernelSolution:
     """Solve the QP with DAQP (Arnström, Bemporad and Axehill 2022), a dual active-set method; check its exit flag."""
     m, d = G.shape
-    return daqp_solution(
-        m,
-        *daqp.solve(
-            np.eye(d),
-            np.zeros(d),
-            np.ascontiguousarray(G),
-            np.minimum(upper, NO_BOUND),
-            np.maximum(lower, -NO_BOUND),
-            np.zeros(m, dtype=np.intc),
-            primal_tol=DAQP_TOLERANCE,
-        ),
+    y, _, flag, info = daqp.solve(
+        np.eye(d),
+        np.zeros(d),
+        np.ascontiguousarray(G),
+        np.minimum(upper, _NO_BOUND),
+        np.maximum(lower, -_NO_BOUND),
+        np.zeros(m, dtype=np.intc),
+        primal_tol=_DAQP_TOLERANCE,
     )
-
-
-def daqp_solution(m: int, y: Any, _: float, flag: int, info: Any) -> KernelSolution:
-    """Convert what DAQP returns for m inequalities to a KernelSolution; the exit flag determines the status."""
     iterations = int(info["iterations"])
     if flag == 1:
         return KernelSolution(np.array(y, dtype=float), np.array(info["lam"], dtype=float), iterations, "optimal")
-    return KernelSolution(None, np.zeros(m), iterations, "infeasible" if flag == DAQP_INFEASIBLE else "failed")
+    return KernelSolution(None, np.zeros(m), iterations, "infeasible" if flag == _DAQP_INFEASIBLE else "failed")
 
 
-def osqp_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Solve the QP with OSQP (Stellato et al. 2020), an operator-splitting method, with tight tolerances.
-
-    With its default tolerances, OSQP violates bounds by 1e-3 and reports some feasible problems as infeasible.
-    """
-    low, high = np.maximum(lower, -NO_BOUND), np.minimum(upper, NO_BOUND)
-    return unfit(G, low, high) or osqp_solution(new_osqp(G, low, high, warm=False))
-
-
-def new_osqp(G: Array, lower: Array, upper: Array, *, warm: bool) -> Any:
-    """Return an `osqp.OSQP` that stores all entries of G (m, d), zeros included, so that each can be updated.
-
-    lower, upper: bounds (m,), finite.
-    """
-    import osqp
-    from scipy import sparse
-
-    m, d = G.shape
-    pattern = (G.T.ravel(), np.tile(np.arange(m), d), np.arange(0, m * d + 1, m))
-    solver = osqp.OSQP()
-    solver.setup(
-        sparse.eye(d, format="csc"),
-        np.zeros(d),
-        sparse.csc_matrix(pattern, shape=(m, d)),
-        lower,
-        upper,
-        eps_abs=1e-10,
-        eps_rel=1e-10,
-        eps_prim_inf=1e-10,
-        max_iter=20_000,
-        polishing=False,  # polishing prints to the terminal; the caller polishes instead
-        scaling=0,  # rows already have length 1, and updated scaled data would keep rounding errors of the last problem
-        warm_starting=warm,
-        verbose=False,
-    )
-    return solver
-
-
-def osqp_solution(solver: Any) -> KernelSolution:
-    """Run an `osqp.OSQP` that is set up, check its status, and return the solution."""
-    import osqp
-
-    result = solver.solve(raise_error=False)
-    iterations, status = int(result.info.iter), int(result.info.status_val)
-    unfinished = (osqp.SolverStatus.OSQP_SOLVED_INACCURATE, osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
-    if status == osqp.SolverStatus.OSQP_SOLVED or status in unfinished:
-        said: Literal["optimal", "unfinished"] = "unfinished" if status in unfinished else "optimal"
-        return KernelSolution(np.array(result.x, dtype=float), np.array(result.y, dtype=float), iterations, said)
-    infeasible = status == osqp.SolverStatus.OSQP_PRIMAL_INFEASIBLE
-    return KernelSolution(None, np.zeros(solver.m), iterations, "infeasible" if infeasible else "failed")
-
-
-def own_kernel(G: Array, lower: Array, upper: Array) -> KernelSolution:
-    """Solve the QP with this package's own dual active-set method (`dual_step`), compiled if there is a C compiler."""
-    y, multipliers, status, iterations = nearest_to_zero(G, lower, upper)
-    if status == OPTIMAL:
-        return KernelSolution(y, multipliers, iterations, "optimal")
-    return KernelSolution(None, np.zeros(lower.size), iterations, "infeasible" if status == STUCK else "failed")
+_TIGHT: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    # with its default tolerances, OSQP violates bounds by 1e-3; polishing prints to the terminal, and `_polish` follows
+    {"osqp": {"eps_abs": 1e-10, "eps_rel": 1e-10, "eps_prim_inf": 1e-10, "max_iter": 20_000, "polishing": False}}
+)
 
 
 def _qpsolvers_kernels() -> dict[str, Kernel]:
-    """Return, by name, a `Kernel` for each further QP solver that the package qpsolvers (Caron et al.) finds."""
+    """Return, by name, a `Kernel` for each QP solver that the package qpsolvers (Caron et al.) finds, except DAQP."""
     import qpsolvers
 
-    others = sorted(set(qpsolvers.available_solvers) - {"daqp", "osqp"})
-    return {name: partial(_qpsolvers_kernel, solver=name) for name in others}
+    names = sorted(set(qpsolvers.available_solvers) - {"daqp"}, key=lambda name: (name != "osqp", name))
+    return {name: partial(_qpsolvers_kernel, solver=name) for name in names}
 
 
 def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> KernelSolution:
@@ -192,36 +153,36 @@ def _qpsolvers_kernel(G: Array, lower: Array, upper: Array, *, solver: str) -> K
     from scipy import sparse
 
     m, d = G.shape
-    below, above = np.flatnonzero(lower > -NO_BOUND), np.flatnonzero(upper < NO_BOUND)
+    below, above = np.flatnonzero(lower > -_NO_BOUND), np.flatnonzero(upper < _NO_BOUND)
     # qpsolvers accepts one-sided rows only, and an infinite bound breaks its own check
     rows, bounds = np.vstack([G[above], -G[below]]), np.concatenate([upper[above], -lower[below]])
     form = sparse.csc_matrix if solver in qpsolvers.sparse_solvers else np.asarray
     problem = qpsolvers.Problem(form(np.eye(d)), np.zeros(d), G=form(rows), h=bounds)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the returned status already contains the warning "terminated with status ..."
-        solution = qpsolvers.solve_problem(problem, solver=solver)
-    if not solution.found or solution.x is None or solution.z is None:
+        solution = qpsolvers.solve_problem(problem, solver=solver, **_TIGHT.get(solver, {}))
+    x, z = solution.x, solution.z
+    if x is None or z is None or not (np.isfinite(x).all() and np.isfinite(z).all()):
         # a solver without a solution rarely reports why, so this is not treated as a proof of infeasibility
         return KernelSolution(None, np.zeros(m), 0, "failed")
     multipliers = np.zeros(m)
-    multipliers[above] += solution.z[: len(above)]
-    multipliers[below] -= solution.z[len(above) :]
-    return KernelSolution(np.asarray(solution.x, dtype=float), multipliers, 0, "optimal")
+    multipliers[above] += z[: len(above)]
+    multipliers[below] -= z[len(above) :]
+    done: Literal["optimal", "unfinished"] = "optimal" if solution.found else "unfinished"
+    return KernelSolution(np.asarray(x, dtype=float), multipliers, 0, done)
 
 
 Status: TypeAlias = Literal["optimal", "infeasible", "failed"]
 
 
 class _Solvers(Mapping[str, Kernel]):
-    # three names are always known; any other name imports qpsolvers, which loads every installed solver
-    _known: Mapping[str, Kernel] = MappingProxyType({"daqp": daqp_kernel, "osqp": osqp_kernel, "own": own_kernel})
-
+    # any name but "daqp" imports qpsolvers, which loads every installed solver
     @cached_property
     def _all(self) -> Mapping[str, Kernel]:
-        return {**self._known, **_qpsolvers_kernels()}
+        return {"daqp": _daqp, **_qpsolvers_kernels()}
 
     def __getitem__(self, name: str) -> Kernel:
-        return self._known[name] if name in self._known else self._all[name]
+        return _daqp if name == "daqp" else self._all[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._all)
@@ -231,10 +192,11 @@ class _Solvers(Mapping[str, Kernel]):
 
 
 BACKENDS: Mapping[str, Kernel] = _Solvers()
-"""Kernels by name: each minimises ½‖y‖² subject to lower ≤ G y ≤ upper, with rows of length 1."""
+"""Kernels by name, for "daqp" and each solver that qpsolvers finds: each minimises ½‖y‖² subject to lower ≤ G y ≤
+upper, with rows of length 1."""
 
 Backend: TypeAlias = str | Kernel
-"""A name in `BACKENDS`, or a kernel object such as `PersistentDaqp()`."""
+"""A name in `BACKENDS`, or a function or object that solves the problem of `Kernel`."""
 
 FEASIBLE = 1e-9
 """Largest violation of a row (as passed in), relative to 1 + max |v|, that is accepted as rounding."""
@@ -396,12 +358,12 @@ def _checked(solution: KernelSolution, G: Array, lower: Array, upper: Array, *, 
     if solution.y is None:
         return solution
     for candidate in (solution, _polish(solution, G, lower, upper)):
-        if holds(candidate, G, lower, upper, tolerance):
+        if _holds(candidate, G, lower, upper, tolerance):
             return replace(candidate, status="optimal")
     return KernelSolution(None, solution.multipliers, solution.iterations, "failed")
 
 
-def holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
+def _holds(solution: KernelSolution, G: Array, lower: Array, upper: Array, tolerance: Array | float) -> bool:
     """Return whether the solution y of min ½‖y‖² subject to lower ≤ G y ≤ upper satisfies the KKT conditions.
 
     `tolerance`, (m,) or one number, is the largest allowed violation of the inequalities. The return value is False if

@@ -8,27 +8,27 @@ least-squares problem (Lawson and Hanson 1974) and shares no code with the QP so
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.priority.cascade import nsb_sweep, without_rows
-from surctl.priority.polyhedron import Polyhedron, polyhedron_of
+from surctl.priority.backends import row_space
 from surctl.priority.problem import Level, PriorityProblem
-from surctl.priority.rowspace import CUTOFF, row_space
+from surctl.priority.reference import Polyhedron, nsb_sweep, polyhedron_of, without_rows
 from surctl.priority.settings import Settings
-from surctl.tasks.limits import Kind
 
-__all__ = ["LOSS", "ROUNDING", "is_least", "is_optimal", "nsb"]
+__all__ = ["LOSS", "ROUNDING", "conflicting", "is_least", "is_optimal", "nsb", "restrictions"]
 
 
-def nsb(problem: PriorityProblem, *, cutoff: float = CUTOFF) -> NDArray[np.float64]:
+def nsb(problem: PriorityProblem) -> NDArray[np.float64]:
     """Return the velocity v (n,) of the NSB law, equation (16) of the paper: v = v_1 + N_1(v_2 + N_2(v_3 + …)).
 
     Here v_i = J_i⁺x_i is the velocity for task i alone, J_i is its Jacobian, x_i its desired rate, and N_i = I −
-    J_i⁺J_i the projector on the null space of J_i. Singular values of J_i below `cutoff`·‖J_i‖ count as 0. The law
+    J_i⁺J_i the projector on the null space of J_i. Singular values of J_i below 1e-10·‖J_i‖ count as 0. The law
     ignores limits.
 
     Raises:
@@ -48,7 +48,7 @@ def nsb(problem: PriorityProblem, *, cutoff: float = CUTOFF) -> NDArray[np.float
             raise InputError(
                 "is set-based, and the printed law has no such task", key=f"task {level.name}", remedy="use solve"
             )
-        J_plus = row_space(level.J, cutoff=cutoff).pinv()
+        J_plus = row_space(level.J).pinv()
         N = np.eye(problem.width) - J_plus @ level.J
         v = J_plus @ level.x + N @ v
     return v
@@ -69,8 +69,8 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
     """Return whether v (n,) is optimal for the priority mode, within `tol`·(1 + size of the compared quantities).
 
     In mode nsb, v must equal the NSB law, equation (16) of the paper, or the result of its repeated sweeps. In the
-    other modes, four conditions must hold. (a) v violates no actuator limit. (b) The violation of the barrier limits,
-    and then the violation of the set limits, cannot be smaller. (c) For every strict level, no other velocity that
+    other modes, four conditions must hold. (a) v violates no actuator limit. (b) The largest violation of barrier and
+    set limits, for rows of length 1, cannot be smaller. (c) For every strict level, no other velocity that
     satisfies the relaxed limits and preserves the higher levels meets this level better. (d) No velocity that preserves
     all strict levels is nearer to `target` (n,), the velocity that the mode approaches last. The function also computes
     this target from the problem and compares; in mode projected with several sweeps, it only checks that `target` is
@@ -87,21 +87,111 @@ def is_optimal(v: Array, problem: PriorityProblem, *, settings: Settings, target
 
 def is_least(v: Array, problem: PriorityProblem, *, settings: Settings, target: Array, tol: float) -> bool:
     """Return whether conditions (a) to (d) of `is_optimal` hold for this target; the mode is not nsb."""
-    allowed = _least_relaxed(v, polyhedron_of(problem), tol)
-    if allowed is None:
+    rows = polyhedron_of(problem)
+    slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
+    missed = rows.violation(v)
+    if missed[~rows.soft].max(initial=0.0) > slack:
         return False
-    normals, gaps = _bounds(allowed, v)
+    by = float(missed[rows.soft].max(initial=0.0))
+    rows = rows.relaxed(by)
+    if by > slack and not _conflict(v, rows)[1] <= tol:
+        return False
+    return all(
+        _is_least(one.pull, one.square, v, one.faces.normals, one.faces.gaps, tol)
+        for one in _objectives(v, problem, settings, target, _bounds(rows, v), tol)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Faces:
+    """Outward normals (p, n) of bounds, the distances (p,) of v from them, and their names and signed lengths (p,)."""
+
+    normals: Array
+    gaps: Array
+    names: tuple[str, ...]
+    lengths: Array  # of the row as written, positive at an upper bound
+
+    def near(self, most: float) -> _Faces:
+        """Return the faces that v is at most this far from."""
+        at = np.flatnonzero(self.gaps <= most)
+        return _Faces(self.normals[at], self.gaps[at], tuple(self.names[i] for i in at), self.lengths[at])
+
+
+@dataclass(frozen=True, eq=False)
+class _Objective:
+    """One objective ½r² of a mode at v: the level (None for the distance to the target), −∇(½r²), r², the bounds.
+
+    `scale` is the factor between the objective and the one in the units of the level.
+    """
+
+    level: Level | None
+    pull: Array
+    square: float
+    faces: _Faces
+    scale: float
+
+
+def _objectives(
+    v: Array, problem: PriorityProblem, settings: Settings, target: Array, faces: _Faces, tol: float
+) -> Iterator[_Objective]:
+    """Yield the objectives of the mode in their order; each is minimised with the values of those above fixed."""
     first = problem.levels[0]
     if settings.mode == "projected" and settings.damping > 0.0:
-        weight, rest = (settings.damping / _size(first)) ** 2, first.miss(v) / _size(first)
-        pull = weight * (target - v) + first.J.T @ rest / _size(first)
-        return _is_least(pull, weight * ((target - v) ** 2).sum() + (rest**2).sum(), v, normals, gaps, tol)
+        size = _size(first)
+        weight, rest = (settings.damping / size) ** 2, first.miss(v) / size
+        pull = weight * (target - v) + first.J.T @ rest / size
+        square = weight * ((target - v) ** 2).sum() + (rest**2).sum()
+        yield _Objective(None, pull, float(square), faces, size**2)
+        return
     for level in problem.levels[: {"filter": 0, "projected": 1}.get(settings.mode)]:
-        rest = level.miss(v) / _size(level)
-        if not _is_least(level.J.T @ rest / _size(level), (rest**2).sum(), v, normals, gaps, tol):
-            return False
-        normals, gaps = _frozen(level, v, normals, gaps, tol)
-    return _is_least(target - v, ((target - v) ** 2).sum(), v, normals, gaps, tol)
+        size = _size(level)
+        rest = level.miss(v) / size
+        yield _Objective(level, level.J.T @ rest / size, float((rest**2).sum()), faces, size**2)
+        faces = _frozen(level, v, faces, tol)
+    yield _Objective(None, target - v, float(((target - v) ** 2).sum()), faces, 1.0)
+
+
+_NEAR = 1e-7  # times 1 + max |v|: a limit whose bound is this near may be active
+_FELT = 1e-9
+
+
+def restrictions(
+    v: Array, problem: PriorityProblem, *, settings: Settings, target: Array
+) -> list[tuple[str | None, dict[str, float]]]:
+    """Return, for each objective of the mode, the limits that restrict it, with their Lagrange multipliers.
+
+    The objective is the name of a strict level, for min ½‖J v − x‖² of this level, or None for min ½‖v − target‖². The
+    multipliers are those of the rows as written, positive at an upper bound and negative at a lower one.
+    """
+    if settings.mode == "nsb":
+        return []
+    rows = polyhedron_of(problem)
+    rows = rows.relaxed(float(rows.violation(v)[rows.soft].max(initial=0.0)))
+    size = 1.0 + float(np.abs(v).max())
+    result: list[tuple[str | None, dict[str, float]]] = []
+    for one in _objectives(v, problem, settings, target, _bounds(rows, v), _FELT):
+        faces, largest = one.faces.near(_NEAR * size), float(np.abs(one.pull).max())
+        if not largest > _FELT * size:
+            continue
+        weights, _ = _cone(one.pull / largest, faces.normals, faces.gaps)
+        weights = weights * largest
+        held = {
+            faces.names[i]: float(weights[i] * one.scale / faces.lengths[i])
+            for i in np.flatnonzero(weights > _FELT * size)
+            if faces.names[i]
+        }
+        result.append((one.level.name if one.level else None, held))
+    return result
+
+
+def conflicting(v: Array, problem: PriorityProblem) -> tuple[str, ...]:
+    """Return the names of limits that contradict each other, so that barrier and set limits must be relaxed as by v."""
+    rows = polyhedron_of(problem)
+    by = float(rows.violation(v)[rows.soft].max(initial=0.0))
+    if by <= _NEAR * (1.0 + float(np.abs(v).max())):
+        return ()
+    names = _conflict(v, rows.relaxed(by))[0]
+    return tuple(row.name for row in problem.rows if row.name in names)
 
 
 def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol: float) -> bool:
@@ -115,7 +205,7 @@ def _is_target(target: Array, problem: PriorityProblem, settings: Settings, tol:
         return _close(target, nsb_sweep(problem.levels[1:], start=np.zeros(n), settings=settings), tol)
     plain = settings.sweeps == 1 and settings.damping == 0.0 and all(level.is_goal for level in problem.levels)
     if plain:
-        return _close(target, nsb(problem, cutoff=settings.cutoff), tol)
+        return _close(target, nsb(problem), tol)
     return _close(target, without_rows(problem.levels, width=n, settings=settings), tol)
 
 
@@ -127,60 +217,55 @@ def _size(level: Level) -> float:
     return float(np.abs(level.J).max(initial=1.0))
 
 
-def _frozen(level: Level, v: Array, normals: Array, gaps: Array, tol: float) -> tuple[Array, Array]:
+def _frozen(level: Level, v: Array, faces: _Faces, tol: float) -> _Faces:
     """Append the level's outward normals (both signs for a fixed entry of J v) and the distances of v from them."""
-    J = level.J / _size(level)
-    fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(level.J @ v)))
-    value = level.J @ v
+    size = _size(level)
+    J, value = level.J / size, level.J @ v
+    fixed = level.exact | (np.abs(level.miss(v)) > tol * (1.0 + np.abs(value)))
     above, below = ~fixed & np.isfinite(level.high), ~fixed & np.isfinite(level.lower)
-    slack = np.concatenate([level.high[above] - value[above], value[below] - level.lower[below]]) / _size(level)
-    return (
-        np.vstack([normals, J[fixed], -J[fixed], J[above], -J[below]]),
-        np.concatenate([gaps, np.zeros(2 * int(fixed.sum())), np.maximum(slack, 0.0)]),
+    slack = np.concatenate([level.high[above] - value[above], value[below] - level.lower[below]]) / size
+    place = [*np.flatnonzero(above), *np.flatnonzero(below)]
+    one = level.lower.size == 1
+    return _Faces(
+        np.vstack([faces.normals, J[fixed], -J[fixed], J[above], -J[below]]),
+        np.concatenate([faces.gaps, np.zeros(2 * int(fixed.sum())), np.maximum(slack, 0.0)]),
+        (*faces.names, *("",) * 2 * int(fixed.sum()), *(level.name if one else f"{level.name}.{i}" for i in place)),
+        np.concatenate(
+            [faces.lengths, np.ones(2 * int(fixed.sum())), np.full(above.sum(), size), np.full(below.sum(), -size)]
+        ),
     )
 
 
-def _least_relaxed(v: Array, rows: Polyhedron, tol: float) -> Polyhedron | None:
-    """Return the constraint rows relaxed so far that v satisfies them; None if a smaller relaxation is feasible."""
-    slack = tol * (1.0 + float(np.abs(v).max(initial=0.0)))
-    missed = rows.violation(v)
-    if missed[rows.mask("actuator")].max(initial=0.0) > slack:
-        return None
-    harder: tuple[Kind, ...] = ("actuator",)
-    kinds: tuple[Kind, ...] = ("barrier", "set")
-    for kind in kinds:
-        chosen = rows.mask(kind)
-        by = float(missed[chosen].max(initial=0.0))
-        rows = rows.relaxed(chosen, by)
-        if by > slack and not _cannot_be_less(v, rows, chosen, rows.mask(*harder), tol):
-            return None
-        harder = (*harder, kind)
-    return rows
+def _conflict(v: Array, rows: Polyhedron) -> tuple[set[str], float]:
+    """Return limits that show that no velocity violates the soft limits less than v does, and the error of this proof.
 
-
-def _cannot_be_less(v: Array, rows: Polyhedron, soft: NDArray[np.bool_], hard: NDArray[np.bool_], tol: float) -> bool:
-    """Return whether no velocity violates the soft constraint rows less than v does (by Farkas' lemma)."""
-    # normals of soft rows, with weights of sum 1, must balance normals of hard rows
-    pushing, near = _bounds(rows, v, soft)
-    holding, far = _bounds(rows, v, hard)
-    weight = np.append(np.ones(near.size), np.zeros(far.size))
+    By Farkas' lemma, normals of soft limits, with weights of sum 1, must balance normals of hard ones.
+    """
+    pushing, holding = _bounds(rows, v, rows.soft), _bounds(rows, v, ~rows.soft)
+    weight = np.append(np.ones(pushing.gaps.size), np.zeros(holding.gaps.size))
     goal = np.append(np.zeros(v.size), 1.0)
-    normals = np.column_stack([np.vstack([pushing, holding]), weight])
-    gaps = np.append(near, far)
+    normals = np.column_stack([np.vstack([pushing.normals, holding.normals]), weight])
+    gaps = np.append(pushing.gaps, holding.gaps)
     weights, rest = _cone(goal, normals, gaps)
     radius = 2.0 * (1.0 + float(np.abs(v).max()))
-    return bool(float(np.abs(rest).max()) * radius + weights @ (gaps + ROUNDING * radius) <= tol)
+    names = pushing.names + holding.names
+    used = {names[i] for i in np.flatnonzero(weights > _FELT)}
+    return used, float(np.abs(rest).max()) * radius + float(weights @ (gaps + ROUNDING * radius))
 
 
-def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> tuple[Array, Array]:
-    """Return the outward normals (p, n) of all finite bounds of the chosen rows, and the distances (p,) of v."""
+def _bounds(rows: Polyhedron, v: Array, chosen: NDArray[np.bool_] | None = None) -> _Faces:
+    """Return all finite bounds of the chosen limits."""
     value = rows.A @ v
-    above, below = np.isfinite(rows.upper), np.isfinite(rows.lower)
-    if chosen is not None:
-        above, below = above & chosen, below & chosen
-    normals = np.vstack([rows.A[above], -rows.A[below]])
+    above, below = (
+        np.isfinite(ends) if chosen is None else np.isfinite(ends) & chosen for ends in (rows.upper, rows.lower)
+    )
     gaps = np.append((rows.upper - value)[above], (value - rows.lower)[below])
-    return normals, np.maximum(gaps, 0.0)
+    return _Faces(
+        np.vstack([rows.A[above], -rows.A[below]]),
+        np.maximum(gaps, 0.0),
+        tuple(rows.names[i] for i in (*np.flatnonzero(above), *np.flatnonzero(below))),
+        np.append(rows.length[above], -rows.length[below]),
+    )
 
 
 def _is_least(pull: Array, square: float, v: Array, normals: Array, gaps: Array, tol: float) -> bool:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
+from surctl.priority.settings import ZERO_ROW
 from surctl.tasks.limits import Kind
 
 __all__ = ["CROSSING", "Level", "PriorityProblem", "Row", "build_problem"]
@@ -102,6 +104,45 @@ class PriorityProblem:
     def width(self) -> int:
         """Return the number of velocities n (4 for this vehicle)."""
         return int(self.levels[0].J.shape[1])
+
+    @cached_property
+    def table(self) -> Array:
+        """Return the limits as a table (m, n + 3): normal, lower, upper, and 1 if the limit may be relaxed, else 0."""
+        m, n = len(self.rows), self.width
+        table = np.empty((m, n + 3))
+        if m:
+            table[:, :n] = np.concatenate([row.a for row in self.rows]).reshape(m, n)
+            table[:, n] = [row.lower for row in self.rows]
+            table[:, n + 1] = [row.upper for row in self.rows]
+            table[:, n + 2] = [row.kind != "actuator" for row in self.rows]
+        return table
+
+    @cached_property
+    def box(self) -> Array:
+        """Return the bounds (2, n) of each velocity from the actuator limits on a single velocity; ±inf for none."""
+        table, n = self.table, self.width
+        box = np.empty((2, n))
+        low, high = box
+        low.fill(-math.inf)
+        high.fill(math.inf)
+        normals = table[:, :n]
+        alone = ((np.add.reduce(normals != 0.0, axis=1) == 1) & (table[:, n + 2] == 0.0)).nonzero()[0]
+        rows = table[alone]
+        place = np.abs(rows[:, :n]).argmax(axis=1)
+        a = rows[np.arange(alone.size), place]
+        ends = rows[:, n : n + 2].T / a
+        first, last = np.minimum(*ends), np.maximum(*ends)
+        tiny = np.abs(a) <= ZERO_ROW
+        first[tiny], last[tiny] = -math.inf, math.inf
+        np.maximum.at(low, place, first)
+        np.minimum.at(high, place, last)
+        if not np.logical_and.reduce(low <= high):
+            # of two limits that contradict each other the earlier one is harder, as in `build_problem`
+            low.fill(-math.inf)
+            high.fill(math.inf)
+            for j, *pair in zip(place, first, last, strict=True):
+                low[j], high[j] = np.clip(pair, low[j], high[j])
+        return box
 
     def __str__(self) -> str:
         """Return the problem as a table with one line for each row of each Jacobian and one line for each limit."""
@@ -217,17 +258,19 @@ def build_problem(
                 key=f"task {level.name}",
                 remedy="use the same velocities in all Jacobians",
             )
-    agreed, more = _agreed([_checked_row(row, width) for row in rows], width)
-    return PriorityProblem(checked, agreed, {**(moved or {}), **more})
+    agreed, more, box = _agreed([_checked_row(row, width) for row in rows], width)
+    problem = PriorityProblem(checked, agreed, {**(moved or {}), **more})
+    problem.__dict__["box"] = box  # known here, and slow to compute again
+    return problem
 
 
-def _agreed(rows: Sequence[Row], width: int) -> tuple[tuple[Row, ...], dict[str, float]]:
-    """Return the rows with the bounds of an actuator row on one velocity moved to those of the rows before it."""
+def _agreed(rows: Sequence[Row], width: int) -> tuple[tuple[Row, ...], dict[str, float], Array]:
+    """Return the rows with the bounds of an actuator row on one velocity moved to those before it, and the box."""
     low, high = np.full(width, -math.inf), np.full(width, math.inf)
     agreed, moved = [], {}
     for row in rows:
         places = np.flatnonzero(row.a)
-        if row.kind == "actuator" and places.size == 1:
+        if row.kind == "actuator" and places.size == 1 and abs(row.a[places[0]]) > ZERO_ROW:
             j, a = int(places[0]), float(row.a[places[0]])
             ends = sorted((row.lower / a, row.upper / a))
             apart = ends[0] > high[j] or ends[1] < low[j]
@@ -239,7 +282,7 @@ def _agreed(rows: Sequence[Row], width: int) -> tuple[tuple[Row, ...], dict[str,
                     moved[row.name] = by
                 row = replace(row, lower=point, upper=point)
         agreed.append(row)
-    return tuple(agreed), moved
+    return tuple(agreed), moved, np.array([low, high])
 
 
 def _checked_level(level: Level) -> Level:

@@ -1,4 +1,4 @@
-"""Settings of the priority law: mode, number of sweeps, damping, and cut-off for singular values."""
+"""Settings of the priority law: mode, number of sweeps and damping."""
 
 from __future__ import annotations
 
@@ -9,9 +9,15 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from surctl.errors import InputError, nearest
-from surctl.priority.rowspace import CUTOFF
 
-__all__ = ["Fallback", "Mode", "Settings", "check_fallback"]
+__all__ = ["CUTOFF", "ZERO_ROW", "Fallback", "Mode", "Settings", "check_fallback"]
+
+CUTOFF = 1e-10
+"""Singular values of a Jacobian J, or of J restricted to the null space of higher levels, below CUTOFF·‖J‖ count as
+0."""
+
+ZERO_ROW = 1e-15
+"""A row, or a Jacobian, smaller than this counts as zero."""
 
 Mode: TypeAlias = Literal["nsb", "filter", "projected", "lexicographic"]
 """nsb: the NSB law, equation (16) of the paper, without limits. filter: the velocity within the limits that is nearest
@@ -40,8 +46,6 @@ class Settings:
         damping: λ [unit of the Jacobian J], at least 1e-6, or 0 for no damping. With damping, every projection of a
             velocity w on a level J v = x becomes min λ²‖z − w‖² + ‖J z − x‖² over z. This is equation (16) with the
             damped inverse Jᵀ(JJᵀ + λ²I)⁻¹ in place of every pseudo-inverse. Must be 0 in mode lexicographic.
-        cutoff: singular values of a level's Jacobian J, or of J restricted to the null space of the higher levels,
-            count as 0 if they are below cutoff·‖J‖.
 
     Raises:
         InputError: an unknown mode, or a number out of range.
@@ -50,7 +54,6 @@ class Settings:
     mode: Mode = "projected"
     sweeps: int = 1
     damping: float = 0.0
-    cutoff: float = CUTOFF
 
     def __post_init__(self) -> None:
         """Check that each setting is in its range and that the mode uses it."""
@@ -61,15 +64,14 @@ class Settings:
             )
         if not isinstance(self.sweeps, int | np.integer) or isinstance(self.sweeps, bool) or self.sweeps < 1:
             raise InputError("is not a number of sweeps", key="sweeps", value=self.sweeps, remedy="give 1, 2, …")
-        for name, value in (("damping", self.damping), ("cutoff", self.cutoff)):
-            if not isinstance(value, float | int | np.floating | np.integer) or isinstance(value, bool):
-                raise InputError("is not a number", key=name, value=value, remedy="give a number, or leave it out")
+        if not isinstance(self.damping, float | int | np.floating | np.integer) or isinstance(self.damping, bool):
+            raise InputError(
+                "is not a number", key="damping", value=self.damping, remedy="give a number, or leave it out"
+            )
         if self.damping != 0.0 and not _LEAST_DAMPING <= self.damping < math.inf:
             raise InputError(
                 "is out of range", key="damping", value=self.damping, remedy=f"give 0, or {_LEAST_DAMPING:g} and more"
             )
-        if not 0.0 < self.cutoff < 1.0:
-            raise InputError("is out of range", key="cutoff", value=self.cutoff, remedy="give a number between 0 and 1")
         if self.mode == "lexicographic" and (self.sweeps != 1 or self.damping != 0.0):
             raise InputError(
                 "applies to sweeps, and mode lexicographic makes none",

@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from surctl.report.evidence import MarginSlice, margin_slice, plot_counterexample, plot_replay, plot_slice
     from surctl.report.motion_plots import plot_motion
     from surctl.report.page_parts import plot_loop, plot_loop_goals, plot_loops
-    from surctl.report.sobol_plot import plot_sobol_indices, save_sobol_plot
     from surctl.report.system_plots import (
         plot_attainable_rates,
         plot_dependence,
@@ -18,14 +17,14 @@ if TYPE_CHECKING:
         plot_phase_plane,
         plot_record,
         plot_runs,
+        plot_sobol_indices,
         save_record_plot,
+        save_sobol_plot,
     )
-    from surctl.report.theme import darkened
 
 __all__ = [
     "Check",
     "MarginSlice",
-    "darkened",
     "margin_slice",
     "plot_attainable_rates",
     "plot_cost_map",
@@ -55,9 +54,7 @@ load_at_first_use(
         "evidence": "MarginSlice margin_slice plot_counterexample plot_replay plot_slice",
         "motion_plots": "plot_motion",
         "page_parts": "plot_loop plot_loop_goals plot_loops",
-        "sobol_plot": "plot_sobol_indices save_sobol_plot",
         "system_plots": "plot_attainable_rates plot_dependence plot_fan plot_phase_plane plot_record plot_runs"
-        " save_record_plot",
-        "theme": "darkened",
+        " plot_sobol_indices save_record_plot save_sobol_plot",
     },
 )

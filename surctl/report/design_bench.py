@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
-from surctl.assessment.assessment import Assessment, assess
-from surctl.assessment.closed_loop import ClosedLoop
+from surctl.assessment import Assessment, ClosedLoop, assess
 from surctl.errors import InputError
 from surctl.files import quoted, read_toml, write_file
 from surctl.ir import Layout

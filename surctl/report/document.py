@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from surctl.assessment.assessment import Assessment
+from surctl.assessment import Assessment
 from surctl.report.theme import png
 
 __all__ = [

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.report.theme import AVOIDING, BAD, INK, ROBOT, curve, dress, legend_above, new_axes
 from surctl.verification.claim import Claim, Variable
-from surctl.verification.counterexample import Counterexample, Replay, replay
-from surctl.verification.oracle import Oracle, build_oracle
-from surctl.verification.proving.cells import Cells, cells_of
+from surctl.verification.counterexample import Counterexample, Oracle, Replay, build_oracle, replay
+from surctl.verification.proving.search import Cells, cells_of
 from surctl.verification.verdict import Verdict
 
 __all__ = [

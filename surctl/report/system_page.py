@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from surctl.assessment.assessment import Assessment, Line
+from surctl.assessment import Assessment, Line
 from surctl.errors import InputError
 from surctl.export import SilReport
 from surctl.ir import Layout

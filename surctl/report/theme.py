@@ -19,11 +19,8 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.ft2font import FT2Font
-from matplotlib.lines import Line2D
-from matplotlib.text import Text
 from matplotlib.transforms import ScaledTranslation
 from numpy.typing import NDArray
 
@@ -40,7 +37,6 @@ __all__ = [
     "OBSTACLE",
     "ROBOT",
     "curve",
-    "darkened",
     "dress",
     "file_size",
     "finite",
@@ -88,12 +84,6 @@ OBSTACLE = "#5F6368"
 MUTED = "#70757A"
 INK = "#1F2328"
 CYCLE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#1F2328")
-_DARK = "#12161b"
-_LIGHTER = {  # colour → colour on a dark ground
-    INK.lower(): "#e6e9ec", MUTED.lower(): "#b5bcc4", ROBOT.lower(): "#5bb8f0", AVOIDING.lower(): "#ff9e57",
-    GOOD.lower(): "#6fd6b0", BAD.lower(): "#ff9d95", "#009e73": "#4fd6b0", "#aa4499": "#e69ad6", "#000000": "#e6e9ec",
-    "#dadce0": "#3a424b",
-}  # fmt: skip
 _TITLE = 10.5  # [pt] size of titles
 _DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 
@@ -232,32 +222,6 @@ def legend_above(ax: Axes, *, columns: int = 6) -> None:
         handlelength=2.2,
         columnspacing=1.1,
     )
-
-
-def darkened(figure: Figure) -> Figure:
-    """Return the figure with a dark ground, light ink and brighter lines; for screens, not for print.
-
-    Example:
-        >>> from matplotlib.colors import to_hex
-    >>> from matplotlib.figure import Figure
-    >>> from surctl.report import darkened
-    >>> to_hex(darkened(Figure()).get_facecolor())
-    '#12161b'
-    """
-    figure.set_facecolor(_DARK)
-    for text in figure.findobj(Text):
-        if isinstance(text, Text) and to_hex(text.get_color()) in _LIGHTER:
-            text.set_color(_LIGHTER[to_hex(text.get_color())])
-    for line in figure.findobj(Line2D):
-        if isinstance(line, Line2D) and to_hex(line.get_color()) in _LIGHTER:
-            line.set_color(_LIGHTER[to_hex(line.get_color())])
-    for ax in figure.axes:
-        ax.set_facecolor(_DARK)
-        ax.tick_params(which="both", colors=_LIGHTER[INK.lower()])
-        ax.grid(visible=bool(ax.xaxis.get_gridlines()), color="#3a424b")
-        for spine in ax.spines.values():
-            spine.set_color("#8a929b")
-    return figure
 
 
 def finite(values: NDArray[np.float64]) -> NDArray[np.float64]:

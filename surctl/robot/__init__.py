@@ -2,11 +2,9 @@
 
 from surctl.robot.kinematics import Coordinate, Frame, Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision
-from surctl.robot.robot import Robot, load_urdf
-from surctl.robot.shapes import Capsule
+from surctl.robot.robot import FrameTask, Input, Robot, RobotTask, load_urdf
 from surctl.robot.stack_controller import StackController
-from surctl.robot.tasks import FrameTask, Input, RobotTask
-from surctl.robot.urdf import Joint, Link, Mimic, Urdf, read_urdf
+from surctl.robot.urdf import Capsule, Joint, Link, Mimic, Urdf, read_urdf
 
 __all__ = [
     "Capsule",

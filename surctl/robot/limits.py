@@ -14,12 +14,11 @@ import numpy as np
 
 from surctl.errors import InputError, nearest
 from surctl.robot.kinematics import Coordinate, Kinematics
-from surctl.robot.shapes import Capsule, closest_points
-from surctl.robot.urdf import read_xml
+from surctl.robot.urdf import Capsule, closest_points, read_xml
 from surctl.tasks import LimitRow
 from surctl.units import is_number
 
-__all__ = ["JointLimits", "SelfCollision", "joint_limits", "read_srdf", "self_collision", "stopping_speed"]
+__all__ = ["JointLimits", "SelfCollision", "joint_limits", "self_collision", "stopping_speed"]
 
 
 def stopping_speed(distance: ca.SX, acceleration: float, dt: ca.SX) -> ca.SX:
@@ -173,7 +172,7 @@ def self_collision(
     own = dict(shapes or {})
     for link in own:
         robot.frame(link)
-    disabled = frozenset() if srdf is None else read_srdf(robot, srdf)
+    disabled = frozenset() if srdf is None else _read_srdf(robot, srdf)
     capsules = {name: tuple(own.get(name, link.shapes)) for name, link in robot.urdf.links.items()}
     meshes = {name: link.meshes and name not in own for name, link in robot.urdf.links.items()}
     bodies = {name: robot.body(name) for name in robot.urdf.links}
@@ -194,7 +193,7 @@ def self_collision(
     return SelfCollision(robot, tuple(pairs), float(margin), float(gain))
 
 
-def read_srdf(robot: Kinematics, path: str | Path) -> frozenset[frozenset[str]]:
+def _read_srdf(robot: Kinematics, path: str | Path) -> frozenset[frozenset[str]]:
     """Return the pairs of links whose collision an SRDF file disables.
 
     Raises:

@@ -25,14 +25,15 @@ from surctl.export import (
 )
 from surctl.export.bundle import build_bundle
 from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
-from surctl.priority import Assembly, Mode, PrioritySolution, assemble, priority_step, solve
+from surctl.priority import Assembly, Mode, PrioritySolution, assemble, priority_step
 from surctl.priority.compiled.confirmation import UNCONFIRMED
+from surctl.priority.compiled.step import Stage
 from surctl.priority.solver.fallback import CLAMPED
-from surctl.priority.solver.safe_point import Stage
 from surctl.priority.solver.stages import RELAXED
+from surctl.priority.solving import explained
 from surctl.robot.kinematics import Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision
-from surctl.robot.tasks import RobotTask, flat_pose
+from surctl.robot.robot import RobotTask, flat_pose
 from surctl.system import NONFINITE, Controller, Cost, Plant, System, run_system
 from surctl.tasks import Limit, SetTask, Stack, Task
 
@@ -110,7 +111,7 @@ class StackController:
         )  # fmt: skip
         self._mode: Mode = mode
         self._state = self.controller.initial_state()
-        self._last: tuple[Array, Array] | None = None
+        self._last: tuple[Array, Array, Array] | None = None
 
     @property
     def targets(self) -> tuple[str, ...]:
@@ -133,7 +134,7 @@ class StackController:
         u, p = self._arguments(q, values)
         step = self.controller.step(self._state, u, p)
         if step.status != NONFINITE:
-            self._last = (np.concatenate([self._state, u, p]), step.telemetry)
+            self._last = (np.concatenate([self._state, u, p]), step.telemetry, step.tau)
         self._state = step.x_next
         return step.tau
 
@@ -162,11 +163,12 @@ class StackController:
         return self.solution().explain()
 
     def solution(self) -> PrioritySolution:
-        """Return the solution for the last step by the solver in Python, with all residuals."""
-        x, u, p = np.split(self._before()[0], np.cumsum([self.controller.state.size, self.controller.inputs.size]))
+        """Return the velocities of the last step with their explanation: residuals, limits that bind, multipliers."""
+        before, _, v = self._before()
+        x, u, p = np.split(before, np.cumsum([self.controller.state.size, self.controller.inputs.size]))
         values: dict[str, Any] = {**self.controller.inputs.unpack(u), **self.controller.gains.unpack(p)}
         values |= {"v": x if x.size else np.zeros(self.robot.nv), "dt": self.dt}
-        return solve(self._assembly.problem(values), mode=self._mode)
+        return explained(self._assembly.problem(values), v, self.stage, mode=self._mode)
 
     def system(
         self,
@@ -245,7 +247,7 @@ class StackController:
             parts[name in gains][name] = flat_pose(value) if pose else value
         return inputs.pack(parts[0]), gains.pack(parts[1])
 
-    def _before(self) -> tuple[Array, Array]:
+    def _before(self) -> tuple[Array, Array, Array]:
         if self._last is None:
             raise InputError("has made no step", key="controller", remedy="call step first")
         return self._last

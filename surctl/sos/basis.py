@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 
-from surctl.sos.polynomial import Monomial, Polynomial, joined
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["gram_basis", "monomials", "parity_classes"]
+from surctl.sos.polynomial import Monomial, Polynomial
+
+__all__ = [
+    "Gram",
+    "monomials",
+    "parity_classes",
+    "pruned",
+    "restricted",
+]
 
 
 def monomials(variables: Iterable[int], highest: int, *, lowest: int = 0) -> list[Monomial]:
@@ -24,37 +35,6 @@ def monomials(variables: Iterable[int], highest: int, *, lowest: int = 0) -> lis
         picks = itertools.combinations_with_replacement(among, degree)
         out += [tuple((k, len(list(same))) for k, same in itertools.groupby(picked)) for picked in picks]
     return out
-
-
-def gram_basis(polynomial: Polynomial, candidates: Sequence[Monomial] | None = None) -> list[Monomial]:
-    """Return the monomials that can occur in the squares of a sum of squares with the polynomial's monomials.
-
-    The candidates are all monomials of half the polynomial's degrees, unless given. A monomial m is left out if m² is
-    neither a monomial of the polynomial nor the product of two other monomials of the basis, because its diagonal entry
-    in the Gram matrix is then 0. So the monomial 1 is left out if the polynomial vanishes to second order at 0. The
-    result is contained in half the Newton polytope.
-
-    Example:
-        >>> from surctl.sos import Polynomial, gram_basis
-        >>> x, y = Polynomial.variables(2)
-        >>> gram_basis(x**4 * y**2 + x**2 * y**4 + 1 - 3 * x**2 * y**2)  # the Motzkin polynomial
-        [(), ((0, 1), (1, 1)), ((0, 2), (1, 1)), ((0, 1), (1, 2))]
-    """
-    support = set(polynomial.terms)
-    if candidates is None:
-        among = sorted({k for m in support for k, _ in m})
-        candidates = monomials(among, polynomial.degree // 2, lowest=(polynomial.order + 1) // 2)
-        highest = {k: max(dict(m).get(k, 0) for m in support) for k in among}
-        candidates = [m for m in candidates if all(2 * e <= highest[k] for k, e in m)]
-    basis = list(candidates)
-    while True:
-        sums = set(support)
-        for a, b in itertools.combinations(basis, 2):
-            sums.add(joined(a, b))
-        fewer = [m for m in basis if joined(m, m) in sums]
-        if len(fewer) == len(basis):
-            return basis
-        basis = fewer
 
 
 def parity_classes(basis: Sequence[Monomial], polynomials: Iterable[Polynomial]) -> list[list[Monomial]]:
@@ -98,3 +78,133 @@ def parity_classes(basis: Sequence[Monomial], polynomials: Iterable[Polynomial])
 
 def _odd(m: Monomial) -> int:
     return sum(1 << k for k, e in m if e % 2)
+
+
+# Removal of monomials whose diagonal entry in a Gram matrix must be 0
+
+
+_POSITIVE, _TINY, _DENOMINATOR = 1e-9, 1e-7, 4096  # of a weight at a zero; error and denominator of rational rows
+_BITS = 16  # of the exponent of one variable in the number of a monomial
+
+
+@dataclass(frozen=True)
+class Gram:
+    """An unknown sum of squares times a weight.
+
+    Attributes:
+        at: index of the weight; −1 for the weight 1.
+        weight: the weight.
+        basis: monomials of the Gram matrix.
+        forms: polynomials in these monomials that replace them; empty for the monomials themselves.
+    """
+
+    at: int
+    weight: Polynomial
+    basis: tuple[Monomial, ...]
+    forms: tuple[Polynomial, ...] = ()
+
+    @property
+    def roots(self) -> tuple[Polynomial, ...]:
+        """The polynomials b of the sum of squares b' H b."""
+        return self.forms or tuple(map(Polynomial.monomial, self.basis))
+
+
+def restricted(gram: Gram, zeros: Sequence[Sequence[Fraction | float]]) -> Gram:
+    """Return the block with forms that are 0 at each zero of the target where the block's weight is positive.
+
+    A target that is 0 at a point of the set has only squares that are 0 there. Zeros in floats are irrational: a
+    polynomial with rational coefficients also has their conjugates as zeros, so that the equations of all of them
+    together have rational coefficients.
+    """
+    own = [zero for zero in zeros if gram.weight.value(zero) > _POSITIVE]
+    rows = [[Polynomial.monomial(m).value(zero) for m in gram.basis] for zero in own]
+    exact = [not isinstance(zero[0], float) for zero in own]
+    values = [[Fraction(x) for x in row] for row, known in zip(rows, exact, strict=True) if known]
+    values += _rational(np.array([row for row, known in zip(rows, exact, strict=True) if not known], dtype=float))
+    pivots: dict[int, list[Fraction]] = {}
+    for row in values:
+        for at, other in pivots.items():
+            row = [x - row[at] * y for x, y in zip(row, other, strict=True)]
+        first = next((k for k, x in enumerate(row) if x), None)
+        if first is not None:
+            row = [x / row[first] for x in row]
+            for at, other in pivots.items():
+                pivots[at] = [x - other[first] * y for x, y in zip(other, row, strict=True)]
+            pivots[first] = row
+    if not pivots:
+        return gram
+    forms = []
+    for k, m in enumerate(gram.basis):
+        if k not in pivots:
+            terms = {gram.basis[at]: -row[k] for at, row in pivots.items() if row[k]}
+            forms.append(Polynomial({m: Fraction(1), **terms}))
+    return replace(gram, forms=tuple(forms), basis=gram.basis if forms else ())
+
+
+def _rational(rows: NDArray[np.float64]) -> list[list[Fraction]]:
+    """Return the reduced rows of a matrix whose rows span a rational subspace; nothing if it is not rational."""
+    reduced: list[list[Fraction]] = []
+    rest, done = rows.copy(), 0
+    while done < len(rest):
+        size = np.abs(rest[done:])
+        if size.max() <= _TINY:
+            break
+        row, column = (int(k) for k in np.unravel_index(np.argmax(size), size.shape))
+        rest[[done, done + row]] = rest[[done + row, done]]
+        rest[done] /= rest[done, column]
+        for other in range(len(rest)):
+            if other != done:
+                rest[other] -= rest[other, column] * rest[done]
+        done += 1
+    for values in rest[:done].tolist():
+        near = [Fraction(x).limit_denominator(_DENOMINATOR) for x in values]
+        if any(abs(float(a) - x) > _TINY for a, x in zip(near, values, strict=True)):
+            return []
+        reduced.append(near)
+    return reduced
+
+
+def pruned(
+    target: Polynomial, grams: Sequence[Gram], free: Sequence[tuple[Polynomial, Sequence[Monomial]]]
+) -> list[Gram]:
+    """Return the blocks without the monomials whose diagonal entries are 0 in every identity with the target.
+
+    If the coefficient of a monomial is 0 in the target, and only diagonal entries of Gram matrices with coefficients of
+    one sign have an influence on it, these entries are 0.
+
+    Args:
+        target: the polynomial that the sum of all blocks must equal.
+        grams: the blocks.
+        free: relations with the monomials of their unknown multipliers, which have any sign.
+    """
+    code = _coded
+    fixed = {code(m) for m in target.terms}
+    for relation, some in free:
+        fixed |= {code(m) + code(n) for m in some for n in relation.terms}
+    blocks = list(grams)
+    while True:
+        signed: dict[int, set[tuple[int, Monomial, bool]]] = {}
+        mixed = set(fixed)
+        for block, gram in enumerate(blocks):
+            basis = [code(m) for m in gram.basis]
+            products = {m + n for i, m in enumerate(basis) for n in basis[:i]}
+            for w, c in gram.weight.terms.items():
+                offset = code(w)
+                mixed.update([product + offset for product in products])
+                for m, own in zip(gram.basis, basis, strict=True):
+                    signed.setdefault(2 * own + offset, set()).add((block, m, c > 0))
+        gone: set[tuple[int, Monomial]] = set()
+        for product, entries in signed.items():
+            if product not in mixed and len({sign for _, _, sign in entries}) == 1:
+                gone |= {(block, m) for block, m, _ in entries}
+        if not gone:
+            return [gram for gram in blocks if gram.basis]
+        blocks = [
+            replace(gram, basis=tuple(m for m in gram.basis if (block, m) not in gone))
+            for block, gram in enumerate(blocks)
+        ]
+
+
+def _coded(m: Monomial) -> int:
+    """Return a number of a monomial; the number of a product is the sum, which is much faster to form."""
+    return sum(e << (_BITS * k) for k, e in m)

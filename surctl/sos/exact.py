@@ -13,17 +13,205 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil, lcm, log2
+from operator import mul
 
 import numpy as np
+from numpy.typing import NDArray
 
-from surctl.sos.basis import monomials, parity_classes
-from surctl.sos.definite import is_semidefinite
+from surctl.sos.basis import Gram, monomials, parity_classes, pruned, restricted
 from surctl.sos.polynomial import Monomial, Number, Polynomial, joined
 from surctl.sos.program import Affine, Program, Solution, Squares
-from surctl.sos.pruning import Gram, pruned, restricted
-from surctl.sos.rounding import Column, corrected
 
-__all__ = ["Certificate", "GramBlock", "certify", "completed"]
+__all__ = [
+    "Certificate",
+    "GramBlock",
+    "LinearUnknown",
+    "certify",
+    "completed",
+    "corrected",
+    "is_semidefinite",
+]
+
+# Exact test whether a symmetric matrix of integers is positive semidefinite
+
+
+_SMALL = 8  # up to this size, integers are faster than floats
+_MOST_EXACT = 40  # largest size of a nearly singular matrix that is decomposed in integers
+
+
+def is_semidefinite(matrix: Sequence[Sequence[int]]) -> bool:
+    """Return True only if a symmetric matrix (n, n) of integers is positive semidefinite; False may mean too large.
+
+    A Cholesky factor L of the matrix minus a small multiple of the identity is computed in floats and rounded. The
+    difference between the matrix and L L' is computed exactly; if it is diagonally dominant, the matrix is positive
+    semidefinite. A small matrix, or a nearly singular one up to a size of 40, is decomposed exactly instead.
+
+    Example:
+        >>> from surctl.sos import is_semidefinite
+        >>> is_semidefinite([[2, -1], [-1, 1]]), is_semidefinite([[1, 1], [1, 1]]), is_semidefinite([[1, 2], [2, 3]])
+        (True, True, False)
+    """
+    keep = [k for k, row in enumerate(matrix) if any(row)]
+    a = [[matrix[i][j] for j in keep] for i in keep]
+    if any(a[k][k] <= 0 for k in range(len(a))):
+        return False
+    if not a:
+        return True
+    if len(a) <= _SMALL:
+        return _decomposes(a)
+    shifts = [(row[k].bit_length() + 1) // 2 for k, row in enumerate(a)]
+    try:
+        floats = np.array([[x / (1 << (shifts[i] + shifts[j])) for j, x in enumerate(row)] for i, row in enumerate(a)])
+        least = float(np.linalg.eigvalsh(floats)[0])
+    except (OverflowError, np.linalg.LinAlgError):
+        return False
+    if least > 1e-13 * len(a) and _dominates(a, floats, shifts, least / 2):
+        return True
+    return least > -1e-9 and len(a) <= _MOST_EXACT and _decomposes(a)
+
+
+def _dominates(a: list[list[int]], floats: NDArray[np.float64], shifts: list[int], part: float) -> bool:
+    size = len(a)
+    try:
+        factor = np.linalg.cholesky(floats - part * np.eye(size))
+    except np.linalg.LinAlgError:
+        return False
+    bits = int(np.clip(np.ceil(np.log2(16 * size / part)), 20, 52))
+    rows = [[round(x * 2.0**bits) for x in factor[i, : i + 1].tolist()] for i in range(size)]
+    rest = [[0] * size for _ in range(size)]
+    for i in range(size):
+        for j in range(i + 1):
+            square = sum(map(mul, rows[i][: j + 1], rows[j]))
+            rest[i][j] = rest[j][i] = (a[i][j] << (2 * bits)) - (square << (shifts[i] + shifts[j]))
+    most = max(shifts)
+    for i in range(size):
+        outside = sum(abs(rest[i][j]) << (most - shifts[j]) for j in range(size) if j != i)
+        if rest[i][i] << (most - shifts[i]) < outside:
+            return False
+    return True
+
+
+def _decomposes(a: list[list[int]]) -> bool:
+    # elimination without fractions (Bareiss): every division is exact
+    m = [list(row) for row in a]
+    before = 1
+    for k in range(len(m)):
+        pivot = m[k][k]
+        if pivot < 0 or (pivot == 0 and any(m[k][j] for j in range(k, len(m)))):
+            return False
+        if pivot == 0:
+            continue
+        for i in range(k + 1, len(m)):
+            for j in range(k + 1, i + 1):
+                m[i][j] = m[j][i] = (m[i][j] * pivot - m[i][k] * m[k][j]) // before
+            m[i][k] = 0
+        before = pivot
+    return True
+
+
+# Exact solution of sparse linear equations by a change of few unknowns
+
+
+Name = tuple[int, int | Monomial]
+_MOST = 4000  # most equations with more than one unknown
+
+
+@dataclass(frozen=True)
+class LinearUnknown:
+    """An unknown of linear equations.
+
+    Attributes:
+        name: index of the block and place of the entry, or index of the relation and monomial of its multiplier.
+        row: its coefficient in each equation.
+        rank: unknowns of a low rank are changed first.
+    """
+
+    name: Name
+    row: Mapping[Monomial, Fraction]
+    rank: int
+
+
+def corrected(rest: Mapping[Monomial, Fraction], columns: Sequence[LinearUnknown]) -> dict[Name, Fraction] | None:
+    """Return changes of unknowns such that Σ change · row = rest; None if there are none.
+
+    Args:
+        rest: right side of the equations; 0 where a monomial is missing.
+        columns: the unknowns.
+    """
+    order = sorted(range(len(columns)), key=lambda k: (len(columns[k].row), columns[k].rank))
+    place = {k: p for p, k in enumerate(order)}
+    equations: dict[Monomial, dict[int, Fraction]] = {}
+    for k, column in enumerate(columns):
+        for m, c in column.row.items():
+            equations.setdefault(m, {})[place[k]] = c
+    sides = {m: Fraction(rest.get(m, 0)) for m in equations}
+    if any(c and m not in equations for m, c in rest.items()):
+        return None
+    # an unknown that occurs in one equation alone solves it without an influence on the others
+    changes: dict[Name, Fraction] = {}
+    later: dict[Monomial, int] = {}
+    for m, equation in equations.items():
+        own = next((p for p in sorted(equation) if len(columns[order[p]].row) == 1), None)
+        if own is not None:
+            later[m] = own
+    solved = _eliminated(
+        {m: dict(e) for m, e in equations.items() if m not in later},
+        {m: s for m, s in sides.items() if m not in later},
+    )
+    if solved is None:
+        return None
+    for p, value in solved.items():
+        changes[columns[order[p]].name] = value
+        for m, c in columns[order[p]].row.items():
+            sides[m] -= c * value
+    for m, p in later.items():
+        changes[columns[order[p]].name] = sides[m] / equations[m][p]
+    return {name: value for name, value in changes.items() if value}
+
+
+def _eliminated(
+    equations: dict[Monomial, dict[int, Fraction]], sides: dict[Monomial, Fraction]
+) -> dict[int, Fraction] | None:
+    """Return one solution of the equations, in which few unknowns differ from 0."""
+    if len(equations) > _MOST:
+        return None
+    users: dict[int, set[Monomial]] = {}
+    for m, equation in equations.items():
+        for p in equation:
+            users.setdefault(p, set()).add(m)
+    solved: list[tuple[Monomial, int]] = []
+    left = set(equations)
+    while left:
+        m = min(left, key=lambda e: (len(equations[e]), e))
+        left.remove(m)
+        equation = equations[m]
+        if not equation:
+            if sides[m]:
+                return None
+            continue
+        largest = max(abs(c) for c in equation.values())
+        p = min((p for p, c in equation.items() if 4 * abs(c) >= largest), key=lambda p: (len(users[p]), p))
+        solved.append((m, p))
+        for other in list(users[p]):
+            if other == m or other not in left:
+                continue
+            factor = equations[other][p] / equation[p]
+            sides[other] -= factor * sides[m]
+            for q, c in equation.items():
+                value = equations[other].get(q, Fraction(0)) - factor * c
+                if value:
+                    equations[other][q] = value
+                    users[q].add(other)
+                else:
+                    equations[other].pop(q, None)
+                    users[q].discard(other)
+    values: dict[int, Fraction] = {}
+    for m, p in reversed(solved):
+        equation = equations[m]
+        known = sum((c * values[q] for q, c in equation.items() if q in values), Fraction(0))
+        values[p] = (sides[m] - known) / equation[p]
+    return values
+
 
 _LEAST = 1e-11  # a smaller least eigenvalue of the numerical Gram matrices leaves no margin for rounding
 _PER_ENTRY = 5e-10  # [s] per cube of a number of entries: a block of size 65 takes about 5 s
@@ -357,13 +545,13 @@ def _columns(
     relations: Sequence[Polynomial],
     multipliers: Sequence[Affine],
     inside: Mapping[Monomial, object],
-) -> list[Column]:
+) -> list[LinearUnknown]:
     """Return the unknowns that change coefficients which no block with the weight 1 has."""
     columns = []
     for at, (relation, unknown) in enumerate(zip(relations, multipliers, strict=True)):
         for m in unknown.terms:
             row = {joined(m, n): Fraction(c) for n, c in relation.terms.items()}
-            columns.append(Column((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
+            columns.append(LinearUnknown((at, m), {m: c for m, c in row.items() if m not in inside}, 0))
     for at, gram in enumerate(grams):
         place = 0
         roots = gram.roots if gram.at >= 0 or gram.forms else ()
@@ -372,7 +560,7 @@ def _columns(
                 product = p * q * gram.weight * (1 if i == j else 2)
                 row = {m: Fraction(c) for m, c in product.terms.items()}
                 columns.append(
-                    Column((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
+                    LinearUnknown((at, place), {m: c for m, c in row.items() if m not in inside}, 2 if i == j else 1)
                 )
                 place += 1
     return [c for c in columns if c.row]

@@ -6,7 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
-__all__ = ["ONE", "Monomial", "Number", "Polynomial", "joined"]
+__all__ = [
+    "ONE",
+    "Monomial",
+    "Number",
+    "Polynomial",
+    "joined",
+    "quotient",
+]
 
 Monomial = tuple[tuple[int, int], ...]
 """A monomial: pairs (variable, exponent ≥ 1) in the order of the variables; () is the monomial 1."""
@@ -203,3 +210,42 @@ def _number(value: Number) -> Number:
 
 def _polynomial(value: Polynomial | Number) -> Polynomial:
     return value if isinstance(value, Polynomial) else Polynomial.constant(value)
+
+
+# Exact division of polynomials
+
+
+def quotient(of: Polynomial, by: Polynomial) -> Polynomial | None:
+    """Return the polynomial q with of = q · by; None if there is none.
+
+    Example:
+        >>> from surctl.sos import Polynomial, quotient
+        >>> x, y = Polynomial.variables(2)
+        >>> quotient(x**3 - x * y**2, x + y) == x**2 - x * y, quotient(x**2 + y, x + y)
+        (True, None)
+    """
+    if not by.terms:
+        return None
+    lead = max(by.terms, key=_rank)
+    scale, powers = Fraction(by.terms[lead]), dict(lead)
+    rest = dict(of.terms)
+    total: dict[Monomial, Fraction] = {}
+    while rest:
+        top = max(rest, key=_rank)
+        own = dict(top)
+        if any(own.get(k, 0) < e for k, e in lead):
+            return None
+        factor = tuple((k, e - powers.get(k, 0)) for k, e in top if e > powers.get(k, 0))
+        total[factor] = Fraction(rest[top]) / scale
+        for m, c in (by * Polynomial({factor: total[factor]})).terms.items():
+            value = Fraction(rest.get(m, 0)) - Fraction(c)
+            if value:
+                rest[m] = value
+            else:
+                rest.pop(m, None)
+    return Polynomial(total)
+
+
+def _rank(m: Monomial) -> tuple[int, tuple[tuple[int, int], ...]]:
+    # a graded order: of equal degrees, the higher power of the first variable is larger
+    return sum(e for _, e in m), tuple((-k, e) for k, e in m)

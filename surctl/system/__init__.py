@@ -14,19 +14,17 @@ from surctl.system.from_control import (
     from_control,
     plant_from_control,
     system_from_control,
+    to_control,
 )
-from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise
+from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant
 from surctl.system.linear_loop import LinearLoop, LoopNames
 from surctl.system.loop import ENDED, LOST, Cost, Signals, System
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
-from surctl.system.plant_linear import linearise_plant
-from surctl.system.record import Record, run_system
-from surctl.system.record_file import save_record
+from surctl.system.record import Record, run_system, save_record
 from surctl.system.runs import Runs, periods, simulate_system
 from surctl.system.sampled import Sampled, message
 from surctl.system.saturation import unresponsive
-from surctl.system.to_control import to_control
 from surctl.system.values import every_combination
 
 __all__ = [

@@ -15,14 +15,93 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system.controller import Action, Controller
+from surctl.system.controller import Action, Controller, SampledController
+from surctl.system.linear_loop import LinearLoop
 from surctl.system.loop import System
+from surctl.system.parts import entry_labels
 from surctl.system.plant import Plant
-from surctl.system.realisation import state_space
 
-__all__ = ["controller_from_control", "from_control", "plant_from_control", "system_from_control"]
+__all__ = [
+    "controller_from_control",
+    "from_control",
+    "plant_from_control",
+    "state_space",
+    "system_from_control",
+    "to_control",
+]
+
+# A state space of a transfer function with several inputs and outputs (python-control needs slycot for it)
+
 
 Array = NDArray[np.float64]
+
+_RANK = 1e-12  # smaller singular values of columns of length 1 are rounding
+
+
+def state_space(system: Any) -> Any:
+    """Return the `control.StateSpace` of a linear system, minimal up to rounding for a matrix of transfer functions.
+
+    Each column of the matrix gives one controllable canonical form for each of its denominators (Kailath 1980, section
+    6.4). States that no input moves or that no output shows are removed, since a controller could not stabilise them.
+
+    Args:
+        system: `control.StateSpace` or `control.TransferFunction`.
+
+    Raises:
+        TypeError, ValueError: the system is not proper or not real.
+
+    Example:
+        >>> import control
+        >>> from surctl.system.from_control import state_space
+        >>> s = control.tf("s")
+        >>> both = control.combine_tf([[1 / s, 2 / s], [1 / (s + 1), 0]])
+        >>> sorted(state_space(both).poles().real.round(6).tolist())
+        [-1.0, 0.0]
+    """
+    import control  # takes seconds to import
+    from scipy.linalg import block_diag, matrix_balance
+
+    if not isinstance(system, control.TransferFunction) or control.issiso(system):
+        return control.ss(system)
+    forms: list[tuple[Array, Array, Array]] = []
+    D = np.zeros((system.noutputs, system.ninputs))
+    for j in range(system.ninputs):
+        columns: dict[tuple[float, ...], dict[int, Array]] = {}  # numerators by denominator and row
+        for i in range(system.noutputs):
+            den, num = (np.trim_zeros(np.asarray(part[i][j], dtype=float), "f") for part in (system.den, system.num))
+            if len(num) > len(den):
+                raise ValueError("transfer function is not proper")
+            padded = np.concatenate([np.zeros(len(den) - len(num)), num])
+            columns.setdefault(tuple((den / den[0]).tolist()), {})[i] = padded / den[0]
+        for denominator, rows in columns.items():
+            a, order = np.array(denominator[1:]), len(denominator) - 1
+            B, C = np.zeros((order, system.ninputs)), np.zeros((system.noutputs, order))
+            B[:1, j] = 1.0
+            for i, numerator in rows.items():
+                C[i], D[i, j] = numerator[1:] - numerator[0] * a, numerator[0]
+            forms.append((np.vstack([-a, np.eye(order)[:-1]])[:order], B, C))
+    A, B, C = block_diag(*(f[0] for f in forms)), np.vstack([f[1] for f in forms]), np.hstack([f[2] for f in forms])
+    A, T = matrix_balance(A)
+    A, B, C = _reached(A, np.linalg.solve(T, B), C @ T)
+    A, C, B = (m.T for m in _reached(A.T, C.T, B.T))  # the states that the outputs show
+    names = {"inputs": system.input_labels, "outputs": system.output_labels, "name": system.name}
+    return control.ss(A, B, C, D, system.dt, **names)
+
+
+def _reached(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
+    # restricted to the smallest subspace that has the columns of B and is invariant under A
+    size, step = np.linalg.norm(B, axis=0), A / max(float(np.linalg.norm(A)), np.finfo(float).tiny)
+    basis = _range(B[:, size > 0] / size[size > 0])
+    while (larger := _range(np.hstack([basis, step @ basis]))).shape[1] > basis.shape[1]:
+        basis = larger
+    return basis.T @ A @ basis, basis.T @ B, C @ basis
+
+
+def _range(matrix: Array) -> Array:
+    # an orthonormal basis of the span of columns of length 1, or less where they matter less
+    left, values, _ = np.linalg.svd(matrix, full_matrices=False)
+    return left[:, values > _RANK]
+
 
 _LABEL = re.compile(r"(?P<name>[^\[\]]+?)(?:\[(?P<entry>\d+)\])?(?:\s*\[(?P<unit>[^\]]+)\])?$")
 _ALIKE = 1e-9
@@ -348,3 +427,69 @@ def _renamed(law: Controller, plant: Plant) -> Controller:
 
 def _stacked(parts: Mapping[str, ca.SX], layout: Layout) -> ca.SX:
     return layout.join({port.name: parts[port.name] for port in layout})
+
+
+# Plants, controllers and linear loops of surctl as systems of python-control
+
+
+def to_control(part: Any) -> Any:
+    """Return a plant or controller as `control.NonlinearIOSystem`, and a linear loop as `control.StateSpace`.
+
+    The inputs of a plant are its commands, then its disturbances; those of a controller are its inputs. Gains and
+    parameters have their default values.
+
+    Raises:
+        InputError: the object is none of these.
+
+    Example:
+        >>> import control
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Plant, to_control
+        >>> level, flow = Port("level", (1,), "m", "of the water"), Port("flow", (1,), "m/s", "inflow over the area")
+        >>> tank = Plant("tank", Layout((level,)), Layout((flow,)), lambda x, f, d, p: f["flow"] - x["level"])
+        >>> control.linearize(to_control(tank), [1.0], [1.0]).poles().real
+        array([-1.])
+    """
+    import control  # takes seconds to import
+
+    if isinstance(part, LinearLoop):
+        return part.closed()
+    if isinstance(part, Plant):
+        return _plant_system(part)
+    if isinstance(part, System) or not hasattr(part, "block"):
+        remedy = "give a Plant, a Controller or a linear loop; linearise(system) is one"
+        raise InputError(f"is a {type(part).__name__}", key="part", remedy=remedy)
+    law: SampledController = part
+    gains = law.gains.pack()
+
+    def after(t: float, x: Array, u: Array, params: Mapping[str, Any]) -> Array:
+        return law.step(x, u, gains).x_next
+
+    def output(t: float, x: Array, u: Array, params: Mapping[str, Any]) -> Array:
+        step = law.step(x, u, gains)
+        return np.concatenate([step.tau, step.telemetry])
+
+    return control.nlsys(
+        after, output, dt=law.dt, name=law.name, inputs=entry_labels(law.inputs), outputs=entry_labels(law.outputs),
+        states=entry_labels(law.state),
+    )  # fmt: skip
+
+
+def _plant_system(plant: Plant) -> Any:
+    import control  # takes seconds to import
+
+    p, size = plant.parameters.pack(), plant.inputs.size
+    x, d = ca.SX.sym("x", plant.state.size), ca.SX.sym("d", plant.disturbances.size)
+    measure = ca.Function("measure", [x, d], [plant.measurement(x, d, ca.SX(ca.DM(p)))])
+
+    def rate(t: float, x: Array, u: Array, params: Mapping[str, Any]) -> Array:
+        return np.array(plant.function(x, u[:size], u[size:], p)).reshape(-1)
+
+    def output(t: float, x: Array, u: Array, params: Mapping[str, Any]) -> Array:
+        return np.array(measure(x, u[size:])).reshape(-1)
+
+    return control.nlsys(
+        rate, output, name=plant.name, states=entry_labels(plant.state),
+        inputs=[*entry_labels(plant.inputs), *entry_labels(plant.disturbances)],
+        outputs=entry_labels(plant.measurements, "measured "),
+    )  # fmt: skip

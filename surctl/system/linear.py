@@ -12,18 +12,151 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.ir import to_casadi
+from surctl.ir import Layout, Program, lower, replay, to_casadi
 from surctl.system.controller import Controller, SampledController
 from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
 from surctl.system.parts import entry_labels, entry_units
-from surctl.system.plant_linear import plant_slopes
-from surctl.system.undefined import undefined_operation
+from surctl.system.plant import Plant
 from surctl.system.values import RunNumbers, run_numbers
 
-__all__ = ["Linearisation", "Operating", "find_equilibrium", "law_function", "linearise", "loop_names"]
+__all__ = [
+    "Linearisation",
+    "Operating",
+    "find_equilibrium",
+    "law_function",
+    "linearise",
+    "linearise_plant",
+    "state_space",
+]
+
+# Operations of a function that have no finite value or derivative at a point
+
 
 Array = NDArray[np.float64]
+_UNDEFINED_WITHIN = 1e-12
+
+
+def _undefined_operation(function: ca.Function, arguments: Sequence[Array]) -> str:
+    """Return the first operation without a finite value or derivative there, as text; empty if none is found."""
+    try:
+        program = lower(function)
+    except InputError:  # an operation that the instruction list does not support
+        return ""
+    count = len(program.instructions)
+    every = Program(program.name, program.inputs, (("all", count),), program.instructions, (tuple(range(count)),))
+    values = replay(every, *(np.array(one, dtype=float).reshape(-1) for one in arguments))[0]
+    for instruction in program.instructions:
+        operands = [float(values[k]) for k in instruction.args] if instruction.op not in ("const", "input") else []
+        if np.isfinite(operands).all() and _singular(instruction.op, operands):
+            return _text(instruction.op, operands)
+    return ""
+
+
+def _singular(op: str, operands: list[float]) -> bool:
+    match op, operands:
+        case "sqrt", [value]:
+            return value < _UNDEFINED_WITHIN
+        case "acos", [value]:
+            return abs(value) > 1 - _UNDEFINED_WITHIN
+        case "atan2", [y, x]:
+            return abs(y) < _UNDEFINED_WITHIN and abs(x) < _UNDEFINED_WITHIN
+        case "inv", [value]:
+            return abs(value) < _UNDEFINED_WITHIN
+        case "div", [_, value]:
+            return abs(value) < _UNDEFINED_WITHIN
+    return False
+
+
+def _text(op: str, operands: list[float]) -> str:
+    shown = [f"{round(value, 9) + 0.0:g}" for value in operands]
+    return {"inv": "1/{}", "div": "{}/{}"}.get(op, op + "(" + ", ".join(["{}"] * len(shown)) + ")").format(*shown)
+
+
+# Linearisation of a plant alone about a point, with exact Jacobians
+
+
+def linearise_plant(
+    plant: Plant,
+    x: Mapping[str, ArrayLike] | ArrayLike = (),
+    f: Mapping[str, ArrayLike] | ArrayLike = (),
+    *,
+    d: Mapping[str, ArrayLike] | ArrayLike = (),
+    p: Mapping[str, ArrayLike] | ArrayLike = (),
+) -> Any:
+    """Return the linear plant about a point as `control.StateSpace`, for a design without a controller, such as LQR.
+
+    Its inputs are actuator commands, then disturbances; its outputs are the measured outputs; all have the names of the
+    plant's ports. The point need not be an equilibrium.
+
+    Args:
+        plant: the plant.
+        x: state at the point: values by port name, or a flat vector; a port without a value has its default.
+        f: actuator commands, in the same way.
+        d: disturbances, in the same way.
+        p: parameters, in the same way.
+
+    Raises:
+        InputError: a name or size does not fit the plant, or a derivative is not finite at the point.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Plant, linearise_plant
+        >>> angle, rate = Port("angle", (1,), "rad", "from upright"), Port("rate", (1,), "rad/s", "angular rate")
+        >>> torque = Port("torque", (1,), "1/s^2", "over the inertia")
+        >>> pendulum = Plant(
+        ...     "pendulum", Layout((angle, rate)), Layout((torque,)),
+        ...     lambda x, f, d, p: {"angle": x["rate"], "rate": 9.81 * ca.sin(x["angle"]) + f["torque"]},
+        ... )
+        >>> hanging = linearise_plant(pendulum, {"angle": 3.14159265})
+        >>> hanging.A.round(2).tolist(), hanging.input_labels
+        ([[0.0, 1.0], [-9.81, 0.0]], ['torque'])
+    """
+    layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
+    point = [_flat(layouts[name], part, name) for name, part in zip("xfdp", (x, f, d, p), strict=True)]
+    matrices = _plant_matrices(plant, *point)
+    if not all(np.isfinite(matrix).all() for matrix in matrices):
+        raise InputError("has no finite derivatives at this point", key=plant.name, remedy="choose another point")
+    return state_space(plant, matrices)
+
+
+def _plant_matrices(plant: Plant, x: Array, f: Array, d: Array, p: Array) -> tuple[Array, ...]:
+    """Return (A, B, E, C, D) of a plant about a flat point: x' = A x + B f + E d and y = C x + D d."""
+    return tuple(np.array(m) for m in _plant_slopes(plant).call([x, f, d, p]))
+
+
+def _plant_slopes(plant: Plant) -> ca.Function:
+    """Return the function of x, f, d and p that computes the matrices of `_plant_matrices`."""
+    layouts = {"x": plant.state, "f": plant.inputs, "d": plant.disturbances, "p": plant.parameters}
+    x, f, d, p = (ca.SX.sym(name, layout.size) for name, layout in layouts.items())
+    rate, y = plant.derivative(x, f, d, p), plant.measurement(x, d, p)
+    jacobians = [ca.jacobian(rate, v) for v in (x, f, d)] + [ca.jacobian(y, v) for v in (x, d)]
+    return ca.Function("plant", [x, f, d, p], jacobians)
+
+
+def state_space(plant: Plant, matrices: Sequence[Array]) -> Any:
+    """Return matrices (A, B, E, C, D) of a plant as `control.StateSpace` with the names of its ports."""
+    import control  # takes seconds to import
+
+    A, B, E, C, D = matrices
+    return control.ss(
+        A, np.hstack([B, E]), C, np.hstack([np.zeros((len(C), B.shape[1])), D]), states=entry_labels(plant.state),
+        inputs=[*entry_labels(plant.inputs), *entry_labels(plant.disturbances)],
+        outputs=entry_labels(plant.measurements, "measured "), name=plant.name,
+    )  # fmt: skip
+
+
+def _flat(layout: Layout, values: Mapping[str, ArrayLike] | ArrayLike, key: str) -> Array:
+    if isinstance(values, Mapping):
+        return layout.pack(values)
+    vector = np.asarray(values, dtype=float).reshape(-1)
+    if not vector.size:
+        return layout.pack()
+    if vector.size != layout.size:
+        raise InputError(f"has {vector.size} numbers", key=key, remedy=f"give {layout.size}, or values by port name")
+    return vector
+
 
 _NEWTON = 50
 _EULER, _LONGEST = 1000, 1e6  # number of implicit steps, and their greatest length in control periods
@@ -189,7 +322,7 @@ def linearise(
     point = _equilibrium(functions, values) if at is None else at
     f = functions.inputs(point)
     slopes = functions.functions["plant"].call([point.x, f, functions.disturbance, point.numbers.plant[0]])
-    matrices, names = tuple(np.array(matrix) for matrix in slopes), loop_names(system)
+    matrices, names = tuple(np.array(matrix) for matrix in slopes), _loop_names(system)
     if sampled := bool(system.blocks.all):
         matrices = functions.sampled_plant(point, matrices)
         names = replace(names, states=(*names.states, *entry_labels(system.blocks.memory)), inputs=names.commands)
@@ -238,8 +371,8 @@ class _Rest:
         measured, _ = self.functions["measure"](x, *numbers)
         u = self.functions["inputs"](measured, self.reference)
         f = law.call([z, u, self.numbers.gains[0]])[0]
-        plant = undefined_operation(self.functions["rate"], [x, f, *numbers])
-        cause = plant or undefined_operation(law, [z, u, self.numbers.gains[0]])
+        plant = _undefined_operation(self.functions["rate"], [x, f, *numbers])
+        cause = plant or _undefined_operation(law, [z, u, self.numbers.gains[0]])
         where = f" of the {'plant' if plant else 'law'}" if cause else ""
         raise InputError(
             f"{what} is not finite where the search ends ({_place(labels, point)})"
@@ -369,7 +502,7 @@ def _functions(system: System) -> dict[str, ca.Function]:
         "control": law,
         "rest": ca.Function("rest", [X, Z, B, G, P, R, D, Q], results),
         "law": ca.Function("slopes", [Z, Y, R, G], slopes),
-        "plant": plant_slopes(plant),
+        "plant": _plant_slopes(plant),
         "reference": ca.Function("reference", [r], [system.reference_at(ca.SX(0), r)]),
         "disturbance": ca.Function("disturbance", [d], [system.disturbance_at(ca.SX(0), d)]),
     }
@@ -386,7 +519,7 @@ def law_function(controller: SampledController) -> ca.Function:
     return ca.Function(controller.name, symbols, list(controller.action(*symbols)))
 
 
-def loop_names(system: System) -> LoopNames:
+def _loop_names(system: System) -> LoopNames:
     """Return the labels of all signals of a system."""
     plant, controller = system.plant, system.controller
     layouts = (plant.state, controller.state, plant.inputs, system.commands, system.measurements, system.references)

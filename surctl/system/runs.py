@@ -30,7 +30,7 @@ from surctl.plotted import Plotted
 from surctl.system.loop import ENDED, LOST, Cost, System, once_per_system
 from surctl.system.values import run_numbers
 
-__all__ = ["Runs", "loop_program", "loop_step", "moved_state", "periods", "simulate_system"]
+__all__ = ["Runs", "loop_program", "moved_state", "periods", "simulate_system"]
 
 Array = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ def periods(system: System, seconds: float) -> int:
     return steps
 
 
-def loop_step(system: System) -> Block:
+def _loop_step(system: System) -> Block:
     """Return a program or routine that computes the state of a run after one control period.
 
     Its arguments are the state and the parameters of the run.
@@ -305,7 +305,7 @@ def _figure(cost: Cost, total: Array, count: Array) -> Array:
 @once_per_system
 def loop_program(system: System) -> Block:
     """Return what `simulate_system` compiles; its digest identifies all computations of a run, costs and stops too."""
-    return fused(without_libm(loop_step(system)))
+    return fused(without_libm(_loop_step(system)))
 
 
 @once_per_system

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from surctl.tasks.actuators import AccelerationLimit, ActuatorLimits, ThrustLimit
-from surctl.tasks.barrier import Barrier, BrakingBarrier, allowed_closing_speed
 from surctl.tasks.library import (
     clearance_task,
     depth_task,
@@ -13,9 +11,20 @@ from surctl.tasks.library import (
     position_task,
     velocity_task,
 )
-from surctl.tasks.limits import HalfPlane, Kind, Limit, LimitRow, VelocityBox
-from surctl.tasks.set_task import RateLimit, SetTask
-from surctl.tasks.stack import Stack
+from surctl.tasks.limits import (
+    AccelerationLimit,
+    ActuatorLimits,
+    Barrier,
+    BrakingBarrier,
+    HalfPlane,
+    Kind,
+    Limit,
+    LimitRow,
+    ThrustLimit,
+    VelocityBox,
+    allowed_closing_speed,
+)
+from surctl.tasks.stack import RateLimit, SetTask, Stack
 from surctl.tasks.task import Task, wrap
 
 __all__ = [

@@ -3,24 +3,47 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from typing import TypeAlias
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
-from surctl.tasks.rows import (
+from surctl.errors import InputError
+from surctl.tasks.task import (
+    Expression,
     Kind,
+    Kinematics,
     Limit,
     LimitRow,
+    as_expression,
     axis_names,
     checked_column,
     checked_kind,
     checked_name,
     checked_order,
+    checked_positive,
+    is_symbol,
+    kinematics_of,
     width,
 )
-from surctl.tasks.task import Expression
 
-__all__ = ["HalfPlane", "Kind", "Limit", "LimitRow", "VelocityBox"]
+__all__ = [
+    "AccelerationLimit",
+    "ActuatorLimits",
+    "Alpha",
+    "Barrier",
+    "BrakingBarrier",
+    "HalfPlane",
+    "Kind",
+    "Limit",
+    "LimitRow",
+    "ThrustLimit",
+    "VelocityBox",
+    "allowed_closing_speed",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,3 +118,406 @@ class HalfPlane:
     def rows(self) -> tuple[LimitRow, ...]:
         """Return the limit as one constraint row without a lower bound."""
         return (LimitRow(self.name, self.kind, ca.SX(self.normal).T, ca.SX(-math.inf), ca.SX(self.bound)),)
+
+
+# Barriers: limits that keep the robot in the set h(η) ≥ 0
+
+
+Alpha: TypeAlias = Expression | Callable[[ca.SX], ca.SX]
+"""A gain [1/s], or a function of h that gives the rate at which h may fall [unit of h per second]."""
+
+_SAMPLES = np.concatenate([-np.logspace(1, -6, 57), [0.0], np.logspace(-6, 1, 57)])
+
+
+@dataclass(frozen=True, eq=False)
+class Barrier:
+    """The control barrier ḣ + α(h) ≥ 0 for a vehicle that reaches its commanded velocity v at once (Ames et al. 2019).
+
+    The function h(η) of the pose η is positive in the allowed set and negative outside. With the rotation matrix J(ψ)
+    from the body frame to the earth frame, the barrier is the limit −(∂h/∂η) J(ψ) v ≤ α(h) + ∂h/∂t on v. A robot in the
+    set h ≥ 0 stays there; a robot outside moves towards the set.
+
+    Assume that v is constant during each control period dt, that α(h) = γh with γ dt ≤ 1, and that h is convex, like
+    the distance from a flat wall or a convex obstacle. If the heading is constant, h ≥ 0 then holds exactly. If the
+    robot turns with yaw rate r, and ‖∂h/∂(x, y)‖ ≤ 1, then h ≥ −|r| ‖v‖ dt / (2γ). Use `BrakingBarrier` for a vehicle
+    that needs time to slow down.
+
+    Attributes:
+        name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
+        eta, kinematics: configuration (m, 1), and S(η) of η̇ = S(η) v, as in `Task`.
+        h: SX scalar expression of eta. If h contains other symbols, the derivative of h treats them as constant.
+        alpha: a number γ > 0 [1/s] for α(h) = γh, or a function α of an SX scalar (Python function or ca.Function). The
+            class checks at sample points in [−10, 10] that α(0) = 0, that α(s) has the sign of s, and that α never
+            decreases (class K, but constant parts are allowed). An α that contains other symbols is not checked.
+        drift: ∂h/∂t [unit of h per second], for an obstacle or wall that moves.
+        kind: kind of limit; see `Kind`.
+
+    Raises:
+        InputError: a name or shape is wrong; ∂h/∂η J(ψ) is structurally zero, so no velocity changes h; or α violates a
+            condition on `alpha`. The message names the barrier.
+    """
+
+    name: str
+    eta: ca.SX
+    _: KW_ONLY
+    h: ca.SX
+    alpha: Alpha = 1.0
+    drift: Expression = 0.0
+    kind: Kind = "barrier"
+    kinematics: Kinematics = None
+
+    def __post_init__(self) -> None:
+        """Check the barrier's attributes and convert numbers to expressions."""
+        checked_kind(checked_name(self.name), self.kind)
+        object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
+        object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
+        _closing_row(self.name, self.eta, self.h, self.kinematics)
+        if callable(self.alpha):
+            _check_class_k(self.name, self.alpha)
+        else:
+            object.__setattr__(self, "alpha", checked_positive(self.name, "alpha", self.alpha))
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [unit of h per s]."""
+        allowed = self.alpha(self.h) if callable(self.alpha) else ca.SX(self.alpha) * self.h
+        a = _closing_row(self.name, self.eta, self.h, self.kinematics)
+        return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), allowed + ca.SX(self.drift)),)
+
+
+def _closing_row(name: str, eta: ca.SX, h: ca.SX, kinematics: Kinematics = None) -> ca.SX:
+    """Return −(∂h/∂η) S(η), (1, n), which maps the velocity to −ḣ; raise InputError if no velocity changes h."""
+    if not is_symbol(eta):
+        raise InputError(
+            "is not an SX symbol of shape (m, 1)", key=f"limit {name}: eta", remedy='write eta = ca.SX.sym("eta", 4)'
+        )
+    row = ca.simplify(-(ca.jacobian(h, eta) @ kinematics_of(f"limit {name}", eta, kinematics)))
+    if ca.sparsify(row).nnz() == 0:
+        raise InputError(
+            "does not depend on eta, so no velocity changes it",
+            key=f"limit {name}: h",
+            value=h,
+            remedy="express it by this barrier's own eta symbol; for a bound on velocity use a HalfPlane",
+        )
+    return ca.densify(row)
+
+
+def _check_class_k(name: str, alpha: Callable[[ca.SX], ca.SX]) -> None:
+    """Raise InputError if α(0) ≠ 0, α(s) s ≤ 0 for an s ≠ 0, or α decreases, at the sample points."""
+    s = ca.SX.sym("s")
+    image = checked_column(name, "alpha", alpha(s), 1)
+    if ca.symvar(image) and not (len(ca.symvar(image)) == 1 and ca.depends_on(image, s)):
+        return
+    values = np.array(ca.Function("alpha", [s], [image]).map(_SAMPLES.size)(_SAMPLES)).reshape(-1)
+    for value, at in zip(values, _SAMPLES, strict=True):
+        if not math.isfinite(value) or (abs(value) > 1e-12 if at == 0.0 else value * at <= 0.0):
+            raise InputError(
+                f"is not of class K: alpha({at:.3g}) = {value:.3g}",
+                key=f"limit {name}: alpha",
+                remedy="it must be 0 at 0 and have the sign of its argument elsewhere",
+            )
+    for k in np.flatnonzero(np.diff(values) < 0.0):
+        raise InputError(
+            f"decreases between {_SAMPLES[k]:.3g} and {_SAMPLES[k + 1]:.3g}",
+            key=f"limit {name}: alpha",
+            remedy="give a function that never decreases",
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BrakingBarrier:
+    """The barrier −ḣ ≤ v_max(h), where v_max(h) is the closing speed from which the vehicle can just stop at h = 0.
+
+    The function h(η) of the pose η is the distance from the obstacle. A vehicle with speed s, reaction time T and
+    deceleration a needs the stopping distance sT + s²/(2a). For h ≥ 0, v_max(h) = −aT + √((aT)² + 2ah) is the speed
+    whose stopping distance is h. For h < 0, v_max decreases with the slope 1/T to −retreat; so the vehicle must
+    retreat, but at most at the speed `retreat`. v_max is continuous and its slope is at most 1/T; at h = 0 the slope is
+    continuous too.
+
+    With a control period dt, h ≥ 0 holds exactly under five assumptions: the vehicle changes its closing speed s to the
+    commanded closing speed at a rate of at least a; h is affine in the position; the heading is constant; T ≥ 3 dt; and
+    the initial closing speed, if positive, satisfies s²/(2a) + s (T − 2 dt) ≤ h. The last inequality then holds at
+    every step. A convex obstacle in place of an affine h is safe too, because motion along its surface increases the
+    distance. T must include the lag of the thrusters and of the velocity controller.
+
+    Attributes:
+        name: name of the barrier and of its constraint row, such as "wall.left" (identifiers joined by dots).
+        eta, kinematics: configuration (m, 1), and S(η) of η̇ = S(η) v, as in `Task`.
+        h: SX scalar expression of eta and other symbols [m].
+        deceleration: a > 0 [m/s²], in the direction of the gradient of h.
+        reaction: reaction time T > 0 [s].
+        retreat: largest speed of the retreat at h < 0, at least 0 [m/s]; None for aT.
+        drift: ∂h/∂t [m/s], for an obstacle that moves; the barrier assumes that the obstacle keeps its velocity.
+        kind: kind of limit; see `Kind`.
+
+    Raises:
+        InputError: a name or shape is wrong, a number is not positive, or ∂h/∂η J(ψ) is structurally zero. The message
+            names the barrier.
+    """
+
+    name: str
+    eta: ca.SX
+    _: KW_ONLY
+    h: ca.SX
+    deceleration: Expression
+    reaction: Expression
+    retreat: Expression | None = None
+    drift: Expression = 0.0
+    kind: Kind = "barrier"
+    kinematics: Kinematics = None
+
+    def __post_init__(self) -> None:
+        """Check the barrier's attributes and convert numbers to expressions."""
+        checked_kind(checked_name(self.name), self.kind)
+        object.__setattr__(self, "h", checked_column(self.name, "h", self.h, 1))
+        object.__setattr__(self, "drift", checked_column(self.name, "drift", self.drift, 1, finite=True))
+        _closing_row(self.name, self.eta, self.h, self.kinematics)
+        for field in ("deceleration", "reaction"):
+            object.__setattr__(self, field, checked_positive(self.name, field, getattr(self, field)))
+        if self.retreat is not None:
+            object.__setattr__(self, "retreat", checked_positive(self.name, "retreat", self.retreat, zero=True))
+
+    def allowed(self) -> ca.SX:
+        """Return v_max(h), the largest allowed closing speed [m/s]; it is negative if h < 0."""
+        # Proof that s²/(2a) + s (T − 2 dt) ≤ h holds at every step, with c = v_max(h) ≥ 0. If c ≥ s, the vehicle covers
+        # at most c dt of h = cT + c²/(2a); this leaves c (T − dt) + c²/(2a) for a speed ≤ c. If c < s and the step ends
+        # at a speed above c, braking at the rate a leaves a reserve of a dt (T − 2 dt). If c < s and the step ends at
+        # c, let e = s − c. The inequality gives c ≥ e (T − 2 dt)/(2 dt) ≥ e/2, and the vehicle covers at most
+        # c dt + e dt/2 ≤ 2 c dt, which is available.
+        a, reaction = ca.SX(self.deceleration), ca.SX(self.reaction)
+        retreat = a * reaction if self.retreat is None else ca.SX(self.retreat)
+        return ca.fmax(allowed_closing_speed(self.h, deceleration=a, reaction=reaction), -retreat)
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return one limit row a·v ≤ upper, named NAME, where a·v is the closing speed −ḣ [m/s]."""
+        a = _closing_row(self.name, self.eta, self.h, self.kinematics)
+        return (LimitRow(self.name, self.kind, a, ca.SX(-math.inf), self.allowed() + ca.SX(self.drift)),)
+
+
+def allowed_closing_speed(distance: ca.SX, *, deceleration: ca.SX, reaction: ca.SX) -> ca.SX:
+    """Return the largest closing speed [m/s] from which the robot can still stop within a distance d [m].
+
+    At a closing speed s, the braking distance is s²/(2a) + s t. For d ≥ 0, the function returns the s whose braking
+    distance is d: −a t + √((a t)² + 2 a d). For d < 0, the robot is inside the stand-off distance, and the function
+    returns the negative speed d/t, so the robot must retreat.
+
+    Args:
+        distance: d, clearance minus stand-off distance [m], of any sign.
+        deceleration: a > 0 [m/s²], with the thrust available for braking and the largest mass.
+        reaction: reaction time t > 0 [s], the sum of thrust lag, control period and delay of the velocity loop.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.tasks import allowed_closing_speed
+        >>> speed = allowed_closing_speed(ca.SX(0.5), deceleration=ca.SX(0.05), reaction=ca.SX(0.8))
+        >>> round(float(speed), 3)  # m/s, half a metre off
+        0.187
+    """
+    at = deceleration * reaction
+    inside = ca.sqrt(at * at + 2 * deceleration * ca.fmax(distance, 0)) - at
+    return ca.if_else(distance >= 0, inside, distance / reaction)
+
+
+# Consistent actuator limits: velocity and acceleration bounds widened to a velocity that the thrust can reach
+
+
+@dataclass(frozen=True, eq=False)
+class AccelerationLimit:
+    """The limit |v − ν| ≤ a·dt between commanded velocity v and present velocity ν, on each of n axes.
+
+    Attributes:
+        nu: present velocity ν (n,); for n = 4 [m/s, m/s, m/s, rad/s].
+        limit: largest acceleration a (n,), at least 0; for n = 4 [m/s², m/s², m/s², rad/s²].
+        dt: time in which the vehicle is to reach v, greater than 0 [s].
+
+    Raises:
+        InputError: `nu` and `limit` differ in length, a number is negative or not finite, or dt is not greater
+            than 0.
+    """
+
+    nu: Expression
+    limit: Expression
+    _: KW_ONLY
+    dt: Expression
+    name: str = "acceleration"
+    kind: Kind = "actuator"
+
+    def __post_init__(self) -> None:
+        """Check the limit's name and kind, and the shapes of the values."""
+        checked_kind(checked_name(self.name), self.kind)
+        n = width(self.name, "nu", self.nu)
+        object.__setattr__(self, "nu", checked_column(self.name, "nu", self.nu, n, finite=True))
+        object.__setattr__(self, "limit", checked_positive(self.name, "limit", self.limit, n, zero=True))
+        object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
+
+    def box(self) -> VelocityBox:
+        """Return the acceleration limit as a box of velocities with bounds (n,)."""
+        nu, change = ca.SX(self.nu), ca.SX(self.limit) * ca.SX(self.dt)
+        return VelocityBox(nu - change, nu + change, self.name, self.kind)
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return one limit row per velocity, named as by `VelocityBox.rows`."""
+        return self.box().rows()
+
+
+_FORCES = ("Fu", "Fv", "Fw", "Fr")
+
+
+@dataclass(frozen=True, eq=False)
+class ThrustLimit:
+    """The limit lower ≤ M (v − ν)/dt + load ≤ upper on the thrust that changes the velocity from ν to v within dt.
+
+    The thrust follows from the dynamic model, equation (3) of the paper. The load is evaluated at ν, so a vehicle with
+    its thrust at a bound reaches the velocity v with an error of O(dt²). The thrust is the force that acts in the
+    water; if this force lags behind its command, give bounds on its average over the time dt.
+
+    Attributes:
+        nu: present velocity ν (n,); for a vehicle (n = 4) over ground in the body frame {B} [m/s, rad/s].
+        mass: mass matrix M, its diagonal (n,) or symmetric positive definite (n, n) [kg, kg m²].
+        load: (n,) thrust that holds ν: Coriolis force C(ν)ν plus drag D(ν)ν minus other forces [N, N m].
+        lower, upper: (n,) bounds of the thrust [N, N m].
+        dt: time in which the vehicle is to reach v [s].
+
+    Raises:
+        InputError: a shape is wrong, a number is not finite, a mass is not positive, lower > upper, or dt is not
+            greater than 0. The message names the field or the limit row.
+    """
+
+    nu: Expression
+    mass: Expression
+    _: KW_ONLY
+    load: Expression
+    lower: Expression
+    upper: Expression
+    dt: Expression
+    name: str = "thrust"
+    kind: Kind = "actuator"
+
+    def __post_init__(self) -> None:
+        """Check the limit's name and kind, the shapes of the values, and lower ≤ upper."""
+        checked_kind(checked_name(self.name), self.kind)
+        n = width(self.name, "nu", self.nu)
+        for field in ("nu", "load", "lower", "upper"):
+            column = checked_column(self.name, field, getattr(self, field), n, finite=field in ("nu", "load"))
+            object.__setattr__(self, field, column)
+        object.__setattr__(self, "mass", _mass_matrix(self.name, self.mass, n))
+        object.__setattr__(self, "dt", checked_positive(self.name, "dt", self.dt))
+        for i, force in enumerate(axis_names(n, _FORCES)):
+            checked_order(f"{self.name}.{force}", ca.SX(self.lower)[i], ca.SX(self.upper)[i])
+
+    def needed(self, v: ca.SX) -> ca.SX:
+        """Return the thrust (n,) [N, N m] that changes the velocity from ν to v (n,) [m/s, rad/s] within dt."""
+        return ca.SX(self.mass) @ (v - ca.SX(self.nu)) / ca.SX(self.dt) + ca.SX(self.load)
+
+    def toward(self, target: ca.SX) -> ca.SX:
+        """Return the velocity (n,) reached with the thrust for velocity `target` (n,), clipped to the thrust bounds.
+
+        If the needed thrust is within its bounds, this velocity is `target` itself. For a diagonal mass matrix, the
+        reachable velocities form a box, and the result is the point of this box nearest to `target`.
+        """
+        required = self.needed(target)
+        missing = ca.fmin(ca.fmax(required, ca.SX(self.lower)), ca.SX(self.upper)) - required
+        return target + ca.SX(self.dt) * self._divided(missing)
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return one limit row per force [N, N m]: NAME.Fu, NAME.Fv, NAME.Fw, NAME.Fr for n = 4, else NAME.0, …"""
+        slope = ca.densify(ca.SX(self.mass) / ca.SX(self.dt))
+        offset = ca.SX(self.load) - slope @ ca.SX(self.nu)
+        lower, upper = ca.SX(self.lower) - offset, ca.SX(self.upper) - offset
+        return tuple(
+            LimitRow(f"{self.name}.{force}", self.kind, slope[i, :], lower[i], upper[i])
+            for i, force in enumerate(axis_names(lower.numel(), _FORCES))
+        )
+
+    def _divided(self, force: ca.SX) -> ca.SX:
+        mass = ca.SX(self.mass)
+        return force / ca.diag(mass) if mass.sparsity().is_diag() else ca.solve(mass, force)
+
+
+def _mass_matrix(name: str, mass: Expression, n: int) -> ca.SX:
+    # sparse if only the diagonal is given
+    try:
+        matrix = as_expression(mass)
+    except ValueError:
+        raise InputError(
+            "is not numeric", key=f"limit {name}: mass", value=mass, remedy=f"give {n} numbers, or a ({n}, {n}) matrix"
+        ) from None
+    if matrix.shape != (n, n) or n == 1:
+        return ca.diag(checked_positive(name, "mass", matrix, n))
+    if matrix.is_constant() and not _positive_definite(np.array(ca.DM(matrix))):
+        raise InputError("is not symmetric positive definite", key=f"limit {name}: mass", value=matrix)
+    return matrix
+
+
+def _positive_definite(matrix: NDArray[np.float64]) -> bool:
+    symmetric = np.isfinite(matrix).all() and np.array_equal(matrix, matrix.T)
+    return bool(symmetric and np.linalg.eigvalsh(matrix)[0] > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ActuatorLimits:
+    """Limits on velocity, acceleration and thrust; the first two are widened so that a feasible velocity exists.
+
+    Each limit is a set of commanded velocities: B from the velocity bounds, A from the acceleration bounds, and T from
+    the thrust bounds. If the present velocity ν is far outside B, or if drag and Coriolis forces exceed the thrust, the
+    sets may have no common point. The thrust is a physical limit, so T does not change. B and A are widened to contain
+    a point p of T:
+
+        q = the point of A nearest to (the point of B nearest to ν),
+        p = the velocity that the vehicle reaches with the thrust for q, clipped to the thrust bounds,
+        B' = hull(B, p),   A' = hull(A, p).
+
+    B' is the smallest box that contains B and p, and A' is the smallest box that contains A and p. So B', A' and T
+    always have the common point p. The boxes do not change while ν is in B and the thrust can hold ν. If the mass
+    matrix is diagonal and A, B and T have a common point, B' equals B. If the mass matrix is not diagonal, another
+    point of T may widen the boxes less than p does.
+
+    Attributes:
+        box: bounds on the velocity (set B).
+        thrust: bounds on the thrust (set T), with lower ≤ upper.
+        acceleration: bounds on the acceleration (set A), with the same ν and dt as `thrust`; None for no such limit.
+
+    Raises:
+        InputError: ν or dt of `acceleration` differs from that of `thrust`, or two of the limits have the same name.
+    """
+
+    box: VelocityBox
+    thrust: ThrustLimit
+    acceleration: AccelerationLimit | None = None
+
+    def __post_init__(self) -> None:
+        """Check that thrust and acceleration limit have equal ν and dt, and that all limits have different names."""
+        sizes = {ca.SX(v).numel() for v in (self.box.lower, self.thrust.nu)}
+        if len(sizes) > 1:
+            raise InputError("has another number of velocities than the box", key=f"limit {self.thrust.name}")
+        names = [limit.name for limit in (self.box, self.thrust, self.acceleration) if limit is not None]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError("names two of the actuator limits", key=f"limit {name}", remedy="rename one of them")
+        if self.acceleration is None:
+            return
+        for field in ("nu", "dt"):
+            if not ca.is_equal(getattr(self.acceleration, field), getattr(self.thrust, field), 2):
+                raise InputError(
+                    f"has another {field} than limit {self.thrust.name}",
+                    key=f"limit {self.acceleration.name}",
+                    remedy=f"build both from one {field}",
+                )
+
+    def reachable(self) -> ca.SX:
+        """Return the velocity (n,) that the widened boxes contain: the point p of the class docstring."""
+        # For a diagonal mass matrix the axes are independent, T is a box, and p is the point of T nearest to q.
+        # Intervals that intersect in pairs have a common point. The point of an interval I nearest to x lies in every
+        # interval that contains x and intersects I. Hence B' = B if A, B and T intersect. Otherwise B' is the smallest
+        # box that intersects A ∩ T (and A' the smallest box that intersects T, if A does not).
+        target = self.box.nearest(ca.SX(self.thrust.nu))
+        if self.acceleration is not None:
+            target = self.acceleration.box().nearest(target)
+        return self.thrust.toward(target)
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return the limit rows of the widened velocity box, the widened acceleration box, and the thrust limits."""
+        point = self.reachable()
+        rows = self.box.holding(point).rows()
+        if self.acceleration is not None:
+            rows += self.acceleration.box().holding(point).rows()
+        return rows + self.thrust.rows()

@@ -2,15 +2,227 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field
 
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.tasks.set_task import SetTask
-from surctl.tasks.task import Task
+from surctl.tasks.task import (
+    Expression,
+    Kind,
+    Kinematics,
+    LimitRow,
+    Task,
+    as_column,
+    checked_kind,
+    checked_positive,
+    sigma_column,
+    sized_column,
+)
 
-__all__ = ["Stack"]
+__all__ = [
+    "RateLimit",
+    "SetTask",
+    "Stack",
+]
+
+# Set-based task: a quantity σ of the robot's pose that may have any value between two bounds
+
+
+_TURN = 2.0 * math.pi
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SetTask:
+    """A task that keeps σ between two bounds by K(lower − σ) ≤ σ̇ − σ̇_set ≤ K(upper − σ) (Escande et al. 2014).
+
+    K is the gain, and σ̇_set is the rate at which the bounds move. While σ is between its bounds, σ̇ may have both
+    signs. At a bound, σ cannot cross the bound. Outside the bounds, σ converges to the nearer bound with gain K. The
+    bounds on σ̇ change continuously with σ, so the task needs no switching.
+
+    Attributes:
+        name, eta, sigma, gain, unit, kinematics: as in `Task`.
+        lower, upper: bounds of the k entries of σ, (k,) or one number for all [unit of σ]; −inf or inf for no bound.
+        rate: rate σ̇_set at which both bounds move, (k,) or one number [unit of σ per second].
+        angular: σ is an angle [rad], and the allowed values form the arc from lower to upper, shorter than a turn.
+            Outside the arc, σ returns through the smaller angle, so the bounds on σ̇ jump opposite the middle of the
+            arc.
+
+    Raises:
+        InputError: `Task` rejects an attribute, a bound is NaN, lower > upper, or an arc has an infinite bound or is a
+            whole turn or longer. The message names the task.
+    """
+
+    name: str
+    eta: ca.SX
+    sigma: ca.SX
+    lower: Expression
+    upper: Expression
+    rate: Expression = 0.0
+    gain: Expression = 1.0
+    angular: bool = False
+    unit: str = ""
+    kinematics: Kinematics = None
+    _middle: Task = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check the attributes and convert every number to a column with one entry for each entry of σ."""
+        k = int(sigma_column(self.name, self.sigma).shape[0])
+        for bound in ("lower", "upper"):
+            object.__setattr__(self, bound, self._column(bound, k))
+        for i in range(k):
+            self._check_pair(i)
+        # a task for the middle of the arc provides the checks, J and the wrapped error
+        middle = Task(
+            name=self.name,
+            eta=self.eta,
+            sigma=self.sigma,
+            target=0.5 * (ca.SX(self.lower) + ca.SX(self.upper)) if self.angular else 0.0,
+            rate=self.rate,
+            gain=self.gain,
+            angular=self.angular,
+            unit=self.unit,
+            kinematics=self.kinematics,
+        )
+        object.__setattr__(self, "_middle", middle)
+        for same in ("sigma", "rate", "gain", "kinematics"):
+            object.__setattr__(self, same, getattr(middle, same))
+
+    @property
+    def size(self) -> int:
+        """Return k, the number of entries of σ."""
+        return self._middle.size
+
+    @property
+    def mapping(self) -> ca.SX:
+        """Return S(η) (m, n) of η̇ = S(η) v."""
+        return self._middle.mapping
+
+    @property
+    def rate_unit(self) -> str:
+        """Return the unit of σ̇; see `Task.rate_unit`."""
+        return self._middle.rate_unit
+
+    def jacobian(self) -> ca.SX:
+        """Return the Jacobian J, (k, n), with σ̇ = J v; see `Task.jacobian`."""
+        return self._middle.jacobian()
+
+    def slab(self) -> tuple[ca.SX, ca.SX]:
+        """Return the lower and the upper bound on σ̇, (k, 1) each [unit of σ per second]; ±inf for an absent bound."""
+        below, above = self._distances()
+        lower = [self._rate_of(i, below[i], -math.inf) for i in range(self.size)]
+        upper = [self._rate_of(i, above[i], math.inf) for i in range(self.size)]
+        return ca.densify(ca.vertcat(*lower)), ca.densify(ca.vertcat(*upper))
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return the bounds on σ̇ as limit rows of kind "set", named NAME.set (one row) or NAME.set0, NAME.set1, …"""
+        J, (lower, upper) = self.jacobian(), self.slab()
+        return tuple(LimitRow(name, "set", J[i, :], lower[i], upper[i]) for i, name in enumerate(self.row_names("set")))
+
+    def row_names(self, what: str) -> tuple[str, ...]:
+        """Return the names of the limit rows: NAME.WHAT for one row, otherwise NAME.WHAT0, NAME.WHAT1, …"""
+        return self._middle.row_names(what)
+
+    def split(self) -> tuple[SetTask, ...]:
+        """Return one set-based task for each entry of σ, named NAME0, NAME1, …; the task itself if σ has one entry."""
+        if self.size == 1:
+            return (self,)
+        return tuple(
+            SetTask(
+                name=f"{self.name}{i}",
+                eta=self.eta,
+                sigma=self.sigma[i],
+                lower=ca.SX(self.lower)[i],
+                upper=ca.SX(self.upper)[i],
+                rate=ca.SX(self.rate)[i],
+                gain=ca.SX(self.gain)[i],
+                angular=self.angular,
+                unit=self.unit,
+                kinematics=self.kinematics,
+            )
+            for i in range(self.size)
+        )
+
+    def _distances(self) -> tuple[ca.SX, ca.SX]:
+        # for an angle, along the shorter arc
+        lower, upper = ca.SX(self.lower), ca.SX(self.upper)
+        if not self.angular:
+            return lower - self.sigma, upper - self.sigma
+        error, half = self._middle.error(), 0.5 * (upper - lower)
+        return error - half, error + half
+
+    def _rate_of(self, i: int, distance: ca.SX, absent: float) -> ca.SX:
+        """Return the bound on σ̇ from the distance of σ to its bound, or `absent` if σ has no such bound."""
+        if distance.is_constant() and math.isinf(float(distance)):
+            return ca.SX(absent)
+        return ca.SX(self.rate)[i] + ca.SX(self.gain)[i] * distance
+
+    def _column(self, bound: str, k: int) -> ca.SX:
+        key = f"task {self.name}: {bound}"
+        try:
+            column = as_column(getattr(self, bound))
+        except ValueError:
+            raise InputError(
+                "is neither numbers nor a vector expression", key=key, remedy=f"give 1 or {k} numbers"
+            ) from None
+        if column.numel() == 1:
+            column = ca.repmat(column, k, 1)
+        if column.numel() != k:
+            raise InputError(
+                f"has {column.numel()} entries, but sigma has {k}", key=key, remedy=f"give 1 or {k} numbers"
+            )
+        return column
+
+    def _check_pair(self, i: int) -> None:
+        # expressions are not checked
+        lower, upper = ca.SX(self.lower)[i], ca.SX(self.upper)[i]
+        if not (lower.is_constant() and upper.is_constant()):
+            return
+        low, high = float(lower), float(upper)
+        key, value = f"task {self.name}: row {i}", [low, high]
+        if not low <= high or low == math.inf or high == -math.inf:
+            raise InputError("allows no value", key=key, value=value, remedy="give lower <= upper, or inf for none")
+        if self.angular and not high - low < _TURN:
+            raise InputError(
+                "is not an arc", key=key, value=value, remedy="give two angles less than a turn apart, or omit the task"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class RateLimit:
+    """The limit |σ̇_i| ≤ limit_i on every entry of a task's quantity σ, expressed as constraints on the velocity.
+
+    Attributes:
+        task: the task whose quantity σ is limited; it also provides the Jacobian J in σ̇ = J v.
+        limit: largest rate of each of the k entries of σ, (k,) or one number for all, at least 0 [unit of σ per
+            second].
+        kind: kind of limit; see `Kind`.
+
+    Raises:
+        InputError: a shape is wrong, a number is negative or not finite, or the kind is unknown; the message names the
+            task.
+    """
+
+    task: Task | SetTask
+    limit: Expression
+    kind: Kind = "set"
+
+    def __post_init__(self) -> None:
+        """Check the attributes and convert a limit that is one number to a column."""
+        name, k = f"{self.task.name}.rate", self.task.size
+        checked_kind(name, self.kind)
+        column = sized_column(self.limit, (1, k), key=f"limit {name}: limit")
+        column = ca.repmat(column, k, 1) if column.numel() < k else column
+        object.__setattr__(self, "limit", checked_positive(name, "limit", column, k, zero=True))
+
+    def rows(self) -> tuple[LimitRow, ...]:
+        """Return one limit row per entry of σ, named TASK.rate for one entry, otherwise TASK.rate0, TASK.rate1, …"""
+        J, limit = self.task.jacobian(), ca.SX(self.limit)
+        return tuple(
+            LimitRow(name, self.kind, J[i, :], -limit[i], limit[i])
+            for i, name in enumerate(self.task.row_names("rate"))
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -212,7 +212,7 @@ def check_backend(
 
     Example:
         >>> from surctl.testing import check_backend
-        >>> report = check_backend("own", families=["plain", "infeasible"], problems=20)
+        >>> report = check_backend("daqp", families=["plain", "infeasible"], problems=20)
         >>> report.problems, dict(report.unsolved), report.undetected, report.error["plain"] < 1e-8
         (20, {'plain': 0}, 0, True)
     """

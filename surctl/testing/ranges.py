@@ -13,7 +13,15 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
 
-__all__ = ["CheckFailed", "Parameter", "Ranges", "Sampled", "checked_count", "checked_type", "ranges_of"]
+__all__ = [
+    "CheckFailed",
+    "Parameter",
+    "SampledExpressions",
+    "SymbolRanges",
+    "checked_count",
+    "checked_type",
+    "ranges_of",
+]
 
 
 class CheckFailed(SurctlError, AssertionError):
@@ -41,7 +49,7 @@ _MOST_CORNERS = 10  # largest number of entries for which all corners of the box
 
 
 @dataclass(frozen=True, eq=False)
-class Ranges:
+class SymbolRanges:
     """Symbols and their ranges; low, high (total,) are the lowest and highest values of all entries of the symbols."""
 
     symbols: tuple[ca.SX, ...]
@@ -74,14 +82,14 @@ class Ranges:
         )
 
 
-class Sampled:
+class SampledExpressions:
     """Expressions compiled to one numeric function of the values of all symbols, stored in one array.
 
     Raises:
         InputError: the expressions contain a symbol without a range; the message names the symbol.
     """
 
-    def __init__(self, what: str, ranges: Ranges, expressions: Sequence[ca.SX]) -> None:
+    def __init__(self, what: str, ranges: SymbolRanges, expressions: Sequence[ca.SX]) -> None:
         known = ca.vertcat(ca.SX(0, 1), *ranges.symbols)
         for symbol in ca.symvar(ca.veccat(*expressions)):
             if not (known.numel() and ca.depends_on(known, symbol)):
@@ -104,8 +112,8 @@ class Sampled:
         ]
 
 
-def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
-    """Return the parameters as `Ranges`; an InputError names a parameter that is not a symbol or has an empty range."""
+def ranges_of(parameters: Sequence[Parameter]) -> SymbolRanges:
+    """Return the parameters; an InputError names a parameter that is not a symbol or has an empty range."""
     low: list[Array] = []
     high: list[Array] = []
     for parameter in parameters:
@@ -125,7 +133,7 @@ def ranges_of(parameters: Sequence[Parameter]) -> Ranges:
             raise InputError("has two ranges", key=f"parameter {_name(symbol)}", remedy="leave one of them out")
         visited |= hashes
     flat = [np.concatenate([*ends, np.zeros(0)]) for ends in (low, high)]
-    return Ranges(tuple(symbol for symbol, _, _ in parameters), *flat)
+    return SymbolRanges(tuple(symbol for symbol, _, _ in parameters), *flat)
 
 
 def checked_count(key: str, value: object, *, least: int = 1) -> None:

@@ -5,21 +5,31 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.tuning.axes import SEED, Axis, Span, parse_axis
-    from surctl.tuning.design import DESIGNS, ONE_POINT, Design, grid, make_design, random_draws, saltelli, spread
-    from surctl.tuning.executors import DaskExecutor, Executor, LocalExecutor
-    from surctl.tuning.goal_file import LIBRARY, GoalTable
-    from surctl.tuning.goal_search import RunGoal
+    from surctl.tuning.chunked import DaskExecutor, Executor, LocalExecutor
+    from surctl.tuning.design import (
+        DESIGNS,
+        ONE_POINT,
+        SEED,
+        Axis,
+        Design,
+        Span,
+        grid,
+        make_design,
+        parse_axis,
+        random_draws,
+        saltelli,
+        spread,
+    )
+    from surctl.tuning.goals import LIBRARY, GoalTable, RunGoal, load_loop_goals, load_system_goals
     from surctl.tuning.loop_frequency_goals import Effort, LoopShape, MaxGain, Rejection, SensitivityBound, Tracking
     from surctl.tuning.loop_goal_file import LOOP_GOAL_KEYS, LoopGoalTable, PointTable, loop_goal
     from surctl.tuning.loop_goals import Judgement, LoopGoal, LoopView, Profile
     from surctl.tuning.loop_scores import LoopScores, Score, judge_loops, operating_loops
     from surctl.tuning.loop_time_goals import Margins, Overshoot, Poles, Settling, StepRejection, StepTracking
-    from surctl.tuning.share import Share
-    from surctl.tuning.sobol import SobolIndices, sobol_indices
-    from surctl.tuning.system_goals import load_loop_goals, load_system_goals
+    from surctl.tuning.statistics import Share, SobolIndices, sobol_indices
     from surctl.tuning.system_sweep import SystemSweep, sweep_system
     from surctl.tuning.systems import SystemTuning, tune_system
+
 
 __all__ = [
     "DESIGNS",
@@ -78,19 +88,15 @@ __all__ = [
 load_at_first_use(
     __name__,
     {
-        "axes": "Axis SEED Span parse_axis",
-        "design": "DESIGNS ONE_POINT Design grid make_design random_draws saltelli spread",
-        "executors": "DaskExecutor Executor LocalExecutor",
-        "goal_file": "GoalTable LIBRARY",
-        "goal_search": "RunGoal",
+        "chunked": "DaskExecutor Executor LocalExecutor",
+        "design": "Axis DESIGNS Design ONE_POINT SEED Span grid make_design parse_axis random_draws saltelli spread",
+        "goals": "GoalTable LIBRARY RunGoal load_loop_goals load_system_goals",
         "loop_frequency_goals": "Effort LoopShape MaxGain Rejection SensitivityBound Tracking",
         "loop_goal_file": "LOOP_GOAL_KEYS LoopGoalTable PointTable loop_goal",
         "loop_goals": "Judgement LoopGoal LoopView Profile",
         "loop_scores": "LoopScores Score judge_loops operating_loops",
         "loop_time_goals": "Margins Overshoot Poles Settling StepRejection StepTracking",
-        "share": "Share",
-        "sobol": "SobolIndices sobol_indices",
-        "system_goals": "load_loop_goals load_system_goals",
+        "statistics": "Share SobolIndices sobol_indices",
         "system_sweep": "SystemSweep sweep_system",
         "systems": "SystemTuning tune_system",
     },

@@ -2,34 +2,209 @@
 
 from __future__ import annotations
 
+import logging
+import os
+import signal
+import tempfile
+import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import wait
 from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
+from surctl.errors import InputError, SurctlError
+from surctl.recorded_write import Column, write_netcdf
 from surctl.store import ChunkStore, cannot_write
-from surctl.tuning.executors import Chunk, Evaluator, Executor
+from surctl.tuning.design import Axis, Design, Span
 
 __all__ = [
     "TABLE",
+    "Chunk",
     "Columns",
+    "DaskExecutor",
+    "Evaluator",
+    "Executor",
+    "LocalExecutor",
     "Progress",
     "SweepStage",
+    "axis_columns",
     "chunk_size",
     "evaluated_chunks",
     "finished_table",
+    "netcdf_name",
     "run_chunks",
+    "swept_file",
 ]
+
+Chunk = tuple[int, NDArray[np.float64]]
+"""Index of a chunk, and the points (rows, axes) of the chunk."""
+
+Evaluator = Callable[[int, NDArray[np.float64]], NDArray[np.float64]]
+"""Function (index of the chunk, points (rows, axes)) → (rows, columns); pickled by name for other processes."""
+
+Results = Generator[tuple[int, NDArray[np.float64]], None, None]
+
+_CONNECT_TIMEOUT = 8.0  # [s] until a connection attempt fails
+_RETRIES = 2
+
+
+class Executor(Protocol):
+    """Interface of an executor; results must depend neither on the executor nor on the order of the chunks."""
+
+    def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, in any order."""
+
+
+@dataclass(frozen=True)
+class LocalExecutor:
+    """Executor on this machine: one worker runs in the calling process, several workers run in spawned processes.
+
+    Attributes:
+        workers: number of processes that evaluate chunks.
+        alone_s: work [s] that the calling process does before it starts other processes. Each of them needs seconds of
+            processor time to load its libraries, which is longer than most small sweeps take.
+
+    Raises:
+        InputError: `workers` is less than 1.
+        SurctlError: a worker died.
+    """
+
+    workers: int = 1
+    alone_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        if self.workers < 1:
+            raise InputError("must be at least 1", key="workers", value=self.workers, remedy="write 1")
+
+    def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
+        chunks = deque(chunks)
+        worked = 0.0
+        while chunks and (self.workers == 1 or len(chunks) == 1 or worked < self.alone_s):
+            index, points = chunks.popleft()
+            began = time.perf_counter()
+            result = function(index, points)
+            worked += time.perf_counter() - began
+            yield index, result
+        if not chunks:
+            return
+        with ProcessPoolExecutor(
+            min(self.workers, len(chunks)),
+            mp_context=get_context("spawn"),  # a forked child would inherit the locks of numerical libraries
+            initializer=_begin,
+        ) as pool:
+            jobs = {pool.submit(function, index, points): index for index, points in chunks}
+            try:
+                for job in as_completed(jobs):
+                    yield jobs.pop(job), job.result()
+            except BrokenProcessPool:
+                raise SurctlError(
+                    "a worker process died (out of memory?); finished chunks are stored; repeat the command to resume"
+                ) from None
+            finally:
+                for job in jobs:
+                    job.cancel()
+
+
+def _begin() -> None:
+    # ignores Ctrl-C in a worker process, prints a warning as one line, and ends with the parent process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
+    warnings.formatwarning = lambda message, *_, **__: f"surctl: {message}\n"
+
+
+def _end_with(sentinel: int) -> None:
+    wait([sentinel])
+    os._exit(1)
+
+
+@dataclass(frozen=True)
+class DaskExecutor:
+    """Executor on the workers of a Dask scheduler; every worker needs surctl, and compiles the simulated loops itself.
+
+    The scheduler gives the chunks of a lost worker to another worker. A failed chunk is tried again, at most twice.
+
+    Raises:
+        InputError: dask.distributed is not installed, no scheduler replies at the address, or the scheduler has no
+            worker.
+        SurctlError: the cluster was lost while chunks were running.
+    """
+
+    address: str
+
+    def map_chunks(self, function: Evaluator, chunks: Iterable[Chunk]) -> Results:
+        """Evaluate all chunks; yield the pair (index, result) of every chunk, as in `Executor`."""
+        chunks = list(chunks)
+        if not chunks:
+            return
+        try:
+            import distributed
+        except ImportError:
+            raise InputError(
+                "dask.distributed is not installed", key="--dask", remedy="pip install 'surctl[cluster]'"
+            ) from None
+        logger = logging.getLogger("distributed")
+        level = logger.level
+        logger.setLevel(logging.CRITICAL)  # a lost worker is reported below in one line, or not at all
+        client = None
+        try:
+            client = self._connect(distributed)
+            jobs = {client.submit(function, *chunk, pure=False, retries=_RETRIES): chunk[0] for chunk in chunks}
+            for job in distributed.as_completed(list(jobs), loop=client.loop):
+                yield jobs.pop(job), job.result()
+        except (distributed.KilledWorker, CancelledError, OSError) as error:
+            raise SurctlError(
+                f"the cluster at {self.address} was lost ({type(error).__name__}); finished chunks are stored; "
+                "repeat the command to resume"
+            ) from None
+        finally:
+            if client is not None:
+                client.close()
+            logger.setLevel(level)
+
+    def _connect(self, distributed: Any) -> Any:
+        try:
+            client = distributed.Client(self.address, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+        except (OSError, TimeoutError, ValueError, ImportError) as error:
+            raise InputError(
+                f"no scheduler replies ({type(error).__name__})",
+                key="--dask",
+                value=self.address,
+                remedy="start one with `dask scheduler` and give its address, such as tcp://127.0.0.1:8786",
+            ) from None
+        try:
+            client.wait_for_workers(1, timeout=_CONNECT_TIMEOUT)
+        except TimeoutError:
+            client.close()
+            raise InputError(
+                "the scheduler has no worker",
+                key="--dask",
+                value=self.address,
+                remedy=f"start one with `dask worker {self.address}`",
+            ) from None
+        return client
+
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str], None]
 Columns = Callable[[int, int], Floats]
 """Function (index of the stage, index of the column) → values (rows of the stage,), read from the stored chunks."""
+
+Variables = tuple[Mapping[str, int], Mapping[str, Column] | Iterable[tuple[str, Column]], Mapping[str, Any]]
+"""Dimensions, variables and attributes of the file of a sweep."""
 
 TABLE = "sweep.nc"
 """Name of the file of a finished sweep."""
@@ -65,6 +240,63 @@ def chunk_size(count: int, *, most: int) -> int:
     It does not depend on the executor, so that any executor can resume a sweep.
     """
     return max(1, min(most, -(-count // _MOST_CHUNKS)))
+
+
+@contextmanager
+def swept_file(
+    function: Evaluator,
+    stages: Sequence[SweepStage],
+    variables: Callable[[Columns], Variables],
+    *,
+    out: Path | None,
+    request: str,
+    executor: Executor | None,
+    progress: Progress,
+) -> Iterator[Path]:
+    """Yield the netCDF file of a finished sweep, which is evaluated unless the folder `out` has it.
+
+    Without a folder, the file exists inside the `with` statement only.
+
+    Args:
+        function, stages, request, executor, progress: as for `evaluated_chunks`; the executor is by default the calling
+            process.
+        variables: function from the stored columns to what the file holds.
+        out: folder of the sweep.
+    """
+    with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as scratch:
+        folder = Path(scratch) if out is None else out
+        path = finished_table(folder, request, progress=progress)
+        if path is None:
+            executor = executor or LocalExecutor()
+            with evaluated_chunks(
+                function, stages, out=folder, request=request, executor=executor, progress=progress
+            ) as stored:
+                sizes, columns, attributes = variables(stored)
+                path = write_netcdf(folder / TABLE, columns, sizes=sizes, attributes=attributes, checksums=True)
+        yield path
+
+
+def axis_columns(
+    design: Design, quantity: Callable[[str], tuple[str, str]]
+) -> tuple[dict[str, int], dict[str, Column]]:
+    """Return the dimensions of a design (the axes of a grid, else `point`), and a column for each of its axes.
+
+    `quantity` returns unit and meaning of a number by its name.
+    """
+    grid = design.kind == "grid"
+    names = [netcdf_name(name) for name in design.names]
+    sizes = dict(zip(names if grid else ["point"], design.shape, strict=True))
+    columns = {}
+    axes: tuple[Axis | Span, ...] = design.axes
+    for k, (name, axis) in enumerate(zip(names, axes, strict=True)):
+        values = np.array(axis.values) if isinstance(axis, Axis) else design.points[:, k]
+        columns[name] = Column(values, *quantity(axis.name), (name if grid else "point",))
+    return sizes, columns
+
+
+def netcdf_name(name: str) -> str:
+    """Return the name of a parameter without slashes, because netCDF reads a slash as the separator of a path."""
+    return name.replace("/", "|")
 
 
 @contextmanager

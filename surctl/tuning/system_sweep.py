@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl import __version__
 from surctl.errors import InputError, SurctlError
-from surctl.recorded_write import Column, write_netcdf
+from surctl.recorded_write import Column
 from surctl.system import (
     ENDED,
     LOST,
@@ -28,14 +27,21 @@ from surctl.system import (
     periods,
     simulate_system,
 )
-from surctl.system.record_file import identity
+from surctl.system.record import identity
 from surctl.system.runs import loop_program
 from surctl.system.subjects import load_subject
 from surctl.system.values import check_scalar, run_numbers, unit_of
-from surctl.tuning.axes import MOST_POINTS, SEED
-from surctl.tuning.chunked import TABLE, Columns, Progress, SweepStage, chunk_size, evaluated_chunks, finished_table
-from surctl.tuning.design import Design
-from surctl.tuning.executors import Executor, LocalExecutor
+from surctl.tuning.chunked import (
+    Columns,
+    Executor,
+    Progress,
+    SweepStage,
+    Variables,
+    axis_columns,
+    chunk_size,
+    swept_file,
+)
+from surctl.tuning.design import MOST_POINTS, SEED, Design
 
 __all__ = ["SystemSweep", "sweep_system"]
 
@@ -175,23 +181,37 @@ def sweep_system(
     size, width = max(_LEAST, chunk_size(len(rows), most=_MOST)), len(system.costs) + 2 + system.plant.state.size
     stage = SweepStage(rows, size, width, counted="runs")
     function = _Evaluator(system, names, seconds, fixed, threads, source, loop_program(system).digest())
-    with tempfile.TemporaryDirectory(prefix="surctl-sweep-") as scratch:
-        folder = Path(scratch) if out is None else out
-        path = finished_table(folder, request, progress=progress)
-        if path is None:
-            path = folder / TABLE
-            executor = executor or LocalExecutor()
-            with evaluated_chunks(
-                function, [stage], out=folder, request=request, executor=executor, progress=progress
-            ) as stored:
-                runs = _runs(system, stored)
-                if out is not None:
-                    origin = {**identity(system), **about, "seconds": seconds, "request": request}
-                    sizes, columns = _columns(system, design, random, runs)
-                    write_netcdf(path, columns, sizes=sizes, attributes=origin, checksums=True)
-        else:
-            runs = _loaded(system, path)
+
+    def variables(stored: Columns) -> Variables:
+        origin = {**identity(system), **about, "seconds": seconds, "request": request}
+        return *_columns(system, design, random, stored), origin
+
+    with swept_file(
+        function, [stage], variables, out=out, request=request, executor=executor, progress=progress
+    ) as path:
+        runs = _loaded(system, path)
     return SystemSweep(system, design, random, runs, None if out is None else path)
+
+
+def _columns(
+    system: System, design: Design, random: Mapping[str, Array], stored: Columns
+) -> tuple[dict[str, int], dict[str, Column]]:
+    """Return the dimensions and variables of the file."""
+    count = len(system.costs)
+    sizes, columns = axis_columns(design, lambda name: (unit_of(system, name), name))
+    if random:
+        run = SEED if SEED in random else "draw"
+        sizes[run] = len(next(iter(random.values())))
+        for name, values in random.items():
+            columns[name] = Column(values, unit_of(system, name), name, (run,))
+    for k, (name, cost) in enumerate(system.costs.items()):
+        columns[name] = Column(stored(0, k), cost.unit, cost.meaning or name)
+    stopped = np.array(_reasons(system))[stored(0, count).astype(int)]
+    columns["run.stopped"] = Column(stopped, "", "why the run ended")
+    columns["run.duration"] = Column(stored(0, count + 1), "s", "duration of the run")
+    for k, (label, unit) in enumerate(zip(*_states(system), strict=True)):
+        columns[label] = Column(stored(0, count + 2 + k), unit, "state at the end of the run")
+    return sizes, columns
 
 
 def _combined(design: Design, draws: Mapping[str, Array]) -> dict[str, Array]:
@@ -272,38 +292,6 @@ def _elsewhere(
 
 def _reasons(system: System) -> list[str]:
     return [ENDED, *system.stops, LOST]
-
-
-def _runs(system: System, stored: Columns) -> Runs:
-    count, states = len(system.costs), system.plant.state.size
-    figures = {name: stored(0, k) for k, name in enumerate(system.costs)}
-    stopped = np.array(_reasons(system))[stored(0, count).astype(int)]
-    state = np.column_stack([stored(0, count + 2 + k) for k in range(states)])
-    return Runs(figures, stopped, stored(0, count + 1), state)
-
-
-def _columns(
-    system: System, design: Design, random: Mapping[str, Array], runs: Runs
-) -> tuple[dict[str, int], dict[str, Column]]:
-    """Return the dimensions and variables of the file."""
-    points = design.names if design.kind == "grid" else ("point",)
-    sizes = dict(zip(points, design.shape, strict=True))
-    columns = {}
-    for k, (name, axis) in enumerate(zip(design.names, design.axes, strict=True)):
-        values = np.array(axis.values) if name in sizes and hasattr(axis, "values") else design.points[:, k]
-        columns[name] = Column(values, unit_of(system, name), name, (name if name in sizes else "point",))
-    if random:
-        run = SEED if SEED in random else "draw"
-        sizes[run] = len(next(iter(random.values())))
-        for name, values in random.items():
-            columns[name] = Column(values, unit_of(system, name), name, (run,))
-    for name, cost in system.costs.items():
-        columns[name] = Column(runs[name], cost.unit, cost.meaning or name)
-    columns["run.stopped"] = Column(runs.stopped, "", "why the run ended")
-    columns["run.duration"] = Column(runs.time, "s", "duration of the run")
-    for k, (label, unit) in enumerate(zip(*_states(system), strict=True)):
-        columns[label] = Column(runs.state[:, k], unit, "state at the end of the run")
-    return sizes, columns
 
 
 def _states(system: System) -> tuple[list[str], list[str]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -13,15 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.store import ChunkStore
 from surctl.system import ENDED, System, every_combination, simulate_system
 from surctl.system.values import check_scalar, run_numbers
-from surctl.tuning.goal_search import GOALS, NO_POINTS, GoalSearch, RunGoal
+from surctl.tuning.goals import GOALS, NO_POINTS, GoalSearch, RunGoal
 from surctl.tuning.loop_goals import LoopGoal
 from surctl.tuning.loop_scores import LoopScores
+from surctl.tuning.search import Batches, Journal, SearchRange, evolve
 from surctl.tuning.system_sweep import request_digest
-from surctl.verification.linear.disk import LEAST_DISK_MARGIN
-from surctl.verification.system_corners import system_corners
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.sampled_margins import system_corners
 
 __all__ = ["SystemTuning", "tune_system"]
 
@@ -79,7 +78,10 @@ class SystemTuning:
         margin = "not judged, there is no equilibrium" if self.disk_margin is None else f"{self.disk_margin:.3f}"
         lines += [] if self.goals is None else self.goals.lines()
         for goal in self.run_goals:
-            lines.append(goal.line(self.costs[goal.cost], self.before[goal.cost], system.costs[goal.cost].unit))
+            reached, before = self.costs[goal.metric], self.before[goal.metric]
+            share = float(goal.normalised(np.array(reached)))
+            text = f"{reached:.4g} {goal.unit} for {goal.limit:.4g} (before {before:.4g}), run"
+            lines.append(f"{'met    ' if share <= 1 else 'NOT MET'} {goal.name} ({goal.kind}): {share:.3f}, {text}")
         mark = self._mark("disk margin")
         return [*lines, f"{mark}disk margin at the worst corner: {margin}, at least {self.least_disk_margin:g}"]
 
@@ -104,7 +106,7 @@ def tune_system(
     run_goals: Sequence[RunGoal] = (),
     progress: Callable[[int, Mapping[str, float]], object] = lambda *_: None,
 ) -> SystemTuning:
-    """Search gains that minimise a cost of a system, by scipy's differential evolution over compiled runs.
+    """Search gains that minimise a cost of a system, by differential evolution over compiled runs.
 
     With soft `goals`, the largest normalised value of them is minimised instead, as `systune` does; costs with a bound
     keep it. Hard goals are bounds.
@@ -154,19 +156,14 @@ def tune_system(
         >>> 2.5 < tuned.gains["k"] < 3.0, tuned.unmet
         (True, ())
     """
-    from scipy.optimize import differential_evolution
-
     name = check_tuning(system, ranges, cases or {}, objective=objective, goals=(*goals, *run_goals))
     for point, values in points.items():
         for gain in values.keys() & ranges.keys():
             remedy = f"drop it from the point; {gain} has one value at all points"
             raise InputError("is searched", key=f"point {point}", value=gain, remedy=remedy)
     judged = GoalSearch(system, tuple(goals), points) if goals else None
-    names, (low, high) = list(ranges), np.array(list(ranges.values()), dtype=float).T
-    logarithmic = low > 0
-    ends = np.column_stack([np.where(logarithmic, np.log(np.where(logarithmic, e, 1)), e) for e in (low, high)])
-    size = max(5, min(_POPULATION * len(names), trials))
-    store = None
+    size = max(5, min(_POPULATION * len(ranges), trials))
+    journal, request = Journal(out), ""
     if out is not None:
         first = run_numbers(
             system, every_combination({gain: bounds[0] for gain, bounds in ranges.items()}, cases or {})
@@ -174,31 +171,21 @@ def tune_system(
         aims = [str(goal.to_dict()) for goal in goals], [(p, sorted(v.items())) for p, v in points.items()], run_goals
         about = f"{name} {size} {seed} {sorted(ranges.items())} {first.digest()} {aims}"
         request = request_digest(system, seconds, about)
-        store = ChunkStore(out / "tune.chunks" / request[:16], request)
-    search = _Search(system, seconds, names, dict(cases or {}), name, threads, judged, tuple(run_goals), store)
-
-    def cost_of(points: Array) -> Array:
-        """Return the penalised cost of each gain set, that is, of each column of `points`."""
-        sets = np.clip(np.where(logarithmic[:, None], np.exp(points), points), low[:, None], high[:, None])
-        values = search.penalised(sets.T)
-        progress(*search.best)
-        return values
-
-    with nullcontext() if store is None else store.open():
-        differential_evolution(
-            cost_of,
-            ends,
-            popsize=max(1, round(size / len(names))),
-            maxiter=max(0, trials // size - 1),
-            seed=seed,
-            polish=False,
-            vectorized=True,
-            updating="deferred",
-            tol=0,
+    with journal.held():
+        batches = journal.batches(request, width=len(ranges) + len(system.costs) + 3)
+        search = _Search(
+            system, seconds, list(ranges), dict(cases or {}), name, threads, batches, judged, tuple(run_goals)
         )
+
+        def value(sets: Array) -> Array:
+            values = search.penalised(sets)
+            progress(*search.best)
+            return values
+
+        space = [SearchRange(gain, *map(float, ends)) for gain, ends in ranges.items()]
+        evolve(value, space, size=size, batches=trials // size, seed=seed)
         chosen = search.chosen(least_disk_margin)
-    if store is not None:
-        store.remove()
+    journal.remove(request)
     return chosen
 
 
@@ -248,16 +235,15 @@ class _Search:
         cases: dict[str, ArrayLike],
         objective: str,
         threads: int,
-        goals: GoalSearch | None = None,
-        run_goals: tuple[RunGoal, ...] = (),
-        store: ChunkStore | None = None,
+        batches: Batches,
+        goals: GoalSearch | None,
+        run_goals: tuple[RunGoal, ...],
     ) -> None:
         self.system, self.seconds, self.names, self.objective, self.threads = system, seconds, names, objective, threads
         arrays = {name: np.asarray(value, dtype=float) for name, value in cases.items()}
         self.count = max((len(a) for a in arrays.values() if a.ndim), default=1)
         self.cases = arrays
-        self.goals, self.run_goals = goals, run_goals
-        self.store, self.restored = store, 0
+        self.goals, self.run_goals, self.batches = goals, run_goals, batches
         self.sets: list[Array] = []
         self.figures: list[Array] = []
         self.scores: list[Array] = []  # largest normalised soft goal, excess of the hard ones
@@ -277,21 +263,11 @@ class _Search:
         columns = [np.where(whole, runs[name], np.inf).reshape(n, k).mean(axis=1) for name in self.system.costs]
         return np.column_stack(columns)
 
-    def evaluated(self, sets: Array) -> tuple[Array, Array]:
-        """Return the costs (sets, costs) and the scores of the goals about the loop (sets, 2), stored ones if known."""
-        index, gains, count = len(self.sets), len(self.names), len(self.system.costs)
-        shape = (len(sets), gains + count + 3)
-        if self.store is not None and self.store.has(index, shape):
-            stored = np.column_stack([self.store.column(index, shape, k) for k in range(shape[1])])
-            if np.array_equal(stored[:, :gains], sets):
-                self.restored += len(sets)
-                self.lasted = stored[:, -1]
-                return stored[:, gains : gains + count], stored[:, gains + count : -1]
+    def results(self, sets: Array) -> Array:
+        """Return costs, scores of the goals about the loop, and share of the duration (sets, costs + 3)."""
         figures = self.costs(sets)
         scores = np.zeros((len(sets), 2)) if self.goals is None else self.goals.scores(self.names, sets)
-        if self.store is not None:
-            self.store.write(index, np.column_stack([sets, figures, scores, self.lasted]))
-        return figures, scores
+        return np.column_stack([figures, scores, self.lasted])
 
     def excess(self, figures: Array) -> Array:
         """Return (sets, costs) by how much each cost exceeds its bound, relative to the bound; 0 within the bound."""
@@ -308,7 +284,8 @@ class _Search:
         For a set that breaks a bound, the value is a large number that grows with the excess. For a set with runs that
         end early, the value is a still larger number, which decreases if the runs end later.
         """
-        figures, scores = self.evaluated(sets)
+        table = self.batches.evaluated(sets, self.results)
+        figures, scores, self.lasted = table[:, len(self.names) : -3], table[:, -3:-1].copy(), table[:, -1]
         for goal in self.run_goals:
             share = self.share(goal, figures)
             if goal.kind == "soft":
@@ -370,7 +347,7 @@ class _Search:
             after,
             before,
             self.run_goals,
-            self.restored,
+            self.batches.restored,
         )
 
     def value(self, figures: Array, scores: Array) -> Array:
@@ -379,7 +356,7 @@ class _Search:
 
     def share(self, goal: RunGoal, figures: Array) -> Array:
         """Return the normalised value (sets,) of a goal about runs from costs (sets, costs)."""
-        return goal.normalised(figures[:, list(self.system.costs).index(goal.cost)])
+        return goal.normalised(figures[:, list(self.system.costs).index(goal.metric)])
 
     def margin(self, gains: Array) -> float | None:
         """Return the disk margin at the first case, at the worst corner of the ranges; None without an equilibrium."""

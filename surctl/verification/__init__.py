@@ -10,11 +10,10 @@ if TYPE_CHECKING:
     from surctl.verification.counterexample import Counterexample, Replay, evaluate, replay
     from surctl.verification.decide import decide
     from surctl.verification.falsifier import falsify
-    from surctl.verification.margins import LoopMargins, margins_of
+    from surctl.verification.loops import LoopMargins
     from surctl.verification.proving import Proof, prove
-    from surctl.verification.sampled_margins import system_disk_margin, system_margins
+    from surctl.verification.sampled_margins import SystemCorners, system_corners, system_disk_margin, system_margins
     from surctl.verification.setting import Setting, setting_from
-    from surctl.verification.system_corners import SystemCorners, system_corners
     from surctl.verification.verdict import Inapplicable, Verdict
 
 __all__ = [
@@ -34,7 +33,6 @@ __all__ = [
     "evaluate",
     "falsify",
     "load_claim",
-    "margins_of",
     "prove",
     "replay",
     "setting_from",
@@ -52,11 +50,10 @@ load_at_first_use(
         "counterexample": "Counterexample Replay evaluate replay",
         "decide": "decide",
         "falsifier": "falsify",
-        "margins": "LoopMargins margins_of",
+        "loops": "LoopMargins",
         "proving": "Proof prove",
-        "sampled_margins": "system_disk_margin system_margins",
+        "sampled_margins": "SystemCorners system_corners system_disk_margin system_margins",
         "setting": "Setting setting_from",
-        "system_corners": "SystemCorners system_corners",
         "verdict": "Inapplicable Verdict",
     },
 )

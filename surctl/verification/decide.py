@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from surctl.certcheck import check_document
 from surctl.errors import InputError
 from surctl.verification.claim import Claim, VerdictWord
-from surctl.verification.counterexample import Counterexample
+from surctl.verification.counterexample import Counterexample, Oracle, build_oracle
 from surctl.verification.doubtful import exceeding, special_points, undefined_at
 from surctl.verification.falsifier import Search, search, sobol
 from surctl.verification.formula import Statement
-from surctl.verification.oracle import Oracle, build_oracle
 from surctl.verification.proving import certain_excess, prove
 from surctl.verification.verdict import Verdict
 

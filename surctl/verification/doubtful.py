@@ -3,18 +3,261 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import Enum
 from fractions import Fraction
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
+from mpmath import libmp
 from numpy.typing import NDArray
 
-from surctl.verification.formula import Node, Statement, number, ordered, power, values_of
-from surctl.verification.formula.text import text_of
-from surctl.verification.proving.pointwise import UNDEFINED, Pointwise
+from surctl.verification.formula import Node, Statement, number, ordered, power, substitute, text_of, values_of
 from surctl.verification.proving.tape import build_tape
+from surctl.verification.proving.touching import vanishes
 
-__all__ = ["exceeding", "special_points", "undefined_at"]
+__all__ = [
+    "UNDEFINED",
+    "Pointwise",
+    "exceeding",
+    "special_points",
+    "undefined_at",
+]
+
+# Values of expressions at one rational point, in intervals of 256 bits; whether a value exists at all is decided too.
+#
+# Doubles lose digits where large numbers cancel, and a value at which an expression is not defined (1/0, the logarithm
+# of 0) is often hidden behind later operations. Here every number has its exact value, and a comparison with 0 that
+# intervals cannot decide is decided by exact rewriting.
+
+
+_BITS = 256
+_LARGEST = 2**20  # largest argument of exp, sinh and cosh
+_ONE = (libmp.fone, libmp.fone)
+_ZERO = (libmp.fzero, libmp.fzero)
+
+Interval = tuple[Any, Any]
+
+
+class _Mark(Enum):
+    UNDEFINED = "undefined"
+
+
+UNDEFINED = _Mark.UNDEFINED
+"""The result for an expression that has no value at the point."""
+
+Value = Any  # an interval, UNDEFINED or None; libmp has no types
+
+_INCREASING: Mapping[str, Callable[[Any], Any]] = MappingProxyType(
+    {"exp": lambda x: libmp.mpf_exp(x, _BITS), "log": lambda x: libmp.mpf_log(x, _BITS),
+     "sinh": lambda x: libmp.mpf_sinh(x, _BITS), "tanh": lambda x: libmp.mpf_tanh(x, _BITS),
+     "asin": lambda x: libmp.mpf_asin(x, _BITS), "atan": lambda x: libmp.mpf_atan(x, _BITS),
+     "tan": lambda x: libmp.mpf_tan(x, _BITS)}
+)  # fmt: skip
+_ARITHMETIC: Mapping[str, Callable[[Interval, Interval], Interval]] = MappingProxyType(
+    {"add": lambda a, b: libmp.mpi_add(a, b, _BITS), "sub": lambda a, b: libmp.mpi_sub(a, b, _BITS),
+     "mul": lambda a, b: libmp.mpi_mul(a, b, _BITS)}
+)  # fmt: skip
+
+
+class Pointwise:
+    """The values of expressions at a point.
+
+    Args:
+        point: exact value of each variable.
+
+    Example:
+        >>> from fractions import Fraction
+        >>> from surctl.verification.formula import parse, variable
+        >>> from surctl.verification.doubtful import UNDEFINED, Pointwise
+        >>> at = Pointwise({"x": Fraction(0)})
+        >>> at.value(parse("1/(1/x)", {"x": variable("x")})) is UNDEFINED
+        True
+        >>> at.at_most_zero(parse("sin(pi) - x", {"x": variable("x")}))
+        True
+    """
+
+    def __init__(self, point: Mapping[str, Fraction]) -> None:
+        self._numbers = {name: number(value) for name, value in point.items()}
+        self._known: dict[Node, Value] = {}
+        self.culprit: Node | None = None
+
+    def value(self, node: Node) -> Value:
+        """Return an interval around the value of an expression, UNDEFINED, or None if neither is certain."""
+        if node not in self._known:
+            self._known[node] = self._value(node)
+            if self._known[node] is UNDEFINED and self.culprit is None:
+                self.culprit = node
+        return self._known[node]
+
+    def least(self, node: Node) -> float:
+        """Return a lower bound of the value of an expression; −inf if it may be undefined."""
+        value = self.value(node)
+        return float(libmp.to_float(value[0], rnd="f")) if isinstance(value, tuple) else float("-inf")
+
+    def at_most_zero(self, node: Node) -> bool:
+        """Return whether an expression is certainly ≤ 0."""
+        value = self.value(node)
+        return isinstance(value, tuple) and (libmp.mpf_le(value[1], libmp.fzero) or self._zero(node, value))
+
+    def sign(self, node: Node) -> int | None:
+        """Return the certain sign of an expression; None if it is not certain."""
+        value = self.value(node)
+        if not isinstance(value, tuple):
+            return None
+        if libmp.mpf_gt(value[0], libmp.fzero):
+            return 1
+        if libmp.mpf_lt(value[1], libmp.fzero):
+            return -1
+        return 0 if self._zero(node, value) else None
+
+    def _zero(self, node: Node, value: Interval) -> bool:
+        if libmp.mpf_gt(value[0], libmp.fzero) or libmp.mpf_lt(value[1], libmp.fzero):
+            return False
+        return value == _ZERO or vanishes(substitute(node, self._numbers))
+
+    def _value(self, node: Node) -> Value:
+        if node.op == "select":
+            return self._select(node)
+        args: list[Interval] = []
+        for a in node.args:
+            value = self.value(a)
+            if value is UNDEFINED:
+                return UNDEFINED
+            if value is None:
+                return None
+            args.append(value)
+        if node.op in _ARITHMETIC:
+            return _ARITHMETIC[node.op](args[0], args[1])
+        match node.op:
+            case "num":
+                return _rational(node.value)
+            case "var":
+                return _rational(self._numbers[node.name].value)
+            case "pi":
+                return libmp.mpf_pi(_BITS, "f"), libmp.mpf_pi(_BITS, "c")
+            case "neg":
+                return libmp.mpi_neg(args[0])
+            case "abs":
+                return libmp.mpi_abs(args[0], _BITS)
+            case "min" | "max":
+                first = libmp.mpf_le if node.op == "min" else libmp.mpf_ge
+                return tuple(x if first(x, y) else y for x, y in zip(*args, strict=True))
+            case "div":
+                return self._quotient(args[0], node.args[1])
+            case "pow":
+                power = libmp.mpi_pow_int(args[0], abs(node.value.numerator), _BITS)
+                return power if node.value >= 0 else self._quotient(_ONE, node.args[0], power)
+            case "sin" | "cos":
+                return _wave(node.op, args[0])
+            case "atan2":
+                return self._angle(node, *args)
+        return self._function(node, args[0])
+
+    def _select(self, node: Node) -> Value:
+        a, b, x, y = node.args
+        if UNDEFINED in (self.value(a), self.value(b)):
+            return UNDEFINED
+        sign = self.sign(a - b)
+        return None if sign is None else self.value(x if sign <= 0 else y)
+
+    def _quotient(self, over: Interval, base: Node, under: Interval | None = None) -> Value:
+        """Return over / base, or over / under for a power of the base."""
+        sign = self.sign(base)
+        if not sign:
+            return None if sign is None else UNDEFINED
+        value = self.value(base) if under is None else under
+        return libmp.mpi_div(over, value, _BITS)
+
+    def _function(self, node: Node, a: Interval) -> Value:
+        """Return the value of a function of one variable; the sign of a distance to its domain decides."""
+        op, inside = node.op, node.args[0]
+        if op in ("sqrt", "log", "powr"):
+            sign = self.sign(inside)
+            open_end = op == "log" or (op == "powr" and node.value < 0)
+            if sign is None:
+                return None
+            if sign < 0 or (sign == 0 and open_end):
+                return UNDEFINED
+            if sign == 0:
+                return _ZERO
+            if op == "sqrt":
+                return libmp.mpi_sqrt(a, _BITS)
+            if op == "powr":
+                exponent = libmp.mpi_mul(_rational(node.value), _monotone("log", a), _BITS)
+                return _monotone("exp", exponent) if _small(exponent) else None
+        elif op in ("asin", "acos"):
+            sign = self.sign(number(1) - inside * inside)
+            if sign is None or sign < 0:
+                return None if sign is None else UNDEFINED
+            a = _clipped(a)
+            if op == "acos":
+                half = libmp.mpi_div(self.value(Node("pi")), _rational(Fraction(2)), _BITS)
+                return libmp.mpi_sub(half, _monotone("asin", a), _BITS)
+        elif op == "tan":
+            sign = self.sign(Node("cos", (inside,)))
+            if not sign:
+                return None if sign is None else UNDEFINED
+        elif op == "cosh":
+            a = libmp.mpi_abs(a, _BITS)
+            if not _small(a):
+                return None
+            both = _monotone("exp", a), _monotone("exp", libmp.mpi_neg(a))
+            return libmp.mpi_div(libmp.mpi_add(*both, _BITS), _rational(Fraction(2)), _BITS)
+        elif op in ("exp", "sinh") and not _small(a):
+            return None
+        return _monotone(op, a) if op in _INCREASING else None
+
+    def _angle(self, node: Node, y: Interval, x: Interval) -> Value:
+        above, ahead = self.sign(node.args[0]), self.sign(node.args[1])
+        pi = self.value(Node("pi"))
+        assert isinstance(pi, tuple)
+        half = libmp.mpi_div(pi, _rational(Fraction(2)), _BITS)
+        if above == 0 and ahead is not None:
+            return UNDEFINED if ahead == 0 else _ZERO if ahead > 0 else pi
+        if ahead == 1:
+            return _monotone("atan", libmp.mpi_div(y, x, _BITS))
+        if above in (1, -1):
+            turn = half if above == 1 else libmp.mpi_neg(half)
+            return libmp.mpi_sub(turn, _monotone("atan", libmp.mpi_div(x, y, _BITS)), _BITS)
+        return None
+
+
+def _rational(value: Fraction) -> Interval:
+    p, q = value.as_integer_ratio()
+    return libmp.from_rational(p, q, _BITS, "f"), libmp.from_rational(p, q, _BITS, "c")
+
+
+def _monotone(op: str, a: Interval) -> Interval:
+    low, high = (_INCREASING[op](end) for end in a)
+    return _widened(low)[0], _widened(high)[1]
+
+
+def _widened(x: Any) -> Interval:
+    # libmp's functions are right to a few units in the last place
+    off = libmp.mpf_shift(libmp.mpf_abs(x), 16 - _BITS)
+    return libmp.mpf_sub(x, off, _BITS, "f"), libmp.mpf_add(x, off, _BITS, "c")
+
+
+def _wave(op: str, a: Interval) -> Interval:
+    # |sin'| and |cos'| are at most 1
+    if a == _ZERO:
+        return _ZERO if op == "sin" else _ONE
+    at = libmp.mpi_mid(a, _BITS)
+    off = libmp.mpf_add(libmp.mpi_delta(a, _BITS), libmp.mpf_shift(libmp.fone, 16 - _BITS), _BITS, "c")
+    value = (libmp.mpf_sin if op == "sin" else libmp.mpf_cos)(at, _BITS)
+    return libmp.mpf_sub(value, off, _BITS, "f"), libmp.mpf_add(value, off, _BITS, "c")
+
+
+def _small(a: Interval) -> bool:
+    return bool(libmp.mpf_le(libmp.mpi_abs(a, _BITS)[1], libmp.from_int(_LARGEST)))
+
+
+def _clipped(a: Interval) -> Interval:
+    low = a[0] if libmp.mpf_ge(a[0], libmp.fnone) else libmp.fnone
+    return low, a[1] if libmp.mpf_le(a[1], libmp.fone) else libmp.fone
+
 
 Array = NDArray[np.float64]
 

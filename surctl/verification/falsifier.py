@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
-from surctl.verification.counterexample import Counterexample
-from surctl.verification.oracle import Oracle, build_oracle
+from surctl.verification.counterexample import Counterexample, Oracle, build_oracle
 from surctl.verification.verdict import Verdict
 
 __all__ = ["Search", "falsify", "search", "sobol"]

@@ -9,16 +9,20 @@ loop uses only the block that contains it.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "LEAST_DELAY_MARGIN",
+    "BrokenLoop",
     "Crossings",
-    "Loop",
-    "Shape",
+    "LoopMargins",
+    "SensitivityShape",
     "crossings_of",
+    "margins_from",
     "shape_of",
     "state_blocks",
 ]
@@ -32,7 +36,7 @@ _SHRINKS = 16
 
 
 @dataclass(frozen=True, eq=False)
-class Loop:
+class BrokenLoop:
     """One loop at n operating points; it is opened at one signal while all other loops are closed.
 
     Attributes:
@@ -72,7 +76,7 @@ class Crossings:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class SensitivityShape:
     """Sensitivity metrics of one loop at n operating points, each an array (n,).
 
     Attributes:
@@ -102,7 +106,7 @@ def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
     return blocks
 
 
-def crossings_of(loop: Loop, *, highest: float) -> Crossings:
+def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
     """Return the margins of one loop at n operating points; the closed loop must be stable at every point.
 
     The margins are defined as in python-control's `stability_margins` and `disk_margins`. Crossings are bracketed on a
@@ -142,7 +146,7 @@ def crossings_of(loop: Loop, *, highest: float) -> Crossings:
     return Crossings(gain_margin, lag, delay, _disk(loop, grid, response), crossover, least_gain)
 
 
-def shape_of(loop: Loop, *, highest: float) -> Shape:
+def shape_of(loop: BrokenLoop, *, highest: float) -> SensitivityShape:
     """Return the sensitivity metrics of one loop at n operating points; each closed loop must be stable.
 
     Args:
@@ -163,10 +167,10 @@ def shape_of(loop: Loop, *, highest: float) -> Shape:
     points, omega = _zeros(loop, grid, response, lambda value: np.abs(value) - 1, every)
     crossover = np.zeros(len(response))
     np.maximum.at(crossover, points, omega)
-    return Shape(1 / _least(loop, grid, response, distance), rejection, crossover)
+    return SensitivityShape(1 / _least(loop, grid, response, distance), rejection, crossover)
 
 
-def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _still(loop: BrokenLoop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the points with loop phase −180° at ω = 0, and their gain factors that put a closed-loop pole at s = 0."""
     points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
     value = loop.response(np.zeros(1), points).real
@@ -174,7 +178,7 @@ def _still(loop: Loop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
 
 
 def _zeros(
-    loop: Loop,
+    loop: BrokenLoop,
     grid: NDArray[np.float64],
     response: NDArray[np.complex128],
     value: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
@@ -195,7 +199,7 @@ def _zeros(
     return points, np.exp(low + np.clip(share, 0, 1) * (high - low))
 
 
-def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
+def _disk(loop: BrokenLoop, grid: NDArray[np.float64], response: NDArray[np.complex128]) -> NDArray[np.float64]:
     # α = min over ω of |2 (1 + L)/(1 − L)| (Seiler, Packard and Gahinet 2020)
     def radius(value: NDArray[np.complex128]) -> NDArray[np.float64]:
         with np.errstate(divide="ignore"):
@@ -205,7 +209,7 @@ def _disk(loop: Loop, grid: NDArray[np.float64], response: NDArray[np.complex128
 
 
 def _least(
-    loop: Loop,
+    loop: BrokenLoop,
     grid: NDArray[np.float64],
     response: NDArray[np.complex128],
     radius: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
@@ -222,3 +226,70 @@ def _least(
         least = np.minimum(least, np.minimum(first, second))
         low, high = np.where(first < second, low, one), np.where(first < second, other, high)
     return least
+
+
+# Stability margins of one loop at a time.
+#
+# Tests compare the margins with those of python-control.
+
+
+LEAST_DELAY_MARGIN = 0.2
+"""Least delay margin [s] of each loop alone, in every check, goal and search: four control periods (*chosen*)."""
+
+
+@dataclass(frozen=True)
+class LoopMargins:
+    """The stability margins of one loop while all other loops are closed.
+
+    Attributes:
+        name: name of the loop; see `loop_margins`.
+        stable: whether the closed loop is stable; if it is not, both gain factors are 1 and all other values are 0.
+        gain_margin: least factor > 1 on the loop gain that destabilises the loop; inf if no such factor exists.
+        phase_margin_deg: least extra phase lag [deg] that destabilises the loop; inf if the gain never crosses 1.
+        delay_margin_s: least extra delay [s] that destabilises the loop, which is the least ratio of phase margin to
+            frequency over all gain crossings.
+        disk_margin: radius α of the balanced disk margin (Seiler, Packard and Gahinet 2020), 0 … 2.
+        crossover_rad_s: highest frequency [rad/s] at which the loop gain crosses 1; 0 if the loop gain never crosses 1.
+        least_gain: largest factor < 1 on the loop gain that destabilises the loop; 0 if no such factor exists. A loop
+            that is unstable when it is open always has a destabilising factor < 1.
+    """
+
+    name: str
+    stable: bool
+    gain_margin: float
+    phase_margin_deg: float
+    delay_margin_s: float
+    disk_margin: float
+    crossover_rad_s: float
+    least_gain: float
+
+    @classmethod
+    def unstable(cls, name: str) -> LoopMargins:
+        """Return the margins of a loop whose closed loop is unstable."""
+        return cls(name, False, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The margins as plain data for JSON; infinite margins stay inf."""
+        return asdict(self)
+
+    def line(self) -> str:
+        """Return the margins as one line of text."""
+        least = f" (and above {self.least_gain:.3g})" if self.least_gain > 0 else ""
+        return (
+            f"{self.name}: gain factor below {self.gain_margin:.4g}{least}, phase {self.phase_margin_deg:.4g} deg, "
+            f"delay {self.delay_margin_s:.4g} s, disk margin {self.disk_margin:.3g}"
+        )
+
+
+def margins_from(name: str, crossings: Crossings) -> LoopMargins:
+    """Return the margins of a stable closed loop from the crossings of its first operating point."""
+    return LoopMargins(
+        name,
+        True,
+        float(crossings.gain_margin[0]),
+        float(crossings.phase_margin_deg[0]),
+        float(crossings.delay_margin_s[0]),
+        float(crossings.disk_margin[0]),
+        float(crossings.crossover_rad_s[0]),
+        float(crossings.least_gain[0]),
+    )

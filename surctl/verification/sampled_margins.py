@@ -2,20 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import product
+from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from surctl.system import LinearLoop
-from surctl.verification.linear.disk import DiskMargin, disk_margin
-from surctl.verification.linear.open_loop import OpenLoop
-from surctl.verification.margins import LoopMargins
+from surctl.errors import InputError
+from surctl.system import LinearLoop, Operating, System, find_equilibrium, linearise
+from surctl.system.linear import Linearisation
+from surctl.system.values import checked_ranges
+from surctl.verification.linear import DiskMargin, OpenLoop, disk_margin
+from surctl.verification.loops import LoopMargins
+
+__all__ = [
+    "SampledLoop",
+    "SystemCorners",
+    "SystemLoop",
+    "Worst",
+    "system_corners",
+    "worst_loop",
+]
 
 Array = NDArray[np.float64]
 
-__all__ = ["is_stable", "quick_margins", "system_disk_margin", "system_margins"]
+__all__ = ["quick_margins", "system_disk_margin", "system_margins"]
 
 _SPURIOUS = 1e-6  # a gain factor below this value, or above its inverse, comes from a zero of the loop
 _SINGULAR = 1e12  # condition number from which z counts as a pole
@@ -50,7 +65,7 @@ def system_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...
         '10.0, 84.3 deg, 0.73 s'
     """
     chosen = openings or linear.channels()
-    stable = is_stable(linear)
+    stable = _is_stable(linear)
     return tuple(_margins(linear, name) if stable else LoopMargins.unstable(name) for name in chosen)
 
 
@@ -80,13 +95,13 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
     """
     chosen = openings or linear.channels()
     place = ", ".join(chosen)
-    if not is_stable(linear):
+    if not _is_stable(linear):
         return DiskMargin.unstable(place)
     margin = disk_margin(_continuous(linear, *chosen), place)
     return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.dt))
 
 
-def is_stable(linear: LinearLoop) -> bool:
+def _is_stable(linear: LinearLoop) -> bool:
     """Return whether every pole of the closed loop lies inside the unit circle, by more than rounding."""
     return bool(np.abs(linear.poles()).max(initial=0.0) < 1 - _EDGE)
 
@@ -97,7 +112,7 @@ def quick_margins(linear: LinearLoop, *openings: str) -> tuple[LoopMargins, ...]
     Crossings are searched on fewer frequencies, and the disk margin is the least radius on these frequencies, refined.
     """
     return tuple(
-        _margins(linear, name, quick=True) if is_stable(linear) else LoopMargins.unstable(name) for name in openings
+        _margins(linear, name, quick=True) if _is_stable(linear) else LoopMargins.unstable(name) for name in openings
     )
 
 
@@ -224,3 +239,197 @@ def _continuous(linear: LinearLoop, *openings: str) -> OpenLoop:
     whole = np.linalg.inv(A + np.eye(len(A)))
     root = np.sqrt(2)
     return OpenLoop(whole @ (A - np.eye(len(A))), root * whole @ B, root * C @ whole, D - C @ whole @ B)
+
+
+# What is read from a sampled linear loop of any law or system: poles, margins, disk margin, the worst corner
+
+
+class SampledLoop(ABC):
+    """Poles and margins of `linear`; a subclass has it as attribute and says where its loops are opened."""
+
+    linear: LinearLoop
+
+    @property
+    @abstractmethod
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """Labels of the signals at which all loops are opened at once, by name of the place; no entry is empty."""
+
+    @cached_property
+    def poles(self) -> NDArray[np.complex128]:
+        """Poles z of the closed loop, largest first."""
+        return self.linear.poles()
+
+    @cached_property
+    def margins(self) -> tuple[LoopMargins, ...]:
+        """Margins of each loop alone, opened at one signal of the places."""
+        return system_margins(self.linear, *dict.fromkeys(name for place in self.places.values() for name in place))
+
+    @cached_property
+    def disks(self) -> tuple[DiskMargin, ...]:
+        """Disk margins of all loops at once, at each place."""
+        return tuple(
+            replace(system_disk_margin(self.linear, *signals), place=place) for place, signals in self.places.items()
+        )
+
+    @property
+    def disk(self) -> float:
+        """All loops at once, the lesser disk margin of commands and measurements; 0 if unstable, NaN if unknown."""
+        return float(np.min([each.guaranteed for each in self.disks])) if self.stable else 0.0
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return _is_stable(self.linear)
+
+    @property
+    def slowest_per_s(self) -> float:
+        """Continuous rate [1/s] of the slowest pole, negative if it decays; -inf for a loop without memory."""
+        size = float(np.abs(self.poles).max(initial=0.0))
+        return float(np.log(size) / self.linear.dt) if size > 0 else -np.inf
+
+    @property
+    def severity(self) -> float:
+        """A number that is larger for a worse loop; beyond 1 for an unstable one, which has no disk margin."""
+        return 1.0 - self.disk / 2 if self.stable else 1.0 + float(np.abs(self.poles).max())
+
+
+L = TypeVar("L", bound=SampledLoop)
+
+
+@dataclass(frozen=True, eq=False)
+class Worst(Generic[L]):
+    """The worst of the loops at the corners of uncertain numbers and the nominal loop.
+
+    Attributes:
+        loop: the loop with the least disk margin, or an unstable one.
+        corner: where it is, as text.
+        slowest_per_s: largest real part [1/s] of a pole of all loops.
+        lost: corners at which there is no loop, as text.
+    """
+
+    loop: L
+    corner: str
+    slowest_per_s: float
+    lost: tuple[str, ...]
+
+
+def worst_loop(nominal: L, name: str, corners: Iterable[tuple[str, Callable[[], L]]]) -> Worst[L]:
+    """Return the worst loop.
+
+    Args:
+        nominal: the nominal loop.
+        name: its name.
+        corners: text of each corner, and a function that returns its loop, or raises InputError if it has none.
+    """
+    worst, corner, slowest, lost = nominal, name, nominal.slowest_per_s, list[str]()
+    for label, linearised in corners:
+        try:
+            loop = linearised()
+        except InputError:
+            lost.append(label)
+            continue
+        slowest = max(slowest, loop.slowest_per_s)
+        if loop.severity > worst.severity:
+            worst, corner = loop, label
+    return Worst(worst, corner, slowest, tuple(lost))
+
+
+# The sampled loop of a system at its equilibrium, for nominal numbers and at the corners of the declared ranges
+
+
+@dataclass(frozen=True, eq=False)
+class SystemLoop(SampledLoop):
+    """The linear loop of a system about its equilibrium."""
+
+    linear: Linearisation
+
+    @cached_property
+    def places(self) -> dict[str, tuple[str, ...]]:
+        """The commands that the plant takes, and the measurements that the law uses."""
+        names, (_, by_y, _, _, d_y, _) = self.linear.names, self.linear.law
+        used = np.abs(np.vstack([by_y, d_y])).max(axis=0, initial=0.0) > 0
+        commands = tuple(name for name in names.commands if name in names.inputs) or names.commands
+        measured = tuple(name for name, use in zip(names.outputs, used, strict=True) if use)
+        return {what: labels for what, labels in (("commands", commands), ("measurements", measured)) if labels}
+
+    @property
+    def at(self) -> Operating:
+        """The equilibrium."""
+        return self.linear.at
+
+
+@dataclass(frozen=True, eq=False)
+class SystemCorners:
+    """The loop of a system with nominal numbers and at the worst corner of its ranges.
+
+    Attributes:
+        nominal: the loop with nominal numbers.
+        worst: the loop with the least disk margin, or an unstable one.
+        corner: the numbers of the worst corner, as text.
+        slowest_per_s: largest real part [1/s] of a pole over all corners.
+        lost: corners at which the loop has no equilibrium, as text.
+        count: number of corners.
+    """
+
+    nominal: SystemLoop
+    worst: SystemLoop
+    corner: str
+    slowest_per_s: float
+    lost: tuple[str, ...] = ()
+    count: int = 0
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop has an equilibrium at every corner and is stable there."""
+        return not self.lost and self.nominal.stable and self.worst.stable
+
+    @property
+    def disk(self) -> float:
+        """The disk margin at the worst corner; 0 if one is unstable or has no equilibrium."""
+        return self.worst.disk if self.stable else 0.0
+
+
+def system_corners(
+    system: System,
+    values: Mapping[str, ArrayLike] | None = None,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+) -> SystemCorners:
+    """Return the loop of a system about its equilibrium, nominal and at the worst corner of ranges of its numbers.
+
+    A linear loop is usually worst at a corner, but this is no proof for the numbers between the corners.
+
+    Args:
+        system: the closed loop.
+        values: nominal numbers by name, see `run_numbers`.
+        ranges: lower and upper bound of single numbers, by the same names; None: those that the system declares.
+
+    Raises:
+        InputError: the loop has no equilibrium with nominal numbers, or a range is not valid.
+
+    Example:
+        >>> from surctl.ir import Layout, Port
+        >>> from surctl.system import Controller, Plant, System
+        >>> from surctl.verification import system_corners
+        >>> speed, force = Port("speed", (1,), "m/s", "of the cart"), Port("force", (1,), "N", "drive")
+        >>> mass = Layout((Port("mass", (1,), "kg", "of the cart", 2.0),))
+        >>> cart = Plant(
+        ...     "cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"] / p["mass"]},
+        ...     parameters=mass,
+        ... )
+        >>> hold = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -4 * u["speed"])
+        >>> loop = system_corners(System(cart, hold, ranges={"plant.mass": (1.0, 4.0)}))
+        >>> loop.stable, round(loop.nominal.disk, 2), round(loop.disk, 2), loop.corner
+        (True, 1.63, 1.33, 'plant.mass = 1')
+    """
+    bounds = checked_ranges(system, system.ranges if ranges is None else ranges)
+    numbers = dict(values or {})
+    nominal = SystemLoop(linearise(system, numbers, at=find_equilibrium(system, numbers)))
+    corners = [dict(zip(bounds, ends, strict=True)) for ends in product(*bounds.values())] if bounds else []
+
+    def at(corner: Mapping[str, float]) -> SystemLoop:
+        return SystemLoop(linearise(system, {**numbers, **corner}))
+
+    labels = (", ".join(f"{name} = {end:g}" for name, end in corner.items()) for corner in corners)
+    worst = worst_loop(nominal, "the nominal system", zip(labels, (partial(at, c) for c in corners), strict=True))
+    corner = worst.lost[0] if worst.lost else worst.corner
+    return SystemCorners(nominal, worst.loop, corner, worst.slowest_per_s, worst.lost, len(corners))

@@ -25,8 +25,7 @@ from surctl.marine.bridge import (
     parse_address,
     parse_site,
 )
-from surctl.marine.bridge.inputs import Inputs
-from surctl.marine.bridge.site import body_velocity, yaw_rate
+from surctl.marine.bridge.inputs import Inputs, body_velocity, yaw_rate
 from surctl.marine.control import build_law
 from surctl.marine.simulation import load_scenario
 from surctl.marine.vehicle import load_vehicle, swap_pose

@@ -36,7 +36,7 @@ def another_law(claim: dict[str, Any]) -> None:
     [
         ("turning", "thrust: 1.0 N in the vehicle file, 40.0 N certified"),
         ("turning", "conditions: curvature_per_m = 0.0"),
-        ("steering", "conditions: speed_m_per_s = [0.99, 1.21]"),
+        ("steering", "conditions: u = [0.99, 1.21]"),
         ("braking", "thrust: 1.0 N in the vehicle file, 4.25 N certified"),
         ("braking", "speed across the direction of the obstacle: up to 0.05 m/s certified, up to 0.22 m/s"),
     ],
@@ -46,8 +46,8 @@ def test_what_a_certificate_does_not_cover_is_named(kind: str, text: str) -> Non
         document, manifest = turning_document(another_law), own_manifest()
     elif kind == "steering":
         claim, manifest = copy.deepcopy(steered()[0]), steered()[1]
-        another_law(claim)
-        document = seal("steering", claim, {})
+        claim["about"]["sha256_law"] = "0" * 64  # so that the law is not evaluated
+        document = seal("lyapunov", claim, {})
     else:
         document = braking("braking-simple-20", another_law)
         document["claim"]["encounter"]["sideways_m_per_s"] = 0.05
@@ -65,14 +65,13 @@ def test_the_law_of_a_steering_certificate_is_evaluated() -> None:
     claim, manifest = steered()
     swapped = {"k_psi": "k_r", "k_r": "k_psi"}
     other = otherwise(manifest, "gains", lambda p: replace(p, name=swapped.get(p.name, p.name)))
-    assert says(compare(seal("steering", claim, {}), other).differs, "law: yaw moment at ")
+    assert says(compare(seal("lyapunov", claim, {}), other).differs, "law: rate of v at ")
 
 
-def test_the_yaw_inertia_of_a_steering_certificate_is_that_of_the_law() -> None:
+def test_a_steering_certificate_is_about_a_law_without_integral_action() -> None:
     claim, manifest = steered()
-    claim = copy.deepcopy(claim)
-    claim["law"]["mass"][2] *= 1.001
-    assert says(compare(seal("steering", claim, {}), manifest).differs, "mass[3]: 39.36")
+    other = replace(manifest, gains={**manifest.gains, "k_i": (0.1,)})
+    assert says(compare(seal("lyapunov", claim, {}), other).differs, "k_i: 0.0 certified, 0.1 exported")
 
 
 def test_drag_along_the_motion_is_equal_in_surge_and_sway() -> None:

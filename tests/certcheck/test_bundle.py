@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from fractions import Fraction
@@ -36,6 +37,7 @@ from surctl.marine.control import Law, build_law, law_source, load_gains
 from surctl.marine.export import Origin, build_bundle, load_certificates
 from surctl.marine.export.origin import manifest_of
 from surctl.marine.simulation import law_numbers, load_scenario
+from surctl.marine.tuning import derived_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims
 from surctl.system import Action, Controller, Plant, System
@@ -258,41 +260,76 @@ def test_what_the_manifest_does_not_say_is_not_known() -> None:
 
 @cache
 def steered() -> tuple[dict[str, Any], Manifest]:
-    """The claim of a steering certificate, and the manifest of the bundle of its law."""
-    claim, law, boat = (
-        read(REGION.with_name("region-steered-20.json"))["claim"],
-        build_law("steered"),
-        load_vehicle("otter"),
-    )
-    gains = load_gains("default").with_own(law_source("steered").gains)
-    mission = replace(MISSION, cruise=claim["law"]["cruise"], cap=claim["law"]["cap"])
-    values = law.gains.unpack(law_numbers(mission, gains, boat))
-    for name in claim["law"].keys() & values.keys() - {"mass", "linear_drag", "quadratic_drag"}:
-        values[name][:] = claim["law"][name]
-    bundle = build_bundle(law, values, origin=Origin(boat, law))
+    """The claim about the heading loop of a craft, and the manifest of the bundle of its law."""
+    law, boat, cruise = build_law("steered"), load_vehicle("otter"), 1.1
+    gains = derived_gains(boat.at_speed(cruise), cruise=cruise).with_own(law_source("steered").gains)
+    mission = replace(MISSION, cruise=cruise, cap=round(cruise * 0.22 / 0.15, 9))
+    bundle = build_bundle(law, law.gains.unpack(law_numbers(mission, gains, boat)), origin=Origin(boat, law))
+    claim = read(REGION.with_name("region-steered-20.json"))["claim"]
     return claim, read_manifest(json.loads(bundle.files["manifest.json"]), bundle.files)
+
+
+@pytest.mark.parametrize(
+    ("name", "ends", "difference"),
+    [
+        ("m22", [134.0, 141.0], ""),
+        ("m22", [137.6, 141.0], "m22: "),
+        ("m44", [38.3, 39.3], "m44: "),
+        ("Yv", [138.0, 165.0], "Yv: "),
+        ("Nrr", [330.0, 422.0], "Nrr: "),
+        ("u", [1.11, 1.21], "speed: "),
+        ("u", [0.99, 1.09], "speed: "),
+        ("m24", None, "vehicle: it has m24, which the certificate does not cover"),
+        ("Yuv", [1.0, 2.0], "Yuv: the bundle does not state it"),
+    ],
+)
+def test_a_steering_certificate_is_compared_with_the_vehicle(name: str, ends: Any, difference: str) -> None:
+    claim, manifest = steered()
+    rows = [row for row in claim["parameters"] if row["name"] != name]
+    rows += [{"name": name, "unit": "1", "lower": ends[0], "upper": ends[1]}] if ends else []
+    result = compare(seal("lyapunov", claim | {"parameters": rows}, {}), manifest)
+    assert result.belongs is (not difference), result.differs
+    assert any(text.startswith(difference) for text in result.differs) is bool(difference)
 
 
 @pytest.mark.parametrize(
     ("key", "value", "difference"),
     [
-        ("mass_factor", [0.975, 1.025], ""),
-        ("mass_factor", [1.001, 1.025], "mass: "),
-        ("mass_factor", [0.975, 0.999], "mass: "),
-        ("drag_factor", [1.01, 1.2], "drag: "),
-        ("drag_factor", [0.8, 0.99], "drag: "),
-        ("moment_nm", 1e3, "thrust_limit of yaw: "),
-        ("side_per_m", 0.1, "law: claim.law.fin_share must be 0"),
-        ("speed_m_per_s", [1.11, 1.21], "speed: "),
-        ("speed_m_per_s", [0.99, 1.09], "speed: "),
+        ("excludes", [], "law: the restrictions"),
+        ("system", "cruise", "law: the restrictions"),
+        ("sha256_vehicle", "0" * 64, "vehicle: SHA-256"),
+        ("sha256_law", "0" * 64, "law: SHA-256"),
     ],
 )
-def test_a_steering_certificate_is_compared_with_the_vehicle(key: str, value: object, difference: str) -> None:
+def test_the_restrictions_and_digests_of_a_steering_certificate_are_bound(
+    key: str, value: object, difference: str
+) -> None:
     claim, manifest = steered()
-    changed = claim | {"vehicle": claim["vehicle"] | {key: value}}
-    result = compare(seal("steering", changed, {}), manifest)
-    assert result.belongs is (not difference), result.differs
-    assert any(text.startswith(difference) for text in result.differs) is bool(difference)
+    result = compare(seal("lyapunov", claim | {"about": claim["about"] | {key: value}}, {}), manifest)
+    assert not result.belongs and any(text.startswith(difference) for text in result.differs), result.differs
+
+
+@pytest.mark.parametrize(
+    ("name", "at", "factor"),
+    [  # the share of the law's sway speed that the cap leaves is not compared, so that munk is bound up to this share
+        ("k_psi", 0, 1.001), ("k_r", 0, 1.001), ("lookahead", 0, 1.001), ("munk", 0, 1.3), ("crab_time", 0, 1.001),
+        ("thrust_limit", 3, 1.001),
+    ],
+)  # fmt: skip
+def test_the_numbers_of_the_dynamics_of_a_steering_certificate_are_bound(name: str, at: int, factor: float) -> None:
+    claim, manifest = steered()
+    value = manifest.gains[name][at] * (manifest.gains["mass"][3] if name == "k_r" else 1)
+    number, count = re.compile(r"(?<![\w.])\d+(\.\d+)?(?!\w)"), 0
+
+    def other(text: re.Match[str]) -> str:
+        nonlocal count
+        same = abs(float(text.group()) - value) < 1e-12 * value
+        count += same
+        return repr(factor * value) if same else text.group()
+
+    dynamics = {key: number.sub(other, text) for key, text in claim["dynamics"].items()}
+    assert count
+    assert not compare(seal("lyapunov", claim | {"dynamics": dynamics}, {}), manifest).belongs
 
 
 def test_the_heading_steered_loop_is_not_what_is_exported() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from surctl.certcheck import braking_claim, check_document, heading_claim, region_claim, steering_claim, turning_claim
+from surctl.certcheck import braking_claim, check_document, heading_claim, region_claim, turning_claim
 from surctl.certcheck.document import Rejected, seal
 from surctl.certcheck.region_claim import number
 from surctl.certcheck.turning_claim import factors, read_terms
@@ -21,7 +21,6 @@ from tests.certcheck.altering import put, value_of
 READERS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "region": (region_claim.read_claim, "region-cruise-ranges"),
     "turning": (turning_claim.read_claim, "region-turning-20"),
-    "steering": (steering_claim.read_claim, "region-steered-20"),
     "heading": (heading_claim.read_claim, "region-heading-ranges"),
     "braking": (braking_claim.read_claim, "braking-inertia-ranges"),
 }
@@ -59,7 +58,6 @@ RANGES = [
     *(("region", key) for key in ("mass_kg", "linear_drag", "quadratic_drag", "lag_s")),
     *(("braking", key) for key in ("mass_kg", "linear_drag", "quadratic_drag")),
     *(("turning", key) for key in ("mass_factor", "drag_factor", "lag_s")),
-    *(("steering", key) for key in ("mass_factor", "drag_factor", "speed_m_per_s")),
     *(("heading", key) for key in heading_claim._RANGES),
 ]
 
@@ -81,18 +79,12 @@ def test_a_range_is_least_then_largest(kind: str, key: str) -> None:
           for key in ("sha256_vehicle", "sha256_law") for value in (3, None, "A" * 64, "0" * 63)
           if (kind, key) != ("heading", "sha256_law")),
         *((kind, ("law", key), 0.1, "must be 0: the certified loop has no integral action")
-          for kind, key in (("region", "k_i"), ("turning", "k_i"), ("steering", "k_i"), ("braking", "k_i_per_s2"))),
+          for kind, key in (("region", "k_i"), ("turning", "k_i"), ("braking", "k_i_per_s2"))),
         ("region", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must not start at 0"),
         ("region", ("motion", "ultimate_bound_m"), [0.1], "ultimate_bound_m must be"),
         ("turning", ("vehicle", "mass_asymmetry"), 2.0, "an asymmetry must be below 2"),
         ("turning", ("vehicle", "drag_asymmetry"), 2.0, "an asymmetry must be below 2"),
         ("turning", ("vehicle", "lag_s"), [0.0, 0.1], "lag_s must be a range above 0"),
-        *(("steering", ("vehicle", "terms"), {**terms, "m24": 1.0}, f"{next(iter(terms))} is not covered")
-          for terms in ({"m12": 1.0}, {"m14": 1.0}, {"Y0": 1.0}, {"N0": 1.0}, {"Yu": 1.0}, {"Nuu": 1.0})),
-        ("steering", ("vehicle", "terms"), {"m24": 1.0, "Yu": 1.0}, "Yu is not covered"),
-        ("steering", ("law", "fin_share"), 0.5, "fin_share must be 0 without a side force"),
-        ("steering", ("law", "fin_share"), 1.0, "fin_share must be 0 without a side force"),
-        ("steering", ("vehicle", "side_per_m"), 0.5, "fin_share must be 0 without a side force"),
         ("braking", ("vehicle", "drag"), "other", "claim.vehicle.drag must be one of"),
         ("braking", ("vehicle", "mass_ratio"), 0.9, "must be at least 1"),
         ("braking", ("encounter", "obstacles_m_per_s"), [0.0, 0.0], "obstacles_m_per_s must rise"),
@@ -126,13 +118,6 @@ def test_a_table_has_a_row_for_each_speed_and_a_column_for_each_obstacle(name: s
     for at in range(len(table)):
         rows = [[*row, 1.0] if k == at else row for k, row in enumerate(table)]
         refuses("braking", ("table", name), rows, "must have one column for each obstacle")
-
-
-def test_a_side_force_of_fins_has_the_share_1() -> None:
-    claim = copy.deepcopy(stored("steering"))
-    claim["law"]["fin_share"], claim["vehicle"]["side_per_m"] = 1.0, -0.5
-    claim["vehicle"]["terms"] = {"m24": 1.0, "Yu": 0.0}
-    assert steering_claim.read_claim(claim).finned
 
 
 def test_numbers_are_decimals_of_a_limited_size() -> None:

@@ -1,4 +1,5 @@
 import json
+import random
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,11 +9,11 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document
+from surctl.certcheck.heading_cells import Plane, constant, rows
 from surctl.certcheck.heading_claim import read_claim
-from surctl.certcheck.heading_law import true_rate
-from surctl.certcheck.heading_loop import Plane, constant, rows
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant
 from tests.certcheck.altering import altered, put, sealed
+from tests.certcheck.heading_inclusion import check_identity, true_rate
 
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("region-heading-*.json"))
@@ -66,6 +67,11 @@ def rate(claim: dict[str, Any], boat: dict[str, np.ndarray], xi: np.ndarray) -> 
     turn = (n - boat["yaw_linear"] * r - boat["yaw_quadratic"] * r * np.abs(r)) / boat["yaw_inertia_kg_m2"]
     x_rate, y_rate = c * u_rate - s * w_rate - r * speed[1], s * u_rate + c * w_rate + r * speed[0]
     return np.stack([speed[0] - v, speed[1], r, x_rate, y_rate, turn], axis=1)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: p.stem)
+def test_the_linear_form_of_the_proof_is_the_rate_of_vehicle_and_law(path: Path) -> None:
+    check_identity(read_claim(document(path.stem)["claim"]), random.Random(6))
 
 
 def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 40_000, seed: int = 0) -> float:

@@ -11,17 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.certcheck import Rejected, check_document
-from surctl.certcheck.region_bounds import _misled
 from surctl.certcheck.region_claim import read_claim
 from surctl.certcheck.region_exact import inverse, is_positive_definite, product, root_down, root_up, rounded_up
-from surctl.certcheck.region_flow import steady_trim
-from surctl.certcheck.region_law import Vehicle, commanded_thrust, commanded_velocity, true_rate, turned
-from surctl.certcheck.region_trim import axis_pairs
+from surctl.certcheck.region_inclusion import _misled
+from surctl.certcheck.region_trim import axis_pairs, steady_trim
 from surctl.marine.control import build_law, law_parameters, load_gains
 from surctl.marine.guidance import Path as Route
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, build_plant, load_vehicle
 from tests.certcheck.altering import altered, put, sealed
 from tests.certcheck.cruise import boats, matrix, omega, rate, rest, thrust, worst
+from tests.certcheck.cruise_inclusion import Vehicle, commanded_thrust, commanded_velocity, true_rate, turned
 
 HERE = Path(__file__).parent
 FILES = sorted(HERE.glob("region-cruise-*.json"))
@@ -349,7 +348,7 @@ def test_pairs_of_drag_keep_their_asymmetry() -> None:
 def test_the_reason_names_what_fails() -> None:
     changed = document()
     changed["claim"]["motion"]["offset_m"] = 3.0
-    assert "3 m is not in the region" in check_document(sealed(changed)).reason
+    assert "3 m beside the path is not in the region" in check_document(sealed(changed)).reason
     for axis in (0, 1):
         changed = document()
         changed["claim"]["motion"]["ultimate_bound_m"][axis] *= 0.8

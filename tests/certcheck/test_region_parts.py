@@ -16,16 +16,15 @@ import numpy as np
 import pytest
 from mpmath import mp
 
-from surctl.certcheck import check_document, region, region_bounds
+from surctl.certcheck import check_document, region, region_inclusion
 from surctl.certcheck.document import Rejected
-from surctl.certcheck.region import _check_offset, _check_ultimate_bound
-from surctl.certcheck.region_bounds import _commanded, _thrust_share, shell
 from surctl.certcheck.region_claim import CruiseClaim, read_claim
 from surctl.certcheck.region_exact import Matrix, inverse, quadratic, scaled
-from surctl.certcheck.region_flow import steady_trim
-from surctl.certcheck.region_inclusion import Vertex, rate_matrix, vertices
-from surctl.certcheck.region_trim import Trim
+from surctl.certcheck.region_inclusion import Vertex, _commanded, _thrust_share, rate_matrix, shell, vertices
+from surctl.certcheck.region_trim import Trim, steady_trim
+from surctl.certcheck.turning import require_bound, require_starts
 from tests.certcheck.altering import sealed
+from tests.certcheck.cruise_inclusion import check_identity
 
 HERE = Path(__file__).parent
 
@@ -102,28 +101,26 @@ def test_the_starts_lie_in_the_region_on_both_sides_for_every_offset_along_the_p
             for i in (0, 1):
                 for j in (0, 1):
                     other[i][j] = normal[i] * normal[j] * Fraction(26, 100) + (i == j) * Fraction(1, 100)
-            trim = Trim((omega[0], omega[1]), steady.command, *(Fraction(0),) * 4)
             with pytest.raises(Rejected, match="is not in the region"):
-                _check_offset(claim, other, trim)
-    _check_offset(claim, p, steady)
+                require_starts(claim, other, (omega[0], omega[1]), Fraction(0))
+    require_starts(claim, p, steady.omega, steady.aside)
 
 
 def test_each_axis_of_the_ultimate_bound_is_checked_to_the_last_digit_for_both_offsets() -> None:
-    claim, _, steady = parts(ultimate_bound_m=[1.0, 1.0])
+    claim, _, _ = parts(ultimate_bound_m=[1.0, 1.0])
     covariance = [[Fraction(i == j) for j in range(4)] for i in range(4)]
-    quarter, zero = Fraction(1, 4), (Fraction(0),) * 4
-    _check_ultimate_bound(claim, covariance, Trim((Fraction(0),) * 2, steady.command, *zero), quarter)
-    for omega in ((Fraction(0), claim.k1), (-claim.k1, Fraction(0))):
+    quarter, zero = Fraction(1, 4), Fraction(0)
+    require_bound(claim, covariance, (zero, zero), zero, quarter)
+    for omega, beside in (((zero, claim.k1), zero), ((-claim.k1, zero), zero), ((zero, zero), Fraction(51, 100))):
         with pytest.raises(Rejected, match="beyond the claimed ultimate bound"):
-            _check_ultimate_bound(claim, covariance, Trim(omega, steady.command, *zero), quarter)
-    still = Trim((Fraction(0), Fraction(0)), steady.command, *(Fraction(0),) * 4)
+            require_bound(claim, covariance, omega, beside, quarter)
     for axis in (0, 1):
         wide = copy.deepcopy(covariance)
         wide[axis][axis] = Fraction(5)
         with pytest.raises(Rejected, match="beyond the claimed ultimate bound"):
-            _check_ultimate_bound(claim, wide, still, Fraction(1, 4))
+            require_bound(claim, wide, (zero, zero), zero, quarter)
     with pytest.raises(Rejected, match="beyond the claimed ultimate bound"):  # √1 is not rounded down
-        _check_ultimate_bound(claim, covariance, still, 1 + Fraction(1, 10**12))
+        require_bound(claim, covariance, (zero, zero), zero, 1 + Fraction(1, 10**12))
 
 
 def test_the_vertices_are_all_ends_of_all_ranges() -> None:
@@ -244,10 +241,9 @@ def test_the_mirror_image_counts_unless_v_is_the_same_there(monkeypatch: pytest.
         return []
 
     monkeypatch.setattr(region, "vertices", none_of)
-    for name in ("check_identity", "shell"):
-        monkeypatch.setattr(region, name, lambda *_: None)
+    monkeypatch.setattr(region, "shell", lambda *_: None)
     monkeypatch.setattr(region, "steady_trim", lambda _: Trim(*((Fraction(0),) * 2,) * 2, *(Fraction(0),) * 4))
-    monkeypatch.setattr(region, "_check_ultimate_bound", lambda *_: None)
+    monkeypatch.setattr(region, "require_bound", lambda *_: None)
     whole = document("20-sampled")
     region.check(whole)
     assert seen and all(seen)
@@ -273,19 +269,28 @@ def test_each_vertex_needs_its_decay(at: int, monkeypatch: pytest.MonkeyPatch) -
     whole["proof"]["floor"] = document("20-sampled")["proof"]["shells"][-2]["level"]
     whole["claim"]["motion"]["ultimate_bound_m"] = [1.0, 1.0]
     monkeypatch.setattr(region, "vertices", lambda *given, **more: islice(vertices(*given, **more), 3))
-    monkeypatch.setattr(region, "check_identity", lambda *_: None)
     region.check(whole)
     monkeypatch.setattr(region, "vertices", with_one_that_grows)
     with pytest.raises(Rejected, match=f"vertex {at % 3}"):
         region.check(whole)
 
 
-def test_the_matrices_of_every_shell_are_compared_with_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole, levels = document("20-sampled"), []
-    monkeypatch.setattr(region, "vertices", lambda *_, **__: [])
-    monkeypatch.setattr(region, "check_identity", lambda *given: levels.append(given[4]))
-    region.check(whole)
-    assert [float(level) for level in levels] == [shell["level"] for shell in whole["proof"]["shells"]]
+@pytest.mark.parametrize("name", ["20-norms", "20-sampled", "20-lag", "ranges", "20-force", "20-noise", "current"])
+def test_the_inclusion_of_a_shell_is_the_loop_of_law_and_vehicle(name: str) -> None:
+    """The loop is written a second time for the tests; other ranges and gains are those of a claim of one's own."""
+    rng = np.random.default_rng(len(name))
+    for share in (0.0, 0.1):
+        changed = {
+            key: document(name)["claim"]["law"][key] * (1 + share * rng.uniform(-1, 1))
+            for key in ("mass_kg", "linear_drag", "quadratic_drag", "k1", "lookahead", "k_v", "cap")
+        }
+        # the masses of vehicle and law may differ; the region shrinks with the gains
+        claim, p, steady = parts(name, **{key: round(x, 6) for key, x in changed.items() if share})
+        levels = sorted(rng.uniform(0.01, 0.6, size=2).tolist())
+        low, high = (Fraction(str(round(level, 6))) for level in levels)
+        covariance = inverse(p)
+        at = shell(claim, steady, covariance, low, high)
+        check_identity(claim, at, steady, covariance, high, len(p))
 
 
 BY_CELLS: list[tuple[str, Any]] = [
@@ -406,7 +411,7 @@ def test_the_thrust_limit_counts_in_every_direction(low: int, high: int) -> None
 
 def test_roots_in_the_bounds_of_a_shell_are_rounded_to_the_safe_side(monkeypatch: pytest.MonkeyPatch) -> None:
     """Drawn regions: what one root loses by 1e-9, the others seldom make up for."""
-    monkeypatch.setattr(region_bounds, "_thrust_share", lambda *_: Fraction(1))
+    monkeypatch.setattr(region_inclusion, "_thrust_share", lambda *_: Fraction(1))
     claim, p, steady = parts("20-force", place_error_m=0.003)
     base, rng = inverse(p), np.random.default_rng(4)
     for _ in range(60):

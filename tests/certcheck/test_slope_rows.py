@@ -170,6 +170,21 @@ def test_the_rest_at_the_equilibrium_is_exact(text: str, rests: bool) -> None:
     assert (not free.poly and not free.error) is rests
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["sin(p)*x - cos(p)*x*p", "50*(p - p*p) + 50*(p*p*p - p)", "30*sqrt(p) - 29*p", "p/(1 + p) + x*p"],
+)
+def test_the_rest_for_all_parameters_is_bounded_closely_where_terms_cancel(text: str) -> None:
+    ends = (1.0, 1.02)
+    rows = rows_of(text, box=[*BOX[:2], ends, BOX[3]])
+    [(term, _)] = rows.resting(0, Fraction(0)).poly.items()
+    [low, high] = [float(end) for end in rows.slopes[term[0]]]
+    at = {"x": np.full(101, float(CENTRE[0])), "p": np.linspace(*ends, 101)}
+    values = values_of([parse(text, {name: variable(name) for name in NAMES})], at)[0]
+    assert low <= values.min() and values.max() <= high
+    assert high - low <= 1.5 * np.ptp(values)
+
+
 def test_the_rest_of_a_successor_is_the_equilibrium() -> None:
     rows = rows_of("0.3 + p*(x - 0.3)", "x*p")
     assert not rows.resting(0, CENTRE[0]).poly

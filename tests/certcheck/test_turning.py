@@ -13,16 +13,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.certcheck import check_document
+from surctl.certcheck import check_document, region, turning
 from surctl.certcheck.document import Rejected
+from surctl.certcheck.region_claim import read_claim as read_cruise
+from surctl.certcheck.region_claim import triangle
 from surctl.certcheck.region_exact import quadratic
-from surctl.certcheck.turning import _check_munk_moment, _check_starts
+from surctl.certcheck.turning import _check_munk_moment, require_starts
 from surctl.certcheck.turning_cells import Trim, _axis, _lack, heading_cells, steady
 from surctl.certcheck.turning_claim import drag_factors, factors, read_claim
 from surctl.certcheck.turning_form import Form, axes_of
-from surctl.certcheck.turning_law import draw_motions, draw_vehicles, true_rate
-from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
-from surctl.certcheck.turning_terms import other_forces, other_moment
+from surctl.certcheck.turning_law import true_rate
+from surctl.certcheck.turning_terms import STILL, coupling_of, inverse_masses, other_forces, other_moment, turn_points
 from surctl.marine.control import build_law, law_parameters, load_gains
 from surctl.marine.guidance import Path as Route
 from surctl.marine.vehicle import (
@@ -34,6 +35,7 @@ from surctl.marine.vehicle import (
     plant_parameters,
 )
 from tests.certcheck.altering import altered, put, sealed
+from tests.certcheck.turning_samples import check_samples, draw_motions, draw_vehicles
 
 HERE = Path(__file__).parent
 NAMES = ("region-turning", "region-turning-20", "region-turning-20-rest")
@@ -70,6 +72,23 @@ def worst(whole: dict[str, Any], *, low: float, high: float, count: int = 20_000
     rate = true_rate(claim, boat, state, rng.uniform(0, 7, size=count), r, draw_motions(claim, count, rng))
     change = 2 * np.einsum("ni,ij,nj->n", xi, P, rate)
     return float(np.max(change / np.einsum("ni,ij,nj->n", xi, P, xi))) + float(claim.rate)
+
+
+@pytest.mark.parametrize(
+    "name", [*(path.stem for path in sorted(HERE.glob("region-turning*.json"))), "region-cruise-20"]
+)
+def test_the_true_loop_decays_as_each_certificate_claims(name: str) -> None:
+    whole = document(name)
+    proof, flow = whole["proof"], STILL
+    if whole["kind"] == "region":  # a proof by cells of headings
+        cruise = read_cruise(whole["claim"])
+        claim, slopes = region._turning(cruise), region._slopes(cruise)
+    else:
+        claim, slopes = read_claim(whole["claim"]), turning._slopes(proof["trim"])
+        flow = turning._flow(claim, proof["flow"]) if claim.current else STILL
+    weight = Fraction(repr(proof["thrust"]["weight"])) if claim.behind else None
+    form = Form(triangle(proof["P"], 4, "proof.P"), weight, claim.k_v)
+    check_samples(claim, steady(claim, slopes, flow), form.p, proof["floor"])
 
 
 @pytest.mark.parametrize("name", ["region-turning"])
@@ -358,10 +377,10 @@ def test_offset_and_munk_moment_are_decided_to_the_last_digit(name: str) -> None
         largest = np.nextafter(largest, 0)
     while Fraction(repr(float(np.nextafter(largest, 1e9)))) ** 2 <= edge:
         largest = np.nextafter(largest, 1e9)
-    _check_starts(replace(claim, offset=Fraction(repr(float(largest))), rest_offset=None), p, trim)
+    require_starts(replace(claim, offset=Fraction(repr(float(largest)))), p, trim.moved, trim.beside)
     for off in (np.nextafter(largest, 1e9), largest + 1e-12, largest + 1e-6):
         with pytest.raises(Rejected, match="start"):
-            _check_starts(replace(claim, offset=Fraction(repr(float(off))), rest_offset=None), p, trim)
+            require_starts(replace(claim, offset=Fraction(repr(float(off)))), p, trim.moved, trim.beside)
     if name == COUPLED:
         least = next(m for m in (np.nextafter(float(_moment(claim)), 1e9),) if Fraction(float(m)) >= _moment(claim))
         _check_munk_moment(replace(claim, munk_moment=Fraction(float(least))), Fraction(1))

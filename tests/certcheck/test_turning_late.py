@@ -15,11 +15,11 @@ import pytest
 from surctl.certcheck import check_document
 from surctl.certcheck.turning_cells import heading_cells, lateness, steady
 from surctl.certcheck.turning_claim import TurningClaim, read_claim
-from surctl.certcheck.turning_form import Form
-from surctl.certcheck.turning_late import lipschitz, stir
-from surctl.certcheck.turning_law import commanded, draw_motions, draw_vehicles, true_rate
+from surctl.certcheck.turning_form import Form, lipschitz, stir
+from surctl.certcheck.turning_law import commanded, true_rate
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, build_plant, load_vehicle, plant_parameters
 from tests.certcheck.altering import sealed
+from tests.certcheck.turning_samples import draw_motions, draw_vehicles
 
 HERE, STEP = Path(__file__).parent, 1e-6
 

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from surctl.certcheck import check_file
-from surctl.cli import braking
+from surctl.cli import claims as braking
 from surctl.errors import InputError
 from surctl.marine.verification import claims
 from surctl.marine.verification.braking import BRAKING_CLAIMS

@@ -10,8 +10,7 @@ from typing import Any
 import casadi
 import pytest
 
-from surctl.cli.activity import doing
-from surctl.cli.output import Stopped, interrupted, noting_interrupts, stoppable
+from surctl.cli.output import Stopped, doing, interrupted, noting_interrupts, stoppable
 
 
 def converted(cause: type[BaseException]) -> Exception:

@@ -10,7 +10,7 @@ import click
 import pytest
 
 from surctl.cli.output import finish, finite
-from surctl.cli.single_run import activity_line, series_lines
+from surctl.cli.runs import activity_line, series_lines
 from surctl.cli.study import _margin_line
 
 

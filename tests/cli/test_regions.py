@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from surctl.cli import regions
+from surctl.cli import claims as regions
 from surctl.cli.app import app
-from surctl.cli.next_export import export_command
+from surctl.cli.robot_options import export_command
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.verification.region import REGION_CLAIMS, load_region
 from tests.certcheck import test_bundle

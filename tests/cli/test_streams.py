@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from surctl.cli import main
-from surctl.cli.activity import progress
+from surctl.cli.output import progress
 
 NARROW = ("cp1252", "ascii", "latin-1")
 CHEAP = [

@@ -2,7 +2,7 @@
 
 import pytest
 
-from surctl.cli.thruster_options import parse_thruster_fault, split_faults
+from surctl.cli.sensor_options import parse_thruster_fault, split_faults
 from surctl.errors import InputError
 from surctl.marine.simulation import ThrusterFault, thruster_findings
 from surctl.marine.vehicle import load_vehicle

@@ -9,9 +9,8 @@ import pytest
 
 from surctl.assessment import assess
 from surctl.cli.linear_part import linear_part as linear_side_of
-from surctl.cli.next_export import export_command
-from surctl.cli.single_run import failure, linear_part
-from surctl.cli.vehicle_choice import DEFAULT_VEHICLE, at_hand, choose_vehicle
+from surctl.cli.robot_options import DEFAULT_VEHICLE, at_hand, choose_vehicle, export_command
+from surctl.cli.runs import failure, loop_lines_of_run
 from surctl.cli.verify import _speeds
 from surctl.errors import InputError
 from surctl.marine.assessment import Mission
@@ -133,14 +132,14 @@ def test_a_run_that_arrives_on_an_unstable_loop_says_so() -> None:
     ):
         run = simulate(scenario, WU, gains=GAINS, law=build_law())
         result = run.to_dict()
-        lines = linear_part(run, result)
+        lines = loop_lines_of_run(run, result)
         assert result["linear"]["stable"] is stable and bool(lines) is bool(told) and told in "".join(lines)
         assert set(result["attitude"]) >= {"crab_angle_deg", "heading_error_deg", "oscillates"}
     run = simulate(fast, WU, gains=GAINS, law=build_law())
-    assert "the linear loop at this speed is unstable" in linear_part(run, {})[0]
+    assert "the linear loop at this speed is unstable" in loop_lines_of_run(run, {})[0]
     held = replace(run, law=build_law("dwa"))
     result = {}
-    assert linear_part(held, result) == [] and result["linear"] is None  # dwa has no linear loop
+    assert loop_lines_of_run(held, result) == [] and result["linear"] is None  # dwa has no linear loop
 
 
 def test_lint_tells_a_name_that_is_no_file_s_and_a_region_whose_cruise_is_its_cap(tmp_path: Path) -> None:

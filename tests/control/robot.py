@@ -14,9 +14,10 @@ from surctl.marine.control import Gains, load_gains
 from surctl.marine.control.perception import PerceptionStage, build_perception
 from surctl.marine.control.ports import SECTORS, law_parameters, scan_inputs, sonar_inputs
 from surctl.marine.guidance import Path
-from surctl.marine.sensing import Equipment, LocalMap, SonarArray, firing_samples, true_range
+from surctl.marine.sensing import Equipment, LocalMap, SonarArray
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.world import Shape, site_walls
+from tests.oracles.echoes import firing_samples, true_range
 
 Array = NDArray[np.float64]
 Wrong = Callable[[Array, int], Array | None]

@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.control.closed_form import DAMPING
+from surctl.marine.control.paper import DAMPING
 from surctl.marine.export import closed_form
 from surctl.marine.simulation import law_numbers, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle

@@ -24,8 +24,8 @@ from surctl.marine.control import (
 from surctl.marine.control.ports import PARAMETERS
 from surctl.marine.guidance import BEND, PASS, VISIT, Path
 from surctl.marine.simulation import Obstacle, Scenario, load_scenario, simulate
-from surctl.marine.simulation.numbers import feeder_of
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.mission_loop import feeder_of
 
 VEHICLE, GAINS = load_vehicle("sur400"), load_gains("default")
 TURNS = np.linspace(0, 5 * np.pi, 40)

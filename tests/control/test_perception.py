@@ -25,7 +25,6 @@ from surctl.marine.sensing import (
     OwnState,
     RangeTracker,
     SonarArray,
-    map_view,
 )
 from surctl.marine.world import Disc
 from tests.control.robot import CONTACTS, DT, EDGE, HULL, TRUTH, Robot, exact, parameters, senses
@@ -45,7 +44,7 @@ def _compiler():
 
 def around(robot):
     """Values, x and y of the map in {E}."""
-    return map_view(robot.chart, robot.state("map_cells"), robot.state("map_corner"), edge=EDGE)
+    return robot.chart.view(robot.state("map_cells"), robot.state("map_corner"), edge=EDGE)
 
 
 def marks(told):

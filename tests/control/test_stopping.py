@@ -15,8 +15,9 @@ from surctl.errors import InputError
 from surctl.marine.control import PARAMETERS, build_law, law_parameters, load_gains
 from surctl.marine.control.stopping import BARRIERS, BRAKE, HARD, Barrier, braked
 from surctl.marine.guidance import Path
-from surctl.marine.guidance.braking import Watch, allowed_speed, brakes_of
+from surctl.marine.guidance.braking import Watch, brakes_of
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.braking_episodes import allowed_speed
 
 VEHICLE, GAINS, DT = load_vehicle("sur540-flooded"), load_gains("default"), 0.05
 

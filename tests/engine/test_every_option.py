@@ -13,11 +13,10 @@ from click.testing import CliRunner
 
 import surctl.marine.control
 from surctl.cli.app import app
-from surctl.cli.controller_options import ControllerOptions
-from surctl.cli.plant_options import PlantOptions
+from surctl.cli.run_options import ControllerOptions, PlantOptions
 from surctl.errors import InputError
 from surctl.marine.control import load_gains, write_gains
-from surctl.marine.engine.library import mujoco_library
+from surctl.marine.engine.mjcf import mujoco_library
 
 SAME = (
     "--vehicle sur540-flooded",

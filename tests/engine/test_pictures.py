@@ -19,8 +19,8 @@ from PIL import Image
 from surctl.cli.app import app
 from surctl.errors import InputError, ToolMissing
 from surctl.marine.control import build_law, load_gains
-from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, batch, mujoco_physics, parse_plant
-from surctl.marine.engine.library import mujoco_library
+from surctl.marine.engine import CAMERAS, EngineOptions, Moment, Scene, mujoco_physics, parse_plant, physics
+from surctl.marine.engine.mjcf import mujoco_library
 from surctl.marine.export import CompiledLaw
 from surctl.marine.report import film_frames, film_pictures, render_page, save_film
 from surctl.marine.reproduction import Simulations
@@ -194,7 +194,7 @@ def test_a_renderer_or_an_installation_that_fails(monkeypatch: pytest.MonkeyPatc
 
 def test_the_controller_of_the_options_is_that_of_every_process(monkeypatch: pytest.MonkeyPatch) -> None:
     requested = []
-    monkeypatch.setattr(batch, "simulate_with_steppers", lambda case, *_, **__: requested.append(case.stepper) or [])
+    monkeypatch.setattr(physics, "simulate_with_steppers", lambda case, *_, **__: requested.append(case.stepper) or [])
     for words in ([], ["--controller", "c"]):
         CliRunner().invoke(
             app, ["simulate", "pool-behind", "--law", "closed_form", "--plant", "mujoco", "--threads", "2", *words]

@@ -19,7 +19,7 @@ from surctl.export import connect, write_bundle
 from surctl.ir import compile_program
 from surctl.marine.control import LawStep, build_law, load_gains
 from surctl.marine.engine import BatchCase, EngineOptions, MujocoPhysics, mujoco_physics, simulate_seeds, write_mjcf
-from surctl.marine.engine.batch import simulate_with_steppers
+from surctl.marine.engine.physics import simulate_with_steppers
 from surctl.marine.export import CompiledLaw, LinkedLaw, build_bundle
 from surctl.marine.simulation import LINK_LOST, Case, OwnPhysics, build_world, law_numbers, load_scenario, simulate
 from surctl.marine.vehicle import plant_state
@@ -82,7 +82,7 @@ def sent(what: Any) -> Any:
 
 def test_runs_in_other_processes_by_the_law_as_c_have_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes of their own are a check of `analysis/40_long_checks`."""
-    monkeypatch.setattr("surctl.marine.engine.batch.ProcessPoolExecutor", Here)
+    monkeypatch.setattr("surctl.marine.engine.physics.ProcessPoolExecutor", Here)
     case = Case(
         replace(load_scenario("pool-static"), time_limit=2.0), load_vehicle("sur400-tilting"), GAINS, "closed_form"
     )
@@ -215,7 +215,7 @@ def test_an_unstable_integration_ends_with_the_reason_and_is_no_result(
 ) -> None:
     """MuJoCo itself would begin again from its first state, and write a file into the current folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("surctl.marine.engine.options._UNLIKE", 1000)
+    monkeypatch.setattr("surctl.marine.engine.fluid._UNLIKE", 1000)
     scenario, boat = load_scenario("pool-behind"), load_vehicle("sur400")
     tossed = mujoco_physics(EngineOptions(surface=0.2, box=(100.0, 100.0, 100.0)))
     with pytest.raises(InputError, match=r"step = 0.0125: becomes unstable at 0.\d\d s; give a smaller step"):

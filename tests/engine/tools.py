@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from surctl.marine.engine import EngineOptions, MujocoPhysics
-from surctl.marine.engine.library import mujoco_library as library
+from surctl.marine.engine.mjcf import mujoco_library as library
 from surctl.marine.simulation import OwnPhysics, build_world, load_scenario
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.vehicle.parameters import Parameter

@@ -11,7 +11,7 @@ import pytest
 from surctl.export import Records, build_controller, write_bundle
 from surctl.export.precision import replayed
 from surctl.export.process import compile_controller
-from surctl.export.wiring import RESTART, aged, longest_gap
+from surctl.export.supplement import RESTART, aged, longest_gap
 from surctl.ir import Real, compile_program
 from surctl.marine.control import build_law
 from surctl.marine.simulation import load_scenario

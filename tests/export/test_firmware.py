@@ -14,7 +14,7 @@ import pytest
 
 from surctl.export import Bundle, write_bundle
 from surctl.export.contract import STATUS
-from surctl.export.wiring import DEMANDS
+from surctl.export.supplement import DEMANDS
 from surctl.ir import Layout, Port
 from surctl.marine.control import build_law
 from surctl.marine.export import build_bundle, origin_of

@@ -18,10 +18,9 @@ from surctl.errors import InputError
 from surctl.export import Bundle, build_controller, write_bundle
 from surctl.export.check import trial_steps
 from surctl.export.contract import Exportable
-from surctl.export.envelope import RANGE
-from surctl.export.gain_store import gains_id, stored_gains
+from surctl.export.envelope import RANGE, Records
 from surctl.export.process import compile_controller
-from surctl.export.records import Records
+from surctl.export.supplement import gains_id, stored_gains
 from surctl.ir import Real, compile_program
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.export import build_bundle, closed_form, operating_envelope, origin_of

@@ -21,7 +21,7 @@ import pytest
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.export import TARGETS, Bundle, Line, LineDown, Reply, connect, emulated, emulated_target, write_bundle
+from surctl.export import TARGETS, Bundle, LineDown, Reply, SerialLine, connect, emulated, emulated_target, write_bundle
 from surctl.export.emulated import VERSION, Identity
 from surctl.export.precision import Rounded
 from surctl.ir import Layout, Port, Real, compile_program
@@ -85,7 +85,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> dict[Real, Path]:
 
 
 @pytest.fixture
-def line(small: dict[Real, Path]) -> Iterator[Line]:
+def line(small: dict[Real, Path]) -> Iterator[SerialLine]:
     with serving(small["float32"]) as (_, where), connect(where) as opened:
         yield opened
 
@@ -125,7 +125,7 @@ def test_another_answer_is_found_at_its_first_step(tmp_path: Path) -> None:
         assert report.differing > 0 and report.first is not None and "DIFFER" in report.line()
 
 
-def test_one_bit_of_thrust_state_or_telemetry_is_enough(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_bit_of_thrust_state_or_telemetry_is_enough(line: SerialLine, monkeypatch: pytest.MonkeyPatch) -> None:
     law, asked = exact(), line.step
     last = 4 * (law.outputs.size + law.state.size)
     flipped = {3: 0, 5: 4 * 4, 8: last - 4}  # the lowest bit of the first thrust and state, and of the last telemetry
@@ -145,7 +145,7 @@ def test_one_bit_of_thrust_state_or_telemetry_is_enough(line: Line, monkeypatch:
     assert (report.differing, report.first, report.answered) == (3, 2, 20)
 
 
-def test_another_controller_is_refused_by_both_ends(line: Line) -> None:
+def test_another_controller_is_refused_by_both_ends(line: SerialLine) -> None:
     law = exact()
     with pytest.raises(InputError, match=r"runs controller \w{12} in float32, but these options give"):
         LinkedLaw(law, 2.0 * law.gains.pack(), line)
@@ -202,7 +202,7 @@ def test_what_is_no_message_is_refused_and_the_next_robot_is_served(small: dict[
 )
 def test_whatever_is_at_the_other_end_is_told_in_one_line(sent: bytes | None, told: str) -> None:
     mine, other = socket.socketpair()
-    with other, Line(mine, "tcp://there", 0.2) as opened:
+    with other, SerialLine(mine, "tcp://there", 0.2) as opened:
         if sent is None:
             other.close()
         else:
@@ -280,7 +280,7 @@ def who() -> Identity:
 
 
 @dataclass
-class Echo(Line):
+class Echo(SerialLine):
     """A line to nobody: Python answers, with the number of the step as its first thrust."""
 
     ends_at: int = 1 << 30
@@ -420,7 +420,7 @@ def test_what_is_no_emulated_processor(name: str) -> None:
         emulated_target(name)
 
 
-def test_a_compact_step_carries_status_thrust_and_where_the_mission_stands(line: Line) -> None:
+def test_a_compact_step_carries_status_thrust_and_where_the_mission_stands(line: SerialLine) -> None:
     law, identity = exact(), line.request()
     at = law.state.slice("progress")
     for k in range(1, 6):

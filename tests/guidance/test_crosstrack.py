@@ -13,10 +13,31 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.marine.guidance import GUIDANCE, Guidance, check_guidance, crosstrack_next, crosstrack_shift
-from surctl.marine.guidance.tracking import numeric_crosstrack_next
 
 DT, SIGMA, GAMMA, LOOKAHEAD, SPEED = 0.05, 0.05, 0.4, 0.8, 0.2
+STEEPEST = 1.0  # largest slope of the course that a law may learn
 numbers = st.floats(-5, 5)
+
+
+def numeric_crosstrack_next(
+    method: Guidance,
+    memory: float,
+    y_e: float,
+    *,
+    along: float,
+    lookahead: float,
+    sigma: float,
+    gamma: float,
+    held: bool,
+    dt: float,
+) -> tuple[float, float]:
+    """Return the method's next state, y_int [s] or b [1], and the present shift [m], in plain numbers."""
+    shift = {"los": 0.0, "ilos": sigma * memory, "alos": lookahead * memory}[method]
+    if method == "los":
+        return 0.0, shift
+    rate = gamma * along * y_e if method == "alos" else lookahead * y_e / (lookahead**2 + (y_e + shift) ** 2)
+    most = STEEPEST if method == "alos" else STEEPEST * lookahead / max(sigma, 1e-9)
+    return min(max(memory + (0.0 if held else dt * rate), -most), most), shift
 
 
 @cache

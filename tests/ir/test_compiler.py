@@ -9,7 +9,7 @@ import pytest
 
 from surctl.errors import InputError, SurctlError, ToolMissing
 from surctl.ir import compile_program, compiler_version, emit_c99, find_compiler, lower, tuned_flags
-from surctl.ir.compiler import quick_flags
+from surctl.ir.cache import quick_flags
 from tests.tools import need_compiler, need_module
 
 
@@ -24,7 +24,7 @@ def test_cc_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_no_compiler_at_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr("surctl.ir.compiler.find_spec", lambda name: None)
+    monkeypatch.setattr("surctl.ir.cache.find_spec", lambda name: None)
     with pytest.raises(ToolMissing, match=r"no C compiler found.*install one.*surctl\[compiler\]"):
         find_compiler()
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from surctl.ir import Call, Loop, Program, Routine, c99_parts, compile_program, emit_block, emit_parts, lower, replay
+from surctl.ir import Call, Loop, Program, Routine, c99_routine, compile_program, emit_block, emit_parts, lower, replay
 from surctl.ir.c99_folded import PRAGMA
 from tests.ir.expressions import caller
 from tests.ir.routines import random_routine
@@ -21,8 +21,8 @@ TRIED = range(1000, 1004)
 
 def test_files_that_compile_alone_compute_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
-    monkeypatch.setattr(c99_parts, "_LEAST", 0)
-    monkeypatch.setattr(c99_parts, "_MOST", 1500)
+    monkeypatch.setattr(c99_routine, "_LEAST", 0)
+    monkeypatch.setattr(c99_routine, "_MOST", 1500)
     routines = [random_routine(seed) for seed in TRIED]
     sources, several = list[Path](), 0
     for at, routine in enumerate(routines):

@@ -11,15 +11,13 @@ import pytest
 
 from surctl.certcheck import check_document
 from surctl.lyapunov import Dynamics, Power, Stability, State, decide_motion, least_level
-from surctl.lyapunov.candidates import candidates
+from surctl.lyapunov.candidates import candidates, invariant, sign_symmetries
 from surctl.lyapunov.decide import prove_motion
 from surctl.lyapunov.equilibrium import linearisation
-from surctl.lyapunov.symmetry import invariant, sign_symmetries
 from surctl.lyapunov.template import polynomials
 from surctl.verification.formula import Node, parse, text_of, variable
-from surctl.verification.proving.forms import forms_of
-from surctl.verification.proving.search import Task, search
-from surctl.verification.proving.statement import cases_of, statement_of
+from surctl.verification.proving.forms import cases_of, forms_of, statement_of
+from surctl.verification.proving.search import BoxTask, search
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import range_at, touches, vanishes
 
@@ -66,7 +64,7 @@ def test_a_form_is_exactly_zero_at_an_equilibrium(rates: dict[str, str], functio
     form = forms_of(replace(case, touching=statement.touching), statement.names, root)[0]
     tapes = [build_tape(statement.names, part) for part in ([form.numerator, *form.denominators], case.constraints)]
     written, box = build_tape(statement.names, statement.parts), (statement.lower, statement.upper)
-    assert search(Task(*tapes, written, box, 0.0), deadline=time.process_time() + 20.0).closed
+    assert search(BoxTask(*tapes, written, box, 0.0), deadline=time.process_time() + 20.0).closed
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from surctl.lyapunov import Dynamics, Problem, State, load_problem, solve
-from surctl.lyapunov.switching import limits_sentence
+from surctl.lyapunov.solve import limits_sentence
 from surctl.verification.formula import parse, variable
 from tests.lyapunov.problems import written
 

@@ -18,7 +18,7 @@ from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import Decision, prove_motion
 from surctl.lyapunov.equilibrium import at_equilibrium, common_quadratic, linearisation
 from surctl.lyapunov.from_system import NOT_COVERED
-from surctl.lyapunov.inward import short
+from surctl.lyapunov.near import short
 from surctl.system import Action, Controller, Plant, System
 from surctl.verification.formula import parse, text_of, variable
 

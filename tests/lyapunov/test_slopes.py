@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from itertools import product
 from pathlib import Path
 
@@ -9,11 +10,13 @@ import numpy as np
 import pytest
 
 from surctl.certcheck import check_document
+from surctl.certcheck.enclosure import span
+from surctl.certcheck.region_exact import inverse
+from surctl.certcheck.slope_rows import Rows
 from surctl.errors import UnsupportedOperation
 from surctl.lyapunov import Bound, Dynamics, Range, Stability, State, decide_motion, find_stability, load_problem, solve
 from surctl.lyapunov.equilibrium import linearisation
-from surctl.lyapunov.slope_search import Family, _Shapes, slope_candidate
-from surctl.lyapunov.slopes import Embedding
+from surctl.lyapunov.slope_search import Embedding, Family, _Shapes, slope_candidate
 from surctl.verification.formula import parse, text_of, variable
 
 LIMITED = """
@@ -101,6 +104,23 @@ def test_near_the_equilibrium_the_matrices_are_the_linearisations() -> None:
     matrices = family.vertices(every)
     for a in linear.matrices:
         assert np.abs(matrices - a).max(axis=(1, 2)).min() < 1e-6
+
+
+def test_the_sampled_ranges_of_slopes_are_those_that_the_checker_encloses() -> None:
+    p = [[Fraction(3), Fraction(0), Fraction(1)], [Fraction(0), Fraction(2), Fraction(0)],
+         [Fraction(1), Fraction(0), Fraction(1)]]  # fmt: skip
+    cover = inverse(p)
+    exact = Rows(
+        [v.name for v in CRAFT.variables], [span(v.lower, v.upper) for v in CRAFT.variables],
+        [text_of(rate) for rate in CRAFT.rates], [cover], [Fraction(0)] * 3, Fraction(1),
+    )  # fmt: skip
+    sampled = Embedding(CRAFT, np.array([cover], dtype=float))
+    ends, own = (np.array(rows.slopes, dtype=float) for rows in (exact, sampled))
+    width = np.diff(ends, axis=1)
+    assert np.all(np.abs(own - ends) <= 0.02 * width)
+    assert [[set(entry.poly) for entry in row] for row in sampled.rows] == [
+        [set(entry.poly) for entry in row] for row in exact.rows
+    ]
 
 
 @pytest.mark.parametrize("discrete", [False, True])

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.guidance.braking import Watch, allowed_speed
+from surctl.marine.guidance.braking import Brakes, Watch
 from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers
 from surctl.marine.verification.braking.proof import DistanceTable, distance_table, encounter, figures_needed
 
@@ -285,3 +286,24 @@ def _unit(angle: Vector) -> Vector:
 def _turned(vector: Vector, angle: Vector) -> Vector:
     c, s = np.cos(angle), np.sin(angle)
     return np.column_stack([c * vector[:, 0] - s * vector[:, 1], s * vector[:, 0] + c * vector[:, 1]])
+
+
+def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: float = 0.0) -> float:
+    """Return the largest speed of the robot [m/s] at which another period without braking is safe.
+
+    The function assumes that the robot was not faster since the echo. If the robot is too near to the obstacle even at
+    a closing speed of 0, the function continues linearly below this speed, so the robot must retreat. The result is
+    −inf if the obstacle is too fast for braking.
+    """
+    left = brakes.left(obstacle)
+    if left <= 0:
+        return -inf
+    gain, late = brakes.acceleration(obstacle), watch.age + watch.period
+    gained, swing = gain * watch.period, brakes.lag * max(brakes.most + brakes.least, 0.0)
+    rest = measured - watch.range_error - gain * watch.period**2 / 2 + late * gained
+    closing = inf
+    for m in brakes.masses:
+        k, lost = m / (2 * left), swing / m
+        remaining, slope = rest - k * lost**2, late + 2 * k * lost
+        closing = min(closing, 2 * remaining / (slope + sqrt(slope**2 + 4 * k * max(remaining, 0.0))))
+    return closing - watch.speed_error - obstacle - gained

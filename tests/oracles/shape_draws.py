@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from surctl.priority.compiled.level_shape import LevelShape
-from surctl.priority.draws import draw_levels, draw_problem
+from surctl.priority.compiled.decomposition import LevelShape
 from surctl.priority.problem import Level, PriorityProblem, build_problem
+from tests.oracles.priority_draws import draw_levels, draw_problem
 
 __all__ = ["draw_of_shape"]
 
@@ -33,8 +33,7 @@ def draw_of_shape(
     if len(levels) > 1 and not conditioned and rng.random() < 0.2:
         place = int(rng.integers(1, len(levels)))
         levels[place].J[0] = levels[place - 1].J[0]
-    # rows of kind "set" open after barriers in `solve`, but together with them in a compiled step
-    rows = [row for row in draw_problem(rng).rows if row.kind != "set"] if limits else []
+    rows = draw_problem(rng).rows if limits else []
     return build_problem(levels, rows)
 
 

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.priority import Level, build_problem, nsb, nsb_sweep, nsb_symbolic
-from surctl.priority.draws import draw_levels
 from surctl.tasks import (
     Stack,
     depth_task,
@@ -18,6 +17,7 @@ from surctl.tasks import (
     position_task,
     velocity_task,
 )
+from tests.oracles.priority_draws import draw_levels
 from tests.oracles.priority_references import printed_law, svd_cascade
 
 N = 4

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import casadi as ca
@@ -14,10 +14,20 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from surctl.ir import replay
-from surctl.priority import AssembledStep, Assembly, Level, PriorityProblem, Row, assemble, build_problem, solve
+from surctl.priority import (
+    AssembledStep,
+    Assembly,
+    Level,
+    PriorityProblem,
+    PriorityStep,
+    Row,
+    assemble,
+    build_problem,
+    solve,
+)
 from surctl.priority.compiled.confirmation import UNCONFIRMED, confirmation
-from surctl.priority.compiled.level_shape import StackShape
-from surctl.priority.compiled.runner import level_shapes
+from surctl.priority.compiled.decomposition import StackShape
+from surctl.priority.compiled.step import level_shapes
 from surctl.priority.optimality import is_least
 from surctl.priority.settings import Settings
 from surctl.priority.solver.dual_step import OPTIMAL, Space
@@ -26,8 +36,12 @@ from surctl.priority.solver.kernel import kernel, row_by_row
 from surctl.tasks import AccelerationLimit, Limit, Stack, Task, VelocityBox
 from tests.tools import need_compiler
 
-ARM = json.loads((Path(__file__).parent / "stretched_arm.json").read_text(encoding="utf-8"))
+ARM, DOUBTFUL = (
+    json.loads((Path(__file__).parent / f"{name}.json").read_text(encoding="utf-8"))
+    for name in ("stretched_arm", "doubtful_rank")
+)
 Array = NDArray[np.float64]
+reference = partial(solve, backend="daqp")  # a step would be compiled for each shape
 
 
 def judged(problem: PriorityProblem, v: Array, target: Array, *, opening: float = 0.0, strict: int = 9) -> int:
@@ -57,18 +71,28 @@ def drawn(rng: np.random.Generator, size: float, n: int = 5) -> PriorityProblem:
 
 def test_a_stretched_arm_far_from_its_optimum_is_not_called_optimal() -> None:
     problem, v = PriorityProblem.from_dict(ARM), np.array(ARM["v_worse"])
-    better = solve(problem, mode="lexicographic")
+    better = reference(problem, mode="lexicographic")
     second = problem.levels[1]
     assert second.residual(v) > 1.3 * second.residual(better.v)
     assert judged(problem, v, np.zeros(7)) == UNCONFIRMED
     assert not is_least(v, problem, settings=Settings("lexicographic"), target=np.zeros(7), tol=1e-6)
 
 
+def test_a_limit_that_matters_if_a_singular_value_counts_decides_nothing() -> None:
+    """J of the first level has a singular value of 0.8e-10·|J|, and a limit stops that direction."""
+    need_compiler()
+    problem = PriorityProblem.from_dict(DOUBTFUL)
+    step = PriorityStep("lexicographic", n=7, levels=level_shapes(problem), rows=len(problem.rows))
+    step.load(problem)
+    step.solve()
+    assert step.stage == "unconfirmed"
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_optimal_is_confirmed_and_what_is_moved_is_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
     problem = drawn(rng, 3.0)
-    got = solve(problem, mode="lexicographic")
+    got = reference(problem, mode="lexicographic")
     assert got.status in ("optimal", "limited") and judged(problem, got.v, got.target) == LIMITED
     inside = np.zeros(problem.width)  # every limit allows 0
     for share in (1e-5, 0.3):
@@ -76,7 +100,7 @@ def test_what_is_optimal_is_confirmed_and_what_is_moved_is_not(seed: int) -> Non
         assert judged(problem, moved, got.target) == UNCONFIRMED
     assert judged(problem, 1.001 * got.v, got.target) == UNCONFIRMED  # outside the limits
     easy = drawn(rng, 0.1)
-    near, strict = (solve(easy, mode=mode) for mode in ("projected", "lexicographic"))
+    near, strict = (reference(easy, mode=mode) for mode in ("projected", "lexicographic"))
     assert judged(easy, near.v, near.target, strict=1) == LIMITED
     assert judged(easy, strict.v, near.target, strict=1) == UNCONFIRMED  # level 1 is met, but v is not the nearest
 
@@ -135,7 +159,7 @@ def test_limits_that_cross_never_exceed_the_harder_one(kind: str, q: list[float]
     step.inputs["q"][:], step.inputs["nu"][:] = q, nu
     step.solve()
     problem = assembly.problem({"q": q, "nu": nu})
-    want = solve(problem)
+    want = reference(problem)
     assert np.abs(step.v).max() <= 1.0 and np.abs(step.v - want.v).max() < 1e-9
     outside = np.abs(q) > 1.02 + 1e-9  # beyond, the damper asks for more than the velocity limit
     assert (step.v[outside] == -np.sign(q)[outside]).all()

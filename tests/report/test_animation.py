@@ -16,7 +16,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from surctl.cli.animate_option import check_animate
+from surctl.cli.run_options import check_animate
 from surctl.cli.simulate import simulate
 from surctl.errors import InputError, ToolMissing
 from surctl.marine.report import check_animation, save_animation
@@ -128,7 +128,7 @@ def test_a_name_that_is_no_moving_picture_is_told(tmp_path: Path, name: str) -> 
 
 def test_mp4_without_ffmpeg_and_pyav_is_told_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr("surctl.report.mp4.find_spec", lambda name: None)
+    monkeypatch.setattr("surctl.marine.report.animation.find_spec", lambda name: None)
     with pytest.raises(ToolMissing, match=r"neither is installed; pip install 'surctl\[film\]'.*\.gif"):
         check_animation("run.mp4")
 
@@ -147,7 +147,7 @@ def test_without_ffmpeg_pyav_writes_the_film(tmp_path: Path, monkeypatch: pytest
 
 def test_a_broken_pyav_is_told_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr("surctl.report.mp4.find_spec", lambda name: object())
+    monkeypatch.setattr("surctl.marine.report.animation.find_spec", lambda name: object())
     monkeypatch.setitem(sys.modules, "av", ModuleType("av"))
     with pytest.raises(InputError, match=r"--animate: PyAV failed \(.*; end the name in .gif"):
         save_animation(first_tick(flight()), tmp_path / "run.mp4")

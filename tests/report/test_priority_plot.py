@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surctl.cli.single_run import further_output
+from surctl.cli.runs import further_output
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.report.signals import plot_priority, relaxation_text
 from surctl.marine.simulation import Run, explain, load_scenario, priority_timeline, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.priority import PriorityTimeline
-from surctl.priority.timeline import NOTICEABLE
+from surctl.priority.solving import NOTICEABLE
 from tests.pictures import blank_pictures
 
 

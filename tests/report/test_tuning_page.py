@@ -13,7 +13,8 @@ from surctl.assessment import assess
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
 from surctl.lyapunov import Problem, continuous_dynamics
-from surctl.marine.assessment import Mission, motion
+from surctl.marine import assessment as subjects
+from surctl.marine.assessment import Mission
 from surctl.marine.control import load_gains
 from surctl.marine.report.bench import Bench, save_gains
 from surctl.marine.simulation import load_scenario
@@ -274,7 +275,7 @@ def test_the_page_of_the_robot_shows_its_run_goals_and_claims(tmp_path):
 def test_the_page_of_the_robot_says_which_region_does_not_apply(monkeypatch):
     """That the certified region is drawn with the falsified level is a check of `analysis/40_long_checks`."""
     monkeypatch.setattr(Bench, "verdicts", lambda self, values: ())  # claims have tests of their own
-    monkeypatch.setattr(motion, "DEFAULT_REGIONS", ("region-steered-20",))  # about craft without sway force
+    monkeypatch.setattr(subjects, "DEFAULT_REGIONS", ("region-steered-20",))  # about craft without sway force
     values = {one.name: one.value for one in ROBOT.sliders}
     refused = ROBOT.decide(values)
     assert refused.picture is None and any("not applicable" in text for text, _ in refused.lines)

@@ -9,14 +9,14 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
+from surctl.marine.report.files import plot_region, save_margins, save_regions, save_verdicts
 from surctl.marine.report.margin_plots import _rim, loop_responses, plot_marked_bode
-from surctl.marine.report.verify_files import plot_region, save_margins, save_regions, save_verdicts
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import claims, loop_margins
 from surctl.marine.verification.portrait import CRUISE_PLANES, HEADING_PLANES, portrait
 from surctl.report.evidence import plot_cells, plot_open_boxes
 from surctl.verification import decide, falsify, prove
-from surctl.verification.proving.cells import cells_of
+from surctl.verification.proving.search import cells_of
 from tests.certcheck import cruise
 from tests.certcheck.test_heading import RANGES, rate
 
@@ -74,7 +74,7 @@ def test_the_flow_is_that_of_the_loop_written_for_the_checkers_tests() -> None:
 
 @pytest.mark.usefixtures("blank")
 def test_a_portrait_needs_a_region(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("surctl.marine.report.verify_files.portrait", partial(portrait, points=15))
+    monkeypatch.setattr("surctl.marine.report.files.portrait", partial(portrait, points=15))
     with pytest.raises(InputError, match="level sets"):
         portrait({"kind": "interval", "claim": {}}, "along")
     with pytest.raises(InputError, match="across"):

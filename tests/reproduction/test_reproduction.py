@@ -18,8 +18,7 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.reproduction import WORDS, Item, Reproduction, Result, Simulations, items, reproduce, required
 from surctl.marine.reproduction import reproduction as reproducing
-from surctl.marine.reproduction.page import write_reproduction
-from surctl.marine.reproduction.reproduction import claim_items, judged, table_items
+from surctl.marine.reproduction.reproduction import claim_items, judged, table_items, write_reproduction
 from surctl.marine.reproduction.row import agrees
 from surctl.marine.reproduction.scenarios import scenario_names
 from surctl.marine.sensing.calibration.file import RangeTest

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 from surctl.errors import InputError
 from surctl.robot import Capsule, StackController, load_urdf
 from surctl.robot.limits import stopping_speed
-from surctl.robot.shapes import closest_points
+from surctl.robot.urdf import closest_points
 from tests.robot.robots import ARM, joint, link, written
 
 _DISTANCE, _RATE, _PERIOD = ca.SX.sym("d"), ca.SX.sym("a"), ca.SX.sym("dt")

@@ -8,8 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from surctl.marine.sensing import SonarArray, map_step, true_range
+from surctl.marine.sensing import SonarArray
 from surctl.marine.world import Box, Disc, Wall
+from tests.oracles.echoes import true_range
+from tests.oracles.local_map import map_step
+from tests.oracles.rays import hit, nearest_in_cone
 
 HULL = 0.27
 EDGE = HULL / 4
@@ -74,14 +77,14 @@ def echoes(shapes, apex, axis, half, distance):
     """Points on surfaces from which the echo came: feet, or where an edge ray hits."""
     found = []
     for shape in shapes:
-        if shape.nearest_in_cone(apex, axis, half_angle=half) > distance + 1e-6:
+        if nearest_in_cone(shape, apex, axis, half_angle=half) > distance + 1e-6:
             continue
         away, x, y = shape.foot(*apex)
         if abs(away - distance) < 1e-6:
             found.append((x, y))
         for ray in (axis - half, axis + half):
             ex, ey = math.cos(ray), math.sin(ray)
-            if abs(shape.ray(*apex, ex=ex, ey=ey) - distance) < 1e-6:
+            if abs(hit(shape, *apex, ex=ex, ey=ey)[0] - distance) < 1e-6:
                 found.append((apex[0] + distance * ex, apex[1] + distance * ey))
     return found
 

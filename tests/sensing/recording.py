@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from surctl.marine.sensing import SonarArray, fire, true_range
+from surctl.marine.sensing import SonarArray
 from surctl.marine.world import Wall
 from surctl.noise import NoiseStream
+from tests.oracles.echoes import fire, true_range
 
 # narrow beams: the ones ahead and astern would else hear the same side wall, as in crosstalk
 ARRAY = SonarArray(beam_angle=0.25)

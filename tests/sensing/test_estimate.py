@@ -9,7 +9,9 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Layout
 from surctl.marine.sensing import ContactMemory, Contacts, SonarArray, expected_range, sonar_contacts
-from surctl.marine.world import Disc, nearest_echo, site_walls
+from surctl.marine.world import Disc, site_walls
+from tests.oracles.echoes import nearest_echo
+from tests.oracles.rays import nearest_in_cone
 
 ARRAY = SonarArray()
 SITE = (0.0, 10.0, 0.0, 5.0)
@@ -47,7 +49,7 @@ def test_expected_range_is_the_worlds(sensor, degrees):
         known = [Disc(row[:2], row[2]) for row, there in zip(table, valid, strict=True) if there]
         axis = psi + azimuth
         apex = position + ARRAY.hull_radius * np.array((math.cos(axis), math.sin(axis)))
-        ranges = [s.nearest_in_cone(apex, axis, half_angle=half) for s in (*site_walls(5.0, 10.0), *known)]
+        ranges = [nearest_in_cone(s, apex, axis, half_angle=half) for s in (*site_walls(5.0, 10.0), *known)]
         by_disc += ranges.index(min(ranges)) >= 4
         got = float(f(position, (math.cos(psi), math.sin(psi)), SITE, table, valid))
         assert got == pytest.approx(min(min(ranges), 2 * ARRAY.maximum), abs=1e-9)
@@ -67,7 +69,7 @@ def test_a_specular_wall_answers_only_near_its_normal_and_ends_at_the_next_wall(
         truth = nearest_echo(site_walls(5.0, 10.0), apex, psi, half_angle=half, incidence_limit=limit)
         got = float(f(position, (math.cos(psi), math.sin(psi)), SITE, np.zeros((0, 3)), np.zeros(0)))
         assert got == pytest.approx(min(truth, 2 * ARRAY.maximum), abs=1e-6)
-        farther += truth > min(s.nearest_in_cone(apex, psi, half_angle=half) for s in site_walls(5.0, 10.0)) + 0.1
+        farther += truth > min(nearest_in_cone(s, apex, psi, half_angle=half) for s in site_walls(5.0, 10.0)) + 0.1
     assert farther > 50
 
 

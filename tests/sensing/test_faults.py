@@ -20,12 +20,10 @@ from surctl.marine.sensing import (
     check_faults,
     fault_ports,
     fault_slots,
-    fault_state,
-    faulty,
     faulty_samples,
-    firing_samples,
 )
 from surctl.noise import NoiseStream, draw_uniforms, noise_states
+from tests.oracles.echoes import fault_state, faulty, firing_samples, strikes
 
 
 class File(Strict):
@@ -186,10 +184,10 @@ def test_of_two_faults_the_first_acts_and_chance_comes_last():
 def test_chances_strike_as_often_as_they_say():
     chances = FaultChances(dropout=0.05, zero=0.1, maximum=0.15, spike=0.2, second_echo=0.1, crosstalk=0.3)
     stream, count = NoiseStream(3), 40_000
-    struck = [chances.strikes(u) for u in stream.uniforms(count)]
+    struck = [strikes(chances, u) for u in stream.uniforms(count)]
     for kind, chance in zip(FaultChances.kinds(), chances.numbers, strict=True):
         assert abs(struck.count(kind) / count - chance) < 4 * math.sqrt(chance * (1 - chance) / count)
-    assert chances.strikes(0.049) == "dropout" and chances.strikes(0.051) == "zero" and chances.strikes(0.91) is None
+    assert strikes(chances, 0.049) == "dropout" and strikes(chances, 0.051) == "zero" and strikes(chances, 0.91) is None
 
 
 FAULTS = {

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.ir import Call, Layout, Routine, compile_batch, compile_block, lower, replay
-from surctl.marine.sensing import LocalMap, map_step, map_view
+from surctl.marine.sensing import LocalMap
 from surctl.marine.sensing.mapping.local_map import BLIND, READING, RING
 from surctl.marine.world import Disc
+from tests.oracles.local_map import map_step
 from tests.raycasting import heard_along
 from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, SPIN, directions, firing, journey
 from tests.sensing.plain_map import plain_map
@@ -154,7 +155,7 @@ class Chart:
 
     def at(self, x, y):
         """Value of the cell that holds a place; None outside the window."""
-        values, xs, ys = map_view(self.chart, self.cells, self.corner, edge=EDGE)
+        values, xs, ys = self.chart.view(self.cells, self.corner, edge=EDGE)
         i, j = (int(np.argmin(np.abs(c - v))) for c, v in ((xs, x), (ys, y)))
         return values[j, i] if max(abs(xs[i] - x), abs(ys[j] - y)) <= 0.5 * EDGE + 1e-9 else None
 
@@ -164,7 +165,7 @@ AHEAD = firing((HULL, 0.0), 0.0, 1.0, half=math.radians(5))
 
 def test_it_starts_unknown_but_for_the_place_of_the_hull():
     chart = Chart()((0.3, -0.2))
-    values, x, y = map_view(chart.chart, chart.cells, chart.corner, edge=EDGE)
+    values, x, y = chart.chart.view(chart.cells, chart.corner, edge=EDGE)
     away = np.hypot(x - 0.3, (y + 0.2)[:, None])
     assert values.shape == (48, 48) and np.all((values == -1) == (away < HULL)) and set(np.unique(values)) == {-1, 0}
     assert abs(x.mean() - 0.3) <= EDGE and abs(y.mean() + 0.2) <= EDGE
@@ -218,7 +219,7 @@ def test_neither_its_size_nor_what_it_holds_depends_on_the_site():
         near = firing(at, k, reading[0], half=reading[1])
         here(place, near)
         there(place + offset, firing(at + offset, k, reading[0], half=reading[1]))
-    views = [map_view(c.chart, c.cells, c.corner)[0] for c in (here, there)]
+    views = [c.chart.view(c.cells, c.corner)[0] for c in (here, there)]
     np.testing.assert_allclose(*views, atol=1e-9)
     assert {port.size for port in here.chart.ports()} == {48**2, 2}
 
@@ -247,7 +248,7 @@ def test_near_a_wall_more_of_what_is_ahead_is_kept():
 def known_but_for(chart, low, hidden):
     """All the window from `low` on (2,) [m] is known to be free, but the cells of which `hidden`, of their middles."""
     chart.corner = np.array(low) / EDGE
-    _, x, y = map_view(chart.chart, chart.cells, chart.corner, edge=EDGE)
+    _, x, y = chart.chart.view(chart.cells, chart.corner, edge=EDGE)
     many, size, side = chart.chart.blocks, chart.chart.block, chart.chart.side
     torus = np.empty((side, side))
     rows, columns = (np.mod(np.floor(axis / EDGE), side).astype(int) for axis in (y, x))
@@ -321,7 +322,7 @@ def test_what_one_reading_clears_lies_wholly_in_its_cone(beam):
         ahead = np.array([math.cos(axis), math.sin(axis)])
         apex = place + HULL * ahead
         chart = Chart()(place, firing(apex, axis, distance, half=half))
-        values, x, y = map_view(chart.chart, chart.cells, chart.corner, edge=EDGE)
+        values, x, y = chart.chart.view(chart.cells, chart.corner, edge=EDGE)
         j, i = np.nonzero(values == -1)
         for cx, cy in zip(x[i], y[j], strict=True):
             far = (np.array([cx, cy]) - apex) @ ahead
@@ -348,7 +349,7 @@ def test_a_surface_that_was_heard_is_never_known_to_be_free(beam):
         heard = set()
         for now in path:
             heard |= {(math.floor(x / EDGE), math.floor(y / EDGE)) for x, y in now.heard}
-            values, _, _ = map_view(chart, now.cells, now.corner)
+            values, _, _ = chart.view(now.cells, now.corner)
             at = np.array(sorted(heard)).reshape(-1, 2) - now.corner.astype(int)
             at = at[np.all((at >= 0) & (at < chart.side), axis=1)]
             looked += len(at)
@@ -372,7 +373,7 @@ class Around:
         self.away, self.mark, self.told, self.unknown = self.rows.T
 
     def _look(self, now):
-        values, x, y = map_view(self.chart, now.cells, now.corner, edge=EDGE)
+        values, x, y = self.chart.view(now.cells, now.corner, edge=EDGE)
         dx, dy = np.meshgrid(x - now.position[0], y - now.position[1])
         self.offsets = dx[values > 0], dy[values > 0]
         bearings = np.linspace(0, 2 * np.pi, 720, endpoint=False)
@@ -419,7 +420,7 @@ def test_false_marks_vanish_around_one_thing_alone(beam):
     chart, disc, most = LocalMap(dt=DT), Disc((1.1, 0.2), 0.15), 0.0
     path = journey(0, beam, chart=chart, seconds=2.2 * np.pi / SPIN, speed=0.0, shapes=[disc], place=(0.0, 0.0))
     for now in path:
-        values, x, y = map_view(chart, now.cells, now.corner, edge=EDGE)
+        values, x, y = chart.view(now.cells, now.corner, edge=EDGE)
         off = np.abs(np.hypot(x - 1.1, (y - 0.2)[:, None]) - 0.15)[values > 0]
         most = max(most, off.max(initial=0.0))
     assert off.size
@@ -456,7 +457,7 @@ def test_where_such_a_disc_hides_its_cells_are_told(x, y, radius):
     chart = LocalMap(dt=DT)
     place = np.array([0.0, 0.0, HULL, EDGE])
     window = np.floor(place[:2] / EDGE) - chart.side // 2
-    _, xs, ys = map_view(chart, np.zeros(chart.side**2), window, edge=EDGE)
+    _, xs, ys = chart.view(np.zeros(chart.side**2), window, edge=EDGE)
     dx, dy = (np.maximum(np.abs(axis - at) - EDGE / 2, 0) for axis, at in ((xs, x), (ys, y)))
     touched = np.hypot(dx, dy[:, None]) <= radius * EDGE
     rolled = np.zeros((chart.side, chart.side))

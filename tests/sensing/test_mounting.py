@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import SonarArray, true_range
+from surctl.marine.sensing import SonarArray
 from surctl.marine.sensing.sonar.array import open_cones
 from surctl.marine.world import Disc
+from tests.oracles.echoes import true_range
 
 R = 0.27
 

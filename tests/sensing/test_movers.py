@@ -11,6 +11,7 @@ import pytest
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, lower
 from surctl.marine.sensing import BaseStation, Delivery, MoverTracker, mover_step
+from tests.oracles import measurements
 
 DT = 0.05
 
@@ -109,7 +110,7 @@ def test_the_bound_holds_what_it_says(loss):
     for tick in range(300):
         then = at((tick - station.messages.late(DT)) * DT)
         noise, chance = rng.standard_normal((tracker.slots, 4)), rng.standard_normal()
-        message, fresh = station.message(then, tick, noise=noise, chance=chance, dt=DT)
+        message, fresh = measurements.message(station, then, tick, noise=noise, chance=chance, dt=DT)
         out = track(message if fresh else None)
         if out.rows[0, 5]:
             off = np.linalg.norm(out.rows[:, :2] - at(tick * DT)[:, :2], axis=1)

@@ -12,9 +12,10 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, on_vectors
-from surctl.marine.sensing import RangeTracker, SonarArray, fire
+from surctl.marine.sensing import RangeTracker, SonarArray
 from surctl.marine.sensing.ranging.tracker import Ranging
 from surctl.marine.world import Wall
+from tests.oracles.echoes import fire
 from tests.sensing.test_filters import ALLOWED
 
 DT = 0.05

@@ -20,19 +20,15 @@ from surctl.marine.sensing import (
     SonarArray,
     Surfaces,
     beam_of,
-    certain_range,
     certain_range_symbols,
-    corner_points,
     echo_keys,
-    echo_uniform,
-    firing_block,
     firing_block_symbols,
     uniform_symbols,
-    weak_range,
     weak_range_symbols,
 )
-from surctl.marine.world import Box, Disc, nearest_facing, site_walls
+from surctl.marine.world import Box, Disc, site_walls
 from tests.conerays import nearest_in_space, shares, weak_probability
+from tests.oracles.echoes import certain_range, corner_points, echo_uniform, firing_block, nearest_facing, weak_range
 from tests.raycasting import nearest_by_rays
 
 LENGTH, WIDTH, DEPTH = 6.0, 4.0, 3.0

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from surctl.marine.sensing import Calibration, Estimate, SonarArray, calibrate, fire, table_ii
+from surctl.marine.sensing import Calibration, Estimate, SonarArray, calibrate, table_ii
 from surctl.marine.world import Wall
 from surctl.noise import NoiseStream
+from tests.oracles.echoes import fire
 
 ARRAY = SonarArray()
 TABLES = 400

@@ -9,8 +9,8 @@ import pytest
 
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import Run, load_scenario, simulate
-from surctl.marine.simulation.record import measure
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.run_metrics import measure
 
 GAINS = load_gains("default")
 

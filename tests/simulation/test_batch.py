@@ -1,4 +1,4 @@
-"""The compiled loop against the reference loop, and what a batch must not depend on."""
+"""The compiled loop against the loop in NumPy, and what a batch must not depend on."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from surctl.marine.simulation import (
     SlowerEngine,
     case_parameters,
     load_scenario,
-    simulate,
     simulate_batch,
 )
 from surctl.marine.simulation.batch import engines
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.mission_loop import simulate as reference
 
 
 def _case(name: str, *, seconds: float | None = None, **more: Any) -> Case:
@@ -34,7 +34,7 @@ def _case(name: str, *, seconds: float | None = None, **more: Any) -> Case:
 
 
 def _reference(case: Case, seed: int = 0) -> np.ndarray[Any, Any]:
-    run = simulate(
+    run = reference(
         case.scenario,
         case.vehicle,
         gains=case.gains,

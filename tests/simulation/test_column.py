@@ -10,9 +10,10 @@ import pytest
 
 from surctl.marine.simulation import Body
 from surctl.marine.simulation.batch.structure import Body as Symbols
-from surctl.marine.simulation.column import BAND, FOOTPRINT, LONGEST, beside, column
 from surctl.marine.simulation.scenario import load_scenario
+from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST, beside
 from surctl.marine.world import WHOLE, Box, Disc, Heights, Prism
+from tests.oracles.mission_loop import column
 
 HULL = 0.27
 TANK = replace(load_scenario("tank-static"), depths=(-4.0, -0.5))

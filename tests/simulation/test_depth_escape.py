@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 import numpy as np
 import pytest
 
-from surctl.cli.single_run import further_output
+from surctl.cli.runs import further_output
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import (
     Case,

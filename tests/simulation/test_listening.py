@@ -1,4 +1,4 @@
-"""What the sensors of a run say is the same in the reference loop and in the compiled one."""
+"""What the sensors of a run say is the same in the loop in NumPy and in the compiled one."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import BaseStation, Delivery, Equipment, Fault, FaultChances, OwnState, SonarArray
-from surctl.marine.simulation import Case, Sensors, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation import Case, Sensors, load_scenario, simulate_batch
 from surctl.marine.simulation.batch.engines import compiled_loop
 from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.pack import pack, structure_of
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.mission_loop import simulate as in_numpy
 from tests.tools import need_compiler
 
 MOUNTED = SonarArray(
@@ -51,7 +52,7 @@ def test_the_compiled_loop_hears_what_the_reference_hears() -> None:
     The state of the law depends on all that it has ever measured; the metrics hardly do within such a time.
     """
     need_compiler()
-    run = simulate(SCENARIO, CASE.vehicle, gains=CASE.gains, law=CASE.build(), sensing="sonar", seed=5)
+    run = in_numpy(SCENARIO, CASE.vehicle, gains=CASE.gains, law=CASE.build(), sensing="sonar", seed=5)
     loop = build_loop(structure_of(CASE, {}))
     packed = pack(CASE, loop, {}, np.array([5, 6]))
     final = compiled_loop(loop.structure).run(packed.state, packed.parameters, steps=packed.steps - 1)

@@ -25,6 +25,8 @@ from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.numbers import fed_ranges
 from surctl.marine.simulation.scenario import scenario_from_table
 from surctl.marine.vehicle import load_vehicle
+from tests.oracles.mission_loop import simulate as reference
+from tests.oracles.missions import difference
 
 VEHICLE, GAINS, SITE = load_vehicle("sur400"), load_gains("default"), load_scenario("tank-static")
 
@@ -47,7 +49,7 @@ def written(path: list[list[float]], *legs: dict[str, Any], **more: Any) -> Scen
 
 
 def same(case: Case, row: np.ndarray) -> np.ndarray:
-    """The metrics of the batch, which must be those of the reference loop."""
+    """The metrics of the batch, which must be those of a single run."""
     found = simulate_batch(case).table[0]
     for name, a, b in zip(METRICS, found, row, strict=True):
         assert a == b or abs(a - b) <= 1e-9, (name, a, b)
@@ -95,6 +97,7 @@ def test_legs_with_speeds_depths_and_visits() -> None:
     assert np.linalg.norm(eta[:, :2] - [8, 8], axis=1).min() <= scenario.arrival_radius
     assert run.metrics.reached and abs(eta[-1, 2] + 1.0) < scenario.arrival_radius
     assert run.metrics.path_error_m < 0.1
+    assert difference(scenario, VEHICLE) <= 1e-9
     same(Case(scenario, VEHICLE, GAINS), np.array(run.metrics.row()))
     for name, (low, high) in fed_ranges(scenario).items():
         fed = run.record.step_parameters[:, run.law.gains.slice(name)]
@@ -118,14 +121,14 @@ def test_parameters_of_a_batch_hold_on_legs_that_do_not_say() -> None:
     values = {"scenario.cruise": [0.2, 0.15], "scenario.depth": [-1.0, -2.0], "scenario.arrival_radius": [0.1, 0.05]}
     for row, cruise, depth, near in zip(simulate_batch(case, values).table, *values.values(), strict=True):
         changed = replace(scenario, cruise=cruise, depth=depth, arrival_radius=near)
-        run = simulate(changed, VEHICLE, gains=GAINS, law=case.build())
+        run = reference(changed, VEHICLE, gains=GAINS, law=case.build())
         assert row == pytest.approx(run.metrics.row(), abs=1e-9)
 
 
 def test_in_casadis_machine() -> None:
     scenario = replace(written([[2, 5], [3, 5]], {"to_m": [4, 5], "depth_m": -1.1, "speed_m_per_s": 0.2}), time_limit=2)
     exact = Case(scenario, VEHICLE, GAINS, law="closed_form")
-    wanted = simulate(scenario, VEHICLE, gains=GAINS, law=exact.build()).metrics.row()
+    wanted = reference(scenario, VEHICLE, gains=GAINS, law=exact.build()).metrics.row()
     assert simulate_batch(exact, engine="vm").table[0] == pytest.approx(wanted, abs=1e-9)
 
 

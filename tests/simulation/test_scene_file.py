@@ -18,7 +18,7 @@ from surctl.errors import InputError
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LAYOUT, Obstacle, Run, SceneFile, load_scenario, save_record, save_scene, simulate
 from surctl.marine.vehicle import load_vehicle
-from surctl.recorded_mcap import SCHEMAS, McapFile
+from surctl.recorded_write import SCHEMAS, McapFile
 from tests.tools import need_module
 
 Messages = dict[str, list[tuple[float, str, dict[str, Any]]]]

@@ -18,7 +18,6 @@ from surctl.marine.simulation import (
     Case,
     Run,
     load_scenario,
-    loop,
     simulate,
     simulate_batch,
     stop_reason,
@@ -28,6 +27,7 @@ from surctl.marine.simulation.batch import Structure, build_loop
 from surctl.marine.simulation.sensors import Sensors
 from surctl.marine.vehicle import load_vehicle
 from tests.craft import mission
+from tests.oracles import mission_loop
 
 _SENSORS = range(4)
 DEAF_TWICE = Sensors(
@@ -47,8 +47,8 @@ def _case(sensors: Sensors, **gains: float) -> Case:
 
 
 @cache
-def _flown(sensors: Sensors, *, turns: bool = True) -> Run:
-    case = _case(sensors) if turns else _case(sensors, spin=0.0)
+def _flown(sensors: Sensors) -> Run:
+    case = _case(sensors)
     return simulate(case.scenario, case.vehicle, gains=case.gains, law=case.build(), sensing="sonar", seed=1)
 
 
@@ -111,8 +111,10 @@ def test_the_reason_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     state[-1], told[-1, run.law.inputs.slice("fix_fresh")] = run.law.initial_state(), 0.0
     lost = replace(run, record=replace(run.record, law_state=state, law_input=told))
     assert stop_reason(lost).startswith("the robot does not know its position")
-    monkeypatch.setattr(loop, "STOPPED_LIMIT", 1.0)  # it creeps on, and stands for moments only
-    said = stop_reason(_flown(DEAF_AHEAD, turns=False))
+    monkeypatch.setattr(mission_loop, "STOPPED_LIMIT", 1.0)  # it creeps on, and stands for moments only
+    case = _case(DEAF_AHEAD, spin=0.0)
+    options = {"gains": case.gains, "law": case.build(), "sensing": "sonar", "seed": 1}
+    said = stop_reason(mission_loop.simulate(case.scenario, case.vehicle, **options))
     assert said.startswith("the water ahead stays unknown; sonar") and " 0 " in said and said.endswith(" judged faulty")
 
 

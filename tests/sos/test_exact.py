@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from surctl.sos import Certificate, Polynomial, Program, certify, is_semidefinite, monomials
 from surctl.sos.polynomial import joined
-from surctl.verification.proving.zeros import zeros_of
+from surctl.verification.proving.squares import zeros_of
 
 X, Y, Z = Polynomial.variables(3)
 MOTZKIN = X**4 * Y**2 + X**2 * Y**4 + 1 - 3 * X**2 * Y**2

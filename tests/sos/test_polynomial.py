@@ -5,7 +5,7 @@ from fractions import Fraction
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from surctl.sos import Polynomial, gram_basis, monomials, parity_classes
+from surctl.sos import Polynomial, monomials, parity_classes
 
 COUNT = 3
 NUMBERS = st.fractions(min_value=-4, max_value=4, max_denominator=6)
@@ -37,13 +37,6 @@ def test_derivatives_follow_the_product_rule(p: Polynomial, q: Polynomial, k: in
 def test_a_substituted_polynomial_has_the_value_at_the_substituted_point(p: Polynomial, q: Polynomial, x) -> None:
     moved = p.substituted({0: q, 1: Polynomial.variable(0)})  # both at once
     assert moved.value(x) == p.value([q.value(x), x[0], x[2]])
-
-
-@given(st.lists(POLYNOMIALS, min_size=1, max_size=3))
-@settings(max_examples=25, deadline=None, phases=[Phase.generate])
-def test_the_basis_contains_the_monomials_of_squares(roots: list[Polynomial]) -> None:
-    total = sum((r * r for r in roots), Polynomial({}))
-    assert {m for r in roots for m in r.terms} <= set(gram_basis(total))
 
 
 @given(POLYNOMIALS)

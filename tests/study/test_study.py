@@ -8,7 +8,7 @@ import xarray
 
 from surctl.assessment import assess
 from surctl.errors import InputError
-from surctl.marine.assessment.loop import unstable_text
+from surctl.marine.assessment import unstable_text
 from surctl.marine.control import build_law, load_gains
 from surctl.marine.simulation import LIBRARY as SCENARIOS
 from surctl.marine.simulation import simulate

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from surctl.system.exponential import expm
+from surctl.system.linear_loop import expm
 
 
 def test_it_is_that_of_scipy_at_every_size_and_norm() -> None:

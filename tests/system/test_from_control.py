@@ -19,7 +19,7 @@ from surctl.system import (
     system_from_control,
     to_control,
 )
-from surctl.system.realisation import state_space
+from surctl.system.from_control import state_space
 
 PLANT = control.ss(
     [[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.5]], [[1.0, 0.0]], 0, inputs=["torque [N m]"], outputs=["angle [rad]"],

@@ -122,7 +122,7 @@ def test_the_rows_always_hold_a_velocity(diagonal, seed, spread):
     point = np.array(ca.DM(made.reachable())).reshape(-1)
     assert missed(rows, point) <= 1e-12 * (1 + np.abs(point).max() + np.abs(nu).max())
     task = Level("any", rng.normal(size=(2, 4)), rng.normal(size=2))
-    found = solve(build_problem([task], rows))
+    found = solve(build_problem([task], rows), backend="daqp")
     assert found.status in ("optimal", "limited")  # never relaxed, never clamped
     assert missed(rows, found.v) < 1e-9 * (1 + np.abs(found.v).max())
 
@@ -168,7 +168,7 @@ def test_the_widened_limits_bring_a_runaway_vehicle_back():
     task = Level("hurry", np.eye(4)[:2], np.array([2.0, -2.0]))  # asks for more speed, not less
     for _ in range(120):
         now = x[PLANT_STATE.slice("nu")]
-        found = solve(build_problem([task], rows_at(made, [nu], [now])))
+        found = solve(build_problem([task], rows_at(made, [nu], [now])), backend="daqp")
         assert found.status in ("optimal", "limited")
         tau = np.array(thrust_for(now, found.v)).reshape(-1)
         assert (np.abs(tau) <= numbers["thrust_limit"] * (1 + 1e-9)).all()

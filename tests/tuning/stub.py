@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from types import SimpleNamespace
 
 import numpy as np
 
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, Case, load_scenario
-from surctl.marine.tuning import measure, netcdf
+from surctl.marine.tuning import measure
 from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")
@@ -56,6 +57,6 @@ def install(monkeypatch):
     monkeypatch.setattr(measure, "simulate_batch", fly)
     monkeypatch.setattr(measure, "linear_table", linear)
     monkeypatch.setattr(measure, "law_digest", lambda case: "stub")
-    monkeypatch.setattr(netcdf, "law_digest", lambda case: "stub")
+    monkeypatch.setattr(import_module("surctl.marine.tuning.sweep"), "law_digest", lambda case: "stub")
     monkeypatch.setattr(measure, "build_law", lambda law: SimpleNamespace(dt=0.05))
     CALLS.clear()

@@ -76,7 +76,7 @@ def install(monkeypatch, loop=None):
     loop = loop or Loop()
     monkeypatch.setattr(evaluation, "simulate_batch", loop)
     monkeypatch.setattr(
-        import_module("surctl.marine.tuning.misses"), "simulate_batch", loop
+        import_module("surctl.marine.tuning.outcome"), "simulate_batch", loop
     )  # the package has a function of this name
     monkeypatch.setattr(evaluation, "linear_table", linear)
     monkeypatch.setattr(cegis, "starting_sets", lambda *_, **__: [])

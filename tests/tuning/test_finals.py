@@ -23,10 +23,10 @@ from surctl.marine.tuning import (
     tune,
     with_floor,
 )
-from surctl.marine.tuning.assessed import PART_OF
+from surctl.marine.tuning.goals import PART_OF
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import LINEAR_METRICS
-from surctl.tuning.goal_file import GoalTable
+from surctl.tuning.goals import GoalTable
 from tests.tuning.synthetic import CLEAR, NEAR, THRIFT, install, request
 
 WIDE = Goal("region", "region_m", "m", 0.2, "at least", "hard")

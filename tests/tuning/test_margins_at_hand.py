@@ -9,7 +9,7 @@ from surctl.marine.simulation import load_scenario
 from surctl.marine.tuning import build_cases
 from surctl.marine.tuning.measure import LINEAR_COLUMNS, SweepEvaluation
 from surctl.marine.tuning.start import _no_start
-from surctl.marine.tuning.table import judged
+from surctl.marine.tuning.sweep import judged
 from surctl.marine.vehicle import load_vehicle
 
 GAINS = load_gains("default")

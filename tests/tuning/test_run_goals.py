@@ -18,12 +18,12 @@ def test_a_goal_on_a_cost_of_the_runs_is_searched_and_kept() -> None:
     late = Cost(lambda s: ca.fabs(s.x["place"] - s.r["target"]) - 0.05, "last_time", "s")
     own = System(SYSTEM.plant, SYSTEM.controller, costs={"late": late})
     ranges, step = {"k_p": (1.0, 30.0), "k_d": (1.0, 12.0)}, {"reference.target": 1.0}
-    quick = RunGoal("quick", "late", 3.0)
+    quick = RunGoal("quick", "late", "s", 3.0)
     tuned = tune_system(own, 20.0, ranges, cases=step, trials=60, run_goals=[quick], least_disk_margin=0.0)
     assert tuned.objective == "goals" and tuned.costs["late"] < tuned.before["late"]
     (line,) = [line for line in tuned.lines(own) if "quick (soft)" in line]
     assert f"{tuned.costs['late']:.4g} s for 3" in line
-    never = RunGoal("never", "late", 1e-6, "hard")
+    never = RunGoal("never", "late", "s", 1e-6, kind="hard")
     tuned = tune_system(own, 20.0, ranges, cases=step, trials=30, run_goals=[quick, never], least_disk_margin=0.0)
     assert "never" in tuned.unmet
 
@@ -32,7 +32,8 @@ def test_a_goal_on_a_cost_of_the_runs_is_searched_and_kept() -> None:
     ("text", "problem"),
     [
         ("metric = 'lat'", "did you mean 'late'"),
-        ("metric = 'late'", "needs a bound"),
+        ("metric = 'late'", "needs one bound"),
+        ("metric = 'late'\nat_most = '3 s'\nat_least = '1 s'", "needs one bound"),
         ("metric = 'late'\nat_most = '0 s'", "greater than 0"),
         ("metric = 'late'\nat_most = '3 m'", "at_most"),
         ("metric = 'late'\nat_most = '3 s'\nover = 'mean'", "is not a key of a goal on a cost"),

@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 
 from surctl.marine.tuning import Goal, cegis, search, tune
-from surctl.marine.tuning.cegis import _chosen, _ended
-from surctl.marine.tuning.descent import descend
-from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo
-from surctl.marine.tuning.rounds import Round
-from surctl.marine.tuning.screening import reduced_pool, screen
-from surctl.tuning.journal import Journal
+from surctl.marine.tuning.cegis import Round, _chosen, _ended
+from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo, fresh, monte_carlo, reduced_pool, screen
+from surctl.marine.tuning.search import descend
+from surctl.tuning.search import Journal
 from tests.tuning.synthetic import CLEAR, GAINS, NEAR, THRIFT, Loop, heavy, install, request
 
 
@@ -21,7 +19,7 @@ def test_the_descent_ends_at_the_least_score_there_is(monkeypatch):
     start = pool.evaluation.normalised[0]
     k_v, k1 = (a.ravel() for a in np.meshgrid(np.geomspace(0.5, 4, 120), np.geomspace(0.1, 1.2, 120)))
     grid = asked.judge({"k_v": k_v, "k1": k1})
-    whole = descend(asked, pool, trials=120, shelf=Journal(None))
+    whole = descend(asked, pool, trials=120, journal=Journal(None))
     best = whole.best(start)
     assert whole.feasible[best]
     assert whole.score(start)[best] <= 1.001 * grid.score(start)[grid.best(start)] < pool.score(start)[pool.best(start)]
@@ -34,7 +32,7 @@ def test_a_descent_of_one_gain_and_from_an_infeasible_start(monkeypatch):
     asked = request((CLEAR, NEAR), k1=(0.13, 3.0))
     pool = asked.judge({"k1": np.array([2.5])})
     assert not pool.feasible[0]
-    whole = descend(asked, pool, trials=80, shelf=Journal(None))
+    whole = descend(asked, pool, trials=80, journal=Journal(None))
     best = whole.best(pool.evaluation.normalised[0])
     assert whole.feasible[best]
     # as near to the path as the clearance lets it
@@ -131,7 +129,7 @@ def test_hard_goals_that_a_search_does_not_meet_are_searched_for_alone(monkeypat
 
     monkeypatch.setattr(cegis, "search", searched)
     clear = {"k1": np.array([1.5, 0.3]), "k_v": np.array([0.5, 1.5])}
-    pool = cegis._searched(asked, [round_of(1.0)], 32, Journal(None), lambda _: None, descend=False)
+    pool = cegis._searched(asked, [round_of(1.0)], 32, Journal(None), lambda _: None)
     assert pool.feasible.tolist() == [False, False, True, False], "the best of the second search come first"
     (_, (alone, first)) = looked
     assert alone.goals == (CLEAR,) and [c.goals for c in alone.conditions] == [None, None, ("keep clear",)]
@@ -139,7 +137,7 @@ def test_hard_goals_that_a_search_does_not_meet_are_searched_for_alone(monkeypat
     looked.clear()
     clear = {"k1": np.array([0.3]), "k_v": np.array([1.5])}
     monkeypatch.setattr(cegis, "search", lambda one, **given: looked.append(one) or one.judge(clear))
-    cegis._searched(asked, [round_of(1.0)], 32, Journal(None), lambda _: None, descend=False)
+    cegis._searched(asked, [round_of(1.0)], 32, Journal(None), lambda _: None)
     assert len(looked) == 1, "met at once"
 
 

@@ -22,11 +22,10 @@ from surctl.marine.tuning import (
     tuned_gains,
     tuning_dict,
 )
-from surctl.marine.tuning.descent import _functions
 from surctl.marine.tuning.measure import SweepEvaluation, check_request
 from surctl.marine.tuning.montecarlo import monte_carlo
 from surctl.marine.tuning.pool import joined_pools
-from surctl.marine.tuning.trials import frozen, remembered
+from surctl.marine.tuning.search import _functions
 from surctl.marine.verification import LINEAR_METRICS, linear_table
 from surctl.tuning import grid, parse_axis
 from tests.tuning.synthetic import CLEAR, GAINS, THRIFT, Loop, case, install, request
@@ -95,7 +94,7 @@ def test_fresh_runs_and_the_descent_see_every_speed(everything_costs_nothing):
 def test_the_speed_stays_with_its_set(everything_costs_nothing):
     asked = request(goals=(DELAY, THRIFT))
     pool = asked.judge({"k_v": np.array([1.0, 2.0, 3.0]), "k1": np.array([0.5, 0.5, 0.5])})
-    back = remembered(asked, frozen(asked, pool, pool.evaluation.normalised[0]))
+    back = asked.pool(pool.table)
     for one in (pool, back, joined_pools([pool.subset([0]), pool.subset([1, 2])])):
         assert one.evaluation.speed[:, 0].tolist() == [0.2, 0.2, 0.2] and np.isnan(one.evaluation.speed[:, 1]).all()
     assert replace(asked, goals=(replace(DELAY, cruise=(0.1,)), THRIFT)).digest != asked.digest

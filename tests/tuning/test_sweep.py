@@ -18,11 +18,10 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import METRICS, load_scenario
 from surctl.marine.tuning import build_cases, load_sweep, measure, sweep
-from surctl.marine.tuning.table import judged
+from surctl.marine.tuning.sweep import judged
 from surctl.store import ChunkStore
 from surctl.tuning import Axis, LocalExecutor, Span, grid, make_design, parse_axis, saltelli, sobol_indices, spread
-from surctl.tuning.chunked import run_chunks
-from surctl.tuning.executors import DaskExecutor
+from surctl.tuning.chunked import DaskExecutor, run_chunks
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from tests.processes import run_python
 from tests.tools import PATIENCE
@@ -387,7 +386,7 @@ import os, random, signal, sys, time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from surctl.tuning.executors import LocalExecutor
+from surctl.tuning.chunked import LocalExecutor
 from surctl.store import ChunkStore
 from surctl.tuning.chunked import run_chunks
 from tests.tuning.chunk_work import CHUNKS, slow_squares
@@ -433,7 +432,7 @@ def test_killed_twenty_times_it_is_the_same_to_the_byte(tmp_path, monkeypatch):
 LEFT = """
 import os, signal, sys
 import numpy as np
-from surctl.tuning.executors import LocalExecutor
+from surctl.tuning.chunked import LocalExecutor
 from tests.tuning.chunk_work import own_number
 
 if __name__ == "__main__":

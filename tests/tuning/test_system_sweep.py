@@ -26,8 +26,7 @@ from surctl.tuning import (
     spread,
     sweep_system,
 )
-from surctl.tuning.chunked import SweepStage, evaluated_chunks
-from surctl.tuning.executors import Chunk, Evaluator
+from surctl.tuning.chunked import Chunk, Evaluator, SweepStage, evaluated_chunks
 from surctl.tuning.system_sweep import _Evaluator
 from tests.tools import need_compiler
 

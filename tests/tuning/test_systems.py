@@ -130,4 +130,4 @@ def test_a_run_that_ends_early_is_no_cheap_run() -> None:
 )
 def test_mistakes_are_named(ranges: dict[str, tuple[float, float]], options: dict[str, Any], problem: str) -> None:
     with pytest.raises(InputError, match=problem):
-        tune_system(cart(), 2.0, ranges, trials=20, **options)  # type: ignore[arg-type]
+        tune_system(cart(), 2.0, ranges, trials=20, **options)

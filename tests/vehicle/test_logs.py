@@ -21,7 +21,7 @@ from surctl.marine.vehicle import (
     topic_lines,
 )
 from surctl.marine.vehicle.logs.joining import heading_frame, roll_pitch_heading
-from surctl.marine.vehicle.logs.recording import Rows, step_back
+from surctl.marine.vehicle.logs.recording import TopicRows, step_back
 from tests.vehicle import logs_written as written
 
 DIVE = written.dive()
@@ -365,6 +365,6 @@ def test_a_frame_that_is_unknown_is_named_with_its_file(tmp_path: Path) -> None:
 
 def test_messages_that_are_a_little_late_are_sorted_and_a_clock_that_starts_anew_is_not() -> None:
     assert step_back(np.array([0.0, 2.0, 1.5, 3.0])) is None
-    rows = Rows([0.0, 2.0, 1.5, 3.0], [{"a": float(k)} for k in range(4)])
+    rows = TopicRows([0.0, 2.0, 1.5, 3.0], [{"a": float(k)} for k in range(4)])
     assert rows.topic().time.tolist() == [0.0, 1.5, 2.0, 3.0] and rows.topic().back is None
-    assert Rows([5.0, 6.0, 0.0], [{"a": 0.0}] * 3).topic().back == (6.0, 0.0)
+    assert TopicRows([5.0, 6.0, 0.0], [{"a": 0.0}] * 3).topic().back == (6.0, 0.0)

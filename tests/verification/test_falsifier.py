@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from surctl.errors import InputError
 from surctl.verification import Claim, Variable, falsify
-from surctl.verification.oracle import build_oracle
+from surctl.verification.counterexample import build_oracle
 
 
 def claim_of(left: ca.SX, x: ca.SX, *, half: float = 1.0, constraints: ca.SX | None = None) -> Claim:

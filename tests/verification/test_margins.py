@@ -10,16 +10,17 @@ from surctl.marine.control.closing import velocity_control
 from surctl.marine.guidance.tracking import along_command, tracking_velocity
 from surctl.marine.vehicle import load_vehicle, planar_rotation
 from surctl.marine.verification import build_cascade, closed_loop_poles, loop_margins, worst_margins
-from surctl.verification import margins_of
+from surctl.verification.loops import BrokenLoop, LoopMargins, crossings_of, margins_from
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
 LOOPS = ["surge", "sway", "heave", "yaw", "along_track", "cross_track", "depth", "heading"]
 
 
-def of(numerator: list[float], denominator: list[float]) -> object:
+def of(numerator: list[float], denominator: list[float]) -> LoopMargins:
     a, b, c, _ = tf2ss(numerator, denominator)
-    return margins_of("test", a, b, c, highest=1e3)
+    loop = BrokenLoop(np.linalg.eigvals(a - b @ c)[None].astype(complex), np.linalg.eigvals(a)[None].astype(complex))
+    return margins_from("test", crossings_of(loop, highest=1e3))
 
 
 def test_an_integrator_has_no_gain_margin_and_ninety_degrees() -> None:
@@ -74,8 +75,7 @@ def test_the_delay_margin_is_the_least_over_all_crossings() -> None:
     damping, natural = 0.001, 10.0
     numerator = [0.3 * natural**2]
     denominator = np.polymul([1.0, 0.0], [1.0, 2 * damping * natural, natural**2])
-    a, b, c, _ = tf2ss(numerator, denominator)
-    m = margins_of("test", a, b, c, highest=1e3)
+    m = of(numerator, denominator)
     assert m.crossover_rad_s > 9
     assert m.delay_margin_s < m.phase_margin_deg / 180 * np.pi / 0.3
 
@@ -217,3 +217,20 @@ def test_worst_margins_are_the_least_of_the_corners():
     assert min(m.disk_margin for m in large) < min(m.disk_margin for m in nominal)
     with pytest.raises(InputError, match="uncertainty = 1"):
         worst_margins(vehicle, gains, uncertainty=1.0, **about)
+
+
+@pytest.mark.parametrize("name", LOOPS[1::3])  # all of them: study 40
+def test_python_control_has_the_margins_that_are_printed(name: str) -> None:
+    gains, k, below = {**GAINS, "k_i": 0.05}, LOOPS.index(name), np.pi / 0.05
+    ours = loop_margins(VEHICLE, gains, cruise=0.15, dt=0.05)[k]
+    cascade = build_cascade(VEHICLE, gains, cruise=0.15, dt=0.05)
+    A, b, c = cascade.at_thrust(k) if k < 4 else cascade.at_output(k - 4)
+    L = control.ss(A, b, c, 0)
+    with np.errstate(over="ignore"):  # its polynomials of many states overflow far beyond every frequency that counts
+        gm, pm, _, w_phase, w_gain, _ = control.stability_margins(L, returnall=True)
+    gm = gm[(gm > 1) & (w_phase < below)]
+    lag = np.remainder(pm[w_gain < below], 360.0)
+    assert ours.gain_margin == pytest.approx(min(gm, default=np.inf), rel=1e-5)
+    assert ours.phase_margin_deg == pytest.approx(min(lag, default=np.inf), rel=1e-5)
+    assert ours.delay_margin_s == pytest.approx(min(np.deg2rad(lag) / w_gain[w_gain < below], default=np.inf), rel=1e-5)
+    assert ours.disk_margin == pytest.approx(control.disk_margins(L, np.geomspace(1e-3, below, 4_000))[0], rel=1e-4)

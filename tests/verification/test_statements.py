@@ -17,9 +17,9 @@ from mpmath import libmp, mp, mpf
 from surctl.certcheck import check_document
 from surctl.errors import InputError
 from surctl.verification import Verdict, decide, evaluate, load_claim, replay
+from surctl.verification.doubtful import UNDEFINED, Pointwise
 from surctl.verification.formula import from_casadi, number, parse, text_of, variable
-from surctl.verification.formula.text import decimal_text
-from surctl.verification.proving.pointwise import UNDEFINED, Pointwise
+from surctl.verification.formula.parser import decimal_text
 
 X = {"x": variable("x")}
 

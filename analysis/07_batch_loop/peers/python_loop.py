@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-import surctl.marine.simulation.loop as reference
+import tests.oracles.mission_loop as reference
 from surctl.marine.simulation import advance
 
 __all__ = ["Step", "control_step", "flown_by", "matched", "scipy_step"]
@@ -86,7 +86,7 @@ def control_step(rtol: float) -> Step:
 
 @contextmanager
 def flown_by(step: Step) -> Iterator[None]:
-    """Run `surctl.marine.simulation.simulate` with its plant integrated by `step`."""
+    """Run the loop in NumPy of the tests with its plant integrated by `step`."""
     with patch.object(reference.Loop, "_advance", _stepped(step)):
         yield
 

@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from surctl.ir import Block, Call, Loop, Program, Real, Routine, Step, lower, without_libm
 from surctl.marine.vehicle import Actuators, Thruster, attainable
 from surctl.priority.solver.dual_step import Space
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.kernel import lanes_of, search
-from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
 
-__all__ = ["Design", "LevelRows", "Rows", "allocation_block"]
+__all__ = ["Design", "ForceRows", "LevelRows", "allocation_block"]
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ _RANK = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class ForceRows:
     """Constraint rows of one least-distance problem: lower ≤ normals · y ≤ upper.
 
     lower = −`below` · working − `fixed` · known, upper = `above` · working − `fixed` · known. An absent bound is inf.
@@ -53,10 +53,10 @@ class Rows:
     fixed: Array
     absent: NDArray[np.bool_]
 
-    def part(self, columns: tuple[int, ...]) -> Rows:
+    def part(self, columns: tuple[int, ...]) -> ForceRows:
         """Return the rows that restrict some of the unknowns, which no row connects to the other unknowns."""
         used = np.abs(self.normals[:, columns]).max(axis=1) > _ZERO
-        return Rows(
+        return ForceRows(
             self.normals[np.ix_(used, columns)], self.above[used], self.below[used], self.fixed[used], self.absent[used]
         )
 
@@ -73,7 +73,7 @@ class LevelRows:
     name: str
     axes: tuple[int, ...]
     known: tuple[int, ...]
-    rows: Rows
+    rows: ForceRows
 
 
 @dataclass(frozen=True)
@@ -129,17 +129,17 @@ class Design:
             known += axes
         return tuple(levels)
 
-    def _level(self, known: tuple[int, ...], axes: tuple[int, ...]) -> Rows:
+    def _level(self, known: tuple[int, ...], axes: tuple[int, ...]) -> ForceRows:
         forces = attainable(self.actuators, known + axes)
         own = forces.normals[:, len(known) :]
         length = np.linalg.norm(own, axis=1)
         used = length > _ZERO
         parts = [part[used] / length[used, None] for part in (own, forces.above, forces.below, forces.normals)]
         normals, above, below, whole = parts
-        return Rows(normals, above, below, whole[:, : len(known)], np.zeros(len(normals), dtype=bool))
+        return ForceRows(normals, above, below, whole[:, : len(known)], np.zeros(len(normals), dtype=bool))
 
     @cached_property
-    def limits(self) -> Rows:
+    def limits(self) -> ForceRows:
         """Rows of the thrusters' limits on all force components (N,): segments, or the sides of polygons."""
         actuators, unit = self.actuators, self.actuators.largest
         count, size = len(actuators.thrusters), self.matrix.shape[1]
@@ -156,10 +156,12 @@ class Design:
                 above.append(one * bound)
                 below.append(one * thruster.reverse)
                 absent.append(thruster.swivel is not None)
-        return Rows(np.array(normals), np.array(above), np.array(below), np.zeros((len(normals), 0)), np.array(absent))
+        return ForceRows(
+            np.array(normals), np.array(above), np.array(below), np.zeros((len(normals), 0)), np.array(absent)
+        )
 
     @cached_property
-    def effort(self) -> tuple[tuple[tuple[int, ...], Rows], ...]:
+    def effort(self) -> tuple[tuple[tuple[int, ...], ForceRows], ...]:
         """The level `effort` in parts that do not affect each other: (coordinates in the null space, limits on them).
 
         The known numbers of the rows are the forces (4,) of the higher levels.
@@ -168,7 +170,7 @@ class Design:
         return tuple((group, rows.part(group)) for group in _groups(np.abs(rows.normals) > _ZERO))
 
     @cached_property
-    def _effort(self) -> Rows:
+    def _effort(self) -> ForceRows:
         limits = self.limits
         inner = limits.normals @ self.null
         length = np.linalg.norm(inner, axis=1)
@@ -177,7 +179,7 @@ class Design:
             part[used] / length[used, None]
             for part in (inner, limits.above, limits.below, limits.normals @ self.inverse)
         )
-        return Rows(inner, above, below, outer, limits.absent[used])
+        return ForceRows(inner, above, below, outer, limits.absent[used])
 
 
 def _groups(connected: NDArray[np.bool_]) -> list[tuple[int, ...]]:
@@ -322,7 +324,7 @@ class _Builder:
         name: str,
         inputs: dict[str, ca.SX],
         arguments: tuple[str, ...],
-        rows: Rows,
+        rows: ForceRows,
         lower_: ca.SX,
         upper: ca.SX,
         start: ca.SX,
@@ -349,7 +351,7 @@ class _Builder:
         prepare = Call(_program(name, inputs, outputs), arguments, arrays)
         return [prepare, Call(search(space, padded), arrays, (result, *rest))]
 
-    def _bounds(self, rows: Rows, working: ca.SX, known: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _bounds(self, rows: ForceRows, working: ca.SX, known: ca.SX) -> tuple[ca.SX, ca.SX]:
         shift = _times(rows.fixed, known) if rows.fixed.shape[1] else ca.SX.zeros(len(rows.normals))
         upper, lower_ = _times(rows.above, working) - shift, -_times(rows.below, working) - shift
         absent = [ca.SX(-self.precision.never) if rows.absent[k] else lower_[k] for k in range(len(rows.normals))]

@@ -2,12 +2,11 @@
 
 from surctl.marine.bridge.autopilot import SimulatedSub
 from surctl.marine.bridge.bridge import Bridge, Moment, Plan, plan_session
-from surctl.marine.bridge.channel import Channel, LinkQuality
+from surctl.marine.bridge.inputs import Site, parse_site
 from surctl.marine.bridge.live import Address, Ended, SessionLog, parse_address, run_session
 from surctl.marine.bridge.log import FrameLog, SessionRecord
-from surctl.marine.bridge.rehearsal import ACTIONS, Act, Rehearsal, RehearsalResult, rehearse
+from surctl.marine.bridge.rehearsal import ACTIONS, Act, Channel, LinkQuality, Rehearsal, RehearsalResult, rehearse
 from surctl.marine.bridge.session import Clock, Limits, Session, sending
-from surctl.marine.bridge.site import Site, parse_site
 from surctl.marine.bridge.wire import (
     MODES,
     SENDS,

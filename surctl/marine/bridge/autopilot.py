@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.bridge.site import Site
+from surctl.marine.bridge.inputs import Site
 from surctl.marine.bridge.wire import MODES, Axes, Mapping, Parser, dialect
 from surctl.marine.simulation import Body, OwnPhysics, Scenario, build_world
 from surctl.marine.simulation.sensors import FIRING, firing_plan

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.export import ExportedController
-from surctl.marine.bridge.inputs import Inputs
+from surctl.marine.bridge.inputs import Inputs, Site
 from surctl.marine.bridge.session import (
     Clock,
     Limits,
@@ -24,7 +24,6 @@ from surctl.marine.bridge.session import (
     after_time,
     sending,
 )
-from surctl.marine.bridge.site import Site
 from surctl.marine.bridge.wire import (
     Attitude,
     Axes,

@@ -15,7 +15,7 @@ from surctl.files import opened
 from surctl.marine.bridge.bridge import Bridge, Moment
 from surctl.marine.simulation import Body, SceneFile, write_layout
 from surctl.marine.world import Disc
-from surctl.recorded_mcap import McapFile
+from surctl.recorded_write import McapFile
 
 __all__ = ["FrameLog", "SessionRecord"]
 

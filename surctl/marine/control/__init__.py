@@ -1,6 +1,5 @@
 """The controller: gain files, velocity control, and control laws (each law is one object)."""
 
-from surctl.marine.control.allocated import WORKING, with_allocation
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.build import MODES, build_law, build_law_of, in_real
 from surctl.marine.control.decision import Decision, TaskLevel
@@ -11,8 +10,10 @@ from surctl.marine.control.law import (
     SATURATED,
     SWITCHED,
     TRAPPED,
+    WORKING,
     Law,
     LawStep,
+    with_allocation,
 )
 from surctl.marine.control.mission import ARC_LENGTHS, FED, Feeder
 from surctl.marine.control.ports import CONTACT_SLOTS, INPUTS, PARAMETERS, law_inputs, law_parameters

@@ -18,8 +18,8 @@ from surctl.marine.vehicle import planar_rotation
 
 __all__ = [
     "SILENT",
-    "Around",
     "Expected",
+    "StepState",
     "beams",
     "corrected",
     "expected",
@@ -42,7 +42,7 @@ The limits in use lie between them, with room for the error of the heading: 5 de
 `specular`), and 22.5 degrees in the simulator of the paper (`webots`)."""
 
 
-class Around(NamedTuple):
+class StepState(NamedTuple):
     """Pose, velocity and known moving obstacles in one control step, as symbolic expressions."""
 
     eta: ca.SX
@@ -57,7 +57,7 @@ class Around(NamedTuple):
         return ca.vertcat(ca.cos(self.eta[3]), ca.sin(self.eta[3]))
 
 
-def beams(array: SonarArray, around: Around, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
+def beams(array: SonarArray, around: StepState, hull: ca.SX) -> tuple[list[ca.SX], list[ca.SX], list[float]]:
     """Return axis, apex and half angle of each sonar's beam, without the part of the beam that the hull blocks."""
     axes, apexes, halves = [], [], []
     for i, azimuth in enumerate(array.azimuths):
@@ -106,7 +106,7 @@ class Expected(NamedTuple):
 
 
 def expected(
-    array: SonarArray, around: Around, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX], *, smooth: bool
+    array: SonarArray, around: StepState, apexes: Sequence[ca.SX], p: Mapping[str, ca.SX], *, smooth: bool
 ) -> Expected:
     """Return the range [m] that each sonar should measure, for echoes of the walls and of moving obstacles."""
     far = ca.SX([-1e3, 1e3, -1e3, 1e3])

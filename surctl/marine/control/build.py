@@ -34,12 +34,10 @@ from surctl.ir import (
     without_libm,
     write_block,
 )
-from surctl.marine.control.allocated import with_allocation
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import CLIMB, Closing, Memory, yaw_limit
 from surctl.marine.control.dead_end import aimed_depth, dead_end_next, forgetting, standing
-from surctl.marine.control.decision import Decision, Scan, TaskLevel
-from surctl.marine.control.echoes import perceive
+from surctl.marine.control.decision import Decision, Scan, TaskLevel, perceive
 from surctl.marine.control.law import (
     DEGRADED,
     DEPTH_PORT,
@@ -50,6 +48,7 @@ from surctl.marine.control.law import (
     Law,
     Stages,
     scan_telemetry,
+    with_allocation,
 )
 from surctl.marine.control.perception import PERCEPTION, PerceptionStage, build_perception
 from surctl.marine.control.ports import (
@@ -71,7 +70,7 @@ from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, LevelShape, Mode, check_fallback, nsb_symbolic, priority_step
-from surctl.priority.solver.precision import FLOAT32, FLOAT64
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = [

@@ -16,8 +16,7 @@ import casadi as ca
 
 from surctl.ir import each, fold, tabulated
 from surctl.marine.control.closing import BRAKE, BRAKE_AT_START, EVADE, HARD, beside_margin, eased, pushed
-from surctl.marine.control.decision import Decision, Scan, TaskLevel, lower_levels, weakest_acceleration
-from surctl.marine.control.echoes import Perception
+from surctl.marine.control.decision import Decision, Perception, Scan, TaskLevel, lower_levels, weakest_acceleration
 from surctl.marine.control.ports import LAUNCHED, SECTORS
 from surctl.marine.control.reference import DesiredMotion
 from surctl.marine.control.stopping import Bounds, Stop, braked

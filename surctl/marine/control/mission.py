@@ -52,8 +52,8 @@ class Feeder:
 
     def feed(self, x: Vector) -> tuple[Vector, Vector]:
         """Return the state of the law and its parameters for the next control step."""
-        shift = self._window.move(float(x[self._progress]))
-        if shift:
+        first, shift = self._window.first, self._window.move(float(x[self._progress]))
+        if self._window.first != first:  # the shift is 0 where the path goes straight on
             x = x.copy()
             x[self._arcs] += shift
             self._waypoints = self._window.waypoints().ravel()

@@ -40,7 +40,7 @@ from surctl.ir import (
 )
 from surctl.marine.control.beams import (
     SILENT,
-    Around,
+    StepState,
     beams,
     corrected,
     expected,
@@ -512,7 +512,7 @@ class _Builder:
 
     def _around(
         self, x: Mapping[str, ca.SX], tau: ca.SX, u: Mapping[str, ca.SX], p: Mapping[str, ca.SX]
-    ) -> tuple[Around, dict[str, ca.SX]]:
+    ) -> tuple[StepState, dict[str, ca.SX]]:
         movers = ca.SX(0, 6)
         after: dict[str, ca.SX] = {}
         if self._movers:
@@ -521,7 +521,7 @@ class _Builder:
             rows = tracked.rows
             movers = ca.horzcat(rows[:, :2], rows[:, 2] + tracked.bound, rows[:, 3:])
         if self._own is None:
-            return Around(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
+            return StepState(u["eta"], u["nu"], ca.SX(0), ca.SX(1), movers), after
         own = self._own.update(
             x,
             fix=u["fix"],
@@ -534,7 +534,7 @@ class _Builder:
         )
         placed = own.position_sd < _PLACED_SD
         uncertainty = 3 * ca.fmax(ca.fmin(own.position_sd, _PLACED_SD) - _MARGIN_SD, 0)
-        return Around(own.eta, own.nu, uncertainty, placed, movers), {**after, **own.state}
+        return StepState(own.eta, own.nu, uncertainty, placed, movers), {**after, **own.state}
 
     def _report(self) -> Block:
         local_map = self._map

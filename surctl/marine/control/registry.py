@@ -8,11 +8,10 @@ from types import MappingProxyType
 
 from surctl.errors import InputError, nearest
 from surctl.marine.control.baselines import Situation, apf_law, cbf_law, dwa_law, vo_law
-from surctl.marine.control.closed_form import CLOSED_FORM_PORTS, DAMPING, closed_form_law, known_obstacle
 from surctl.marine.control.closing import ACCELERATION_NOISE, CALM_GAINS, CALM_PORTS, MODEL_NOISE, calm_parameters
 from surctl.marine.control.decision import Decision
 from surctl.marine.control.guarded import guarded_law
-from surctl.marine.control.paper import paper_law
+from surctl.marine.control.paper import CLOSED_FORM_PORTS, DAMPING, closed_form_law, known_obstacle, paper_law
 from surctl.marine.control.source import AVOIDANCE, BARRIER, CASCADE, PATH_FOLLOWING, LawSource
 from surctl.marine.control.steered import STEERED_GAINS, STEERED_PORTS, steered_law, steered_thrust
 from surctl.marine.control.steering import steering_of

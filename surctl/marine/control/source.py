@@ -13,8 +13,7 @@ from surctl.ir import Layout, Port, identifier
 from surctl.marine.control.baselines import Situation
 from surctl.marine.control.closing import Thrust
 from surctl.marine.control.dead_end import DEAD_END_PORTS, LAYER_PORTS, SEARCH_PORT
-from surctl.marine.control.decision import DECISION_PORTS, Decision, TaskLevel
-from surctl.marine.control.echoes import Perception, perception_ports
+from surctl.marine.control.decision import DECISION_PORTS, Decision, Perception, TaskLevel, perception_ports
 from surctl.marine.control.gains import GainSpec
 from surctl.marine.control.ports import PARAMETERS
 from surctl.marine.control.steering import Steering

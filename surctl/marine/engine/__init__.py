@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.engine.batch import BatchCase, simulate_seeds
-    from surctl.marine.engine.fluid import Body, body_of, fluid_program
+    from surctl.marine.engine.fluid import Body, EngineOptions, body_of, fluid_program, parse_plant
     from surctl.marine.engine.mjcf import mjcf, write_mjcf
-    from surctl.marine.engine.options import EngineOptions, parse_plant
-    from surctl.marine.engine.physics import MujocoPhysics, mujoco_physics
+    from surctl.marine.engine.physics import BatchCase, MujocoPhysics, mujoco_physics, simulate_seeds
     from surctl.marine.engine.pictures import CAMERAS, Moment, Scene
 
 __all__ = [
@@ -32,11 +30,9 @@ __all__ = [
 load_at_first_use(
     __name__,
     {
-        "batch": "BatchCase simulate_seeds",
-        "fluid": "Body body_of fluid_program",
+        "physics": "BatchCase MujocoPhysics mujoco_physics simulate_seeds",
+        "fluid": "Body EngineOptions body_of fluid_program parse_plant",
         "mjcf": "mjcf write_mjcf",
-        "options": "EngineOptions parse_plant",
-        "physics": "MujocoPhysics mujoco_physics",
         "pictures": "CAMERAS Moment Scene",
     },
 )

@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing, nearest
-from surctl.marine.engine.fluid import body_of
-from surctl.marine.engine.library import mujoco_library, no_renderer
-from surctl.marine.engine.mjcf import OBSTACLE, mjcf
-from surctl.marine.engine.options import EngineOptions
+from surctl.marine.engine.fluid import EngineOptions, body_of
+from surctl.marine.engine.mjcf import OBSTACLE, mjcf, mujoco_library, no_renderer
 from surctl.marine.engine.physics import AWAY, MujocoPhysics, quaternion
 
 if TYPE_CHECKING:

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.export.bundle import law_id
-from surctl.export.contract import Around, Exportable, command_size, glance
-from surctl.export.emulated import Line, LineDown, Reply
-from surctl.export.envelope import Envelope
+from surctl.export.contract import Exportable, WrappedLaw, command_size, glance
+from surctl.export.emulated import LineDown, Reply, SerialLine
+from surctl.export.envelope import Envelope, Records
 from surctl.export.precision import Guarded, Rounded, replayed, rounded
-from surctl.export.records import Records
 from surctl.ir import (
     Block,
     Call,
@@ -50,7 +49,7 @@ Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedForm(Around):
+class ClosedForm(WrappedLaw):
     """A law without perception, rewritten for a target.
 
     Attributes:
@@ -281,7 +280,7 @@ class LinkedLaw:
 
     law: Exportable
     p: Vector
-    line: Line
+    line: SerialLine
     faults: LinkFaults = field(default_factory=LinkFaults)
     envelope: Envelope | None = None
     compact: bool = False

@@ -16,8 +16,7 @@ from surctl.errors import InputError
 from surctl.export import bundle as core
 from surctl.export.contract import DATA, MISSION_FILES, Exportable
 from surctl.export.envelope import Envelope
-from surctl.export.supplement import Listed, Supplement
-from surctl.export.wiring import UNKNOWN, step_line
+from surctl.export.supplement import UNKNOWN, Listed, Supplement, step_line
 from surctl.ir import Real, c_literal
 from surctl.marine.control import ARC_LENGTHS, FED
 from surctl.marine.export.origin import Origin, check_belonging, origin_entries

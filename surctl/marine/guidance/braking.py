@@ -85,17 +85,14 @@ __all__ = [
     "Brakes",
     "Watch",
     "admissible",
-    "allowed_speed",
     "beside",
     "brakes_of",
     "closing_bound",
     "fastest_obstacle",
     "range_needed",
-    "range_symbol",
     "sideways_force",
     "stopping_distance",
     "stopping_distance_with_drag",
-    "stopping_symbol",
     "tabled_stopping_distance",
 ]
 
@@ -368,27 +365,6 @@ def admissible(
     return measured - range_needed(brakes, watch, speed, obstacle=obstacle, thrust=thrust, fastest=fastest)
 
 
-def allowed_speed(brakes: Brakes, watch: Watch, measured: float, *, obstacle: float = 0.0) -> float:
-    """Return the largest speed of the robot [m/s] at which another period without braking is safe.
-
-    The function assumes that the robot was not faster since the echo. If the robot is too near to the obstacle even at
-    a closing speed of 0, the function continues linearly below this speed, so the robot must retreat. The result is
-    −inf if the obstacle is too fast for braking.
-    """
-    left = brakes.left(obstacle)
-    if left <= 0:
-        return -inf
-    gain, late = brakes.acceleration(obstacle), watch.age + watch.period
-    gained, swing = gain * watch.period, _swing(brakes, None)
-    rest = measured - watch.range_error - gain * watch.period**2 / 2 + late * gained
-    closing = inf
-    for m in brakes.masses:
-        k, lost = m / (2 * left), swing / m
-        remaining, slope = rest - k * lost**2, late + 2 * k * lost
-        closing = min(closing, 2 * remaining / (slope + sqrt(slope**2 + 4 * k * max(remaining, 0.0))))
-    return closing - watch.speed_error - obstacle - gained
-
-
 def fastest_obstacle(brakes: Brakes) -> float:
     """Return the largest obstacle speed v_o [m/s] for which braking guarantees that no collision happens.
 
@@ -438,28 +414,10 @@ class BrakeSymbols:
         return self.linear * speed + self.quadratic * speed * speed
 
 
-def stopping_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return the stopping distance [m] for the largest present thrust, as `stopping_distance` does.
-
-    The net braking force is limited to at least 2 % of the guaranteed thrust.
-    """
-    closing, swing, longest = ca.fmax(speed + obstacle, 0), brakes.lag * (brakes.most + brakes.least), ca.SX(0)
-    for m in (brakes.lightest, brakes.heaviest):
-        longest = ca.fmax(longest, m * (closing + swing / m) ** 2 / (2 * brakes.left(obstacle)))
-    return longest
-
-
-def range_symbol(brakes: BrakeSymbols, speed: ca.SX, *, obstacle: ca.SX) -> ca.SX:
-    """Return the smallest range [m] at which not braking is safe, as `range_needed`, for exact and timely ranges."""
-    gain, period = brakes.acceleration(obstacle), brakes.period
-    distance = stopping_symbol(brakes, speed + gain * period, obstacle=obstacle)
-    return (speed + obstacle) * period + gain * period * period / 2 + distance
-
-
 def closing_bound(brakes: BrakeSymbols, distance: ca.SX, *, obstacle: ca.SX) -> ca.SX:
     """Return the largest safe speed towards the obstacle [m/s]; a negative speed requires a retreat.
 
-    The function corresponds to `allowed_speed` for range measurements without delay and error.
+    The bound is exact for range measurements without delay and error.
 
     Args:
         brakes: braking data of the vehicle.

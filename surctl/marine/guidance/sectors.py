@@ -52,7 +52,7 @@ class Sector(NamedTuple):
 
     @staticmethod
     def of(row: ca.SX) -> Sector:
-        """Return the sector whose numbers form one row of the array `Around.sectors`."""
+        """Return the sector whose numbers form one row of the array `StepState.sectors`."""
         return Sector(row[:2], row[2], row[3:5])
 
 

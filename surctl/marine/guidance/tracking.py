@@ -35,7 +35,6 @@ __all__ = [
     "check_guidance",
     "crosstrack_next",
     "crosstrack_shift",
-    "numeric_crosstrack_next",
     "path_error",
     "progress_rate",
     "tracking_rate",
@@ -126,27 +125,6 @@ def crosstrack_next(
     }[method]
     most = _STEEPEST if method == "alos" else _STEEPEST * lookahead / ca.fmax(sigma, _LEAST_GAIN)
     return ca.fmin(ca.fmax(memory + ca.if_else(held, 0, dt * rate), -most), most)
-
-
-def numeric_crosstrack_next(
-    method: Guidance,
-    memory: float,
-    y_e: float,
-    *,
-    along: float,
-    lookahead: float,
-    sigma: float,
-    gamma: float,
-    held: bool,
-    dt: float,
-) -> tuple[float, float]:
-    """Return the method's next state, y_int [s] or b [1], and the present shift [m], in plain numbers."""
-    shift = {"los": 0.0, "ilos": sigma * memory, "alos": lookahead * memory}[method]
-    if method == "los":
-        return 0.0, shift
-    rate = gamma * along * y_e if method == "alos" else lookahead * y_e / (lookahead**2 + (y_e + shift) ** 2)
-    most = _STEEPEST if method == "alos" else _STEEPEST * lookahead / max(sigma, _LEAST_GAIN)
-    return min(max(memory + (0.0 if held else dt * rate), -most), most), shift
 
 
 def path_error(position: ca.SX, target: ca.SX, tangent: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -16,14 +16,18 @@ if TYPE_CHECKING:
     )
     from surctl.marine.report.evidence_sections import runs_section
     from surctl.marine.report.files import (
+        plot_region,
         save_calibrations,
         save_heat_map,
         save_locus,
+        save_margins,
         save_parallel,
         save_priority,
+        save_regions,
         save_run,
         save_sonar_replay,
         save_tuning,
+        save_verdicts,
     )
     from surctl.marine.report.goals import (
         GoalBars,
@@ -33,8 +37,9 @@ if TYPE_CHECKING:
         plot_front,
         plot_goal_bars,
         plot_goal_view,
+        plot_heat_map,
+        plot_parallel,
     )
-    from surctl.marine.report.map_view import MapView, map_view, plot_map, plot_maps
     from surctl.marine.report.margin_plots import (
         LoopResponse,
         loop_responses,
@@ -49,16 +54,13 @@ if TYPE_CHECKING:
     from surctl.marine.report.sections import ExportSummary, ReportData
     from surctl.marine.report.signals import plot_priority, plot_run_signals
     from surctl.marine.report.sonar_plots import plot_calibration, plot_replay_sensor, plot_sonar_replay
-    from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel
     from surctl.marine.report.vehicle_plots import plot_attainable, plot_prediction, save_attainable, save_prediction
-    from surctl.marine.report.verify_files import plot_region, save_margins, save_regions, save_verdicts
 
 __all__ = [
     "ExportSummary",
     "GoalBars",
     "GoalView",
     "LoopResponse",
-    "MapView",
     "ReportData",
     "check_animation",
     "check_film",
@@ -67,7 +69,6 @@ __all__ = [
     "goal_bars",
     "goal_view",
     "loop_responses",
-    "map_view",
     "moment_of",
     "plot_attainable",
     "plot_bode",
@@ -78,8 +79,6 @@ __all__ = [
     "plot_goal_view",
     "plot_heat_map",
     "plot_locus",
-    "plot_map",
-    "plot_maps",
     "plot_nyquist",
     "plot_parallel",
     "plot_poles",
@@ -117,10 +116,11 @@ load_at_first_use(
     {
         "animation": "check_animation check_film film_frames film_pictures moment_of save_animation save_film",
         "evidence_sections": "runs_section",
-        "files": "save_calibrations save_heat_map save_locus save_parallel save_priority save_run"
-        " save_sonar_replay save_tuning",
-        "goals": "GoalBars GoalView goal_bars goal_view plot_front plot_goal_bars plot_goal_view",
-        "map_view": "MapView map_view plot_map plot_maps",
+        "files": "plot_region save_calibrations save_heat_map save_locus save_margins save_parallel save_priority"
+        " save_regions save_run save_sonar_replay save_tuning save_verdicts",
+        "goals": (
+            "GoalBars GoalView goal_bars goal_view plot_front plot_goal_bars plot_goal_view plot_heat_map plot_parallel"
+        ),
         "margin_plots": "LoopResponse loop_responses plot_bode plot_locus plot_nyquist plot_poles",
         "page": "render_page write_page",
         "paper_plots": "plot_coordinates plot_position_errors plot_series",
@@ -128,8 +128,6 @@ load_at_first_use(
         "sections": "ExportSummary ReportData",
         "signals": "plot_priority plot_run_signals",
         "sonar_plots": "plot_calibration plot_replay_sensor plot_sonar_replay",
-        "sweep_plots": "plot_heat_map plot_parallel",
         "vehicle_plots": "plot_attainable plot_prediction save_attainable save_prediction",
-        "verify_files": "plot_region save_margins save_regions save_verdicts",
     },
 )

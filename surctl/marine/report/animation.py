@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import subprocess
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from io import BytesIO
 from itertools import chain
 from math import isfinite
 from pathlib import Path
+from shutil import which
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +27,7 @@ from matplotlib.text import Text
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from surctl.errors import InputError
+from surctl.errors import InputError, ToolMissing
 from surctl.files import write_file
 from surctl.marine.report.plan_view import (
     INSTANT,
@@ -38,7 +43,6 @@ from surctl.marine.report.plan_view import (
 from surctl.marine.simulation import Body, Run
 from surctl.marine.world import Box
 from surctl.report.document import Picture, Player
-from surctl.report.mp4 import check_mp4, mp4
 from surctl.report.theme import BAD, GOOD, INK, MUTED, OBSTACLE, ROBOT, dress, finite, new_figure, number
 
 if TYPE_CHECKING:
@@ -52,11 +56,64 @@ __all__ = [
     "frame_steps",
     "frames",
     "moment_of",
+    "mp4",
     "player",
     "player_frames",
     "save_animation",
     "save_film",
 ]
+
+# Films as MP4, by the program ffmpeg or, without it, by the package PyAV
+
+
+Frame = NDArray[np.uint8]
+
+
+def _check_mp4(path: Path, *, key: str) -> None:
+    """Raise ToolMissing if nothing here writes MP4; `key` is the option that names the file."""
+    if which("ffmpeg") is None and find_spec("av") is None:
+        remedy = "pip install 'surctl[film]', install ffmpeg, or end the name in .gif"
+        raise ToolMissing("needs PyAV or ffmpeg, and neither is installed", key=key, value=str(path), remedy=remedy)
+
+
+def mp4(pictures: Iterator[Frame], *, rate: int, key: str) -> bytes:
+    """Return a film (H.264) of pictures (height, width, 3) whose sides are even, with `rate` pictures a second."""
+    return (_by_av if which("ffmpeg") is None else _by_ffmpeg)(pictures, rate, key)
+
+
+def _by_av(pictures: Iterator[Frame], rate: int, key: str) -> bytes:
+    try:
+        av: Any = importlib.import_module("av")
+        with TemporaryDirectory() as folder:
+            target, first = Path(folder) / "run.mp4", next(pictures)
+            with av.open(str(target), "w", options={"movflags": "+faststart"}) as container:
+                stream = container.add_stream("libx264", rate=rate)
+                stream.height, stream.width, stream.pix_fmt = *first.shape[:2], "yuv420p"
+                for picture in chain([first], pictures):
+                    frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+                    container.mux(stream.encode(frame))
+                container.mux(stream.encode())
+            return target.read_bytes()
+    except InputError:  # of a picture
+        raise
+    except Exception as error:  # PyAV raises errors of many classes
+        raise InputError(f"PyAV failed ({error})", key=key, remedy="end the name in .gif") from None
+
+
+def _by_ffmpeg(pictures: Iterator[Frame], rate: int, key: str) -> bytes:
+    first = next(pictures)
+    size = f"{first.shape[1]}x{first.shape[0]}"
+    raw = ["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", size, "-framerate", str(rate), "-i", "-"]
+    with TemporaryDirectory() as folder:
+        target = Path(folder) / "run.mp4"
+        command = ["ffmpeg", "-loglevel", "error", *raw, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(target)]
+        sent = b"".join([first.tobytes(), *(p.tobytes() for p in pictures)])
+        done = subprocess.run(command, input=sent, capture_output=True, check=False)
+        if done.returncode or not target.exists():
+            said = done.stderr.decode(errors="replace").strip().splitlines() or ["no message"]
+            raise InputError(f"ffmpeg failed ({said[-1]})", key=key, remedy="end the name in .gif")
+        return target.read_bytes()
+
 
 _RATE = 10
 """Frames per second of an animation."""
@@ -87,7 +144,7 @@ def check_animation(path: Path | str, *, key: str = "--animate") -> Path:
     if path.is_dir():
         raise InputError("is a folder", key=key, value=str(path), remedy="name a file")
     if path.suffix.lower() == ".mp4":
-        check_mp4(path, key=key)
+        _check_mp4(path, key=key)
     return path
 
 

@@ -17,8 +17,8 @@ from surctl.errors import InputError, NotApplicable
 from surctl.files import write_file
 from surctl.marine.assessment import DEFAULT_REGIONS, Mission
 from surctl.marine.control import Gains, law_source, load_gains, write_gains
+from surctl.marine.report.files import plot_region
 from surctl.marine.report.plan_view import plot_run
-from surctl.marine.report.verify_files import plot_region
 from surctl.marine.simulation import METRICS, Case, Run, Scenario, simulate
 from surctl.marine.tuning import (
     Evaluation,

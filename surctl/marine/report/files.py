@@ -2,31 +2,281 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from surctl.marine.report.goals import goal_bars, goal_views, plot_front, plot_goal_bars, plot_goal_view
-from surctl.marine.report.margin_plots import plot_locus
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from surctl.errors import InputError
+from surctl.marine.report.goals import (
+    goal_bars,
+    goal_views,
+    plot_front,
+    plot_goal_bars,
+    plot_goal_view,
+    plot_heat_map,
+    plot_parallel,
+)
+from surctl.marine.report.margin_plots import (
+    loop_responses,
+    plot_disk_margins,
+    plot_locus,
+    plot_marked_bode,
+    plot_nyquist,
+    plot_s_and_t,
+    sensitivities,
+)
 from surctl.marine.report.plan_view import describe, plot_run
 from surctl.marine.report.signals import plot_priority, plot_run_signals
 from surctl.marine.report.sonar_plots import plot_calibration, plot_sonar_replay
-from surctl.marine.report.sweep_plots import plot_heat_map, plot_parallel
 from surctl.marine.sensing import Replay, SensorCalibration, file_stems
 from surctl.marine.simulation import Run, priority_timeline
 from surctl.marine.tuning import SweepTable, Tuning
-from surctl.marine.verification import Locus
-from surctl.report.theme import new_figure, save_figure
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.verification import Locus, build_cascade, loop_margins
+from surctl.marine.verification.linear import DISK_PLACES, open_loop
+from surctl.marine.verification.portrait import Portrait, planes_of, portrait
+from surctl.report.evidence import margin_slice, plot_cells, plot_counterexample, plot_open_boxes, plot_slice
+from surctl.report.theme import (
+    AVOIDING,
+    GOOD,
+    INK,
+    MUTED,
+    ROBOT,
+    dress,
+    legend_below,
+    new_axes,
+    new_figure,
+    save_figure,
+)
+from surctl.verification import Verdict
+from surctl.verification.linear import stored_disk_margin
 
 __all__ = [
+    "plot_portrait",
+    "plot_region",
     "save_calibrations",
     "save_heat_map",
     "save_locus",
+    "save_margins",
     "save_parallel",
     "save_priority",
+    "save_regions",
     "save_run",
     "save_sonar_replay",
     "save_tuning",
+    "save_verdicts",
 ]
+
+# The plots that `surctl verify --out` writes: margins, refuted claims, boxes of proofs, and regions
+
+
+_LABELS = {
+    "along": ("along the path, x_e from its equilibrium [m]", "velocity along it [m/s]"),
+    "across": ("across the path, y_e [m]", "velocity across it [m/s]"),
+    "place": ("along the path, x_e from its equilibrium [m]", "across the path, y_e [m]"),
+    "turning": ("heading against the path, ψ [rad]", "yaw rate [rad/s]"),
+    "steering": ("across the path, y_e [m]", "heading against the path, ψ [rad]"),
+}
+_STILL = ("place", "steering")  # planes of positions: the velocities are 0 in them, so there is no flow
+_EXTENT = 1.9  # half-width of the picture, in half-axes of the ellipse V = 1
+_MOST_LEVEL = 16.0  # a higher level would make the certified one too small
+_ARROWS = 15  # number of flow arrows along each side of the plot
+
+
+def plot_region(document: Mapping[str, Any], *, falsified: float | None = None) -> Figure:
+    """Plot phase portraits of a region certificate in all its planes, side by side.
+
+    Args:
+        document: the certificate, in which V = 1 is the certified level.
+        falsified: the least level of V with a counterexample, which is drawn too; None for none.
+
+    Raises:
+        InputError: the certificate is not a region certificate.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import plot_region
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.region import prove_statement, region_statement
+        >>> statement = region_statement("region-heading-20").model_copy(update={"attempts": 1})
+        >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
+        >>> figure = plot_region(proof.certificate())
+        >>> [ax.get_ylabel() for ax in figure.axes][:3]
+        ['velocity along it [m/s]', 'velocity across it [m/s]', 'yaw rate [rad/s]']
+    """
+    shown = falsified is not None and falsified <= _MOST_LEVEL
+    extent = max(_EXTENT, 1.1 * np.sqrt(falsified)) if falsified is not None and shown else _EXTENT
+    portraits = [portrait(document, plane, extent=extent) for plane in planes_of(document)]
+    figure = new_figure(4.4 * len(portraits), 4.9)
+    for ax, one in zip(figure.subplots(1, len(portraits)), portraits, strict=True):
+        plot_portrait(one, ax)
+        if shown:
+            ax.contour(one.x, one.y, one.level, levels=[falsified], colors=[AVOIDING], linewidths=1.6, linestyles=":")
+    handles = _handles(portraits[0])
+    if falsified is not None:
+        where = "" if shown else ", outside of the picture"
+        label = f"least level with a counterexample: V = {falsified:.3g}{where}"
+        handles.insert(1, Line2D([], [], color=AVOIDING, linewidth=1.6, linestyle=":", label=label))
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8.5, frameon=False)
+    return figure
+
+
+def plot_portrait(one: Portrait, ax: Axes | None = None) -> Axes:
+    """Plot one phase portrait: level sets of the Lyapunov function, points where the certified rate fails, and flow."""
+    alone = ax is None
+    ax = dress(ax or new_axes(5.1, 4.9), x=_LABELS[one.plane][0], y=_LABELS[one.plane][1])
+    ax.grid(visible=False)
+    ax.locator_params(nbins=6)
+    if not one.lagged:
+        fails = np.where(one.level > one.levels[0], one.excess, -np.inf) > 0
+        ax.contourf(one.x, one.y, fails.astype(float), levels=[0.5, 1.5], colors=[AVOIDING], alpha=0.28)
+        if one.plane not in _STILL:
+            step = max(1, len(one.x) // _ARROWS)
+            pick = slice(step // 2, None, step)
+            u, v = one.flow[:, pick, pick]
+            size = np.maximum(np.hypot(u / np.ptp(one.x), v / np.ptp(one.y)), 1e-12)
+            ax.quiver(
+                one.x[pick], one.y[pick], u / np.ptp(one.x) / size, v / np.ptp(one.y) / size, angles="uv", pivot="mid",
+                color=MUTED, scale=26, width=0.0045, zorder=2,
+            )  # fmt: skip
+    ax.contourf(one.x, one.y, one.level, levels=[one.levels[0], 1.0], colors=[GOOD], alpha=0.16)
+    ax.contour(one.x, one.y, one.level, levels=[1.0], colors=[GOOD], linewidths=2.0)
+    if len(one.levels) > 2:
+        ax.contour(one.x, one.y, one.level, levels=list(one.levels[1:-1]), colors=[GOOD], linewidths=0.7)
+    if one.levels[0] > 0:
+        ax.contour(one.x, one.y, one.level, levels=[one.levels[0]], colors=[ROBOT], linewidths=1.4, linestyles="--")
+    ax.plot(0, 0, marker="+", color=INK, markersize=9)
+    if alone:
+        legend_below(ax, columns=2, handles=_handles(one))
+    return ax
+
+
+def _handles(one: Portrait) -> list[Artist]:
+    shells = ", with inner level sets" if len(one.levels) > 2 else ""
+    handles: list[Artist] = [Line2D([], [], color=GOOD, linewidth=2.0, label=f"certified: V = 1{shells}")]
+    if one.levels[0] > 0:
+        handles.append(
+            Line2D([], [], color=ROBOT, linewidth=1.4, linestyle="--", label="floor of V: rate certified above")
+        )
+    if one.lagged:
+        return [*handles, Line2D([], [], linestyle="none", label="flow and failures are not shown: thrust lag")]
+    handles.append(Patch(facecolor=AVOIDING, alpha=0.28, label="rate fails for some vehicle and heading"))
+    if one.plane not in _STILL:
+        handles.append(Line2D([], [], color=MUTED, marker=r"$\rightarrow$", linestyle="none", markersize=11,
+                           label=f"direction of the {one.whose} flow"))  # fmt: skip
+    return handles
+
+
+def save_margins(
+    vehicle: Vehicle, gains: Mapping[str, float], folder: Path | str, *, cruise: float | Sequence[float], dt: float
+) -> list[Path]:
+    r"""Write PNGs of Bode (loops of least margin), Nyquist, disk-margin and sensitivity plots; return the paths.
+
+    With several cruise speeds [m/s], the sensitivities S and T are plotted at each speed, and all other plots are for
+    the largest speed. Nothing is written for an unstable loop.
+
+    Raises:
+        InputError: see `loop_margins`; or the folder cannot be written.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import save_margins
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> gains = load_gains("default").values
+        >>> paths = save_margins(load_vehicle("sur400"), gains, "pictures", cruise=0.15, dt=0.05)
+        >>> print(*(path.name for path in paths), sep="\n")
+        margins-sur400-bode-yaw.png
+        margins-sur400-nyquist-thrust.png
+        margins-sur400-bode-heading.png
+        margins-sur400-nyquist-measurement.png
+        margins-sur400-disk.png
+        margins-sur400-sensitivity.png
+    """
+    speeds = [float(speed) for speed in np.atleast_1d(cruise)]
+    cruise = max(speeds)
+    margins = loop_margins(vehicle, gains, cruise=cruise, dt=dt)
+    loops = loop_responses(vehicle, gains, cruise=cruise, dt=dt)
+    if not all(m.stable for m in margins):
+        return []
+    figures: dict[str, Figure] = {}
+    for at in ("thrust", "measurement"):
+        group = [(loop, m) for loop, m in zip(loops, margins, strict=True) if loop.at == at]
+        tightest = min(group, key=lambda pair: pair[1].delay_margin_s)
+        figures[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
+        least = min(m.disk_margin for _, m in group)
+        figures[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
+    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    opened = [open_loop(cascade, place) for place in DISK_PLACES]
+    pairs = [(loop, stored_disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
+    figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
+    figures["sensitivity"] = plot_s_and_t(sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2]))
+    return [save_figure(figure, folder, ("margins", vehicle.name, name)) for name, figure in figures.items()]
+
+
+def save_verdicts(verdicts: Sequence[Verdict], folder: Path | str) -> list[Path]:
+    """Write PNGs for each claim: a counterexample, the boxes of a proof, or the undecided boxes; return the paths.
+
+    Raises:
+        InputError: the folder cannot be written.
+
+    Example:
+        >>> from surctl.marine.report import save_verdicts
+        >>> from surctl.marine.verification import claims
+        >>> from surctl.verification import decide
+        >>> chosen = claims(names=["v1-printed", "v1-corrected"])
+        >>> verdicts = [decide(claim, samples=256, starts=2) for claim in chosen]
+        >>> [path.name for path in save_verdicts(verdicts, "pictures")]
+        ['v1-printed-replay.png', 'v1-printed-slice.png', 'v1-corrected-cells.png']
+    """
+    saved = []
+    for verdict in verdicts:
+        for name, figure in _pictures(verdict).items():
+            saved.append(save_figure(figure, folder, (verdict.claim.name, name)))
+    return saved
+
+
+def save_regions(documents: Mapping[str, Mapping[str, Any]], folder: Path | str) -> list[Path]:
+    """Write PNGs of level sets, flow and failure points for named region certificates; return the paths.
+
+    Raises:
+        InputError: a certificate is of another kind, or the folder cannot be written.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.report import save_regions
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification.region import prove_statement, region_statement
+        >>> statement = region_statement("region-heading-20").model_copy(update={"attempts": 1})
+        >>> proof = prove_statement(statement, load_vehicle("sur540-flooded"), load_gains("default"))
+        >>> [path.name for path in save_regions({"heading": proof.certificate()}, "pictures")]
+        ['heading-levels.png']
+    """
+    return [save_figure(plot_region(document), folder, (name, "levels")) for name, document in documents.items()]
+
+
+def _pictures(verdict: Verdict) -> dict[str, Figure]:
+    figures: dict[str, Figure] = {}
+    varying = sum(v.upper > v.lower for v in verdict.claim.variables)
+    if verdict.counterexample is not None:
+        if verdict.claim.motion is not None:
+            figures["replay"] = plot_counterexample(verdict).figure.figure
+        if varying >= 2:
+            figures["slice"] = plot_slice(margin_slice(verdict)).figure.figure
+    elif varying >= 2 and verdict.certificate is not None:
+        try:
+            figures["cells"] = plot_cells(verdict).figure.figure
+        except InputError:  # this kind of certificate has no cells
+            return figures
+    elif varying >= 2 and verdict.open_boxes:
+        figures["open"] = plot_open_boxes(verdict).figure.figure
+    return figures
 
 
 def save_run(run: Run, folder: Path | str) -> Path:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from surctl.errors import InputError
 from surctl.marine.simulation import Run
-from surctl.marine.simulation.record import path_depths
+from surctl.marine.simulation.run import path_depths
 from surctl.report.theme import BAD, curve, dress, head, legend_above, legend_below, new_axes, new_figure, printable
 
 __all__ = ["plot_coordinates", "plot_position_errors", "plot_series"]

@@ -16,8 +16,8 @@ from surctl.errors import InputError
 from surctl.export import Difference, ExportedFile, SilReport
 from surctl.export.sil import TOLERANCE
 from surctl.marine.control import Gains
+from surctl.marine.report.goals import COLUMN_TITLES, axis_title, plot_heat_map, plot_parallel
 from surctl.marine.report.margin_plots import LoopResponse, plot_bode, plot_nyquist, plot_poles
-from surctl.marine.report.sweep_plots import COLUMN_TITLES, axis_title, plot_heat_map, plot_parallel
 from surctl.marine.simulation import Run
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import Vehicle, parameter_spec

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from surctl.marine.report.plan_view import describe
 from surctl.marine.simulation import Run
 from surctl.marine.simulation.metrics import avoidance_intervals
-from surctl.marine.simulation.record import path_depths
+from surctl.marine.simulation.run import path_depths
 from surctl.marine.vehicle.linearise import command_range
 from surctl.priority import PriorityTimeline
-from surctl.priority.timeline import NOTICEABLE
+from surctl.priority.solving import NOTICEABLE
 from surctl.report.theme import (
     AVOIDING,
     BAD,

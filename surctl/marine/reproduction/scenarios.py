@@ -100,7 +100,7 @@ class Simulations:
         return simulate_batch(case, seeds=np.arange(self.seeds), threads=self.threads)
 
     def run(self, name: str, sensing: Sensing = "truth") -> Run:
-        """Return the run of the reference loop with seed 0, including the recorded signals."""
+        """Return the single run with seed 0, including the recorded signals."""
         key = (name, sensing)
         if key not in self._runs:
             scenario = self.scenario(name)

@@ -22,14 +22,12 @@ if TYPE_CHECKING:
         BaseStation,
         Delivery,
         OwnState,
-        delayed,
         delayed_symbols,
     )
     from surctl.marine.sensing.localisation.movers import Movers, MoverTracker, mover_step
     from surctl.marine.sensing.localisation.own_state import OwnEstimate, OwnStateFilter
     from surctl.marine.sensing.mapping.contacts import ContactMemory, Contacts, expected_range, sonar_contacts
     from surctl.marine.sensing.mapping.local_map import LocalMap
-    from surctl.marine.sensing.mapping.numbers import map_step, map_view
     from surctl.marine.sensing.ranging.filters import (
         FilterUpdate,
         LmsStep,
@@ -52,14 +50,6 @@ if TYPE_CHECKING:
         track,
     )
     from surctl.marine.sensing.sonar.array import Medium, SonarArray, speed_of_sound
-    from surctl.marine.sensing.sonar.detection import (
-        ECHO_KEY,
-        echo_keys,
-        echo_uniform,
-        firing_block,
-        firing_block_symbols,
-        uniform_symbols,
-    )
     from surctl.marine.sensing.sonar.echo import Beam, beam_of, echo_range, echo_samples
     from surctl.marine.sensing.sonar.faults import (
         FAULT_KINDS,
@@ -69,29 +59,24 @@ if TYPE_CHECKING:
         Fault,
         FaultChances,
         FaultKind,
-        FaultState,
         check_faults,
         fault_ports,
         fault_slots,
-        fault_state,
-        faulty,
         faulty_samples,
-        fire,
-        firing_samples,
-        true_range,
     )
     from surctl.marine.sensing.sonar.returns import (
+        ECHO_KEY,
         REFLECTORS,
         Reflector,
         Surfaces,
-        certain_range,
         certain_range_symbols,
-        corner_points,
         detection_odds,
+        echo_keys,
         echo_number,
+        firing_block_symbols,
         level_range,
         rim,
-        weak_range,
+        uniform_symbols,
         weak_range_symbols,
     )
     from surctl.marine.sensing.sonar.solids import Cone, Solid, SolidBox, SolidDisc, SolidWalls
@@ -118,7 +103,6 @@ __all__ = [
     "Fault",
     "FaultChances",
     "FaultKind",
-    "FaultState",
     "FilterUpdate",
     "LmsStep",
     "LocalMap",
@@ -151,35 +135,24 @@ __all__ = [
     "calibrate_file",
     "calibrate_table_ii",
     "calibration_rows",
-    "certain_range",
     "certain_range_symbols",
     "check_faults",
-    "corner_points",
-    "delayed",
     "delayed_symbols",
     "detection_odds",
     "echo_keys",
     "echo_number",
     "echo_range",
     "echo_samples",
-    "echo_uniform",
     "expected_range",
     "fault_ports",
     "fault_slots",
-    "fault_state",
-    "faulty",
     "faulty_samples",
     "file_stems",
     "filtered_rows",
-    "fire",
-    "firing_block",
     "firing_block_symbols",
-    "firing_samples",
     "gate",
     "level_range",
     "lms_step",
-    "map_step",
-    "map_view",
     "mover_step",
     "pick_calibration",
     "read_readings",
@@ -191,9 +164,7 @@ __all__ = [
     "speed_of_sound",
     "table_ii",
     "track",
-    "true_range",
     "uniform_symbols",
-    "weak_range",
     "weak_range_symbols",
     "weighted_average",
 ]
@@ -205,23 +176,21 @@ load_at_first_use(
         "calibration.file": "RangeTest SensorCalibration calibrate_file calibrate_table_ii calibration_rows file_stems"
         " pick_calibration sonar_fragment table_ii",
         "equipment": "INCIDENCE_LIMITS SURFACE_MODELS Equipment SurfaceModel",
-        "localisation.base_station": "BaseStation Delivery OwnState delayed delayed_symbols",
+        "localisation.base_station": "BaseStation Delivery OwnState delayed_symbols",
         "localisation.movers": "MoverTracker Movers mover_step",
         "localisation.own_state": "OwnEstimate OwnStateFilter",
         "mapping.contacts": "ContactMemory Contacts expected_range sonar_contacts",
         "mapping.local_map": "LocalMap",
-        "mapping.numbers": "map_step map_view",
         "ranging.filters": "FilterUpdate LmsStep SensorFilter gate lms_step weighted_average",
         "ranging.tracker": "RangeTracker Ranging",
         "replay": "Readings Recording Replay SensorSummary Tracked filtered_rows read_readings replay_readings"
         " sonar_array track",
         "sonar.array": "Medium SonarArray speed_of_sound",
-        "sonar.detection": "ECHO_KEY echo_keys echo_uniform firing_block firing_block_symbols uniform_symbols",
         "sonar.echo": "Beam beam_of echo_range echo_samples",
-        "sonar.faults": "FAULT_KINDS LONGEST_DELAY SLOT Arrival Fault FaultChances FaultKind FaultState check_faults"
-        " fault_ports fault_slots fault_state faulty faulty_samples fire firing_samples true_range",
-        "sonar.returns": "REFLECTORS Reflector Surfaces certain_range certain_range_symbols corner_points"
-        " detection_odds echo_number level_range rim weak_range weak_range_symbols",
+        "sonar.faults": "FAULT_KINDS LONGEST_DELAY SLOT Arrival Fault FaultChances FaultKind check_faults"
+        " fault_ports fault_slots faulty_samples",
+        "sonar.returns": "ECHO_KEY REFLECTORS Reflector Surfaces certain_range_symbols detection_odds echo_keys"
+        " echo_number firing_block_symbols level_range rim uniform_symbols weak_range_symbols",
         "sonar.solids": "Cone Solid SolidBox SolidDisc SolidWalls",
     },
 )

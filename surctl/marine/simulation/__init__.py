@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.obstacle import Obstacle
     from surctl.marine.simulation.physics import Contact, OwnPhysics, Physics, PhysicsMaker, advance
     from surctl.marine.simulation.plan_file import Mission, mission_scenario, read_mission
-    from surctl.marine.simulation.record import Record
     from surctl.marine.simulation.record_file import (
         LAYOUT,
         RECORD_FORMATS,
@@ -49,7 +48,16 @@ if TYPE_CHECKING:
         write_layout,
     )
     from surctl.marine.simulation.reflectors import ECHOES, EchoModel, Reflectors
-    from surctl.marine.simulation.run import SENSING, Attitude, DepthChange, Run, Sensing, attitude_of, depth_changes
+    from surctl.marine.simulation.run import (
+        SENSING,
+        Attitude,
+        DepthChange,
+        Record,
+        Run,
+        Sensing,
+        attitude_of,
+        depth_changes,
+    )
     from surctl.marine.simulation.safety import SafetyClaim, safety_claim
     from surctl.marine.simulation.scaling import (
         disturbed,
@@ -61,8 +69,7 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.scenario import LIBRARY, Disturbance, PaperFigure, Scenario, load_scenario
     from surctl.marine.simulation.sensors import Sensors
     from surctl.marine.simulation.stopping import stop_reason, time_limit_reason
-    from surctl.marine.simulation.thruster_faults import ThrusterFault
-    from surctl.marine.simulation.thruster_use import ThrusterUse, thruster_use
+    from surctl.marine.simulation.thruster_faults import ThrusterFault, ThrusterUse, thruster_use
     from surctl.marine.simulation.world import Body, World, build_world
 
 __all__ = [
@@ -165,18 +172,16 @@ load_at_first_use(
         "obstacle": "Obstacle",
         "physics": "Contact OwnPhysics Physics PhysicsMaker advance",
         "plan_file": "Mission mission_scenario read_mission",
-        "record": "Record",
         "record_file": "LAYOUT RECORD_FORMATS RUN_FORMATS RecordFormat SceneFile record_columns save_record save_scene"
         " write_layout",
         "reflectors": "ECHOES EchoModel Reflectors",
-        "run": "SENSING Attitude DepthChange Run Sensing attitude_of depth_changes",
+        "run": "Attitude DepthChange Record Run SENSING Sensing attitude_of depth_changes",
         "safety": "SafetyClaim safety_claim",
         "scaling": "disturbed mission_size scaled_scenario straight_mission two_leg_mission",
         "scenario": "LIBRARY Disturbance PaperFigure Scenario load_scenario",
         "sensors": "Sensors",
         "stopping": "stop_reason time_limit_reason",
-        "thruster_faults": "ThrusterFault",
-        "thruster_use": "ThrusterUse thruster_use",
+        "thruster_faults": "ThrusterFault ThrusterUse thruster_use",
         "world": "Body World build_world",
     },
 )

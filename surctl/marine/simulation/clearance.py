@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from surctl.marine.control import Gains
 from surctl.marine.control.dead_end import SLACK
-from surctl.marine.simulation.column import BAND
 from surctl.marine.simulation.finding import Finding
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle, floating_depth, missing_buoyancy
 
 __all__ = ["Gap", "clearance_findings", "end_findings", "layers", "tightest_gap"]

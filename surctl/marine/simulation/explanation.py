@@ -17,7 +17,7 @@ def priority_timeline(run: Run) -> PriorityTimeline:
 
     The function solves the law's problem again at each control step, with a name for every constraint row.
 
-    Control steps whose input the law rejected are left out. The function takes about 1 ms per control step.
+    Control steps whose input the law rejected are left out.
 
     Example:
         >>> from surctl.marine.control import build_law, load_gains

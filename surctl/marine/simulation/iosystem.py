@@ -9,15 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.control import Gains, Law, build_law, law_source
+from surctl.marine.control import Gains, Law, LawStep, build_law
 from surctl.marine.guidance import MAX_WAYPOINTS
-from surctl.marine.simulation.loop import Loop
-from surctl.marine.simulation.numbers import law_numbers
+from surctl.marine.simulation.loop import SingleRun, case_of
 from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.thruster_faults import Thrusters
 from surctl.marine.simulation.world import build_world
-from surctl.marine.vehicle import Vehicle, plant_state
+from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import STATE_NAMES, THRUST_NAMES, TILT_NAMES, labelled
-from surctl.noise import NoiseStream
 
 __all__ = ["ClosedLoopSystem", "closed_loop_system"]
 
@@ -93,19 +92,24 @@ def closed_loop_system(
             value=chosen.name,
             remedy="build the law with sonar=False",
         )
-    world, gains = build_world(scenario, vehicle, seed=seed), gains.with_own(law_source(chosen.ref).gains)
-    p = law_numbers(scenario, gains, model or vehicle)
-    loop = Loop(world, vehicle, chosen, p, "truth", NoiseStream(seed), chosen.step)
-    start = np.concatenate([loop.state, chosen.initial_state()])
-    plant = plant_state(vehicle.form).size
+    build_world(scenario, vehicle, seed=seed)  # refuses a start inside an obstacle
+    case = case_of(scenario, vehicle, gains=gains, law=chosen, model=model)
+    run, thrusters = SingleRun(case, chosen, seed=seed), Thrusters.of(vehicle, chosen)
+    start = np.concatenate([run.plant, run.law_state])
+    plant = len(run.plant)
+
+    def step(t: float, x: NDArray[np.float64], u: NDArray[np.float64]) -> tuple[Any, LawStep]:
+        values = run.at(x[:plant], round(t / chosen.dt))
+        step = chosen.step(x[plant:], values["u"], values["p"])
+        return values, step._replace(tau=step.tau + u)
 
     def moved(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
-        step, state = loop.step_from(x[:plant], x[plant:], round(t / chosen.dt), added=u)
-        return np.concatenate([state, step.x_next])
+        values, decided = step(t, x, u)
+        run.move(values, run.thrust(decided, thrusters, t, x)[0])
+        return np.concatenate([values["plant_next"], decided.x_next])
 
     def output(t: float, x: NDArray[np.float64], u: NDArray[np.float64], params: Mapping[str, Any]) -> Any:
-        step, _ = loop.step_from(x[:plant], x[plant:], round(t / chosen.dt), added=u)
-        return np.concatenate([x[:8], step.tau])
+        return np.concatenate([x[:8], step(t, x, -np.zeros(4))[1].tau])
 
     thrust = labelled(THRUST_NAMES)
     system = control.nlsys(

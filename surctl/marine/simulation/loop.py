@@ -1,21 +1,25 @@
-"""The reference closed loop, with noise from a seed.
+"""One run of the mission loop: the programs of the compiled loop, called one after another.
 
 The law runs every 50 ms and sonars fire every 25 ms. Between firings, the physics of the run (`Physics`) moves the
-hull; surctl's own plant is integrated by RK4 with steps of 10 ms.
+hull; surctl's own plant is integrated by RK4 with steps of 10 ms. Law, thrusters and physics may be replaced.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from math import inf
-from typing import NamedTuple, Protocol, TypeAlias
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Protocol, TypeAlias
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError, nearest
+from surctl.errors import InputError, SurctlError, nearest
+from surctl.ir import cached_bytes, on_vectors, to_casadi
 from surctl.marine.control import (
-    CONTACT_SLOTS,
     NONFINITE,
     WORKING,
     Gains,
@@ -24,85 +28,26 @@ from surctl.marine.control import (
     build_law,
     check_forces,
     default_law,
-    law_source,
 )
-from surctl.marine.sensing import (
-    OwnState,
-    SonarArray,
-    corner_points,
-    delayed,
-    echo_keys,
-    echo_number,
-    echo_uniform,
-    fault_state,
-    faulty,
-    firing_block,
-    weak_range,
-)
-from surctl.marine.simulation.column import beside, column
-from surctl.marine.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
-from surctl.marine.simulation.numbers import feeder_of, law_numbers
-from surctl.marine.simulation.physics import OwnPhysics, PhysicsMaker
-from surctl.marine.simulation.record import Record, measure
-from surctl.marine.simulation.run import SENSING, Run, Sensing
+from surctl.marine.guidance import ROW
+from surctl.marine.simulation.batch.case import Case
+from surctl.marine.simulation.batch.engines import loop_sources, metrics_table
+from surctl.marine.simulation.batch.loop import Loop, loop_of
+from surctl.marine.simulation.batch.pack import pack, structure_of
+from surctl.marine.simulation.batch.structure import ABSENT, Mission, Structure
+from surctl.marine.simulation.metrics import GONE, LINK_LOST, METRICS, STOPPED_LIMIT, STOPS, Metrics
+from surctl.marine.simulation.physics import Contact, OwnPhysics, PhysicsMaker, advanced
+from surctl.marine.simulation.run import SENSING, Record, Run, Sensing
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.sensors import FIRING, firing_plan
 from surctl.marine.simulation.thruster_faults import ThrusterFault, Thrusters
-from surctl.marine.simulation.world import Body, World, build_world
+from surctl.marine.simulation.world import World, build_world
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.world import Disc
-from surctl.noise import NoiseStream
 
-__all__ = ["Loop", "Stepper", "WeakEchoes", "simulate"]
-
-
-class WeakEchoes:
-    """The weak echoes of one run; every firing has its own random numbers, independent of all other firings.
-
-    Args:
-        world: the world of the run.
-        array: the sonars on the hull.
-        seed: seed of the run.
-    """
-
-    def __init__(self, world: World, array: SonarArray, *, seed: int) -> None:
-        scenario = world.scenario
-        surfaces = scenario.surfaces
-        self._hull, self._array, self._key = world.hull, array, echo_keys([seed])[0]
-        self._known = {}
-        self._corners: list[tuple[float, float]] = []
-        if surfaces is not None:
-            names = [obstacle.name for obstacle in scenario.obstacles]
-            pairs = zip(names, surfaces.obstacles, strict=True)
-            self._known = {name: (echo_number(name), reflector) for name, reflector in pairs}
-            self._corners = corner_points(scenario.walls, surfaces)
-        self._any = surfaces is not None and (surfaces.weak or bool(self._corners))
-
-    def nearest(self, sensor: int, state: NDArray[np.float64], bodies: Sequence[Body], *, instant: int) -> float:
-        """Return the distance [m] from a sensor's apex to the nearest detected weak echo; inf if there is none.
-
-        Args:
-            sensor: index of the sensor that fires.
-            state: state of the plant, which begins with x, y, z [m] and ψ [rad].
-            bodies: the obstacles that are in the water.
-            instant: number of the firing instant.
-        """
-        if not self._any:
-            return inf
-        block = firing_block(self._key, instant, sensor)
-        audible = [(self._known[body.name], body.shape) for body in beside(bodies, float(state[2]), self._hull)]
-        return weak_range(
-            self._array,
-            sensor,
-            position=state[:2],
-            heading=float(state[3]),
-            bodies=[(number, shape, reflector) for (number, reflector), shape in audible],
-            corners=self._corners,
-            uniform=lambda echo: echo_uniform(self._key, block, echo),
-        )
-
+__all__ = ["SingleRun", "Stepper", "case_of", "simulate"]
 
 Vector: TypeAlias = NDArray[np.float64]
+Values: TypeAlias = dict[str, Vector]
 
 
 class Stepper(Protocol):
@@ -175,292 +120,233 @@ def simulate(
             value=sensing,
             remedy="build the law with sonar=" + str(sonar),
         )
-    if abs(law.dt / FIRING - round(law.dt / FIRING)) > 1e-9 or law.dt < FIRING:
-        problem = f"is not a multiple of the sonar's firing period of {FIRING:g} s"
-        raise InputError(problem, key="dt", value=law.dt, remedy="use 0.05")
+    if abs(law.dt - 2 * FIRING) > 1e-9:
+        raise InputError("is not two firing periods of the sonars", key="dt", value=law.dt, remedy="use 0.05")
     world = build_world(scenario, vehicle, seed=seed)
-    gains = gains.with_own(law_source(law.ref).gains)
-    p = law_numbers(scenario, gains, model or vehicle)
-    loop = Loop(world, vehicle, law, p, sensing, NoiseStream(seed), stepper or law.step, thrusters, physics, seed)
-    reason, record = loop.run(watch), loop.record()
-    metrics = measure(scenario, law, record, reason=reason, least=loop.least)
-    plant = loop.physics
+    array = scenario.sensors.array_on(world.hull)
+    other = None if physics is OwnPhysics else physics(world, vehicle, array)
+    case = case_of(scenario, vehicle, gains=gains, law=law, sensing=sensing, model=model)
+    run = SingleRun(case, law, seed=seed, measured=other is not None)
+    firings = firing_plan(array)
+    rows, fed, gone, before = list[tuple[object, ...]](), list[Vector](), 0, tuple[Contact, ...]()
+
+    def measured(time: float, instant: int) -> Values:
+        # what another physics measures in the present state
+        assert other is not None
+        bodies, far = world.bodies(time), 2.0 * array.maximum
+        listens = firings.sensors[instant % firings.period] if sonar else ()
+        echoes = [far if sensor is None else min(other.echo(sensor, bodies), far) for sensor in listens]
+        return {"echo": np.array(echoes), "clearance": np.array(other.clearance(bodies))}
+
+    for index in range(run.steps):
+        time = index * law.dt
+        watch(time)
+        if WORKING in law.inputs:
+            run.part(WORKING)[:] = thrusters.working(time)
+        ranges = measured(time, 2 * index) if other is not None else {}
+        values = run.sense(ranges)
+        step = (stepper or law.step)(values["x"], values["u"], values["p"])
+        state = run.plant if other is None else other.state
+        clear = run.value("clear") > 0 or values["clearance"][1] > 0  # walls count once the hull was clear of them
+        clearance = values["clearance"] if clear else values["clearance"][:1]
+        rows.append((time, state, step.tau, clearance.min(), values["x"], values["u"], step.status, step.telemetry))
+        fed.append(values["p"])
+        thrust, components = run.thrust(step, thrusters, time, state)
+        if other is None:
+            run.move(values, thrust)
+        else:
+            before = tuple(other.contacts)
+            values["plant_between"] = run.padded(other.advance(thrust, time, components))
+            values |= measured(time + FIRING, 2 * index + 1)
+            between = values.pop("clearance")
+            values |= run.call["between"](values) | {"clearance": ranges["clearance"], "clearance_between": between}
+            values["plant_next"] = run.padded(other.advance(thrust, time + FIRING, components))
+        gone += step.status == GONE
+        if gone >= round(STOPPED_LIMIT / law.dt):
+            run.part("steps")[:] = index + 1
+        run.close(values, step)
+        if run.state[0] > 0:
+            break
+    stop = STOPS[int(run.value("stop"))]
+    reason = LINK_LOST if gone and stop == "time limit" else stop
+    # without those of the period after the last one
+    contacts = before if other is None or stop != "time limit" else tuple(other.contacts)
     return Run(
-        scenario, vehicle, gains, law, sensing, seed, metrics, record, stepper is not None, plant.name,
-        tuple(plant.contacts),
+        scenario, vehicle, run.gains, law, sensing, seed, run.metrics(reason), _record(world, run, rows, fed),
+        stepper is not None, OwnPhysics.name if other is None else other.name, contacts,
     )  # fmt: skip
 
 
-class _StepNoise(NamedTuple):
-    """The random numbers of one control step.
+def case_of(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    *,
+    gains: Gains,
+    law: Law,
+    sensing: Sensing = "truth",
+    model: Vehicle | None = None,
+) -> Case:
+    """Return the case of a law that is built."""
+    return Case(
+        scenario,
+        vehicle,
+        gains,
+        law.ref,
+        law.mode,
+        sensing,
+        model,
+        avoidance=law.avoidance,
+        guidance=law.guidance,
+        barrier=law.barrier,
+        movers=law.movers,
+    )
 
-    Normally distributed numbers: (instants, k, samples) for the k sonars that fire at each firing instant; (6,) for
-    position measurement and IMU; (slots, 4) for the obstacles in a message of the base station; one number for the loss
-    of the message. Uniformly distributed numbers: (instants, k, 2) for faults of the sonars.
+
+def _record(world: World, run: SingleRun, rows: Sequence[tuple[object, ...]], fed: Sequence[Vector]) -> Record:
+    time, state, tau, clearance, x, u, status, telemetry = zip(*rows, strict=True)
+    states, clear = np.array(state), np.array(clearance)
+    return Record(
+        np.array(time),
+        states[:, :4],
+        states[:, 4:8],
+        np.array(tau),
+        np.where(clear < 0.5 * ABSENT, clear, np.inf),
+        np.array(x),
+        np.array(u),
+        run.law_parameters,
+        np.array(status),
+        np.array(telemetry),
+        [world.bodies(at) for at in time],
+        np.array(fed) if run.mission else None,
+        states[:, 12:14] if states.shape[1] > 12 else None,
+    )
+
+
+class _Program:
+    """A program of the loop as a function of arrays by name."""
+
+    def __init__(self, inputs: Sequence[str], outputs: Sequence[str], function: str) -> None:
+        self._inputs, self._outputs, self._run = inputs, outputs, on_vectors(ca.Function.deserialize(function))
+
+    def __call__(self, values: Mapping[str, Vector]) -> Values:
+        return dict(zip(self._outputs, self._run(*(values[name] for name in self._inputs)), strict=True))
+
+
+@cache
+def _programs(structure: Structure, law: Law, *, measured: bool) -> tuple[Loop, dict[str, _Program]]:
+    """Return the loop of single runs and its programs, from the cache on disk if they are there."""
+    loop = loop_of(structure, law, single=True)
+
+    def build() -> bytes:
+        blocks = loop.calls(measured=measured)
+        stored = {
+            name: ([n for n, _ in block.inputs], [n for n, _ in block.outputs], to_casadi(block).expand().serialize())
+            for name, block in blocks.items()
+        }
+        return json.dumps(stored).encode()
+
+    try:
+        layouts = [tuple(layout) for layout in (loop.state, loop.parameters, law.inputs, law.outputs, law.state)]
+        text = f"{loop_sources()}\0{structure!r}\0{layouts!r}\0{law.dt}\0{law.perception is None}\0{measured}"
+        stored = cached_bytes(hashlib.sha256(text.encode()).hexdigest(), ".single", build)
+    except SurctlError:  # the source code is missing or changed since the import, so it cannot identify stored programs
+        stored = build()
+    return loop, {name: _Program(*parts) for name, parts in json.loads(stored).items()}
+
+
+class SingleRun:
+    """One run of the mission loop, stepped from outside.
+
+    Args:
+        case: the setup; `law` is its law.
+        law: the law.
+        seed: seed of all random choices.
+        measured: whether another physics measures the distances.
+
+    Attributes:
+        state, parameters: state and parameter vector of the run, with the layouts of `loop`.
+        law_state: state of the law.
     """
 
-    samples: NDArray[np.float64]
-    uniforms: NDArray[np.float64]
-    own_state: NDArray[np.float64]
-    movers: NDArray[np.float64]
-    loss: float
+    def __init__(self, case: Case, law: Law, *, seed: int, measured: bool = False) -> None:
+        # the thrusters are no part of these programs
+        structure = replace(structure_of(case, {}), actuators=None)
+        self.loop, self.call = _programs(structure, law, measured=measured)
+        packed = pack(case, self.loop, {}, np.array([seed]))
+        self.gains = case.gains
+        self.law, self.state, self.parameters = law, packed.state[0], packed.parameters[0]
+        self.law_state, self.steps = law.initial_state(), packed.steps
+        self.mission = Mission(law, structure.points, rises=structure.rises) if structure.points else None
+        self._gain, self._bias, self._current = map(self.part, ("thrust_gain", "thrust_bias", "current"))
+        self.law_parameters = self.parameters[: law.gains.size].copy()
+        self._move, self._plant = advanced(structure.form), self.part("plant")
 
+    def part(self, name: str) -> Vector:
+        """Return an entry of the parameters as a view."""
+        part: Vector = self.parameters[self.loop.parameters.slice(name)]
+        return part
 
-class Loop:
-    """The state of a run while it is simulated."""
-
-    def __init__(
-        self,
-        world: World,
-        vehicle: Vehicle,
-        law: Law,
-        p: NDArray[np.float64],
-        sensing: Sensing,
-        noise: NoiseStream,
-        stepper: Stepper,
-        thrusters: Thrusters | None = None,
-        physics: PhysicsMaker = OwnPhysics,
-        seed: int = 0,
-    ) -> None:
-        self.stepper = stepper
-        self.thrusters = thrusters or Thrusters.of(vehicle, law)
-        self.world, self.law, self.p, self.sensing, self.noise = world, law, p, sensing, noise
-        self.limit = vehicle.at_speed(world.scenario.cruise).thrust_range[1]
-        self.sensors = world.scenario.sensors
-        self.station = self.sensors.equipment.station
-        self.array = self.sensors.array_on(world.hull)
-        self.firings = firing_plan(self.array)
-        self.physics = physics(world, vehicle, self.array)
-        self.weak = WeakEchoes(world, self.array, seed=seed)
-        self.state = self.physics.state
-        self.law_state = law.initial_state()
-        self.feeder = feeder_of(world.scenario, law, p)
-        self.fed: list[Vector] = []
-        self.faults = fault_state(self.array)
-        self.fresh = np.zeros(self.array.size)
-        self.instant = 0
-        self.movers = [o.name for o in world.scenario.obstacles if o.shape == "moving"]
-        self.slots = min(CONTACT_SLOTS, len(self.movers))
-        own = self.sensors.equipment.own
-        self.places = np.tile(self.state[:3], (own.fixes.late(law.dt) if own else 0, 1))
-        self.messages = np.zeros((self.station.messages.late(law.dt), self.slots * 6))
-        self.least = float("inf")
-        self.clear_of_walls = False
-        self.follower = world.scenario.follower()
-        self.rows: list[tuple[object, ...]] = []
-
-    def run(self, watch: Callable[[float], object] = lambda _: None) -> str:
-        """Simulate the run to its end and return the reason why it ended; `watch` receives each time [s]."""
-        scenario, dt, stopped, standing, gone = self.world.scenario, self.law.dt, 0, 0, 0
-        for index in range(int(np.ceil(scenario.time_limit / dt))):
-            time = index * dt
-            watch(time)
-            bodies = self.world.bodies(time)
-            noise = self._draw()
-            self._listen(bodies, noise, 0)
-            clearance = self._clearance(bodies)
-            u = self._inputs(bodies, noise, index)
-            p = self._fed()
-            step = self.stepper(self.law_state, u, p)
-            self.rows.append(
-                (time, self.state, step.tau, clearance, self.law_state, u, step.status, step.telemetry, bodies)
-            )
-            if clearance <= 0:
-                return "collision"
-            self.follower.move(*self.state[:2].tolist())
-            if self.follower.last and self._left() <= scenario.arrival_radius:
-                return "reached"
-            if step.status == NONFINITE:
-                return "fault"
-            gone += step.status == GONE
-            if gone >= round(STOPPED_LIMIT / dt):
-                return LINK_LOST
-            if self.law.perception is not None:
-                stopped = stopped + 1 if step.telemetry[self.law.telemetry_slice("stopped")][0] > 0.5 else 0
-            if stopped >= round(STOPPED_LIMIT / dt):
-                return "standstill"
-            if "trapped" in self.law.outputs:
-                standing += int(step.telemetry[self.law.telemetry_slice("trapped")][0] > 0.5)
-            if standing >= round(STANDSTILL / dt):
-                return "dead end"
-            self.law_state = step.x_next
-            self._advance(time, step, noise)
-        return LINK_LOST if gone else "time limit"
-
-    def inputs_from(self, state: Vector, index: int) -> Vector:
-        """Return the law's inputs (nu,) in a given state of the plant, only for sensing `truth`."""
-        self.state = self.physics.state = state
-        return self._inputs(self.world.bodies(index * self.law.dt), self._draw(), index)
-
-    def step_from(self, state: Vector, law_state: Vector, index: int, *, added: Vector) -> tuple[LawStep, Vector]:
-        """Return the law's control step in a given state, and the next plant state with the additional thrust `added`.
-
-        The method is only for sensing `truth`, where the sensors have no state, and for paths that are not fed.
-        """
-        time, noise = index * self.law.dt, self._draw()
-        step = self.stepper(law_state, self.inputs_from(state, index), self.p)
-        self._advance(time, step._replace(tau=step.tau + added), noise)
-        return step, self.state
-
-    def record(self) -> Record:
-        """Return the recorded control steps as arrays."""
-        time, state, tau, clearance, x, u, status, telemetry, bodies = zip(*self.rows, strict=True)
-        states = np.array(state)
-        return Record(
-            np.array(time),
-            states[:, :4],
-            states[:, 4:8],
-            np.array(tau),
-            np.array(clearance),
-            np.array(x),
-            np.array(u),
-            self.p,
-            np.array(status),
-            np.array(telemetry),
-            bodies,
-            np.array(self.fed) if self.feeder else None,
-            states[:, 12:14] if states.shape[1] > 12 else None,
-        )
-
-    def _fed(self) -> Vector:
-        if self.feeder is None:
-            return self.p
-        self.law_state, p = self.feeder.feed(self.law_state)
-        self.fed.append(p)
-        return p
-
-    def _draw(self) -> _StepNoise:
-        # in a fixed order: sonar firings, own state, then every moving obstacle
-        instants, wide, size = round(self.law.dt / FIRING), len(self.firings.sensors[0]), self.array.samples
-        firings = instants * wide * size
-        # an even number, because the generator makes normal numbers in pairs
-        count = firings + firings % 2 + 8 + 4 * self.slots
-        listens = self.sensing == "sonar"
-        numbers = self.noise.normals(count) if listens else np.zeros(count)
-        chances = 2 * instants * wide
-        uniforms = self.noise.uniforms(chances) if listens and self.sensors.may_fail else np.full(chances, 0.5)
-        samples, rest = numbers[:firings].reshape(instants, wide, size), numbers[firings + firings % 2 :]
-        movers, own = rest[7:-1].reshape(self.slots, 4), rest[:6]
-        return _StepNoise(samples, uniforms.reshape(instants, wide, 2), own, movers, float(rest[6]))
-
-    def _advance(self, time: float, step: LawStep, noise: _StepNoise) -> None:
-        psi, (east, north) = self.state[3], self.world.scenario.disturbance.current_m_per_s
-        speed = float(self.state[4] - (np.cos(psi) * east + np.sin(psi) * north))
-        shown = None if step.status < 0 else step.telemetry  # a step without command repeats an older telemetry
-        achieved, components = self.thrusters.achieved(step.tau, time, telemetry=shown, speed=speed)
-        thrust = self.world.thrust(achieved, self.limit)
-        half = round(self.law.dt / FIRING)
-        for k in range(half):
-            self.state = self.physics.advance(thrust, time + k * FIRING, components)
-            if k < half - 1:
-                between = time + (k + 1) * FIRING
-                bodies = self.world.bodies(between)
-                self._listen(bodies, noise, k + 1)
-                self._clearance(bodies)
-
-    def _listen(self, bodies: Sequence[Body], noise: _StepNoise, instant: int) -> None:
-        if self.sensing == "truth":
-            return
-        time = self.instant * FIRING
-        for k, sensor in enumerate(self.firings.at(self.instant)):
-            samples, self.faults = faulty(
-                self.array,
-                self.faults,
-                sensor,
-                time=time,
-                distance=min(
-                    self.physics.echo(sensor, bodies),
-                    self.weak.nearest(sensor, self.state, bodies, instant=self.instant),
-                ),
-                noise=noise.samples[instant, k],
-                faults=self.sensors.faults,
-                chances=self.sensors.chances,
-                uniforms=noise.uniforms[instant, k],
-            )
-            if samples is not None:
-                self.fresh[sensor] = 1.0
-        self.instant += 1
-
-    def _left(self) -> float:
-        # horizontal if the mission has only one depth
-        scenario = self.world.scenario
-        level = float(np.hypot(*(self.state[:2] - scenario.target)))
-        if scenario.depths is None and scenario.path.rises is None:
-            return level
-        return float(np.hypot(level, self.state[2] - scenario.end_depth))
-
-    def _clearance(self, bodies: Sequence[Body]) -> float:
-        clearance, wall = self.physics.clearance(bodies)
-        self.clear_of_walls = self.clear_of_walls or wall > 0
-        if self.clear_of_walls:
-            clearance = min(clearance, wall)
-        self.least = min(self.least, clearance)
-        return clearance
-
-    def _inputs(self, bodies: Sequence[Body], noise: _StepNoise, index: int) -> NDArray[np.float64]:
-        eta, nu = self.state[:4], self.state[4:8]
-        inputs: dict[str, object] = {"samples": self.faults.last, "fresh": self.fresh}
-        if self.sensing == "truth":
-            inputs |= {"eta": eta, "nu": nu, "contacts": self._all_contacts(beside(bodies, eta[2], self.world.hull))}
+    def sense(self, measured: Mapping[str, Vector] | None = None) -> Values:
+        """Return what a control period begins with: the law's state x, its inputs u, its parameters p, and the rest."""
+        values: Values = {"s": self.state, "w": self.parameters, "x": self.law_state, "law_state": self.law_state}
+        if self.mission is None:
+            values["p"] = self.parameters[: self.law.gains.size]
         else:
-            inputs |= self._measurements(self._mover_rows(bodies), noise, index)
-        inputs[WORKING] = self.thrusters.working(index * self.law.dt)
-        inputs["column"] = column(self.world.scenario, bodies, eta[:3], self.world.hull)
-        self.fresh = np.zeros(self.array.size)
-        return self.law.inputs.pack({name: value for name, value in inputs.items() if name in self.law.inputs})
+            places = self.call["places"](values)
+            for name in self.mission.rows:
+                at = ROW * int(places[f"at_{name}"][0])
+                values[name] = self.parameters[at : at + ROW]
+            values |= self.call["feed"](values)
+        more = dict(measured or {})
+        return values | self.call["sense"](values | more) | more
 
-    def _measurements(self, rows: NDArray[np.float64], noise: _StepNoise, index: int) -> dict[str, object]:
-        # camera, IMU and base station; without delay if the law has no perception
-        eta, nu, own = self.state[:4], self.state[4:8], self.sensors.equipment.own
-        contacts = np.zeros((CONTACT_SLOTS, 6))
-        if self.law.perception is None:
-            contacts[: self.slots] = rows
-            observed = contacts[: self.slots]
-            observed[:, :2], observed[:, 3:5] = self.station.observe(
-                observed[:, :2], observed[:, 3:5], noise=noise.movers
-            )
-            observed[rows[:, 5] < 0.5] = 0.0
-            pose, _ = (own or OwnState(position_sd=0.0, yaw_sd=0.0)).measure(eta, nu, noise=noise.own_state[:4])
-            return {"eta": pose, "nu": nu, "contacts": contacts}
-        then, self.messages = delayed(self.messages, rows.ravel())
-        message, arrived = self.station.message(
-            then.reshape(-1, 6), index, noise=noise.movers, chance=noise.loss, dt=self.law.dt
-        )
-        contacts[: self.slots] = message
-        inputs: dict[str, object] = {"contacts": contacts, "contacts_fresh": arrived}
-        if own is None:
-            return {**inputs, "eta": eta, "nu": nu}
-        place, self.places = delayed(self.places, self.state[:3])
-        fix, fresh = own.fix(place, index, noise=noise.own_state[:4], dt=self.law.dt)
-        yaw, rate = own.imu(eta, nu, noise=noise.own_state[4:])
-        return {**inputs, "fix": fix, "fix_fresh": fresh, "yaw": yaw, "yaw_rate": rate}
+    @property
+    def plant(self) -> Vector:
+        """State of the plant."""
+        plant: Vector = self.state[self.loop.state.slice("plant")]
+        return plant
 
-    def _mover_rows(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
-        # zero for an absent obstacle; only the nearest obstacles if there are too many
-        there = {b.name: b for b in bodies if b.moving}
-        named = self.movers
-        if len(named) > self.slots:
-            near = {b.name: b.shape.nearest(self.state[:2])[0] for b in there.values()}
-            chosen = sorted(named, key=lambda name: near.get(name, np.inf))[: self.slots]
-            named = [name for name in named if name in chosen]
-        rows = np.zeros((self.slots, 6))
-        for row, name in zip(rows, named, strict=True):
-            if name in there:
-                row[:] = self._contact(there[name])
-        return rows
+    def value(self, name: str) -> float:
+        """Return an entry of the state that is one number."""
+        return float(self.state[self.loop.state.slice(name)][0])
 
-    def _all_contacts(self, bodies: Sequence[Body]) -> NDArray[np.float64]:
-        slots = self.law.inputs.port("contacts").shape[0] if "contacts" in self.law.inputs else 0
-        contacts, listed = np.zeros((slots, 6)), list(bodies)
-        if len(listed) > slots:
-            by_distance = sorted(listed, key=lambda b: b.shape.nearest(self.state[:2])[0])
-            chosen = {b.name for b in by_distance[:slots]}
-            listed = [b for b in listed if b.name in chosen]
-        for row, body in zip(contacts, listed, strict=False):
-            row[:] = self._contact(body)
-        return contacts
+    def padded(self, plant: Vector) -> Vector:
+        """Return the state of another physics with the size of the plant's own: a hull that does not tilt has less."""
+        return np.concatenate([plant, np.zeros(len(self.plant) - len(plant))])
 
-    def _contact(self, body: Body) -> list[float]:
-        if isinstance(body.shape, Disc):
-            return [*body.shape.center, body.shape.radius, *body.velocity, 1.0]
-        return [*body.shape.nearest(self.state[:2])[1], 0.0, *body.velocity, 1.0]
+    def metrics(self, reason: str) -> Metrics:
+        """Return the metrics of the run, which ended for a reason."""
+        row = dict(zip(METRICS, metrics_table(self.loop, self.state[None])[0].tolist(), strict=True))
+        row["stopped_because"], row["reached"] = reason, row["reached"] > 0.5
+        del row["collided"], row["stopped"]
+        return Metrics(**row)
+
+    def at(self, plant: Vector, index: int, *, p: Vector | None = None) -> Values:
+        """Return what a control period begins with at a state of the plant and a number of the period.
+
+        `p` are other parameters of the law. This is for true positions and for paths that are not fed.
+        """
+        layout = self.loop.state
+        self.state[layout.slice("plant")], self.state[layout.slice("step")] = plant, index
+        if p is not None:
+            self.parameters[: len(p)] = p
+        return self.sense()
+
+    def thrust(self, step: LawStep, thrusters: Thrusters, time: float, plant: Vector) -> tuple[Vector, Vector]:
+        """Return the thrust (4,) with the errors of the scenario, and the force components of the thrusters (N,)."""
+        shown = None if step.status < 0 else step.telemetry  # a step without command repeats an older telemetry
+        speed = float(plant[4] - (np.cos(plant[3]) * self._current[0] + np.sin(plant[3]) * self._current[1]))
+        delivered, components = thrusters.achieved(step.tau, time, telemetry=shown, speed=speed)
+        return delivered * self._gain + self._bias, components
+
+    def move(self, values: Values, thrust: Vector) -> None:
+        """Move surctl's own plant through the control period, and sense in its middle; the results join `values`."""
+        values["plant_between"] = self._move(values["plant"], thrust, values["d0"], self._plant)[0]
+        values |= self.call["between"](values)
+        values["plant_next"] = self._move(values["plant_between"], thrust, values["d1"], self._plant)[0]
+
+    def close(self, values: Values, step: LawStep) -> None:
+        """End the control period: the next state of the run and of its law."""
+        values["total"] = np.array([np.nan if step.status == NONFINITE else 0.0])
+        values |= {"tau": step.tau, "telemetry": step.telemetry, "status": np.array([float(step.status)])}
+        self.state, self.law_state = self.call["close"](values)["s_next"], step.x_next

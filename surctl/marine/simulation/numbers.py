@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.control import Feeder, Gains, Law, law_parameters
-from surctl.marine.simulation.scenario import Scenario, check_spacing
+from surctl.marine.control import Gains, law_parameters
+from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["VISITED", "fed_ranges", "feeder_of", "law_numbers"]
+__all__ = ["VISITED", "fed_ranges", "law_numbers"]
 
 VISITED = 0.5
 """Share of the visit distance within which the law counts a corner as visited by its measured position (*chosen*).
@@ -21,7 +21,8 @@ The rest of the distance covers the error of that position.
 def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.float64]:
     """Return the law's parameter vector, packed as in `PARAMETERS`, from a scenario, gains and the law's vehicle model.
 
-    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those from which `feeder_of` begins.
+    If the path is fed (`Path.fed`), waypoints, depth, cruise speed and visits are those from which a
+    `control.Feeder` begins.
 
     Example:
         >>> from surctl.marine.control import PARAMETERS, load_gains
@@ -43,23 +44,6 @@ def law_numbers(scenario: Scenario, gains: Gains, model: Vehicle) -> NDArray[np.
         launch=scenario.launch,
         visit=0.0 if scenario.visit is None else VISITED * scenario.visit,
     )
-
-
-def feeder_of(scenario: Scenario, law: Law, p: NDArray[np.float64]) -> Feeder | None:
-    """Return what feeds a law with the mission's window before each step; None if the parameters stay as they are.
-
-    Args:
-        scenario: the mission.
-        law: the law.
-        p: its parameters from `law_numbers`.
-
-    Raises:
-        InputError: two points of the path are too close together, see `check_spacing`.
-    """
-    if not scenario.path.fed:
-        return None
-    check_spacing(scenario, cap=scenario.cap)
-    return Feeder(scenario.path.table(visits=scenario.corners == "visit"), law.state, law.gains, p)
 
 
 def fed_ranges(scenario: Scenario) -> dict[str, tuple[float, float]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from math import inf
 from typing import NamedTuple, Protocol, TypeAlias
 
 import casadi as ca
@@ -11,14 +12,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import on_vectors
-from surctl.marine.sensing import SonarArray, certain_range, true_range
-from surctl.marine.simulation.column import beside
+from surctl.marine.sensing import (
+    Reflector,
+    SolidBox,
+    SolidDisc,
+    SolidWalls,
+    SonarArray,
+    Surfaces,
+    beam_of,
+    certain_range_symbols,
+    echo_range,
+)
 from surctl.marine.simulation.sensors import FIRING
-from surctl.marine.simulation.world import Body, World
+from surctl.marine.simulation.world import Body, World, beside
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PlantForm, Vehicle, build_plant, plant_parameters, plant_state
 from surctl.marine.vehicle.dynamics import PAPER
+from surctl.marine.world import Box, Disc
 
-__all__ = ["Contact", "OwnPhysics", "Physics", "PhysicsMaker", "advance"]
+__all__ = ["Contact", "OwnPhysics", "Physics", "PhysicsMaker", "advance", "advanced"]
 
 _RK4_STEPS = (0.010, 0.010, 0.005)
 
@@ -59,7 +70,7 @@ def _advance(form: PlantForm) -> ca.Function:
 
 
 @cache
-def _advanced(form: PlantForm) -> Callable[..., list[NDArray[np.float64]]]:
+def advanced(form: PlantForm) -> Callable[..., list[NDArray[np.float64]]]:
     """Return `advance` as a function of NumPy vectors."""
     return on_vectors(_advance(form))
 
@@ -148,7 +159,7 @@ class OwnPhysics:
         self.world, self.array, self.surfaces = world, array, world.scenario.surfaces
         names = [obstacle.name for obstacle in world.scenario.obstacles]
         self._reflectors = {} if self.surfaces is None else dict(zip(names, self.surfaces.obstacles, strict=True))
-        self.plant, self.move = plant_parameters(vehicle), _advanced(vehicle.form)
+        self.plant, self.move = plant_parameters(vehicle), advanced(vehicle.form)
         self.state = plant_state(vehicle.form).pack({"eta": world.scenario.start_pose})
         self._current = [*world.scenario.disturbance.current_m_per_s, 0.0]
 
@@ -167,17 +178,37 @@ class OwnPhysics:
 
     def echo(self, sensor: int, bodies: Sequence[Body]) -> float:
         """Return the distance [m] from a sonar's apex to the nearest point that reflects, inf if there is none."""
-        audible = beside(bodies, float(self.state[2]), self.world.hull)
-        walls, heading = self.world.scenario.walls, float(self.state[3])
-        if self.surfaces is not None:
-            upright = [(b.shape, self._reflectors[b.name]) for b in audible]
-            upright += zip(walls, self.surfaces.walls, strict=True)
-            place = self.state[:3].tolist()
-            return certain_range(
-                self.array, sensor, place=place, heading=heading, shapes=upright, surfaces=self.surfaces
-            )
-        shapes = [*(b.shape for b in audible), *walls]
-        return true_range(self.array, sensor, position=self.state[:2], heading=heading, shapes=shapes)
+        audible, numbers, kinds = beside(bodies, float(self.state[2]), self.world.hull), [], []
+        for body in audible:
+            assert isinstance(body.shape, Disc | Box)  # walls are no bodies
+            size = [body.shape.radius] if isinstance(body.shape, Disc) else body.shape.size
+            numbers += [*body.shape.center, *size]
+            kinds.append((len(size), self._reflectors.get(body.name)))
+        f = _sight(self.array, self.surfaces, tuple(kinds))
+        length, width, _ = self.world.scenario.site
+        (distance,) = f(self.state[:4], [sensor], [0.0, length, 0.0, width], numbers)[0]
+        return float(distance) if distance < 2.0 * self.array.maximum else inf
+
+
+@cache
+def _sight(
+    array: SonarArray, surfaces: Surfaces | None, kinds: tuple[tuple[int, Reflector | None], ...]
+) -> Callable[..., list[NDArray[np.float64]]]:
+    """Return the distance to the nearest certain echo from pose (4,), sensor, walls (4,) and numbers of the obstacles.
+
+    `kinds` has for each obstacle the size of its dimensions, 1 for a disc and 2 for a box, and its reflector.
+    """
+    pose, sensor, edges = (ca.SX.sym(name, size) for name, size in (("pose", 4), ("sensor", 1), ("walls", 4)))
+    numbers = ca.SX.sym("numbers", sum(2 + size for size, _ in kinds))
+    parts = ca.vertsplit(numbers, np.cumsum([0, *(2 + size for size, _ in kinds)]).tolist()) if kinds else []
+    solids = [(SolidDisc if part.numel() == 3 else SolidBox)(part[:2], part[2:]) for part in parts]
+    beam = beam_of(array, range(array.size), sensor, position=pose[:2], heading=pose[3])
+    if surfaces is None:
+        distance = echo_range(array, beam, [*solids, SolidWalls(edges)])
+    else:
+        upright = [(solid, reflector or Reflector()) for solid, (_, reflector) in zip(solids, kinds, strict=True)]
+        distance = certain_range_symbols(array, beam, upright, SolidWalls(edges), z=pose[2], surfaces=surfaces)
+    return on_vectors(ca.Function("sight", [pose, sensor, edges, numbers], [distance], {"cse": True}))
 
 
 assert FIRING == 0.025  # [s] the period of `advance`, which `stepping` integrates

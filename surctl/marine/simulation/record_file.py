@@ -24,8 +24,7 @@ from surctl.marine.simulation.world import Body
 from surctl.marine.vehicle import FRAME_TEXT, LOG_MOTION, LOG_THRUST, Frame, Vehicle, check_frame, swap_body, swap_pose
 from surctl.marine.world import Box, Disc
 from surctl.recorded import shown
-from surctl.recorded_mcap import McapFile, stamp
-from surctl.recorded_write import RECORD_FORMATS, Column, RecordFormat, write_mat, write_netcdf
+from surctl.recorded_write import RECORD_FORMATS, Column, McapFile, RecordFormat, stamp, write_mat, write_netcdf
 
 __all__ = [
     "LAYOUT",
@@ -63,7 +62,7 @@ class SceneFile:
     Example:
         >>> from pathlib import Path
         >>> import numpy as np
-        >>> from surctl.recorded_mcap import McapFile
+        >>> from surctl.recorded_write import McapFile
         >>> from surctl.marine.simulation import SceneFile, load_scenario
         >>> from surctl.marine.vehicle import load_vehicle
         >>> with McapFile(Path("run.mcap")) as file:

@@ -19,11 +19,11 @@ from surctl.marine.guidance.braking import (
     stopping_distance_with_drag,
 )
 from surctl.marine.sensing import INCIDENCE_LIMITS
-from surctl.marine.simulation.column import BAND, FOOTPRINT
 from surctl.marine.simulation.echo_fit import unanswered
 from surctl.marine.simulation.margin import Bound, mass_difference, munk, turned
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.toml_text import toml_text
+from surctl.marine.simulation.world import BAND, FOOTPRINT
 from surctl.marine.vehicle import Vehicle, check_equation_3
 
 __all__ = ["Figure", "SafetyClaim", "safety_claim"]

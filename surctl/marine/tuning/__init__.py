@@ -1,12 +1,11 @@
-"""Choice of gains by simulated missions: sweeps, sensitivity, goals, exact gradients, automatic tuning."""
+"""Choice of gains by simulated missions: sweeps, sensitivity, goals, automatic tuning."""
 
 from typing import TYPE_CHECKING
 
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.tuning.assessed import ASSESSED
-    from surctl.marine.tuning.cegis import Tuning, tune
+    from surctl.marine.tuning.cegis import Round, Tuning, tune
     from surctl.marine.tuning.derived import (
         Derivation,
         default_cruise,
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from surctl.marine.tuning.evaluation import (
         Condition,
         Evaluation,
+        case_loop,
         check_goals,
         conditions,
         corners,
@@ -28,31 +28,32 @@ if TYPE_CHECKING:
         scope,
     )
     from surctl.marine.tuning.finals import CHECKED, Finals, check_finals
-    from surctl.marine.tuning.goals import Goal, goals_at, goals_from_tables, load_goals, with_floor
-    from surctl.marine.tuning.gradient import SURROGATES, DifferentiableRun, prepare
-    from surctl.marine.tuning.law_goals import case_loop
+    from surctl.marine.tuning.goals import ASSESSED, Goal, goals_at, goals_from_tables, load_goals, with_floor
     from surctl.marine.tuning.measure import build_cases, check_column
-    from surctl.marine.tuning.misses import Miss, advice, misses, value_text
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
-    from surctl.marine.tuning.pool import Pool, Request
-    from surctl.marine.tuning.provenance import goal_rows, summary, tuned_gains, tuning_dict
-    from surctl.marine.tuning.refine import Refinement, refine
-    from surctl.marine.tuning.rounds import Round
+    from surctl.marine.tuning.outcome import (
+        Miss,
+        advice,
+        goal_rows,
+        misses,
+        summary,
+        tuned_gains,
+        tuning_dict,
+        value_text,
+    )
+    from surctl.marine.tuning.pool import TUNED, GainRange, Pool, Request, default_tuned, gain_ranges
     from surctl.marine.tuning.search import search
-    from surctl.marine.tuning.space import TUNED, GainRange, default_tuned, gain_ranges
     from surctl.marine.tuning.start import lqr_start
-    from surctl.marine.tuning.sweep import sweep
-    from surctl.marine.tuning.table import SweepTable, SweptAxis, load_sweep
+    from surctl.marine.tuning.sweep import SweepTable, SweptAxis, load_sweep, sweep
+
 
 __all__ = [
     "ASSESSED",
     "CHECKED",
-    "SURROGATES",
     "TUNED",
     "Condition",
     "Counterexample",
     "Derivation",
-    "DifferentiableRun",
     "Evaluation",
     "Finals",
     "GainRange",
@@ -60,7 +61,6 @@ __all__ = [
     "Miss",
     "MonteCarlo",
     "Pool",
-    "Refinement",
     "Request",
     "Round",
     "SweepTable",
@@ -91,8 +91,6 @@ __all__ = [
     "load_sweep",
     "lqr_start",
     "misses",
-    "prepare",
-    "refine",
     "scope",
     "search",
     "shared_gains",
@@ -108,25 +106,18 @@ __all__ = [
 load_at_first_use(
     __name__,
     {
-        "assessed": "ASSESSED",
-        "cegis": "Tuning tune",
+        "cegis": "Round Tuning tune",
         "derived": "Derivation default_cruise derive_gains derived_gains gains_for has_tuned shared_gains",
-        "evaluation": "Condition Evaluation check_goals conditions corners evaluate figures judged_goals scope",
+        "evaluation": "Condition Evaluation case_loop check_goals conditions corners evaluate figures "
+        "judged_goals scope",
         "finals": "CHECKED Finals check_finals",
-        "goals": "Goal goals_at goals_from_tables load_goals with_floor",
-        "gradient": "DifferentiableRun SURROGATES prepare",
-        "law_goals": "case_loop",
+        "goals": "ASSESSED Goal goals_at goals_from_tables load_goals with_floor",
         "measure": "build_cases check_column",
-        "misses": "Miss advice misses value_text",
         "montecarlo": "Counterexample MonteCarlo",
-        "pool": "Pool Request",
-        "provenance": "goal_rows summary tuned_gains tuning_dict",
-        "refine": "Refinement refine",
-        "rounds": "Round",
+        "outcome": "Miss advice goal_rows misses summary tuned_gains tuning_dict value_text",
+        "pool": "GainRange Pool Request TUNED default_tuned gain_ranges",
         "search": "search",
-        "space": "GainRange TUNED default_tuned gain_ranges",
         "start": "lqr_start",
-        "sweep": "sweep",
-        "table": "SweepTable SweptAxis load_sweep",
+        "sweep": "SweepTable SweptAxis load_sweep sweep",
     },
 )

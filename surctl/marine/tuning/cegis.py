@@ -2,28 +2,151 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
+from surctl.files import write_file
 from surctl.marine.control import write_gains
-from surctl.marine.tuning.claim_points import ClaimPoint, refuted_claims
-from surctl.marine.tuning.conflict import conflict
 from surctl.marine.tuning.evaluation import check_goals
-from surctl.marine.tuning.montecarlo import APART, MOST_SEED, fresh, monte_carlo
-from surctl.marine.tuning.pool import Pool, Request, joined_pools
-from surctl.marine.tuning.rounds import Round, RoundsFile
-from surctl.marine.tuning.screening import TRAINING, Screened, harder, reduced_pool, screen
-from surctl.marine.tuning.search import BATCH, search
+from surctl.marine.tuning.montecarlo import (
+    APART,
+    MOST_SEED,
+    TRAINING,
+    Counterexample,
+    MonteCarlo,
+    Screened,
+    fresh,
+    harder,
+    monte_carlo,
+    reduced_pool,
+    screen,
+)
+from surctl.marine.tuning.pool import ClaimPoint, Pool, Request, joined_pools, refuted_claims
+from surctl.marine.tuning.search import BATCH, BEST, conflict, search
 from surctl.marine.tuning.start import starting_sets
 from surctl.tuning.chunked import Progress
-from surctl.tuning.journal import Journal
+from surctl.tuning.search import Journal
 
-__all__ = ["Tuning", "tune"]
+__all__ = ["Round", "RoundsFile", "Tuning", "tune"]
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of a tuning: a search, training runs that screen its gain sets, and fresh runs that verify one set.
+
+    Attributes:
+        gains: the gains that the round chose, by name.
+        score: score of the chosen gains; see `Pool.score`.
+        feasible: whether the chosen gains meet every hard goal over the runs known at the end of the round.
+        missed: names of the goals that the chosen gains miss over the runs known at the end of the round.
+        training: training runs that refuted other gain sets, which ranked better in the search than the chosen gains.
+        verified: result of the fresh runs; None if no fresh runs were made.
+        claims: points at which a claim that should hold fails with the chosen gains.
+        others: the gain sets that rank next after the chosen set over the known runs, best first; the next search also
+            starts from these sets.
+    """
+
+    gains: Mapping[str, float]
+    score: float
+    feasible: bool
+    missed: tuple[str, ...]
+    training: tuple[Counterexample, ...]
+    verified: MonteCarlo | None
+    claims: tuple[ClaimPoint, ...]
+    others: tuple[Mapping[str, float], ...]
+
+    @property
+    def refuted(self) -> tuple[str, ...]:
+        """Names of the goals that fresh runs refute, and of the claims that fail."""
+        goals = () if self.verified is None else self.verified.refuted
+        return (*goals, *(p.name for p in self.claims))
+
+    @property
+    def fresh(self) -> tuple[Counterexample, ...]:
+        """The fresh runs that refute a goal although the tuned gains meet this goal over the known runs."""
+        counterexamples = () if self.verified is None else self.verified.counterexamples
+        return tuple(c for c in counterexamples if c.goal not in self.missed)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The round as plain data for JSON."""
+        return {
+            "gains": dict(self.gains),
+            "score": self.score,
+            "feasible": self.feasible,
+            "missed": list(self.missed),
+            "training": [c.to_dict() for c in self.training],
+            "monte_carlo": None if self.verified is None else self.verified.to_dict(),
+            "claims": [{"name": p.name, "values": dict(p.values), "threshold": p.threshold} for p in self.claims],
+            "others": [dict(gains) for gains in self.others],
+        }
+
+
+class RoundsFile:
+    """JSON file with the finished rounds of one request; the whole file is written again after each round.
+
+    Args:
+        folder: folder of `rounds.json`; None stores nothing.
+        request: text that determines the rounds completely; a file that belongs to another request is ignored.
+    """
+
+    def __init__(self, folder: Path | None, request: str) -> None:
+        self.path = None if folder is None else folder / "rounds.json"
+        self.digest = hashlib.sha256(request.encode()).hexdigest()
+        self.rounds: list[Round] = self._load()
+
+    def round(self, k: int) -> Round | None:
+        """Return the k-th round if it is finished, otherwise None."""
+        return self.rounds[k] if k < len(self.rounds) else None
+
+    def add(self, one: Round) -> None:
+        """Store a finished round."""
+        self.rounds.append(one)
+        if self.path is None:
+            return
+        text = json.dumps({"request": self.digest, "rounds": [r.to_dict() for r in self.rounds]}, indent=1)
+        write_file(self.path, text)
+
+    def _load(self) -> list[Round]:
+        # a file that belongs to another request is ignored
+        if self.path is None or not self.path.exists():
+            return []
+        try:
+            table = json.loads(self.path.read_text(encoding="utf-8"))
+            if table["request"] != self.digest:
+                return []
+            return [_round_from(one) for one in table["rounds"]]
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return []
+
+
+def _round_from(table: Mapping[str, Any]) -> Round:
+    verified, m = None, table["monte_carlo"]
+    if m is not None:
+        counterexamples = _counterexamples(m["counterexamples"])
+        verified = MonteCarlo(m["runs"], (m["seeds"][0], m["seeds"][1]), m["missed"], m["normalised"], counterexamples)
+    return Round(
+        table["gains"],
+        table["score"],
+        table["feasible"],
+        tuple(table["missed"]),
+        _counterexamples(table["training"]),
+        verified,
+        tuple(ClaimPoint(**p) for p in table["claims"]),
+        tuple(table["others"]),
+    )
+
+
+def _counterexamples(table: list[dict[str, Any]]) -> tuple[Counterexample, ...]:
+    return tuple(Counterexample(**c) for c in table)
+
 
 _WORTH = 0.01  # smallest relative improvement of the score for which tuning continues
 _OTHERS = 8  # gain sets that a round passes to the next round besides its best set
@@ -91,7 +214,6 @@ def tune(
     trials: int = 256,
     rounds: int = 3,
     runs: int = 2000,
-    descend: bool = False,
     folder: Path | None = None,
     progress: Progress = lambda _: None,
 ) -> Tuning:
@@ -107,7 +229,6 @@ def tune(
         rounds: largest number of rounds, at least 1.
         runs: number of fresh runs that verify the gains of each round. Before them, ten times as many training runs
             screen the gain sets of the round. With 0, neither kind of run is simulated.
-        descend: whether the first search also starts from a descent along exact gradients (`starting_sets`).
         folder: folder that stores trials and rounds; an interrupted tuning with an identical request resumes from this
             folder.
         progress: function that receives one line of text at each step of the work.
@@ -128,24 +249,26 @@ def tune(
         (True, 0.99, True)
     """
     _check(request, trials, rounds, runs)
-    request = replace(request, begun="descent" if descend else "")  # a descent changes the trials
     record = RoundsFile(folder, f"{request.digest} {trials} {runs}")
-    journal = Journal(None if folder is None else folder / "trials.journal")
-    if not journal.trials(request.digest):  # a file of best gains from the first moment on
-        journal.note_best(write_gains(request.base, warning="the start gains of a tuning without a finished trial"))
+    journal = Journal(folder)
     done: list[Round] = []
     current, requested = request, len(request.conditions)
-    try:
+    with journal.held():
+        if journal.batches(request.digest, width=request.width).known(BATCH) is None:
+            # a file of best gains from the first moment on
+            warning = "the start gains of a tuning without a finished trial"
+            journal.note_best(BEST, write_gains(request.base, warning=warning))
         for k in range(rounds):
             known = record.round(k)
             progress(f"round {k + 1} of at most {rounds}: {len(current.conditions)} runs for each gain set")
             pool = None
             if known is None:
-                pool = _searched(current, done, _longer(trials, done), journal, progress, descend=descend)
+                pool = _searched(current, done, _longer(trials, done), journal, progress)
                 known, pool = _round(current, pool, runs, k, progress, used=1 + max(c.seed for c in request.conditions))
                 record.add(known)
                 best = request.base.with_values(dict(known.gains), how="so-far")
-                journal.note_best(write_gains(best, warning=f"the gains of round {k + 1} of an unfinished tuning"))
+                warning = f"the gains of round {k + 1} of an unfinished tuning"
+                journal.note_best(BEST, write_gains(best, warning=warning))
             done.append(known)
             if _ended(done) or k + 1 == rounds:
                 break
@@ -153,10 +276,8 @@ def tune(
                 current = harder(current, (*known.training, *known.fresh), known.claims)
         final = harder(current, done[-1].training)
         if pool is None:  # every round was loaded from the record
-            pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress, descend=descend)
+            pool = _searched(current, done[:-1], _longer(trials, done[:-1]), journal, progress)
             pool = reduced_pool(final, pool, done[-1].gains)
-    finally:
-        journal.close()
     hand, candidates = (
         final.judge({s.name: np.array([request.base[s.name]]) for s in request.space}),
         _candidates(final, done),
@@ -224,17 +345,15 @@ def _longer(trials: int, done: Sequence[Round]) -> int:
     return 2 * trials if done and _barren(done[-1]) else trials
 
 
-def _searched(
-    request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress, *, descend: bool
-) -> Pool:
+def _searched(request: Request, done: Sequence[Round], trials: int, journal: Journal, progress: Progress) -> Pool:
     """Search once and, if no gain set meets all hard goals, search again for the hard goals alone.
 
     The search of the first round starts from `starting_sets`, that of a later round from the best sets of the previous
     round.
     """
     first: Sequence[Mapping[str, float]] = [done[-1].gains, *done[-1].others] if done else []
-    if not done and len(journal.trials(request.digest)) < BATCH:
-        first = starting_sets(request, descend=descend, progress=progress)
+    if not done:
+        first = starting_sets(request, progress=progress)
     pool = search(request, trials=trials, first=first, journal=journal, progress=progress)
     hard = tuple(g for g in request.goals if g.kind == "hard")
     if pool.feasible.any() or len(hard) in (0, len(request.goals)):

@@ -3,12 +3,11 @@
 The formulae give the bandwidths of the inner loops from the delay of the thrust, and everything else from the inner
 loops, the thrust, the hull and the cruise speed. Each formula is a line of `rule`. A search changes k_v, k_r and k_psi
 until the nominal loop has a margin at thrust commands and measured pose together, and then, if needed, until the disk
-margin at the worst corner of the vehicle's ranges is at least `LEAST_DISK_MARGIN`.
-"""
+margin at the worst corner of the vehicle's ranges is at least `LEAST_DISK_MARGIN`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -19,24 +18,254 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
 from surctl.marine.control import GAINS, Gains, GainSpec, build_law, default_law, law_source, load_gains
-from surctl.marine.tuning.hashed import HashedVehicle
-from surctl.marine.tuning.inner_search import searched_inner
-from surctl.marine.tuning.vehicle_rule import DEPENDENT, held_speed, inner_start, munk_rate, rule, top_speed
-from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle
+from surctl.marine.vehicle import LIBRARY, Vehicle, load_vehicle, plant_parameters, steady_speed
 from surctl.marine.vehicle.linearise import check_cruise
 from surctl.marine.verification import law_corners
-from surctl.marine.verification.linear import corner_margin
-from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.marine.verification.cascade import Cascade, build_cascades
+from surctl.marine.verification.linear import DISK_PLACES, corner_margin, open_loop
+from surctl.verification.linear import LEAST_DISK_MARGIN, screened_peaks
 
 __all__ = [
+    "DEPENDENT",
     "Derivation",
+    "HashedVehicle",
     "default_cruise",
     "derive_gains",
     "derived_gains",
     "gains_for",
     "has_tuned",
+    "inner_start",
+    "munk_rate",
+    "rule",
+    "searched_inner",
     "shared_gains",
+    "top_speed",
 ]
+
+
+class HashedVehicle:
+    """A vehicle that compares by name and parameters, as a key of a cache."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self.vehicle, self.key = vehicle, (vehicle.name, vehicle.digest())
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, HashedVehicle) and self.key == other.key
+
+
+Array = NDArray[np.float64]
+
+DEPENDENT = ("k_v", "k_r", "k_psi", "k1", "k2", "lookahead", "wait", "margin", "reaction", "brake", "kappa", "spin")
+"""The gains that `rule` computes from the vehicle; the first three can be changed by a search."""
+
+_PHASE = 0.55  # k τ of a velocity loop k / (s (1 + T s)) e^(−1.5 h s): phase margin near 60 deg, disk margin near 0.75
+_FASTEST = 5.0  # [1/s] a faster loop only amplifies the noise of the measured velocity
+_FULL_THRUST = 0.15  # share of U: velocity error at which a velocity loop may reach full thrust
+_OUTER = 5.0  # ratio of inner and outer bandwidths: the outer loop costs the inner loop about 11 deg of phase
+_HEADING = 2.5  # the same for yaw and heading
+_ABOVE_MUNK = 2.0  # ratio of k_r k_psi and the square of the Munk rate
+_BRAKE = 0.7  # share of the thrust for braking; the rest is for Coriolis forces and errors of the model
+_HULLS = 4.0  # look-ahead in hull radii
+_GAP, _LEAST_GAP = 0.2, 0.05  # stand-off in hull radii, and the least [m]: errors of position and ranges
+_PATIENCE, _LENGTHS = 60.0, 40.0  # [s], and hull radii of cruise without progress
+
+
+def munk_rate(vehicle: Vehicle, cruise: float) -> float:
+    """Return p = U √((m22 − m11)/m44) [1/s], at which the Munk moment turns an uncontrolled hull; 0 if m22 ≤ m11.
+
+    A hull that moves along the path with heading error ψ has the sway velocity v = −U ψ, and the moment
+    (m11 − m22) u v = (m22 − m11) U² ψ increases ψ.
+    """
+    return cruise * float(np.sqrt(max(vehicle["m22"] - vehicle["m11"], 0.0) / vehicle["m44"]))
+
+
+def top_speed(vehicle: Vehicle) -> float:
+    """Return the speed [m/s] at full surge thrust, at most 10 m/s."""
+    return min(steady_speed(vehicle["Fu_max"], vehicle["Xu"], vehicle["Xuu"]), 10.0)
+
+
+def held_speed(vehicle: Vehicle) -> float:
+    """Return the largest speed [m/s] that a law holds, whose thrust ahead is limited to that astern; at most 10 m/s."""
+    return min(steady_speed(float(vehicle.thrust_limit[0]), vehicle["Xu"], vehicle["Xuu"]), 10.0)
+
+
+def inner_start(vehicle: Vehicle, *, cruise: float, dt: float) -> Array:
+    """Return k_v, k_r and k_psi (3,) [1/s] of the formulae.
+
+    - k_v = 0.55/τ leaves a phase margin of about 60° after lag, computation and sampling; and a velocity error of 15 %
+      of U must not yet command full thrust.
+    - k_r = 0.55/τ likewise; k_psi = k_r/2.5, but a heading error of 1 rad must not need more than the full yaw moment,
+      k_psi ≤ √(Fr_max/m44).
+    - Munk moment: yaw and heading together have the stiffness k_r k_psi, which must exceed p² (`munk_rate`) twice: both
+      are raised in proportion until it does.
+    """
+    lag = vehicle["thrust_lag"] + 1.5 * dt
+    fastest = min(_PHASE / lag, _FASTEST)
+    k_v = min(fastest, _acceleration(vehicle) / (_FULL_THRUST * cruise))
+    k_r = fastest
+    k_psi = min(k_r / _HEADING, float(np.sqrt(vehicle["Fr_max"] / vehicle["m44"])))
+    raised = max(1.0, float(np.sqrt(_ABOVE_MUNK * munk_rate(vehicle, cruise) ** 2 / (k_r * k_psi))))
+    return np.array([k_v, raised * k_r, raised * k_psi])
+
+
+def rule(vehicle: Vehicle, inner: Array, *, cruise: float, dt: float) -> dict[str, float]:
+    """Return every gain by name, from k_v, k_r and k_psi (3,) and the vehicle.
+
+    - k1, k2 = k_v/5 (separation of the loops), at most a/U: from the distance U/k1, at which the commanded speed is U,
+      full thrust can stop the vehicle. Without heave thrust, k2 has no effect.
+    - lookahead = 4 R at least (two hull lengths), 5 U/k_v at least (U/lookahead is the bandwidth of the cross-track
+      loop), U²/a at least (distance in which full thrust turns the velocity into a new leg). wait = lookahead.
+    - margin = 0.2 R, at least 0.05 m; reaction = τ + 0.2/k_v (lag, sampling, and the part of the velocity loop's
+      response that passes before it brakes); brake = 0.7 of the thrust. The law itself divides by the larger mass.
+    - kappa = k1: the avoidance is as fast as the tracking. spin ≤ half the yaw rate of full moment, 0.45 rad/s.
+    - patience = 60 s, at least 40 R/U; ilos_sigma = U/4; alos_gamma = 1/(4 lookahead²): the estimates of the current
+      are slower than the cross-track loop.
+    - k_i = 0: guidance integrates the velocity. The gains of sensors do not depend on the vehicle.
+    """
+    k_v, k_r, k_psi = (float(value) for value in inner)
+    horizontal, vertical = _acceleration(vehicle), vehicle["Fw_max"] / vehicle["m33"]
+    radius, lag = vehicle["radius"], vehicle["thrust_lag"] + 1.5 * dt
+    k1 = min(k_v / _OUTER, horizontal / cruise)
+    lookahead = max(_HULLS * radius, _OUTER * cruise / k_v, cruise**2 / horizontal)
+    return {
+        "k1": k1,
+        "k2": min(k_v / _OUTER, vertical / cruise) if vertical > 0 else k_v / _OUTER,
+        "lookahead": lookahead,
+        "ilos_sigma": cruise / 4,
+        "alos_gamma": 0.25 / lookahead**2,
+        "wait": lookahead,
+        "patience": max(_PATIENCE, _LENGTHS * radius / cruise),
+        "k_psi": k_psi,
+        "spin": min(0.45, vehicle.steady_yaw(1.0, cruise) / 2),
+        "k_v": k_v,
+        "k_r": k_r,
+        "k_i": 0.0,
+        "margin": max(_GAP * radius, _LEAST_GAP),
+        "reaction": lag + 0.2 / k_v,
+        "brake": _BRAKE,
+        "kappa": k1,
+        "k3": 1.0,
+        "delta": 0.0,
+        "lambda1": 3.0,
+        "lms_step": 0.5,
+        "beta_max": 0.2,
+    }
+
+
+def _acceleration(vehicle: Vehicle) -> float:
+    # [m/s²] full thrust of the weaker horizontal axis that has thrust, by the larger mass; as in the law's braking
+    forces = [force for force in (vehicle["Fu_max"], vehicle["Fv_max"]) if force > 0]
+    return min(forces) / max(vehicle["m11"], vehicle["m22"])
+
+
+_TARGET = 0.42  # nominal margin at commands and measurements together at which the first search stops
+_ABOVE = 1.15  # the second search stops at this multiple of the least disk margin, which its grid misses by 10 %
+_CORNERS = 3  # most corners that the second search adds, the worst one each time
+_FACTORS = (1.6, 1.25, 1.1)  # of the three gains in the neighbourhoods of the search
+_NEIGHBOURS = np.array(  # exponents of the factor for k_v, k_r, k_psi
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [0, 1, -1], [1, 1, 1]]
+)
+_NEIGHBOURS = np.vstack([_NEIGHBOURS, -_NEIGHBOURS]).astype(float)
+_LEAST, _MOST = np.array([0.7, 0.5, 0.5]), np.array([2.0, 4.0, 4.0])  # bounds of the search, as shares of the formulae
+_ROUNDS = 4  # largest number of neighbourhoods for each factor
+_SLOW = 0.25  # share of the cruise speed at which the margin is checked too
+_UNSTABLE = 1e-3  # margin of an unstable loop in the search
+
+
+def searched_inner(vehicle: Vehicle, cruise: float, dt: float, near: Array | None = None) -> tuple[Array, float]:
+    """Return the inner gains (3,) of the formulae, or better ones, and their disk margin at the worst corner.
+
+    The first search raises the nominal margin. If the disk margin is below `LEAST_DISK_MARGIN` then, a second one
+    raises it. `near` is the result at a similar speed.
+    """
+    start = inner_start(vehicle, cruise=cruise, dt=dt)
+    best, factors = (start, _FACTORS) if near is None else (near, _FACTORS[1:])
+
+    def nominal(inner: Array, above: float) -> Array:
+        return _margins(vehicle, inner, cruise, dt, above=above)
+
+    best = _climbed(nominal, start, best, factors, _TARGET)
+    margin, plant = _corner_margin(vehicle, best, cruise, dt)
+    plants = [vehicle]
+    for _ in range(_CORNERS):
+        if margin >= LEAST_DISK_MARGIN or plant in plants:
+            break
+        plants.append(plant)
+
+        def uncertain(inner: Array, _: float, plants: Sequence[Vehicle] = tuple(plants)) -> Array:
+            each = [_estimates(vehicle, inner, cruise, dt, speed=cruise, plant=one) for one in plants]
+            return np.asarray(np.min(each, axis=0))
+
+        tried = _climbed(uncertain, start, best, _FACTORS, _ABOVE * LEAST_DISK_MARGIN)
+        reached, plant = _corner_margin(vehicle, tried, cruise, dt)
+        if reached > margin:
+            best, margin = tried, reached
+    return best, margin
+
+
+def _climbed(
+    value: Callable[[Array, float], Array], start: Array, best: Array, factors: Sequence[float], target: float
+) -> Array:
+    """Return inner gains (3,) with a larger value, searched from `best`.
+
+    The search goes to the best neighbour until the target is reached or none is better; then the steps become smaller.
+    The gains stay within `_LEAST` and `_MOST` times those of the formulae, `start`.
+    """
+    reached = float(value(best[None], 0.0)[0])
+    for factor in factors:
+        for _ in range(_ROUNDS):
+            if reached >= target:
+                return best
+            around = np.clip(best * factor**_NEIGHBOURS, start * _LEAST, start * _MOST)
+            values = value(around, reached)
+            at = int(np.argmax(values))
+            if values[at] <= reached:
+                break
+            best, reached = around[at], float(values[at])
+    return best
+
+
+def _corner_margin(vehicle: Vehicle, inner: Array, cruise: float, dt: float) -> tuple[float, Vehicle]:
+    values = rule(vehicle, inner, cruise=cruise, dt=dt)
+    return corner_margin(vehicle, values, cruise=cruise, dt=dt)[:2]
+
+
+def _margins(vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, above: float) -> Array:
+    """Return estimates (n,) of the nominal disk margin, at commands and measurements together, of n gain sets (n, 3).
+
+    The margin is the least of two speeds; the second speed is evaluated only where the first margin is larger than
+    `above`. An unstable loop gets a number below 0.001 that is the larger, the slower its pole grows.
+    """
+    worst = _estimates(vehicle, inner, cruise, dt, speed=cruise)
+    better = np.flatnonzero(worst > max(above, _UNSTABLE))
+    if better.size:
+        worst[better] = np.minimum(worst[better], _estimates(vehicle, inner[better], cruise, dt, speed=_SLOW * cruise))
+    return worst
+
+
+def _estimates(
+    vehicle: Vehicle, inner: Array, cruise: float, dt: float, *, speed: float, plant: Vehicle | None = None
+) -> Array:
+    # of the vehicle at both places together; of a plant, the lesser of both places
+    cascades = _cascades(vehicle, inner, cruise, speed, dt, plant or vehicle)
+    places = ("both",) if plant is None else DISK_PLACES[:2]
+    peaks = np.max([screened_peaks(open_loop(cascades, place)) for place in places], axis=0)
+    growth = np.maximum(cascades.poles[:, 0].real, 0.0)
+    return np.where(np.isfinite(peaks), 1 / peaks, _UNSTABLE / (1 + growth))
+
+
+def _cascades(vehicle: Vehicle, inner: Array, cruise: float, speed: float, dt: float, plant: Vehicle) -> Cascade:
+    rows = [rule(vehicle, one, cruise=cruise, dt=dt) for one in inner]
+    actual, model = (np.tile(plant_parameters(one), (len(inner), 1)) for one in (plant, vehicle))
+    gains = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    form = vehicle.form
+    return build_cascades(
+        actual, gains, cruise=np.full(len(inner), speed), dt=dt, model=model, form=plant.form, model_form=form
+    )
+
 
 TUNED_FOR = ("sur400", "sur400-tilting", "sur540-flooded", "sur540-light", "sur540-tilting")
 """The built-in vehicles for which the gain set `default` was chosen."""
@@ -49,8 +278,6 @@ _BRACKET, _BEARABLE_STEPS = 1.2, 6
 _LOWERED = 10  # largest number of times that the result is lowered by 2 %
 # ratio and number of the speeds tried for a craft without sway force, and bisections that follow (0.5 %)
 _SLOWER, _SLOWER_SPEEDS, _SLOWER_STEPS = 0.85, 9, 5
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,9 @@ import numpy as np
 
 from surctl.assessment import Assessment, Comparison, Subject, assess
 from surctl.marine.control import Gains
-from surctl.marine.tuning.assessed import PART_OF
-from surctl.marine.tuning.cegis import Tuning
-from surctl.marine.tuning.goals import Goal
+from surctl.marine.tuning.cegis import Round, Tuning
+from surctl.marine.tuning.goals import PART_OF, Goal
 from surctl.marine.tuning.montecarlo import APART, fresh, monte_carlo
-from surctl.marine.tuning.rounds import Round
 from surctl.tuning.chunked import Progress
 
 __all__ = ["CHECKED", "Finals", "check_finals"]

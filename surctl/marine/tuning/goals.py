@@ -9,33 +9,56 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.files import Quantity, load_model, pick
+from surctl.files import load_model, pick
 from surctl.marine.simulation import METRICS, MetricSpec
-from surctl.marine.tuning.assessed import ASSESSED
 from surctl.marine.verification import LINEAR_METRICS, cruise_speeds, worst_place
-from surctl.tuning.goal_file import LIBRARY, GoalsFile, GoalTable, Over, Plants
+from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, Plants, RunGoal, check_names
 from surctl.tuning.loop_goal_file import loop_goal
 from surctl.tuning.loop_goals import LoopGoal
 
 __all__ = [
+    "ASSESSED",
     "LOOP_METRIC",
+    "PART_OF",
     "Goal",
-    "Kind",
-    "Sense",
     "goals_at",
     "goals_from_tables",
     "load_goals",
     "with_floor",
 ]
 
-Kind = Literal["hard", "soft"]
-Sense = Literal["at most", "at least"]
+ASSESSED: Mapping[str, MetricSpec] = {
+    "nominal_disk_margin": MetricSpec("1", "disk margin of the nominal vehicle, all loops at once", "high"),
+    "corner_slowest_pole_per_s": MetricSpec("1/s", "largest real part of a pole over the corners", "low"),
+    "region_m": MetricSpec("m", "distance beside the path from which the return is proved", "high"),
+    "region_within_m": MetricSpec("m", "distance within which the motion ends, proved", "low"),
+    "contact_margin_m": MetricSpec("m", "gain margin beyond the one that braking needs", "high"),
+    "time_ratio": MetricSpec("1", "arrival time over the ideal time (path length / cruise speed)", "low"),
+}
+"""Figures of an assessment by name; goals on them are checked at the end of a tuning (`finals`)."""
+
+PART_OF: Mapping[str, str] = {
+    **dict.fromkeys(
+        (
+            "disk_margin", "single_loop_disk_margin", "delay_margin_s", "slowest_pole_per_s",
+            "nominal_disk_margin", "corner_slowest_pole_per_s",
+        ),
+        "loop",
+    ),
+    "region_m": "region",
+    "region_within_m": "region",
+    "contact_margin_m": "no contact",
+    "time_ratio": "runs",
+}  # fmt: skip
+"""Part of an assessment with each figure that is checked at the end; those of the linear loop only for a law without a
+linear model."""
+
 
 LOOP_METRIC = "loop_goal"
 """Name of the metric of goals about the loop: the normalised value of the `LoopGoal`."""
@@ -49,18 +72,13 @@ _SIGNED = (
 
 
 @dataclass(frozen=True)
-class Goal:
-    """A goal: a bound on one metric of the closed loop.
+class Goal(RunGoal):
+    """A goal about missions: a bound on one metric of the closed loop.
 
     Attributes:
-        name: name of the goal in tables and plots.
         metric: name of a metric, either of a run (METRICS of `surctl.marine.simulation`) or of the linear loop
             (LINEAR_METRICS), or of a figure of the assessment (ASSESSED), which is checked at the end of a tuning.
         unit: unit of `limit`; it must be the unit of the metric.
-        limit: the bound.
-        sense: "at most" or "at least": on which side of the limit the metric must lie.
-        kind: a hard goal must be met; the normalised value of a soft goal is minimised.
-        over: "worst" if every run must meet the limit, "mean" if the mean of the runs must meet it.
         cases: names of the scenarios or simulation cases to which the goal applies; if empty, it applies to all.
         plants: "all", or "nominal" to exclude runs whose plant differs from the vehicle of the case (property Models of
             systune).
@@ -74,13 +92,6 @@ class Goal:
             sign, a speed is not valid, or the goal has speeds but is not about the linear loop.
     """
 
-    name: str
-    metric: str
-    unit: str
-    limit: float
-    sense: Sense = "at most"
-    kind: Kind = "soft"
-    over: Over = "worst"
     cases: tuple[str, ...] = ()
     plants: Plants = "all"
     cruise: tuple[float, ...] = ()
@@ -119,11 +130,6 @@ class Goal:
         return self.metric in LINEAR_METRICS or self.loop is not None
 
     @property
-    def sign(self) -> str:
-        """The sense as a sign."""
-        return "≤" if self.sense == "at most" else "≥"
-
-    @property
     def final(self) -> bool:
         """Whether the metric is a figure of the assessment that the search does not compute."""
         return self.metric in ASSESSED
@@ -142,11 +148,6 @@ class Goal:
         name = self.metric if self.loop is None else f"{self.metric} {self.name}"
         return {f"{name} at {u!r} m/s": u for u in self.cruise} or {name: None}
 
-    def badness(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the metric values with the sign for which larger is worse (shape unchanged); NaN becomes inf."""
-        figure = np.asarray(values, dtype=float)
-        return np.where(np.isnan(figure), np.inf, figure if self.sense == "at most" else -figure)
-
     def worst(self, table: Mapping[str, NDArray[np.float64]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return two arrays, each shaped like a column: the worst value over the cruise speeds, and its speed.
 
@@ -157,33 +158,11 @@ class Goal:
         speed = np.array([np.nan if u is None else u for u in self.columns.values()])
         return np.take_along_axis(each, ill.argmax(axis=0)[None], axis=0)[0], speed[worst_place(ill)]
 
-    def normalised(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the normalised metric values (shape unchanged): at most 1 if the goal is met, larger if worse.
-
-        The normalised value is metric / limit for a goal `at most` with a positive limit. For every other goal, it is
-        limit / metric. The quotient limit / metric is inf for a metric that is 0 or on the wrong side of 0. NaN gives
-        inf.
-        """
-        figure, limit = np.asarray(values, dtype=float), self.limit
-        if self.sense == "at most" and limit > 0:
-            out = figure / limit
-        else:
-            # a metric below a negative limit corresponds to a metric above a positive limit
-            size, bound = (figure, limit) if limit > 0 else (-figure, -limit)
-            out = np.full(figure.shape, np.inf)
-            np.divide(bound, size, out=out, where=size > 0)
-        return np.where(np.isnan(figure), np.inf, out)
-
-    def bad_side(self) -> Literal["above", "below"]:
-        """Return the side of the limit on which the goal is missed; plots shade this side."""
-        return "above" if self.sense == "at most" else "below"
-
     def to_dict(self) -> dict[str, Any]:
         """The goal as plain data for JSON."""
-        bound = {"metric": self.metric, "unit": self.unit, "limit": self.limit, "sense": self.sense}
-        over = {"over": self.over, "cases": list(self.cases), "plants": self.plants}
         about = {} if self.loop is None else {"loop": self.loop.to_dict()}
-        return {"name": self.name, **bound, "kind": self.kind, **over, "cruise_m_per_s": list(self.cruise), **about}
+        runs = {"cases": list(self.cases), "plants": self.plants, "cruise_m_per_s": list(self.cruise)}
+        return {**super().to_dict(), **runs, **about}
 
 
 def load_goals(name_or_path: str = "default") -> tuple[Goal, ...]:
@@ -219,15 +198,11 @@ def goals_from_tables(tables: Sequence[GoalTable], *, file: object) -> tuple[Goa
         >>> goal.metric, goal.sense, goal.limit, goal.kind
         ('time_s', 'at most', 20.0, 'hard')
     """
-    goals: dict[str, Goal] = {}
     try:
-        for table in tables:
-            if table.name in goals:
-                raise InputError("is the name of two goals", key="goals.name", value=table.name, remedy="rename one")
-            goals[table.name] = _goal(table)
+        check_names(tables)
+        return tuple(_goal(table) for table in tables)
     except InputError as error:
         raise error.inside(file) from None
-    return tuple(goals.values())
 
 
 def _loop_goal(table: GoalTable) -> Goal:
@@ -249,21 +224,8 @@ def _goal(table: GoalTable) -> Goal:
     if table.type is not None or table.metric is None:
         return _loop_goal(table)
     _check_keys(table)
-    bounds: Mapping[Sense, Quantity | None] = {"at most": table.at_most, "at least": table.at_least}
-    stated = [(sense, bound) for sense, bound in bounds.items() if bound is not None]
-    if len(stated) != 1:
-        raise InputError(
-            "needs one bound",
-            key=f"goals.{table.name}",
-            remedy='write at_most = { value = ..., unit = "..." }, or at_least',
-        )
-    sense, bound = stated[0]
-    spec = {**METRICS, **LINEAR_METRICS, **ASSESSED}.get(table.metric)
-    if spec is not None:  # if the metric is unknown, Goal raises the error
-        try:
-            bound = bound.within(spec.unit)
-        except InputError as error:
-            raise error.inside(None, f"goals.{table.name}.{sense.replace(' ', '_')}.unit") from None
+    spec = {**METRICS, **LINEAR_METRICS, **ASSESSED}.get(table.metric)  # if it is unknown, Goal raises the error
+    sense, bound = table.bound(None if spec is None else spec.unit)
     about = (table.kind, table.over, table.cases, table.plants)
     goal = Goal(table.name, table.metric, bound.unit, bound.value, sense, *about)
     if table.cruise_m_per_s is None:

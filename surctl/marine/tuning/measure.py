@@ -28,8 +28,7 @@ from surctl.marine.verification import (
 )
 from surctl.marine.verification.cascade import has_cascade
 from surctl.priority import Mode
-from surctl.tuning.axes import SEED
-from surctl.tuning.design import Design
+from surctl.tuning.design import SEED, Design
 
 __all__ = [
     "CASE_COLUMNS",

@@ -1,25 +1,184 @@
-"""The request of a search for gains, and the pool of gain sets that the search has simulated."""
+"""The request of a search for gains, its space, and the pool of gain sets that the search has simulated."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.marine.control import Gains
+from surctl.errors import InputError, nearest
+from surctl.marine.control import PATH_FOLLOWING, Gains, law_source
 from surctl.marine.simulation import Case
-from surctl.marine.tuning.claim_points import ClaimPoint, excess
 from surctl.marine.tuning.evaluation import Condition, Evaluation, Figures, Sets, figures, judged, row
 from surctl.marine.tuning.goals import Goal
 from surctl.marine.tuning.measure import law_digest
-from surctl.marine.tuning.space import GainRange
+from surctl.marine.verification.library import claims
+from surctl.tuning.design import default_range
+from surctl.tuning.search import SearchRange
+from surctl.verification.counterexample import evaluate
+from surctl.verification.falsifier import falsify
+from surctl.verification.verdict import Verdict
 
-__all__ = ["Pool", "Request", "joined_pools"]
+__all__ = [
+    "TUNED",
+    "ClaimPoint",
+    "GainRange",
+    "Pool",
+    "Request",
+    "default_tuned",
+    "excess",
+    "expected_to_hold",
+    "gain_ranges",
+    "joined_pools",
+    "refuted_claims",
+]
+
+TUNED = ("k1", "lookahead", "k_psi", "k_v", "k_r", "kappa", "reaction", "brake")
+"""Gains that are tuned if no gain is named: they shape the motion and do not describe the sensors."""
+
+
+@dataclass(frozen=True)
+class GainRange(SearchRange):
+    """One tuned gain and its search range low … high, which includes both ends.
+
+    `below` is the largest value that the gain may have, `zero` whether it may be 0.
+
+    Raises:
+        InputError: the ends are not 0 < low < high ≤ below, or low is 0 and the gain may not be 0.
+    """
+
+    below: float = float("inf")
+    zero: bool = False
+
+    def __post_init__(self) -> None:
+        key, top = f"--gain {self.name}", self.below
+        shown = f"{self.low:g}..{self.high:g}"
+        if not (np.isfinite([self.low, self.high]).all() and 0 <= self.low < self.high):
+            least = "0 ≤" if self.zero else "0 <"
+            raise InputError("is not a range", key=key, value=shown, remedy=f"write LOW..HIGH with {least} LOW < HIGH")
+        if self.low == 0 and not self.zero:
+            problem = "begins at 0, and the gain must be greater"
+            raise InputError(problem, key=key, value=shown, remedy="raise the lower end")
+        if self.high > top:
+            raise InputError(f"is above its bound of {top:.3g}", key=key, value=self.high, remedy="lower the upper end")
+
+
+def gain_ranges(
+    base: Gains, ranges: Mapping[str, tuple[float, float] | None] | Sequence[str] = TUNED
+) -> tuple[GainRange, ...]:
+    """Return the gains to tune, with their ranges.
+
+    Args:
+        base: gains that set the default ranges: a quarter of the value to four times the value, within the bounds of
+            the gain.
+        ranges: mapping from gain name to (low, high), or to None for the default range; or a sequence of gain names,
+            which all get their default range.
+
+    Raises:
+        InputError: no gain is named, a gain is unknown, a range is not valid, or a gain of 0 has no range.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.tuning import gain_ranges
+        >>> for gain in gain_ranges(load_gains("default"), {"k_v": None, "lookahead": (0.4, 1.2)}):
+        ...     print(gain.name, gain.low, gain.high)
+        k_v 0.375 6.0
+        lookahead 0.4 1.2
+    """
+    table = ranges if isinstance(ranges, Mapping) else dict.fromkeys(ranges)
+    if not table:
+        raise InputError("nothing is tuned", key="--gain", remedy="name at least one gain")
+    for name in table:
+        if name not in base.specs:
+            raise InputError("no such gain", key="--gain", value=name, remedy=nearest(name, base.specs))
+    stated = ((name, ends or _default(name, base)) for name, ends in table.items())
+    specs = base.specs
+    return tuple(
+        GainRange(name, low, high, specs[name].below, specs[name].zero_allowed) for name, (low, high) in stated
+    )
+
+
+def default_tuned(base: Gains) -> tuple[str, ...]:
+    """Return the names of the gains that are tuned if no gain is named.
+
+    If the law defines additional gains, these are tuned together with the gains of the velocity loops; otherwise the
+    gains in `TUNED` are tuned.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.tuning import default_tuned
+        >>> default_tuned(load_gains("default"))[:3]
+        ('k1', 'lookahead', 'k_psi')
+    """
+    # not what follows from the vehicle, nor a gain that may be 0, which is a choice; it is tuned if it is named
+    own = [name for name in base.own if name in base.specs and base.ranges.get(name, (1.0, 1.0))[0] > 0]
+    return (*own, "k_v", "k_r") if base.own else TUNED
+
+
+def _default(name: str, base: Gains) -> tuple[float, float]:
+    if name in base.own and name in base.ranges:
+        return base.ranges[name]
+    value = base[name]
+    if value <= 0:
+        raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
+    low, high = default_range(value)
+    return low, min(high, base.specs[name].below)
+
+
+@dataclass(frozen=True)
+class ClaimPoint:
+    """A point of a claim's domain at which the claim failed by more than `threshold` (in the unit of the claim)."""
+
+    name: str
+    values: Mapping[str, float]
+    threshold: float
+
+
+@cache
+def expected_to_hold() -> tuple[str, ...]:
+    """Names of the paper's claims that should not be refuted; claims about braking need a vehicle and are omitted."""
+    return tuple(claim.name for claim in claims() if claim.paper and claim.expected != "refuted")
+
+
+def refuted_claims(gains: Mapping[str, float], cases: Sequence[Case], *, seed: int = 0) -> tuple[Verdict, ...]:
+    """Return the verdicts of the claims that should hold but are refuted with these gains.
+
+    The claims are about path following by equations (8)-(12): there are none if no case's law contains it.
+    """
+    if not any(PATH_FOLLOWING in law_source(case.law).parts and case.guidance == "los" for case in cases):
+        return ()
+    return _refuted(tuple(sorted(gains.items())), seed)
+
+
+@lru_cache(maxsize=16)
+def _refuted(gains: tuple[tuple[str, float], ...], seed: int) -> tuple[Verdict, ...]:
+    # cached, because several rounds may end at the same gains and the falsifier takes seconds
+    verdicts = (falsify(claim, seed=seed) for claim in claims(dict(gains), expected_to_hold()))
+    return tuple(v for v in verdicts if v.verdict == "refuted")
+
+
+def excess(
+    points: Sequence[ClaimPoint], base: Mapping[str, float], sets: Mapping[str, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return by how much the claims exceed their thresholds, as an array (n gain sets, points).
+
+    The value is -1 for a point outside the claim's domain.
+    """
+    count = len(next(iter(sets.values())))
+    table = np.full((count, len(points)), -1.0)
+    for k in range(count if points else 0):
+        gains = {**base, **{name: float(values[k]) for name, values in sets.items()}}
+        for j, point in enumerate(points):
+            margin, inside = evaluate(claims(gains, [point.name])[0], point.values)
+            if inside:
+                table[k, j] = margin - point.threshold
+    return table
+
 
 CAP = 10.0  # upper limit of a normalised value in a score, so that one hopeless goal does not hide the others
 _PENALTY = 10.0  # penalty of one unit of violation, relative to the score
@@ -37,7 +196,6 @@ class Request:
         seed: seed of the search.
         claims: points of claims' domains at which the claims must hold, as constraints of the search.
         threads: number of threads of the compiled loop; no result depends on it.
-        begun: text that names the kind of further initial gain sets, besides the start gains; empty if there are none.
     """
 
     goals: tuple[Goal, ...]
@@ -47,7 +205,6 @@ class Request:
     seed: int = 0
     claims: tuple[ClaimPoint, ...] = ()
     threads: int = 1
-    begun: str = ""
 
     @property
     def cases(self) -> tuple[Case, ...]:
@@ -56,7 +213,7 @@ class Request:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the request without `threads`; the digest is the name of the optuna study in the journal."""
+        """SHA-256 of the request without `threads`, by which the journal knows its batches."""
         lines = [f"surctl {__version__}", f"goals {self.goals!r}", f"space {self.space!r}", f"seed {self.seed}"]
         lines += [
             f"base {dict(self.base.values)!r}",
@@ -68,7 +225,6 @@ class Request:
             model = None if case.model is None else dict(case.model.parameters)
             lines.append(f"case {case.name} {case.scenario!r} {dict(case.vehicle.parameters)!r} {model!r}")
             lines.append(f"law {_kind(case)} {dict(case.gains.values)!r}")
-        lines += [f"begun {self.begun}"] * bool(self.begun)
         lines += [f"run {c.label} {sorted(c.plant.items())!r} {c.goals}" for c in self.conditions]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
@@ -86,6 +242,22 @@ class Request:
     def judge(self, sets: Sets) -> Pool:
         """Simulate gain sets and return them as a pool with evaluated goals."""
         return self.simulate(sets)[0]
+
+    def named(self, sets: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """Return the values (n,) of each searched gain by name, from sets (n, gains)."""
+        return {span.name: sets[:, k] for k, span in enumerate(self.space)}
+
+    @property
+    def width(self) -> int:
+        """Length of the rows of `Pool.table`."""
+        return len(self.space) + 4 * len(self.goals) + 1 + len(self.claims)
+
+    def pool(self, table: NDArray[np.float64]) -> Pool:
+        """Return the pool with a `Pool.table`."""
+        d, m = len(self.space), len(self.goals)
+        ends = [d + k * m for k in range(5)] + [d + 4 * m + 1]
+        sets, normalised, figure, speed, excess, effort, claims = np.split(table, ends, axis=1)
+        return Pool(self.named(sets), Evaluation(self.goals, normalised, figure, speed, excess, effort[:, 0]), claims)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +355,13 @@ class Pool:
         part = Evaluation(e.goals, e.normalised[k], e.figure[k], e.speed[k], e.excess[k], e.effort[k])
         return Pool({name: values[k] for name, values in self.sets.items()}, part, self.claims[k])
 
+    @property
+    def table(self) -> NDArray[np.float64]:
+        """All numbers of the pool, a row for each gain set: gains, evaluated goals, and claims."""
+        e = self.evaluation
+        parts = (e.normalised, e.figure, e.speed, e.excess, e.effort, self.claims)
+        return np.column_stack([*self.sets.values(), *parts])
+
     def gains(self, k: int) -> dict[str, float]:
         """Return the k-th gain set: the value of each gain by name."""
         return row(self.sets, k)
@@ -191,16 +370,10 @@ class Pool:
 def joined_pools(pools: Sequence[Pool]) -> Pool:
     """Join several pools with the same goals into one pool."""
     sets = {name: np.concatenate([p.sets[name] for p in pools]) for name in pools[0].sets}
-    e = [p.evaluation for p in pools]
-    whole = Evaluation(
-        e[0].goals,
-        np.concatenate([x.normalised for x in e]),
-        np.concatenate([x.figure for x in e]),
-        np.concatenate([x.speed for x in e]),
-        np.concatenate([x.excess for x in e]),
-        np.concatenate([x.effort for x in e]),
-    )
-    return Pool(sets, whole, np.concatenate([p.claims for p in pools]))
+    evaluations = [p.evaluation for p in pools]
+    numbers = ("normalised", "figure", "speed", "excess", "effort")
+    joined = [np.concatenate([getattr(e, name) for e in evaluations]) for name in numbers]
+    return Pool(sets, Evaluation(evaluations[0].goals, *joined), np.concatenate([p.claims for p in pools]))
 
 
 def _kind(case: Case) -> tuple[str, ...]:

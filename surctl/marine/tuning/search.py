@@ -1,35 +1,176 @@
-"""One search for gains: optuna's NSGA-II with batches of compiled runs, then a descent from the best gain sets.
+"""One search for gains: differential evolution by batches of compiled runs, then a descent from the best gain sets.
 
-The search minimises two objectives: the score and the mean thrust. As in MATLAB's systune, the score is the largest
-normalised value of a soft goal. If the start gains meet a goal, its normalised value is first divided by the value with
-the start gains. Two objectives can be plotted; with one objective per goal, nearly every trial would be Pareto-optimal.
-Hard goals and claims are constraints.
+The search minimises the score. As in MATLAB's systune, the score is the largest normalised value of a soft goal. If the
+start gains meet a goal, its normalised value is first divided by the value with the start gains. An unmet hard goal or
+claim adds a penalty (`Pool.merit`).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surctl.marine.control import write_gains
-from surctl.marine.tuning.descent import descend
-from surctl.marine.tuning.evaluation import row
-from surctl.marine.tuning.pool import Pool, Request, joined_pools
-from surctl.marine.tuning.trials import distributions, objectives, remembered, user_attributes
+from surctl.marine.tuning.evaluation import Condition, Figures, merged, scope
+from surctl.marine.tuning.goals import Goal
+from surctl.marine.tuning.pool import CAP, Pool, Request, joined_pools
 from surctl.tuning.chunked import Progress
-from surctl.tuning.journal import Journal, quiet_optuna
+from surctl.tuning.search import Array, Journal, evolve
 
-if TYPE_CHECKING:
-    from optuna import Study
-    from optuna.trial import FrozenTrial, Trial
+__all__ = ["BATCH", "BEST", "Demand", "conflict", "demands", "descend", "minimal_subset", "search"]
 
-__all__ = ["BATCH", "search"]
 
-BATCH = 32  # trials that are simulated together: the population of NSGA-II
+_FIRST = 0.1  # first step as a share of each range's width on its scale
+_LAST = 1e-3  # the descent from a start ends when its step is shorter
+_SHORTER = 0.1  # factor on the step if no proposal is better
+_STEP_FACTORS = (2.0, 1.0, 0.5, 0.25, 0.1, 0.04)  # factors on the step; each gives one proposal
+_DIFFERENCE = 0.01  # largest step of a finite difference
+_APART = 0.15  # least distance of a start from other starts and from their ends
+_SLACK = 10.0  # weight of the largest missed constraint relative to the score
+
+
+@dataclass(eq=False)
+class _At:
+    # a point (d,) in the unit cube
+    place: Array
+    merit: float
+    step: float = _FIRST
+
+
+def descend(
+    request: Request, pool: Pool, *, trials: int, journal: Journal, progress: Progress = lambda _: None
+) -> Pool:
+    """Run a descent from the best sets of the pool; return the pool with all gain sets that the descent simulates.
+
+    Args:
+        request: the request of the search.
+        pool: simulated gain sets, the start gains first.
+        trials: approximate number of trials; each iteration takes 2 d + 6 trials for d gains.
+        journal: journal of the iterations; an interrupted descent with an identical request and pool resumes from it.
+        progress: function that receives one line of text at the end.
+    """
+    start, size = pool.evaluation.normalised[0], 2 * len(request.space) + len(_STEP_FACTORS)
+    batches = journal.batches(f"{request.digest} descent {trials}", width=request.width)
+    pools, visited = [pool], list[Array]()
+    at = _next(request, pool, visited, start)
+    for _ in range(-(-trials // size)):
+        if at is None:
+            break
+        known = batches.known(size)
+        batch = _iteration(request, pool, at) if known is None else request.pool(known)
+        batches.add(batch.table, restored=known is not None)
+        pools.append(batch)
+        _move(request, at, batch, start)
+        if at.step < _LAST:
+            visited.append(at.place)
+            at = _next(request, pool, visited, start)
+    whole = joined_pools(pools)
+    progress(f"descended in {sum(p.evaluation.effort.size for p in pools[1:])} trials: {whole.standing(start)}")
+    return whole
+
+
+def _next(request: Request, pool: Pool, visited: list[Array], start: Array) -> _At | None:
+    """Return the best gain set of the pool that is far from all earlier starts and ends of the descent.
+
+    The function adds this gain set to `visited`.
+    """
+    merit = pool.merit(start)
+    places = np.column_stack([s.unit(pool.sets[s.name]) for s in request.space])
+    for k in np.argsort(merit, kind="stable"):
+        if all(np.abs(places[k] - other).max() > _APART for other in visited):
+            visited.append(places[k])
+            return _At(places[k].copy(), float(merit[k]))
+    return None
+
+
+def _iteration(request: Request, pool: Pool, at: _At) -> Pool:
+    """Simulate the neighbours of `at` for the linearisation, then the proposed gain sets; return all as one pool."""
+    beside = _beside(at)
+    near, table = request.simulate(_sets(request, np.vstack([beside, at.place])))
+    objective, constraint = _functions(request, near, table, pool.evaluation.normalised[0])
+    width = (beside[0::2] - beside[1::2]).sum(axis=1)
+
+    def slope(values: Array) -> Array:
+        gradient: Array = (values[0:-1:2] - values[1:-1:2]).T / width
+        return gradient
+
+    lines = (objective[-1], slope(objective)), (constraint[-1], slope(constraint))
+    proposed = np.array([_least(at.place, *lines, factor * at.step) for factor in _STEP_FACTORS])
+    return joined_pools([near.subset(range(len(beside))), request.judge(_sets(request, proposed))])
+
+
+def _beside(at: _At) -> Array:
+    # neighbours (2 d, d): one step up and one step down in each direction, within the cube
+    d, far = len(at.place), min(_DIFFERENCE, at.step / 2)
+    both = np.repeat(np.eye(d), 2, axis=0) * np.tile([far, -far], d)[:, None]
+    places: Array = np.clip(at.place + both, 0.0, 1.0)
+    return places
+
+
+def _sets(request: Request, places: Array) -> dict[str, Array]:
+    return {s.name: s.place(places[:, k]) for k, s in enumerate(request.space)}
+
+
+def _functions(request: Request, pool: Pool, table: Figures, start: Array) -> tuple[Array, Array]:
+    # soft goals (n, f), scaled as in the score; hard goals and claims (n, g), at most 0 if met
+    soft, hard = [np.zeros((len(pool.claims), 1))], [np.minimum(pool.claims, CAP)]
+    for goal, first in zip(request.goals, start, strict=True):
+        own = scope(goal, request.conditions)
+        if goal.over == "mean":
+            figure = goal.worst(table)[0][:, own].mean(axis=1, keepdims=True)
+        else:  # one column per speed: the worst over speeds has no slope where the worst speed changes
+            figure = np.hstack([table[name][:, own] for name in goal.columns])
+        if goal.kind == "soft":
+            soft.append(np.minimum(goal.normalised(figure), CAP) / np.clip(first, 1e-3, 1.0))
+        else:
+            # the metric has a slope even where the normalised value has none: at a clearance of 0 and below
+            over = (figure - goal.limit) / abs(goal.limit) * (1.0 if goal.sense == "at most" else -1.0)
+            hard.append(np.clip(np.where(np.isnan(over), CAP, over), -CAP, CAP))
+    return np.hstack(soft), np.hstack(hard)
+
+
+def _least(place: Array, objective: tuple[Array, Array], constraint: tuple[Array, Array], far: float) -> Array:
+    """Return the point within the distance `far` of `place` that minimises the linearised maximum.
+
+    `objective` and `constraint` are pairs of values and slopes.
+    """
+    from scipy.optimize import linprog
+
+    d = len(place)
+    (f, df), (g, dg) = objective, constraint
+    # unknowns: the move, the largest objective, the largest missed constraint
+    rows = np.block(
+        [[df, -np.ones((len(f), 1)), np.zeros((len(f), 1))], [dg, np.zeros((len(g), 1)), -np.ones((len(g), 1))]]
+    )
+    ends = [(max(-far, -x), min(far, 1.0 - x)) for x in place]
+    cost = [*[0.0] * d, 1.0, _SLACK]
+    result = linprog(cost, A_ub=rows, b_ub=-np.concatenate([f, g]), bounds=[*ends, (None, None), (0.0, None)])
+    move = result.x[:d] if result.status == 0 else np.zeros(d)
+    there: Array = np.clip(place + move, 0.0, 1.0)
+    return there
+
+
+def _move(request: Request, at: _At, batch: Pool, start: Array) -> None:
+    """Move to the best simulated set and adapt the step length; shorten the step if no set improves the merit."""
+    merit = batch.merit(start)
+    best = int(merit.argmin())
+    if not merit[best] < at.merit:
+        at.step *= _SHORTER
+        return
+    at.place = np.array([float(s.unit(batch.sets[s.name][best])) for s in request.space])
+    at.merit = float(merit[best])
+    proposal = best - (len(merit) - len(_STEP_FACTORS))
+    if proposal >= 0:
+        at.step = min(at.step * _STEP_FACTORS[proposal], 1.0)
+
+
+BATCH = 32  # gain sets that are simulated together: the population of the differential evolution
+
+BEST = "best-so-far.toml"
+"""Name of the gain file that an unfinished tuning leaves in its folder."""
 
 
 def search(
@@ -44,9 +185,9 @@ def search(
 
     Args:
         request: the request of the search.
-        trials: number of trials of NSGA-II, rounded up to whole batches; the descent adds about as many trials.
+        trials: number of gain sets of the evolution, rounded up to whole batches; the descent adds about as many.
         first: gain sets to try right after the start gains, for example the best sets of an earlier search.
-        journal: journal of the trials; an interrupted search with an identical request resumes from this journal and
+        journal: journal of the finished batches; an interrupted search with an identical request resumes from it and
             ends with the result of an uninterrupted search.
         progress: function that receives one line of text for each batch.
 
@@ -63,79 +204,153 @@ def search(
         >>> pool.evaluation.normalised.min().round(2).item()  # at most 1: the goal is met
         0.99
     """
-    shelf, name = journal or Journal(None), request.digest
-    done = shelf.trials(name)
-    batches = -(-trials // BATCH)
-    pools = [remembered(request, done[k : k + BATCH]) for k in range(0, len(done) // BATCH * BATCH, BATCH)][:batches]
-    known = list(done[: len(pools) * BATCH])
-    start = pools[0].evaluation.normalised[0] if pools else request.judge(_start(request)).evaluation.normalised[0]
-    clock = _Clock(batches, len(pools), progress)
-    for k in range(len(pools), batches):
-        memory = _study(known)  # a new study, so that the samples depend only on the finished trials
-        proposed = _propose(memory, request, k, [row(_start(request), 0), *first] if k == 0 else [])
-        sets = {s.name: np.array([t.params[s.name] for t in proposed]) for s in request.space}
-        pool = request.judge(sets)
-        finished = _finish(memory, proposed, pool, start)
-        # after an interruption the journal may hold the first trials of this batch; they are identical
-        shelf.append(name, finished[max(0, len(done) - k * BATCH) :])
-        known += finished
-        pools.append(pool)
-        whole = joined_pools(pools)
-        best = request.base.with_values(whole.gains(whole.best(start)), how="so-far")
-        shelf.note_best(write_gains(best, warning="the best gains of an unfinished tuning"))
-        clock.report(k + 1, whole, start)
-    whole = joined_pools(pools)
-    return descend(request, whole, trials=trials, shelf=shelf, progress=progress)
+    journal = journal or Journal(None)
+    batches = journal.batches(request.digest, width=request.width)
+    count = -(-trials // BATCH)
+    done = 0
+    while done < count and batches.known(BATCH, after=done) is not None:
+        done += 1
+    if done:
+        progress(f"{done * BATCH} trials of the same request are resumed")
+    pools, began = list[Pool](), time.perf_counter()
+
+    def merit(sets: Array) -> Array:
+        table = batches.evaluated(sets, lambda sets: request.judge(request.named(sets)).table[:, sets.shape[1] :])
+        pools.append(request.pool(table))
+        start = pools[0].evaluation.normalised[0]
+        if len(pools) > done:
+            whole = joined_pools(pools)
+            best = request.base.with_values(whole.gains(whole.best(start)), how="so-far")
+            journal.note_best(BEST, write_gains(best, warning="the best gains of an unfinished tuning"))
+            rate = (len(pools) - done) * BATCH / (time.perf_counter() - began)
+            speed = f"{rate:.3g} trials/s, ETA {(count - len(pools)) * BATCH / rate:.0f} s"
+            progress(f"trial {len(pools) * BATCH}/{count * BATCH}, {speed}: {whole.standing(start)}")
+        return pools[-1].merit(start)
+
+    begun = [[s.clip(gains[s.name]) for s in request.space] for gains in ({**request.base.values}, *first)]
+    evolve(merit, request.space, size=BATCH, batches=count, seed=request.seed, first=begun)
+    return descend(request, joined_pools(pools), trials=trials, journal=journal, progress=progress)
 
 
-class _Clock:
-    def __init__(self, batches: int, done: int, progress: Progress) -> None:
-        self.batches, self.done, self.progress, self.began = batches, done, progress, time.perf_counter()
-        if done:
-            progress(f"{done * BATCH} trials of the same request are resumed")
-
-    def report(self, k: int, pool: Pool, start: NDArray[np.float64]) -> None:
-        rate = (k - self.done) * BATCH / (time.perf_counter() - self.began)
-        left = (self.batches - k) * BATCH / rate
-        speed = f"{rate:.3g} trials/s, ETA {left:.0f} s"
-        self.progress(f"trial {k * BATCH}/{self.batches * BATCH}, {speed}: {pool.standing(start)}")
+_KNOWN_SETS = 64  # gain sets of the pool that are tried before a search
 
 
-def _start(request: Request) -> dict[str, NDArray[np.float64]]:
-    return {s.name: np.array([s.clip(request.base[s.name])]) for s in request.space}
+@dataclass(frozen=True)
+class Demand:
+    """A demand on the gains: one goal that they must meet in some runs.
+
+    Attributes:
+        label: name of the demand, as `find_conflict` returns it.
+        goal: the goal as a hard goal, with a name that only this demand uses.
+        conditions: the runs in which the goal must be met.
+    """
+
+    label: str
+    goal: Goal
+    conditions: tuple[Condition, ...]
 
 
-def _study(trials: Sequence[FrozenTrial]) -> Study:
-    # in memory, because a study on the disk needs ten disk accesses per trial
-    optuna = quiet_optuna()
-    study = optuna.create_study(directions=["minimize", "minimize"])
-    study.add_trials(trials)
-    sampler = optuna.samplers.NSGAIISampler(population_size=BATCH)
-    for generation in range(1, len(trials) // BATCH):  # choose the parents of each generation again, in order
-        sampler.get_parent_population(study, generation)
-    return study
+def minimal_subset(count: int, together: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
+    """Return a minimal subset of the demands 0 … count - 1 that cannot be met together.
+
+    Every proper subset of this subset can be met together.
+
+    QuickXplain (Junker 2004) calls `together` at most 2 k (1 + log₂(n / k)) times for n demands and a subset of size k.
+
+    Args:
+        count: number of demands; all of them cannot be met together.
+        together: function that returns whether the demands of a subset can be met together.
+    """
+
+    def explained(beside: tuple[int, ...], added: bool, candidates: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the candidates that belong to the minimal subset if the demands `beside` belong to it.
+
+        `added` is true if `beside` has grown since the last call.
+        """
+        if added and not together(tuple(sorted(beside))):
+            return ()
+        if len(candidates) == 1:
+            return candidates
+        first, second = candidates[: len(candidates) // 2], candidates[len(candidates) // 2 :]
+        later = explained((*beside, *first), True, second)
+        return (*explained((*beside, *later), bool(later), first), *later)
+
+    return tuple(sorted(explained((), False, tuple(range(count)))))
 
 
-def _propose(study: Study, request: Request, batch: int, first: Sequence[Mapping[str, float]]) -> list[Trial]:
-    # every trial has its own seed, so that a resumed search repeats the proposals
-    optuna = quiet_optuna()
-    space = distributions(request)
-    for gains in first[:BATCH]:
-        study.enqueue_trial({s.name: s.clip(gains[s.name]) for s in request.space})
-    proposed = []
-    for k in range(batch * BATCH, (batch + 1) * BATCH):
-        seed = int(np.random.SeedSequence([request.seed, k]).generate_state(1)[0])
-        study.sampler = optuna.samplers.NSGAIISampler(population_size=BATCH, seed=seed)
-        proposed.append(study.ask(space))
-    return proposed
+def demands(goals: Sequence[Goal], conditions: Sequence[Condition], refuted: Sequence[str]) -> tuple[Demand, ...]:
+    """Return demands for hard goals and refuted soft goals.
+
+    Demands over requested runs and demands over counterexamples are separate.
+    """
+    requested = [c for c in conditions if c.goals is None]
+    result: list[Demand] = []
+    for goal in goals:
+        if goal.kind == "hard" or goal.name in refuted:
+            own = [c for c in requested if not goal.cases or {c.case.name, c.case.scenario.name} & set(goal.cases)]
+            result.append(_demand(goal, own, len(result), goal.name))
+    refuting: dict[tuple[str, str], list[Condition]] = {}
+    for condition in conditions:
+        for name in condition.goals or ():
+            refuting.setdefault((name, condition.case.name), []).append(condition)
+    named = {goal.name: goal for goal in goals}
+    for (name, case), own in refuting.items():
+        where = own[0].label if len(own) == 1 else f"{len(own)} runs of {case} that refuted other gains"
+        result.append(_demand(named[name], own, len(result), f"{name} in {where}"))
+    return tuple(result)
 
 
-def _finish(study: Study, proposed: Sequence[Trial], pool: Pool, start: NDArray[np.float64]) -> list[FrozenTrial]:
-    constraints, reached, finished = pool.constraints, objectives(pool, start), []
-    for k, trial in enumerate(proposed):
-        for name, value in user_attributes(pool, k).items():
-            trial.set_user_attr(name, value)
-        for j, value in enumerate(constraints[k]):
-            trial.set_constraint(f"{j}", float(value))
-        finished.append(study.tell(trial, reached[k]))
-    return finished
+def _demand(goal: Goal, conditions: Sequence[Condition], k: int, label: str) -> Demand:
+    own = f"demand {k}"
+    return Demand(
+        label, replace(goal, name=own, kind="hard", cases=()), tuple(replace(c, goals=(own,)) for c in conditions)
+    )
+
+
+def conflict(
+    request: Request, pool: Pool, refuted: Sequence[str], *, trials: int, progress: Progress = lambda _: None
+) -> tuple[str, ...]:
+    """Return the labels of a minimal set of demands that no known gain set meets together.
+
+    The result rests on searches and is not a proof. The result is empty if some gain set meets all demands.
+
+    Args:
+        request: the request, with all runs and claim points that refuted a gain set.
+        pool: gain sets to try first.
+        refuted: names of the refuted goals; the soft goals among them become demands too.
+        trials: number of trials of the search for each subset of demands.
+        progress: function that receives one line of text for each search.
+    """
+    every = demands(request.goals, request.conditions, refuted)
+    if not every:
+        return ()
+    whole = _of(request, every)
+    near = pool.ranked(pool.evaluation.normalised[0])[:_KNOWN_SETS]
+    known = whole.judge(pool.subset(near).sets)
+
+    def together(subset: tuple[int, ...]) -> bool:
+        nonlocal known
+        held = (known.claims <= 0).all(axis=1) & (known.evaluation.normalised[:, list(subset)] <= 1).all(axis=1)
+        if held.any():
+            return True
+        part = _of(request, [every[k] for k in subset])
+        result = search(part, trials=trials, first=[known.gains(_nearest(known, subset))])
+        best = result.best(result.evaluation.normalised[0])
+        known = joined_pools([known, whole.judge(result.subset([best]).sets)])
+        met = bool(result.feasible[best])
+        progress(f"{len(subset)} of {len(every)} demands together: {'met' if met else 'not met'}")
+        return met
+
+    everything = tuple(range(len(every)))
+    return () if together(everything) else tuple(every[k].label for k in minimal_subset(len(every), together))
+
+
+def _of(request: Request, chosen: Sequence[Demand]) -> Request:
+    # each run is simulated once
+    return replace(
+        request, goals=tuple(d.goal for d in chosen), conditions=merged(c for d in chosen for c in d.conditions)
+    )
+
+
+def _nearest(known: Pool, subset: Sequence[int]) -> int:
+    return int(known.evaluation.excess[:, list(subset)].sum(axis=1).argmin())

@@ -1,16 +1,14 @@
-"""Initial gain sets of a search, from a linear quadratic regulator (LQR) and from a descent along gradients."""
+"""Initial gain sets of a search from a linear quadratic regulator (LQR)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
-from surctl.marine.simulation import Case, simulate_batch
 from surctl.marine.tuning.pool import Request
-from surctl.marine.tuning.refine import refine
 from surctl.marine.vehicle import Vehicle, linearise, plant_parameters
 from surctl.marine.verification import CASCADE_GAINS, build_cascade, linear_table
 from surctl.marine.verification.cascade import build_cascades, has_cascade
@@ -24,19 +22,13 @@ _DEVIATION = (0.3, 0.3, 0.3, 0.3, 0.1, 0.1, 0.1, 0.2)  # largest deviations, of 
 _MILDER = 2.0  # factor on R as long as the disk margin is too small
 _OUTER = np.array([0.5**0.5] * 4 + [1.0] * 4)  # factor on Q applied together with the factor on R
 _MOST = 24  # largest number of times that R and Q are changed
-_ITERATIONS = 6  # iterations of the descent; the search afterwards uses the true metrics
 
 
-def starting_sets(
-    request: Request, *, descend: bool = False, progress: Progress = lambda _: None
-) -> list[dict[str, float]]:
+def starting_sets(request: Request, *, progress: Progress = lambda _: None) -> list[dict[str, float]]:
     """Return gain sets, within the search space, that a search simulates before it samples gain sets at random.
 
     For each vehicle of the request, one set is returned if the law has the linear loop that `lqr_start` assumes: the
-    gains of `lqr_start`, and the start values of the request for all other gains. If `descend` is true, one more set is
-    returned: the start gains of the request after refinement by exact gradients (`refine`), which uses the cases with
-    mode nsb (closed form) and true positions. The refinement is optional, because one gradient costs as much computing
-    time as about a thousand compiled runs.
+    gains of `lqr_start`, and the start values of the request for all other gains.
     """
     sets = []
     for case in {c.vehicle.name: c for c in request.cases if has_cascade(c.law, c.guidance)}.values():
@@ -46,19 +38,8 @@ def starting_sets(
             # the remedies of the error are arguments of `lqr_start`; the search needs none, because it has other starts
             progress(f"{case.vehicle.name}: {error.problem}; the search starts without LQR gains")
             continue
-        sets.append({s.name: regulator.get(s.name, request.base[s.name]) for s in request.space})
-    smooth = [c for c in request.cases if c.mode == "nsb" and c.sensing == "truth" and not c.scenario.path.fed]
-    if descend and smooth:
-        progress(f"descent along exact gradients over {len(smooth)} cases")
-        ranges = {s.name: (s.low, s.high) for s in request.space if s.log}
-        steps = _horizon(smooth)
-        refined = refine(smooth, request.base, ranges, steps=steps, iterations=_ITERATIONS, seed=request.seed)
-        sets.append(dict(refined.gains.values))
-    return [{s.name: s.clip(values[s.name]) for s in request.space} for values in sets]
-
-
-def _horizon(cases: Sequence[Case]) -> int:
-    return max(int(np.ceil(simulate_batch(case).column("time_s")[0] / case.build().dt)) + 1 for case in cases)
+        sets.append({s.name: s.clip(regulator.get(s.name, request.base[s.name])) for s in request.space})
+    return sets
 
 
 def lqr_start(

@@ -6,7 +6,6 @@ from surctl.lazy import load_at_first_use
 from surctl.tasks.task import jacobian, planar_rotation
 
 if TYPE_CHECKING:
-    from surctl.marine.vehicle.attainable import Attainable, attainable
     from surctl.marine.vehicle.dynamics import (
         PLANT_DISTURBANCE,
         PLANT_PARAMETERS,
@@ -20,15 +19,6 @@ if TYPE_CHECKING:
         plant_thrust_limit,
         steady_speed,
         trim_thrust,
-    )
-    from surctl.marine.vehicle.frames import (
-        FRAME_TEXT,
-        FRAMES,
-        Frame,
-        check_frame,
-        heading_velocity,
-        swap_body,
-        swap_pose,
     )
     from surctl.marine.vehicle.gazebo import gazebo_vehicle
     from surctl.marine.vehicle.geometry import GRAVITY, WATER, floating_depth, missing_buoyancy, sphere
@@ -45,17 +35,24 @@ if TYPE_CHECKING:
     from surctl.marine.vehicle.linearise import linearise, plant_jacobians, plant_system
     from surctl.marine.vehicle.logs.read import read_mapped_log, read_recording, topic_lines
     from surctl.marine.vehicle.motion_log import (
+        FRAME_TEXT,
+        FRAMES,
         LOG_MOTION,
         LOG_THRUST,
         LOG_TILT,
+        Frame,
         MotionLog,
+        check_frame,
+        heading_velocity,
         in_sequence,
         read_motion_log,
+        swap_body,
+        swap_pose,
     )
     from surctl.marine.vehicle.parameters import LIBRARY, Parameter, Vehicle, load_vehicle, write_vehicle
     from surctl.marine.vehicle.specs import PARAMETERS, TERMS, ParameterSpec, PlantForm, parameter_spec
     from surctl.marine.vehicle.thruster_file import axis_ends, axis_limits
-    from surctl.marine.vehicle.thrusters import DEFAULT_ORDER, Actuators, Fin, Swivel, Thruster
+    from surctl.marine.vehicle.thrusters import DEFAULT_ORDER, Actuators, Attainable, Fin, Swivel, Thruster, attainable
 
 __all__ = [
     "CONSTANT_FORCE",
@@ -132,10 +129,13 @@ __all__ = [
 load_at_first_use(
     __name__,
     {
-        "attainable": "Attainable attainable",
+        "thrusters": "Actuators Attainable DEFAULT_ORDER Fin Swivel Thruster attainable",
         "dynamics": "PLANT_DISTURBANCE PLANT_PARAMETERS PLANT_STATE Plant build_plant check_equation_3 plant_layout"
         " plant_parameters plant_state plant_thrust_limit steady_speed trim_thrust",
-        "frames": "FRAMES FRAME_TEXT Frame check_frame heading_velocity swap_body swap_pose",
+        "motion_log": (
+            "FRAMES FRAME_TEXT Frame LOG_MOTION LOG_THRUST LOG_TILT MotionLog check_frame heading_velocity"
+            " in_sequence read_motion_log swap_body swap_pose"
+        ),
         "gazebo": "gazebo_vehicle",
         "geometry": "GRAVITY WATER floating_depth missing_buoyancy sphere",
         "identification.identify": "HELD_OUT Identified held_out held_out_windows identify velocity_notes",
@@ -143,10 +143,8 @@ load_at_first_use(
         "identification.prediction": "Prediction predict predict_with",
         "linearise": "linearise plant_jacobians plant_system",
         "logs.read": "read_mapped_log read_recording topic_lines",
-        "motion_log": "LOG_MOTION LOG_THRUST LOG_TILT MotionLog in_sequence read_motion_log",
         "parameters": "LIBRARY Parameter Vehicle load_vehicle write_vehicle",
         "specs": "PARAMETERS TERMS ParameterSpec PlantForm parameter_spec",
         "thruster_file": "axis_ends axis_limits",
-        "thrusters": "DEFAULT_ORDER Actuators Fin Swivel Thruster",
     },
 )

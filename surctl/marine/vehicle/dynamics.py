@@ -30,8 +30,7 @@ from surctl.ir import Layout, Port
 from surctl.marine.vehicle.parameters import Vehicle
 from surctl.marine.vehicle.specs import PlantForm
 from surctl.tasks import ThrustLimit
-from surctl.tasks.rows import checked_column
-from surctl.tasks.task import Expression, jacobian, planar_rotation
+from surctl.tasks.task import Expression, checked_column, jacobian, planar_rotation
 
 __all__ = [
     "PLANT_DISTURBANCE",

@@ -12,8 +12,16 @@ from pydantic import Field
 
 from surctl.errors import InputError, nearest
 from surctl.files import Quantity, Strict, quoted, validate
-from surctl.marine.vehicle.attainable import Attainable, attainable
-from surctl.marine.vehicle.thrusters import DEFAULT_ORDER, ORDERS, Actuators, Fin, Swivel, Thruster
+from surctl.marine.vehicle.thrusters import (
+    DEFAULT_ORDER,
+    ORDERS,
+    Actuators,
+    Attainable,
+    Fin,
+    Swivel,
+    Thruster,
+    attainable,
+)
 
 __all__ = ["axis_ends", "axis_limits", "common_lag", "read_actuators", "thruster_text"]
 

@@ -17,8 +17,13 @@ if TYPE_CHECKING:
         steady_motion,
     )
     from surctl.marine.verification.library import applicable_claims, claims
-    from surctl.marine.verification.linear_table import LINEAR_METRICS, LINEAR_PARAMETERS, linear_table
-    from surctl.marine.verification.locus import Locus, sweep_locus
+    from surctl.marine.verification.linear_table import (
+        LINEAR_METRICS,
+        LINEAR_PARAMETERS,
+        Locus,
+        linear_table,
+        sweep_locus,
+    )
     from surctl.marine.verification.sonar_margins import SonarMargins, sonar_margins
     from surctl.marine.verification.speeds import (
         OverSpeeds,
@@ -70,8 +75,7 @@ load_at_first_use(
         "cascade_margins": "closed_loop_poles loop_margins worst_margins",
         "law_loop": "LawCorners LawLoop OperatingPoint law_corners law_loop steady_motion",
         "library": "applicable_claims claims",
-        "linear_table": "LINEAR_METRICS LINEAR_PARAMETERS linear_table",
-        "locus": "Locus sweep_locus",
+        "linear_table": "LINEAR_METRICS LINEAR_PARAMETERS Locus linear_table sweep_locus",
         "sonar_margins": "SonarMargins sonar_margins",
         "speeds": "OverSpeeds check_held cruise_speeds over_speeds speeds_text worst_place worst_text",
     },

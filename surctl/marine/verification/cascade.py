@@ -24,8 +24,8 @@ from surctl.marine.control import CASCADE, law_source
 from surctl.marine.vehicle import PLANT_PARAMETERS, PlantForm, Vehicle, plant_jacobians, plant_parameters
 from surctl.marine.vehicle.dynamics import PAPER
 from surctl.marine.vehicle.linearise import check_cruise, dynamic_states
-from surctl.verification.linear.parts import eigenvalues
-from surctl.verification.loops import Loop, state_blocks
+from surctl.verification.linear import eigenvalues
+from surctl.verification.loops import BrokenLoop, state_blocks
 
 __all__ = [
     "CASCADE_GAINS",
@@ -222,7 +222,7 @@ def build_cascades(
     return _with_integral(proportional, model_values["mass"], k, k_i) if k_i[0] > 0 else proportional
 
 
-def broken_loops(cascade: Cascade) -> list[Loop]:
+def broken_loops(cascade: Cascade) -> list[BrokenLoop]:
     """Return the eight loops of `LOOP_NAMES` for a batch of cascades."""
     closed = cascade.closed
     blocks = state_blocks(closed)
@@ -233,7 +233,7 @@ def broken_loops(cascade: Cascade) -> list[Loop]:
         # the set of states on which this loop acts
         where = next(k for k, block in enumerate(blocks) if np.any(b[:, block] != 0))
         block = blocks[where]
-        loops.append(Loop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
+        loops.append(BrokenLoop(poles[where], np.linalg.eigvals(A[:, block[:, None], block]).astype(complex)))
     return loops
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.cascade import LOOP_NAMES, Cascade, broken_loops, build_cascade
 from surctl.marine.verification.linear.corners import corners
-from surctl.verification.loops import crossings_of
-from surctl.verification.margins import LoopMargins, margins_from
+from surctl.verification.loops import LoopMargins, crossings_of, margins_from
 
 __all__ = ["closed_loop_poles", "loop_margins", "worst_margins"]
 

@@ -30,9 +30,8 @@ from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruis
 from surctl.marine.verification.linear.corners import corners
 from surctl.own_code import label
 from surctl.system import LinearLoop, LoopNames
-from surctl.verification.margins import LoopMargins
-from surctl.verification.sampled_loop import SampledLoop, worst_loop
-from surctl.verification.sampled_margins import system_margins
+from surctl.verification.loops import LoopMargins
+from surctl.verification.sampled_margins import SampledLoop, system_margins, worst_loop
 
 __all__ = [
     "LawCorners",

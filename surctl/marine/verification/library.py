@@ -16,7 +16,7 @@ from surctl.tasks.task import planar_rotation
 from surctl.verification.claim import Claim, Motion, Variable
 from surctl.verification.setting import Setting, setting_from
 
-__all__ = ["applicable_claims", "claims", "course_corrected", "course_printed"]
+__all__ = ["applicable_claims", "claims"]
 
 
 def _course(setting: Setting, *, corrected: bool) -> Claim:
@@ -49,7 +49,7 @@ def _course(setting: Setting, *, corrected: bool) -> Claim:
     )
 
 
-def course_printed(setting: Setting) -> Claim:
+def _course_printed(setting: Setting) -> Claim:
     """Return the refuted claim of the paper's equation (9) as printed, with the heading in place of the course.
 
     A sway speed v then leaves a cross-track error Δ_h v/u, where Δ_h is the lookahead distance and u the surge speed.
@@ -57,7 +57,7 @@ def course_printed(setting: Setting) -> Claim:
     return _course(setting, corrected=False)
 
 
-def course_corrected(setting: Setting) -> Claim:
+def _course_corrected(setting: Setting) -> Claim:
     """Return the claim of the paper's equation (9) for course control; the heading command compensates the sideslip."""
     return _course(setting, corrected=True)
 
@@ -69,8 +69,8 @@ _BUILDERS: Mapping[str, Callable[[Setting], Claim]] = {
         tracking.v1_corrected,
         tracking.v1_speed_cap,
         tracking.v1_speed_cap_region,
-        course_printed,
-        course_corrected,
+        _course_printed,
+        _course_corrected,
         tracking.m_norm_printed,
         tracking.m_norm_corrected,
         avoidance.v2_printed,

@@ -12,6 +12,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,19 +33,20 @@ from surctl.marine.verification.cascade import (
 )
 from surctl.marine.verification.linear.corners import corners
 from surctl.marine.verification.linear.side import least_disk
-from surctl.system.exponential import expm
+from surctl.plotted import Plotted
+from surctl.system.linear_loop import expm
 from surctl.verification.loops import crossings_of, shape_of, state_blocks
 
 __all__ = [
     "LINEAR_METRICS",
     "LINEAR_PARAMETERS",
     "STEP_NAMES",
+    "Locus",
     "Points",
-    "cascades_by_order",
     "linear_table",
-    "read_points",
     "step_figures",
     "step_system",
+    "sweep_locus",
 ]
 
 STEP_NAMES = ("cross_track", "heading", "surge_speed")
@@ -270,9 +273,9 @@ def linear_table(
     for name in columns:
         if name not in LINEAR_METRICS:
             raise InputError("no such column", key="columns", value=name, remedy=nearest(name, LINEAR_METRICS))
-    points = read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model)
+    points = _read_points(vehicle, values, base=base, cruise=cruise, dt=dt, model=model)
     table = {name: np.full(points.count, np.nan) for name in columns}
-    chunks = [group[at : at + _CHUNK] for group in cascades_by_order(points) for at in range(0, len(group), _CHUNK)]
+    chunks = [group[at : at + _CHUNK] for group in _cascades_by_order(points) for at in range(0, len(group), _CHUNK)]
 
     def fill(chunk: NDArray[np.intp]) -> None:
         figures = _figures(points.cascade(chunk), dt=dt, columns=columns)
@@ -285,7 +288,7 @@ def linear_table(
         if "disk_margin" in columns:
             exact = {name.partition(".")[2] for name in values}
             tried = [
-                read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle)
+                _read_points(v, values, base=base, cruise=cruise, dt=dt, model=model or vehicle)
                 for v in corners(vehicle, known=exact).vehicles
             ]
             able = np.flatnonzero(points.feasible)
@@ -373,7 +376,7 @@ class Points:
         )
 
 
-def read_points(
+def _read_points(
     vehicle: Vehicle,
     values: Mapping[str, ArrayLike],
     *,
@@ -414,7 +417,7 @@ def read_points(
     return Points(flat[0], flat[1], gains, column(speed), dt, vehicle.form, (model or vehicle).form)
 
 
-def cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
+def _cascades_by_order(points: Points) -> Iterator[NDArray[np.intp]]:
     """Yield the indices of the feasible points, in groups whose cascades have equal states."""
     lag = points.plant[:, _PLACES["thrust_lag"]] > 0
     integral = points.gains.get("k_i", np.zeros(points.count)) > 0
@@ -459,3 +462,118 @@ def _figures(cascade: Cascade, *, dt: float, columns: Collection[str]) -> dict[s
         for name, (settling, overshoot) in step_figures(cascade, stable).items():
             figures |= {f"settling_time_s.{name}": settling, f"overshoot.{name}": overshoot}
     return figures
+
+
+# Closed-loop poles as one parameter varies: a root locus over a gain, a vehicle parameter or the cruise speed
+
+
+_HALVED = 8  # largest number of times that the step between two values is halved
+
+
+@dataclass(frozen=True, eq=False)
+class Locus(Plotted):
+    """A root locus: the closed-loop poles for every value of one parameter; `plot()` draws them.
+
+    Attributes:
+        parameter: name of the parameter.
+        values: (n,) values of the parameter, ascending or descending, in its unit.
+        poles: (n, k) complex poles [rad/s]; a row holds the poles at one value, a column follows one pole over the
+            values.
+    """
+
+    PLOT = "surctl.marine.report.margin_plots:plot_locus"
+
+    parameter: str
+    values: NDArray[np.float64]
+    poles: NDArray[np.complex128]
+
+    @property
+    def stable(self) -> NDArray[np.bool_]:
+        """Whether every pole lies in the open left half-plane, (n,)."""
+        stable: NDArray[np.bool_] = np.all(self.poles.real < -1e-9, axis=1)
+        return stable
+
+
+def sweep_locus(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    parameter: str,
+    values: ArrayLike,
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    smooth: float = np.inf,
+    about: Mapping[str, float] = MappingProxyType({}),
+) -> Locus:
+    """Compute the poles of the cascade over the values of one parameter.
+
+    The poles at neighbouring values are paired so that the sum of the distances between paired poles is smallest.
+
+    Args:
+        vehicle: the plant.
+        gains: all gains, as in `loop_margins`.
+        parameter: name of the parameter that varies, from `LINEAR_PARAMETERS`.
+        values: (n,) values of the parameter, n ≥ 2, in ascending or descending order.
+        cruise: cruise speed U [m/s]; ignored if the cruise speed is the parameter that varies.
+        dt: control period [s].
+        model: the controller's model of the vehicle; default the vehicle itself.
+        smooth: largest allowed step of a pole between two neighbouring values, as a share of the pole's modulus. If a
+            pole moves further, for example where two poles separate, values are inserted between two given values, down
+            to a spacing of 2⁻⁸ of the given spacing.
+        about: fixed values of other parameters by name; parameters that move no pole are ignored.
+
+    Raises:
+        InputError: the parameter moves no pole, the values are not in order or out of bounds, the vehicle cannot hold
+            the cruise speed, or the number of poles changes (because k_i or thrust_lag is 0 for some values and
+            positive for others).
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> from surctl.marine.verification import sweep_locus
+        >>> gains = load_gains("default").values
+        >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
+        >>> locus.poles.shape, locus.poles.real.max(axis=1).round(2).tolist()
+        ((5, 24), [-0.22, -0.22, -0.22, -0.22, 0.12])
+    """
+    if parameter not in LINEAR_PARAMETERS:
+        raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))
+    swept = np.atleast_1d(np.asarray(values, dtype=float))
+    if swept.ndim != 1 or len(swept) < 2 or not (np.all(np.diff(swept) > 0) or np.all(np.diff(swept) < 0)):
+        raise InputError(
+            "needs at least two values in order", key=parameter, remedy="give a range, ascending or descending"
+        )
+
+    def followed(values: NDArray[np.float64]) -> NDArray[np.complex128]:
+        points = _read_points(vehicle, {**about, parameter: values}, base=gains, cruise=cruise, dt=dt, model=model)
+        if not points.feasible.all():
+            at = float(values[np.argmin(points.feasible)])
+            raise InputError("needs more thrust than the vehicle has", key=parameter, value=at, remedy="cruise slower")
+        groups = list(_cascades_by_order(points))
+        if len(groups) > 1:
+            raise InputError(
+                "changes the number of poles where it is 0", key=parameter, remedy="begin the range above 0"
+            )
+        return _paired(points.cascade(groups[0]).poles)
+
+    poles = followed(swept)
+    for _ in range(_HALVED):
+        sizes = np.abs(poles)
+        far = np.abs(np.diff(poles, axis=0)) > smooth * np.maximum(sizes[1:], sizes[:-1])
+        rough = np.flatnonzero(far.any(axis=1))
+        if len(rough) == 0:
+            break
+        swept = np.insert(swept, rough + 1, (swept[rough] + swept[rough + 1]) / 2)
+        poles = followed(swept)
+    return Locus(parameter, swept, poles)
+
+
+def _paired(poles: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Reorder the poles in every row of the array so that each pole is in the column of the pole it continues."""
+    from scipy.optimize import linear_sum_assignment
+
+    for before, after in pairwise(poles):
+        _, order = linear_sum_assignment(np.abs(before[:, None] - after[None]))
+        after[:] = after[order]
+    return poles

@@ -11,19 +11,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.steering_claim import read_claim as read_steering
-from surctl.certcheck.steering_law import true_rate as steered_rate
+from surctl.certcheck.region_claim import read_claim as read_region
+from surctl.certcheck.region_trim import axis_pairs, offset_speed
 from surctl.certcheck.turning_claim import factors, read_claim
-from surctl.certcheck.turning_law import true_rate
+from surctl.certcheck.turning_law import Follower, true_rate
 from surctl.errors import InputError, nearest
+from surctl.lyapunov.slope_search import form_of
 from surctl.marine.verification.region.heading import HeadingClaim
-from surctl.marine.verification.region.rates import heading_loop
+from surctl.marine.verification.region.rates import cruise_rate, heading_loop
+from surctl.verification.formula import parse, values_of, variable
 
 __all__ = ["CRUISE_PLANES", "HEADING_PLANES", "Portrait", "planes_of", "portrait"]
 
@@ -42,7 +45,7 @@ HEADING_PLANES: Mapping[str, tuple[int, int]] = {
 _STEERED_PLANES: Mapping[str, tuple[int, int]] = {"turning": (1, 3), "steering": (0, 1)}
 """Planes of two states of a craft without sway force, with all other states 0: ψ with its rate, and y_e with ψ."""
 
-_SHARE = 0.85  # mean over the heading of the quadratic drag along the path, as a share; it gives the steady cruise
+_CORNERS = 32  # of the ranges of parameters at which the rates of a text are tried
 _HEADINGS = np.linspace(0, 2 * np.pi, 16, endpoint=False)
 
 
@@ -95,7 +98,7 @@ def planes_of(document: Mapping[str, Any]) -> Mapping[str, tuple[int, int]]:
     """
     if document.get("kind") == "heading":
         return HEADING_PLANES
-    if document.get("kind") == "steering":
+    if document.get("kind") == "lyapunov" and (document["claim"]["about"] or {}).get("system") == "steered":
         return _STEERED_PLANES
     if document.get("kind") == "turning" or (
         document.get("kind") == "region" and document["claim"].get("system") == "cruise"
@@ -110,7 +113,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     """Compute the phase portrait of a region certificate.
 
     Args:
-        document: a certificate of kind `region`, `turning`, `steering` or `heading`.
+        document: a certificate of kind `region`, `turning` or `heading`, or about the law `steered`.
         plane: name of the plane, one of `planes_of`.
         extent: half-width of the plotted area, as a multiple of the half-axes of the ellipse V = 1.
         points: number of grid points along each axis.
@@ -121,7 +124,7 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     planes = planes_of(document)
     if plane not in planes:
         raise InputError("is not known", key="plane", value=plane, remedy=nearest(plane, planes))
-    loop = {"heading": _heading, "turning": _turning, "steering": _steering}.get(document["kind"], _cruise)(document)
+    loop = {"heading": _heading, "turning": _turning, "lyapunov": _steering}.get(document["kind"], _cruise)(document)
     first, second = planes[plane]
     # half-axes of the section of V = 1 through 0, not of its projection
     section = np.linalg.inv(loop.P[np.ix_((first, second), (first, second))])
@@ -135,7 +138,8 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
     growth = np.full(len(xi), -np.inf)
     for rates in loop.tried:
         growth = np.maximum(growth, np.einsum("ni,ni->n", gradient, rates(xi)))
-    excess = growth + document["claim"]["motion"]["rate_per_s"]
+    claim = document["claim"]
+    excess = growth + (claim["rate"] if "rate" in claim else claim["motion"]["rate_per_s"])
     flow = loop.shown(xi)[:, [first, second]]
     shape = (points, points)
     return Portrait(
@@ -145,20 +149,28 @@ def portrait(document: Mapping[str, Any], plane: str, *, extent: float = 1.9, po
 
 
 def _cruise(document: Mapping[str, Any]) -> _Loop:
-    claim, proof = document["claim"], document["proof"]
-    law = claim["law"]
+    claim, proof = read_region(document["claim"]), document["proof"]
+    model = claim.mass_model, claim.linear_model, claim.quadratic_model
+    law = Follower.of(claim, *((number,) * 2 for number in (*model, claim.thrust)))
 
-    def rates(boat: _Boat, psi: float) -> _Rates:
-        return lambda xi: _rate(claim, boat, _state(claim, boat, xi), psi)
+    def rates(mass: float, linear: Sequence[float], quadratic: Sequence[float], psi: float) -> _Rates:
+        # if the true drag differs from the model, the vehicle in steady cruise has an offset from its target
+        drag = np.array(linear), np.array(quadratic)
+        omega = float(offset_speed(claim, Fraction(drag[0].mean()), Fraction(drag[1].mean())))
+        start = np.array([-omega / law.k1, 0.0, law.cruise, 0.0])
+        return lambda xi: cruise_rate(law, mass, drag, xi + start, np.full(len(xi), psi))[0]
 
-    nominal = (law["mass_kg"], (law["linear_drag"],) * 2, (law["quadratic_drag"],) * 2)
+    linear, quadratic = (
+        [(float(a), float(b)) for a, b in axis_pairs(*ends, claim.asymmetry)]
+        for ends in (claim.linear, claim.quadratic)
+    )
     return _Loop(
         P=_matrix(proof["P"])[:4, :4],
-        shown=rates(nominal, 0.0),
+        shown=rates(law.mass[0], law.linear, law.quadratic, 0.0),
         whose="nominal",
-        tried=(rates(boat, psi) for boat in _boats(claim) for psi in _HEADINGS),
+        tried=(rates(float(m), a, b, psi) for m, a, b, psi in product(claim.mass, linear, quadratic, _HEADINGS)),
         levels=(proof["floor"], *(shell["level"] for shell in proof["shells"])),
-        lagged=claim["vehicle"]["lag_s"][1] > 0,
+        lagged=claim.lag[1] > 0,
     )
 
 
@@ -196,22 +208,25 @@ def _turning(document: Mapping[str, Any]) -> _Loop:
 
 
 def _steering(document: Mapping[str, Any]) -> _Loop:
-    claim = read_steering(document["claim"])
+    claim = document["claim"]
+    states, parameters = ([row["name"] for row in claim[key]] for key in ("states", "parameters"))
+    known = {name: variable(name) for name in (*states, *parameters)}
+    roots = [parse(claim["dynamics"][name], known) for name in states]
+    low, high = (np.array([row[key] for row in claim["parameters"]]) for key in ("lower", "upper"))
 
-    def rates(mass: float, drag: float, u: float) -> _Rates:
+    def rates(values: Array) -> _Rates:
         def rate(xi: Array) -> Array:
-            n = len(xi)
-            craft = {"mass": np.full((n, 4), mass), "drag": np.full((n, 8), drag), "u": np.full(n, u)}
-            return steered_rate(claim, craft, xi)
+            fixed = {name: np.full(len(xi), value) for name, value in zip(parameters, values, strict=True)}
+            return values_of(roots, {**dict(zip(states, xi.T, strict=True)), **fixed}).T
 
         return rate
 
-    ends = ([float(end) for end in pair] for pair in (claim.mass_factor, claim.drag_factor, claim.speed))
+    corners = np.random.default_rng(0).random((_CORNERS, len(low))) < 0.5
     return _Loop(
-        P=_matrix(document["proof"]["P"]),
-        shown=rates(1.0, 1.0, float(claim.cruise)),
+        P=form_of(parse(claim["function"], known), states) / claim["level"],
+        shown=rates((low + high) / 2),
         whose="nominal",
-        tried=(rates(*one) for one in product(*ends)),
+        tried=(rates(np.where(corner, high, low)) for corner in corners),
         levels=(0.0, 1.0),
         lagged=False,
     )
@@ -239,54 +254,6 @@ def _heading(document: Mapping[str, Any]) -> _Loop:
         levels=(0.0, 1.0),
         lagged=False,
     )
-
-
-_Boat = tuple[float, tuple[float, ...], tuple[float, ...]]
-"""The mass, the linear drag of surge and sway, and the quadratic drag of surge and sway."""
-
-
-def _boats(claim: Mapping[str, Any]) -> list[_Boat]:
-    """Return corner values of mass and drag; the drag of surge and sway is equal or has the largest difference."""
-    vehicle = claim["vehicle"]
-    ratio = (2 + vehicle["asymmetry"]) / (2 - vehicle["asymmetry"]) if vehicle["asymmetry"] < 2 else np.inf
-
-    def pairs(key: str) -> list[tuple[float, ...]]:
-        low, high = vehicle[key]
-        return [(low, low), (high, high), (low, min(low * ratio, high)), (max(high / ratio, low), high)]
-
-    return list(product(vehicle["mass_kg"], pairs("linear_drag"), pairs("quadratic_drag")))
-
-
-def _state(claim: Mapping[str, Any], boat: _Boat, xi: Array) -> Array:
-    """Convert deviations from the steady cruise to states (x_e, y_e, U_x, U_y).
-
-    If the true drag differs from the model, the vehicle in steady cruise has an offset from its target.
-    """
-    law, (_, linear, quadratic) = claim["law"], boat
-    v, hat, hat2 = law["cruise"], law["linear_drag"], law["quadratic_drag"]
-    missing = (np.mean(linear) - hat) * v + _SHARE * (np.mean(quadratic) - hat2) * v * v
-    omega = missing / (law["mass_kg"] * law["k_v"] + hat + 2 * _SHARE * hat2 * v)
-    state = xi.copy()
-    state[:, 0] -= omega / law["k1"]
-    state[:, 2] += v
-    return state
-
-
-def _rate(claim: Mapping[str, Any], boat: _Boat, state: Array, psi: float) -> Array:
-    # rates (n, 4) of (x_e, y_e, U_x, U_y); ψ is relative to the path
-    law, limit = claim["law"], claim["vehicle"]["thrust_n"]
-    mass, linear, quadratic = boat
-    slant = np.hypot(1.0, state[:, 1] / law["lookahead"])
-    along = np.minimum(np.maximum(law["cruise"] - law["k1"] * state[:, 0], 0.0), law["cap"] / slant)
-    desired = np.stack([along, -along * state[:, 1] / law["lookahead"]])
-    speed = state[:, 2:4].T
-    acceleration = np.zeros_like(speed)
-    for k, axis in enumerate(np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])):
-        w, n = axis @ desired, axis @ speed
-        free = law["linear_drag"] * w + law["quadratic_drag"] * w * np.abs(w) + law["mass_kg"] * law["k_v"] * (w - n)
-        force = np.clip(free, -limit, limit) - linear[k] * n - quadratic[k] * n * np.abs(n)
-        acceleration += axis[:, None] * force / mass
-    return np.stack([state[:, 2] - law["cruise"], state[:, 3], acceleration[0], acceleration[1]], axis=1)
 
 
 def _matrix(lower: list[list[float]]) -> Array:

@@ -20,16 +20,14 @@ from __future__ import annotations
 import casadi as ca
 
 from surctl.ir import Call, Loop, Program, Routine, Step, lower_named
-from surctl.priority.compiled.decomposition import decompose
-from surctl.priority.compiled.level_shape import StackShape, SymbolicLevel
+from surctl.priority.compiled.decomposition import StackShape, SymbolicLevel, decompose
 from surctl.priority.compiled.sweep import HUGE, largest
 from surctl.priority.optimality import LOSS, ROUNDING
-from surctl.priority.rowspace import ZERO_ROW
+from surctl.priority.settings import ZERO_ROW
 from surctl.priority.solver.dual_step import OPTIMAL, Space
-from surctl.priority.solver.elimination import as_matrix
+from surctl.priority.solver.elimination import FLOAT64, as_matrix
 from surctl.priority.solver.fallback import RELAXED
 from surctl.priority.solver.kernel import kernel, row_by_row
-from surctl.priority.solver.precision import FLOAT64
 
 __all__ = ["UNCONFIRMED", "confirmation"]
 

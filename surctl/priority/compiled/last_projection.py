@@ -17,14 +17,11 @@ import math
 import casadi as ca
 
 from surctl.ir import Block, Call, Loop, Program, Routine, Step, lower
-from surctl.priority.compiled.decomposition import attainable, decompose
-from surctl.priority.compiled.level_shape import StackShape
+from surctl.priority.compiled.decomposition import StackShape, attainable, decompose
 from surctl.priority.compiled.sweep import holding, largest, longer_row, merged, opened_row
-from surctl.priority.rowspace import ZERO_ROW
-from surctl.priority.settings import Fallback
-from surctl.priority.solver.elimination import LOOPED, as_matrix
+from surctl.priority.settings import ZERO_ROW, Fallback
+from surctl.priority.solver.elimination import FLOAT64, LOOPED, Precision, as_matrix
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED, safe_step
-from surctl.priority.solver.precision import FLOAT64, Precision
 
 __all__ = ["last_projection"]
 

@@ -37,19 +37,21 @@ from surctl.priority.diagnosis.field import (
     task_strength,
 )
 from surctl.priority.diagnosis.findings import (
+    Bounds,
     Diagnosis,
     Equality,
     LevelReport,
     Met,
     Pair,
     PairKind,
+    Parameter,
     Residual,
     Singularity,
     Symptom,
     Verdict,
+    build_region,
 )
-from surctl.priority.diagnosis.region import Bounds, Parameter, build_region
-from surctl.priority.rowspace import CUTOFF, ZERO_ROW
+from surctl.priority.settings import CUTOFF, ZERO_ROW
 from surctl.tasks import Stack
 
 __all__ = ["diagnose", "nsb_velocities", "residual_norms", "strict_velocities"]

@@ -30,8 +30,9 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import on_columns
-from surctl.priority.diagnosis.region import Region, pose_text
-from surctl.priority.rowspace import CUTOFF, ZERO_ROW, row_space
+from surctl.priority.backends import row_space
+from surctl.priority.diagnosis.findings import Region, pose_text
+from surctl.priority.settings import CUTOFF, ZERO_ROW
 from surctl.tasks import Stack
 
 __all__ = [

@@ -1,11 +1,14 @@
-"""Factors of the priority kernel: the table T behind the active limits W, and the levels eliminated behind W."""
+"""Factors of the priority kernel: the table T behind the active limits W, and the levels eliminated behind W.
+
+`Memory` declares constants, arrays and variables of the kernel; their sizes are in `kernel`.
+"""
 
 from __future__ import annotations
 
 from surctl.ir.procedure import back, fabs, sqrt, within
-from surctl.priority.hierarchy.memory import Memory
 
 __all__ = [
+    "Memory",
     "along",
     "eliminate_left",
     "enter",
@@ -20,6 +23,103 @@ __all__ = [
     "solve_level",
     "take_off",
 ]
+
+
+class Memory:
+    """Constants, arrays and variables of the kernel; sizes are in `hierarchy`."""
+
+    n: int  # velocities
+    quarter: int
+    x: int  # unknowns, with both openings, padded to a multiple of 4
+    m: int  # limits
+    k: int  # rows of all levels, with the two of the openings, padded to a multiple of 4
+    p: int  # levels, with the two of the openings
+    r: int  # rows of the table T
+    cap: int  # iterations
+    J: list[float]
+    lower: list[float]
+    upper: list[float]
+    rows: list[float]
+    box: list[float]
+    velocity: list[float]
+    target: list[float]
+    active: list[float]
+    multipliers: list[float]
+    opening: list[float]
+    status: list[float]
+    count: list[float]
+    first: list[int]  # first row of each level, and the end
+    is_set: list[int]
+    level_of: list[int]
+    At: list[float]  # limits of length 1: entry j of limit i at j·m + i
+    lo: list[float]
+    up: list[float]
+    lo_true: list[float]
+    up_true: list[float]
+    column: list[int]  # of the opening of a limit, or −1
+    T: list[float]
+    B: list[float]
+    L: list[float]
+    V: list[float]  # reflections of the levels
+    tau: list[float]
+    h: list[float]
+    sums: list[float]
+    other: list[float]
+    y: list[float]
+    z: list[float]
+    g: list[float]
+    pivot: list[int]
+    many: list[int]  # rows of each level that are on
+    start: list[int]  # first column of each level behind W
+    used: list[int]  # reflections before each level
+    left: list[int]  # whether a level has a QR from the left
+    rank: list[int]
+    QR: list[float]
+    diagonal: list[float]
+    weight: list[float]  # of the reflections from the left
+    side_d: list[float]
+    norms: list[float]
+    rhs: list[float]
+    rest: list[float]
+    scale: list[float]
+    on: list[int]  # 1: the row belongs to its level; −1: at its lower bound
+    lock: list[int]
+    lock_set: list[int]
+    inside: list[int]
+    W: list[int]
+    side: list[int]
+    v: list[float]
+    goal: list[float]
+    step: list[float]
+    lam: list[float]
+    mu: list[float]
+    speed: list[float]
+    value: list[float]
+    slack: list[float]
+    toward: list[int]
+    slack_set: list[float]
+    speed_set: list[float]
+    toward_set: list[int]
+    gap: list[float]
+    gap_set: list[float]
+    spread: list[float]
+    d: list[float]
+    N: int
+    w: int
+    valid: int
+    hard: int
+    soft: int
+    top: int
+    factor: float
+    size: float
+    moved: int
+    still: int
+    bad: int
+    reached: int
+    block: int
+    block_set: int
+    block_side: int
+    turns: int
 
 
 def reflection(s: Memory, lo: int, hi: int) -> float:

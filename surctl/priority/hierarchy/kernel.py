@@ -22,12 +22,10 @@ The functions are the source of a `Procedure`; `hierarchy` returns it.
 from __future__ import annotations
 
 from surctl.ir.procedure import Procedure, fabs, within
-from surctl.priority.compiled.level_shape import StackShape
-from surctl.priority.hierarchy import factors, proof, search
-from surctl.priority.hierarchy.factors import optimum
-from surctl.priority.hierarchy.memory import Memory
-from surctl.priority.hierarchy.proof import judge
-from surctl.priority.hierarchy.search import at_once, descend, prepare, restore
+from surctl.priority.compiled.decomposition import StackShape
+from surctl.priority.hierarchy import factors, search
+from surctl.priority.hierarchy.factors import Memory, optimum
+from surctl.priority.hierarchy.search import at_once, descend, judge, prepare, restore
 
 __all__ = ["hierarchy"]
 
@@ -104,7 +102,7 @@ _FUNCTIONS = (
     factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
     factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
     search.at_once, search.ratio, search.move_limits, search.advance, search.release, search.descend, search.restore,
-    proof.jacobian, proof.bound_loss, proof.remember, proof.judge, sound, solution,
+    search.jacobian, search.bound_loss, search.remember, search.judge, sound, solution,
 )  # fmt: skip
 
 

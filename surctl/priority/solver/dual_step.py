@@ -22,8 +22,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.ir import Block, Call, Gather, Loop, Program, Routine, lower
-from surctl.priority.solver.elimination import LOOPED, as_matrix
-from surctl.priority.solver.precision import FLOAT64, Precision
+from surctl.priority.solver.elimination import FLOAT64, LOOPED, Precision, as_matrix
 
 __all__ = [
     "OPTIMAL",

@@ -35,9 +35,8 @@ import casadi as ca
 from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.settings import Fallback
 from surctl.priority.solver.dual_step import OPTIMAL, SKIPPED, dot
-from surctl.priority.solver.elimination import as_matrix
-from surctl.priority.solver.precision import FLOAT64, Precision
-from surctl.priority.solver.rows import Sizes, into, unit_rows
+from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix
+from surctl.priority.solver.kernel import Sizes, into, unit_rows
 from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_stages
 
 __all__ = ["BOUNDED", "CAP", "CLAMPED", "LIMITED", "MET", "RELAXED", "eased", "safe_step"]

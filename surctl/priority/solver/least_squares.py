@@ -15,6 +15,7 @@ from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK
 from surctl.priority.solver.elimination import (
     LOOPED,
+    Precision,
     as_matrix,
     corrected,
     eliminate,
@@ -25,8 +26,7 @@ from surctl.priority.solver.elimination import (
     pseudo_inverse_of,
     split_basis,
 )
-from surctl.priority.solver.precision import Precision
-from surctl.priority.solver.rows import Sizes
+from surctl.priority.solver.kernel import Sizes
 
 __all__ = ["least_squares"]
 

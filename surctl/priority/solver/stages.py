@@ -25,6 +25,7 @@ from surctl.ir import Call, Loop, Program, Routine, Step, lower
 from surctl.priority.solver.dual_step import OPTIMAL
 from surctl.priority.solver.elimination import (
     LOOPED,
+    Precision,
     as_matrix,
     corrected,
     eliminate,
@@ -33,10 +34,8 @@ from surctl.priority.solver.elimination import (
     reflect,
     split_basis,
 )
-from surctl.priority.solver.kernel import reduced_kernel
+from surctl.priority.solver.kernel import Sizes, reduced_kernel
 from surctl.priority.solver.least_squares import least_squares
-from surctl.priority.solver.precision import Precision
-from surctl.priority.solver.rows import Sizes
 
 __all__ = ["LIMITED", "RELAXED", "exact_stage", "lower_stages"]
 

@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
+from types import MappingProxyType
+from typing import Any
 
-from surctl.errors import InputError
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["ARITY", "BRANCHING", "DEEPEST", "PI", "Node", "number", "ordered", "power", "rebuilt", "variable"]
+from surctl.errors import InputError, UnsupportedOperation
+
+__all__ = [
+    "ARITY",
+    "BRANCHING",
+    "DEEPEST",
+    "PI",
+    "Node",
+    "Statement",
+    "derivative",
+    "number",
+    "ordered",
+    "power",
+    "rebuilt",
+    "substitute",
+    "to_casadi",
+    "values_of",
+    "variable",
+]
 
 ARITY: Mapping[str, int] = {
     "add": 2, "sub": 2, "mul": 2, "div": 2, "neg": 1, "pow": 1, "sqrt": 1, "sin": 1, "cos": 1, "atan": 1,
@@ -137,3 +160,255 @@ def rebuilt(root: Node, change: Callable[[Node, tuple[Node, ...]], Node]) -> Nod
     for node in ordered(root):
         replaced[node] = change(node, tuple(replaced[a] for a in node.args))
     return replaced[root]
+
+
+# Exact partial derivatives of expressions of the claim grammar, and substitution of expressions for variables
+
+
+_ZERO, _ONE = number(0), number(1)
+
+_CHAIN: Mapping[str, Callable[[Node, Node], Node]] = MappingProxyType(
+    {
+        "sin": lambda a, _: Node("cos", (a,)),
+        "cos": lambda a, _: -Node("sin", (a,)),
+        "sqrt": lambda _, whole: _ONE / (number(2) * whole),
+        "atan": lambda a, _: _ONE / (_ONE + power(a, 2)),
+        "acos": lambda a, _: -(_ONE / Node("sqrt", (_ONE - power(a, 2),))),
+        "asin": lambda a, _: _ONE / Node("sqrt", (_ONE - power(a, 2),)),
+        "tan": lambda _, whole: _ONE + power(whole, 2),
+        "tanh": lambda _, whole: _ONE - power(whole, 2),
+        "exp": lambda _, whole: whole,
+        "log": lambda a, _: _ONE / a,
+        "sinh": lambda a, _: Node("cosh", (a,)),
+        "cosh": lambda a, _: Node("sinh", (a,)),
+    }
+)
+"""Derivative of each function of one argument, from the argument and the whole expression."""
+
+
+def derivative(root: Node, name: str) -> Node:
+    """Return the exact partial derivative of an expression with respect to a variable.
+
+    Raises:
+        UnsupportedOperation: the expression contains abs, min, max or select, which have kinks or jumps.
+
+    Example:
+        >>> from surctl.verification.formula import derivative, parse, text_of, variable
+        >>> text_of(derivative(parse("x^2*sin(y)", {"x": variable("x"), "y": variable("y")}), "x"))
+        '2*x*sin(y)'
+    """
+    slopes: dict[Node, Node] = {}
+    for node in ordered(root):
+        slopes[node] = _slope(node, [slopes[a] for a in node.args], name)
+    return slopes[root]
+
+
+def substitute(root: Node, by: Mapping[str, Node]) -> Node:
+    """Return the expression with an expression in the place of each variable that `by` names."""
+
+    def change(node: Node, args: tuple[Node, ...]) -> Node:
+        return by.get(node.name, node) if node.op == "var" else Node(node.op, args, node.value, node.name)
+
+    return rebuilt(root, change)
+
+
+def _slope(node: Node, slopes: list[Node], name: str) -> Node:
+    op, args = node.op, node.args
+    if op == "var":
+        return _ONE if node.name == name else _ZERO
+    if all(s == _ZERO for s in slopes):
+        return _ZERO
+    match op:
+        case "add":
+            return _sum(slopes[0], slopes[1])
+        case "sub":
+            return _sum(slopes[0], _minus(slopes[1]))
+        case "neg":
+            return _minus(slopes[0])
+        case "mul":
+            return _sum(_product(slopes[0], args[1]), _product(args[0], slopes[1]))
+        case "div":
+            over = _sum(_product(slopes[0], args[1]), _minus(_product(args[0], slopes[1])))
+            return over / power(args[1], 2) if slopes[1] != _ZERO else slopes[0] / args[1]
+        case "pow" | "powr":
+            return _product(_product(number(node.value), _power(args[0], node.value - 1)), slopes[0])
+        case "atan2":
+            y, x = args
+            over = _sum(_product(slopes[0], x), _minus(_product(y, slopes[1])))
+            return over / (power(x, 2) + power(y, 2))
+    if op not in _CHAIN:
+        raise UnsupportedOperation(
+            f"{op} has no derivative everywhere", key="expression", remedy="use a smooth expression"
+        )
+    return _product(_CHAIN[op](args[0], node), slopes[0])
+
+
+def _sum(a: Node, b: Node) -> Node:
+    if a == _ZERO:
+        return b
+    if b == _ZERO:
+        return a
+    return a - b.args[0] if b.op == "neg" else a + b
+
+
+def _minus(a: Node) -> Node:
+    if a.op == "num":
+        return number(-a.value)
+    return a.args[0] if a.op == "neg" else -a
+
+
+def _product(a: Node, b: Node) -> Node:
+    if _ZERO in (a, b):
+        return _ZERO
+    if a == _ONE:
+        return b
+    return a if b == _ONE else a * b
+
+
+def _power(base: Node, exponent: Fraction) -> Node:
+    return _ONE if exponent == 0 else power(base, exponent)
+
+
+# Values of expressions of the claim grammar at many points, in doubles
+
+
+Array = NDArray[np.float64]
+
+_NUMPY: Mapping[str, Callable[..., Any]] = MappingProxyType(
+    {"add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "neg": np.negative, "sqrt": np.sqrt,
+     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan,
+     "atan2": np.arctan2, "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "log": np.log,
+     "abs": np.abs, "min": np.minimum, "max": np.maximum,
+     "select": lambda a, b, x, y: np.where(np.isnan(a) | np.isnan(b), np.nan, np.where(a <= b, x, y))}
+)  # fmt: skip
+
+_POLES = frozenset({"div", "log", "pow", "powr"})
+
+
+def values_of(roots: Sequence[Node], at: Mapping[str, Array]) -> Array:
+    """Return the values (k, N) of expressions at points; an expression that has no value at a point is NaN there.
+
+    A value too large for a double is infinite.
+
+    Args:
+        roots: the expressions (k).
+        at: values (N,) of each variable, by name.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.verification.formula import parse, values_of, variable
+        >>> values_of([parse("x^2 + 1", {"x": variable("x")})], {"x": np.array([1.0, 2.0])})
+        array([[2., 5.]])
+    """
+    known: dict[Node, Any] = {}
+    with np.errstate(all="ignore"):
+        for node in ordered(*roots):
+            args = [known[a] for a in node.args]
+            match node.op:
+                case "num":
+                    known[node] = float(node.value)
+                case "pi":
+                    known[node] = np.pi
+                case "var":
+                    known[node] = at[node.name]
+                case "pow" if node.value == 2:
+                    known[node] = args[0] * args[0]
+                case "pow" | "powr":
+                    known[node] = np.where(np.isnan(args[0]), np.nan, np.power(args[0], float(node.value)))
+                case _:
+                    known[node] = _NUMPY[node.op](*args)
+            if node.op in _POLES:  # a later division must not turn 1/0 into 0
+                known[node] = np.where(np.isinf(known[node]), np.nan, known[node])
+    count = len(next(iter(at.values())))
+    return np.array([np.broadcast_to(known[root], (count,)) for root in roots])
+
+
+# Convert expressions of the claim grammar to CasADi SX expressions; `formula.reader` does the opposite
+
+
+_CASADI: Mapping[str, Callable[..., ca.SX]] = MappingProxyType(
+    {"sqrt": ca.sqrt, "sin": ca.sin, "cos": ca.cos, "atan2": ca.atan2, "acos": ca.acos, "abs": ca.fabs,
+     "min": ca.fmin, "max": ca.fmax, "asin": ca.asin, "tan": ca.tan, "exp": ca.exp, "log": ca.log, "sinh": ca.sinh,
+     "cosh": ca.cosh, "tanh": ca.tanh}
+)  # fmt: skip
+
+
+def to_casadi(root: Node, symbols: Mapping[str, ca.SX]) -> ca.SX:
+    """Convert an expression of the claim grammar to a CasADi SX expression; exact numbers become doubles."""
+    converted: dict[Node, ca.SX] = {}
+    for node in ordered(root):
+        converted[node] = _symbolic(node, [converted[a] for a in node.args], symbols)
+    return ca.SX(converted[root])
+
+
+def _symbolic(node: Node, args: list[ca.SX], symbols: Mapping[str, ca.SX]) -> ca.SX:
+    match node.op:
+        case "num":
+            return ca.SX(float(node.value))
+        case "pi":
+            return ca.SX(math.pi)
+        case "var":
+            return symbols[node.name]
+        case "add":
+            return args[0] + args[1]
+        case "sub":
+            return args[0] - args[1]
+        case "mul":
+            return args[0] * args[1]
+        case "div":
+            return args[0] / args[1]
+        case "neg":
+            return -args[0]
+        case "pow":
+            return _multiplied(args[0], node.value.numerator)
+        case "powr":
+            return ca.SX(ca.power(args[0], float(node.value)))
+        case "atan":
+            return ca.atan2(args[0], 1)  # the instruction set has no atan
+        case "select":
+            return ca.if_else(args[0] <= args[1], args[2], args[3])
+        case _:
+            return ca.SX(_CASADI[node.op](*args))
+
+
+def _multiplied(base: ca.SX, exponent: int) -> ca.SX:
+    # repeated squaring, because the instruction set has no power operation
+    if exponent < 0:
+        return 1 / _multiplied(base, -exponent)
+    result, square = ca.SX(1), base
+    while exponent:
+        if exponent & 1:
+            result = result * square
+        square, exponent = square * square, exponent >> 1
+    return result
+
+
+# The statement of an inequality with exact numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Statement:
+    """The statement left ≤ right on the part of a box where no constraint is positive.
+
+    Attributes:
+        names: names of the n variables.
+        lower: lower bounds (n,).
+        upper: upper bounds (n,).
+        left: expression of the left side.
+        right: expression of the right side.
+        constraints: expressions of the constraints.
+        touching: values of variables for which left = right, if known; a proof needs them.
+    """
+
+    names: tuple[str, ...]
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    left: Node
+    right: Node
+    constraints: tuple[Node, ...]
+    touching: Mapping[str, Fraction] = field(default_factory=dict)
+
+    @property
+    def parts(self) -> tuple[Node, ...]:
+        """All expressions of the statement: left, right and the constraints."""
+        return (self.left, self.right, *self.constraints)

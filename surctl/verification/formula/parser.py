@@ -16,15 +16,36 @@ the base 0 if the exponent is positive.
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
+from itertools import combinations_with_replacement
+from types import MappingProxyType
 from typing import NamedTuple
 
-from surctl.errors import InputError, nearest
-from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered
+import casadi as ca
 
-__all__ = ["FUNCTIONS", "IDENTIFIER", "LARGEST_POWER", "LONGEST", "decimal", "is_name", "parse", "parse_relation"]
+from surctl.errors import InputError, UnsupportedOperation, nearest
+from surctl.verification.formula.node import ARITY, DEEPEST, PI, Node, number, ordered, power, variable
+
+__all__ = [
+    "FUNCTIONS",
+    "IDENTIFIER",
+    "LARGEST_POWER",
+    "LONGEST",
+    "decimal",
+    "decimal_text",
+    "from_casadi",
+    "is_name",
+    "parse",
+    "parse_relation",
+    "reads_back",
+    "text_of",
+]
 
 FUNCTIONS = (
     "abs", "acos", "asin", "atan", "atan2", "cos", "cosh", "exp", "log", "max", "min", "select", "sin", "sinh", "sqrt",
@@ -259,3 +280,301 @@ class _Parser:
         shown = token.text if len(token.text) <= 40 else token.text[:37] + "..."
         message = f"{shown!r} at column {token.column} {problem}"
         return InputError(message, file=self._file, key=self._key or "expression", remedy=remedy)
+
+
+# Write an expression as text, from which the parser restores the expression exactly
+
+
+_SHALLOW = 50  # depth up to which no text is nested too deeply for the parser
+_DIGITS = 120  # most decimals of a number that is not written as a fraction
+_LARGEST = 10**16  # integers below it are written as such
+_BESIDE = 10  # most characters of an operation beside its operands: a name, commas, blanks and parentheses
+
+
+@lru_cache(128)
+def text_of(root: Node) -> str:
+    """Return the text of an expression in the claim grammar.
+
+    Raises:
+        InputError: the text would be too long, because shared subexpressions are written out at every use.
+    """
+    texts: dict[Node, tuple[str, int]] = {}
+    for node in ordered(root):
+        text, level = _one(node, [texts[a] for a in node.args])
+        if len(text) > LONGEST:
+            raise InputError(f"is longer than {LONGEST} characters", key="expression", remedy="split the claim")
+        texts[node] = text, level
+    return texts[root][0]
+
+
+def reads_back(root: Node, names: Collection[str]) -> bool:
+    """Return whether the parser certainly restores the very same expression from the text of an expression.
+
+    Otherwise it may refuse the text, or restore another expression with the same values, such as 1 divided by 3 for
+    the number 1/3.
+
+    Args:
+        root: the expression.
+        names: the names that the parser knows.
+    """
+    if root.depth > _SHALLOW:
+        return False
+    lengths: dict[Node, int] = {}
+    for node in ordered(root):
+        op, length = node.op, _BESIDE
+        if op == "num":
+            text = decimal_text(node.value)
+            if "/" in text or "e-3" in text:  # the parser has a least exponent
+                return False
+            length += len(text)
+        elif op == "var":
+            if node.name not in names or node.name in FUNCTIONS or node.name == "pi":
+                return False
+            length += len(node.name)
+        elif op == "neg" and node.args[0].op == "num":
+            return False  # the parser reads a negative number
+        elif op in ("pow", "powr"):
+            exponent = node.value
+            if op == "powr" or exponent.denominator != 1 or abs(exponent.numerator) > LARGEST_POWER:
+                return False
+        for a in node.args:
+            length += lengths[a]
+        lengths[node] = length
+    return lengths[root] <= LONGEST
+
+
+def decimal_text(value: Fraction) -> str:
+    """Return the text of a number: its exact decimal if it has a short one, otherwise a fraction p/q."""
+    over, under = value.as_integer_ratio()
+    return str(over) if under == 1 and -_LARGEST < over < _LARGEST else _decimal_text(over, under)
+
+
+@lru_cache(256)
+def _decimal_text(over: int, under: int) -> str:
+    with suppress(OverflowError):  # the parser reads larger numbers than doubles
+        short = repr(over / under)
+        if Fraction(short) == Fraction(over, under):
+            return short
+    if 10**_DIGITS % under == 0:
+        digits = str(abs(over) * 10**_DIGITS // under).zfill(_DIGITS + 1)
+        whole = f"{digits[:-_DIGITS]}.{digits[-_DIGITS:]}".rstrip("0").rstrip(".")
+        if len(whole) <= _DIGITS:
+            return f"-{whole}" if over < 0 else whole
+    return f"{over}/{under}"
+
+
+def _one(node: Node, args: list[tuple[str, int]]) -> tuple[str, int]:
+    op = node.op
+    if op == "num":
+        text = decimal_text(node.value)
+        level = 3 if node.value < 0 else 5
+        return text, 2 if "/" in text else level
+    if op in ("pi", "var"):
+        return node.name or "pi", 5
+    if op in ("add", "sub"):
+        right = _inside(args[1], 2)
+        return f"{args[0][0]} {'+' if op == 'add' else '-'} {right}", 1
+    if op in ("mul", "div"):
+        return f"{_inside(args[0], 2)}{'*' if op == 'mul' else '/'}{_inside(args[1], 4)}", 2
+    if op == "neg":
+        return f"-{_inside(args[0], 4)}", 3
+    if op in ("pow", "powr"):
+        exponent = decimal_text(node.value)
+        return f"{_inside(args[0], 5)}^{f'({exponent})' if '/' in exponent else exponent}", 4
+    return f"{op}({', '.join(text for text, _ in args)})", 5
+
+
+def _inside(part: tuple[str, int], least: int) -> str:
+    text, level = part
+    return text if level >= least else f"({text})"
+
+
+# Convert CasADi SX expressions to expressions of the claim grammar, operation by operation
+
+
+_SHARES = tuple(Fraction(p, q) for p in range(1, 5) for q in (1, 2, 3, 4, 6))
+_PI_PARTS: Mapping[float, Fraction] = MappingProxyType(
+    {sign * math.pi * p.numerator / p.denominator: sign * p for p in _SHARES for sign in (1, -1)}
+)
+_NAMES: Mapping[int, str] = MappingProxyType(
+    {int(getattr(ca, n)): n[3:].lower() for n in dir(ca) if n.startswith("OP_")}
+)
+_PLAIN = MappingProxyType(
+    {"add": "add", "sub": "sub", "mul": "mul", "div": "div", "neg": "neg", "sqrt": "sqrt", "fabs": "abs",
+     "fmin": "min", "fmax": "max", "sin": "sin", "cos": "cos", "atan2": "atan2", "acos": "acos", "atan": "atan",
+     "asin": "asin", "tan": "tan", "exp": "exp", "log": "log", "sinh": "sinh", "cosh": "cosh", "tanh": "tanh"}
+)  # fmt: skip
+_COMPOSED: Mapping[str, Callable[..., Node]] = MappingProxyType(
+    {"sq": lambda x: power(x, 2), "twice": lambda x: number(2) * x, "inv": lambda x: number(1) / x,
+     "fma": lambda x, y, z: x * y + z, "log1p": lambda x: Node("log", (number(1) + x,)),
+     "expm1": lambda x: Node("exp", (x,)) - number(1)}
+)  # fmt: skip
+_SUBSTITUTES: Mapping[str, str] = MappingProxyType(
+    {"hypot": "write sqrt(x*x + y*y)", "sign": "write if_else(x < 0, -1, 1)", "copysign": "use if_else and fabs",
+     "asinh": "write log(x + sqrt(x*x + 1))", "acosh": "write log(x + sqrt(x*x - 1))",
+     "atanh": "write log((1 + x)/(1 - x))/2"}
+)  # fmt: skip
+_COMMUTATIVE = frozenset({"add", "mul"})
+_COMPARISONS = frozenset({"lt", "le"})
+_LONG = 15  # a number with at least this many digits is assumed to result from rounding
+_LARGEST_SHARE = 1000  # an exponent of 15 digits or more is read as a fraction with at most this denominator
+_LARGEST_POWER = 64
+
+
+@dataclass(frozen=True)
+class _Comparison:
+    # a < b or a <= b, or its negation
+    op: str
+    a: Node
+    b: Node
+    negated: bool = False
+
+
+@dataclass(frozen=True)
+class _Branch:
+    # the value if the comparison holds, otherwise 0
+    condition: _Comparison
+    value: Node
+
+
+_Value = Node | _Comparison | _Branch
+
+
+def from_casadi(
+    symbols: ca.SX, names: Sequence[str], expressions: Sequence[ca.SX], *, to_the_bit: bool = False
+) -> list[Node]:
+    """Convert scalar SX expressions in the symbols to expressions of the grammar.
+
+    With `to_the_bit`, every number is exactly the double of the instruction list, as the exported code has it; nothing
+    is guessed. Otherwise the expressions stand for a formula on paper, which was written with decimals: a number
+    becomes the shortest decimal number whose nearest double is the constant in the CasADi expression. CasADi evaluates
+    constant subexpressions when they are created. Therefore a constant that equals a fraction of π in double precision
+    is read as this fraction of π, and an exponent that equals a fraction such as 1/3 as this fraction. A constant of 15
+    digits or more that equals the rounded product of two other constants is read as this product.
+
+    A power with a variable exponent, x^y, becomes exp(y*log(x)), which is defined for x > 0.
+
+    Args:
+        symbols: column of symbols (n, 1).
+        names: names of the symbols, in order.
+        expressions: scalar expressions, dense or structurally zero.
+        to_the_bit: whether numbers are the doubles themselves, as for a law or plant; not for a formula on paper.
+
+    Raises:
+        UnsupportedOperation: an expression has an operation that the grammar lacks, such as floor or a logical
+            operation other than a comparison.
+    """
+    function = ca.Function("claim", [symbols], [ca.densify(ca.vertcat(*expressions, 0))])
+    count = function.n_instructions()
+    ops = [_NAMES.get(function.instruction_id(k), "unknown") for k in range(count)]
+    constants = [float(function.instruction_constant(k)) for k in range(count) if ops[k] == "const"]
+    reader = _Reader(guess=not to_the_bit)
+    slots: dict[int, _Value] = {}  # CasADi reuses work slots: each write gives a slot a new value
+    stored: dict[int, Node] = {}
+    for k, op in enumerate(ops):
+        args, result = function.instruction_input(k), function.instruction_output(k)
+        if op == "output":
+            stored[int(result[1])] = _plain(slots[args[0]], op)
+        elif op == "input":
+            slots[result[0]] = reader.put(variable(names[args[1]]))
+        elif op == "const":
+            value = float(function.instruction_constant(k))
+            slots[result[0]] = reader.put(_double(value) if to_the_bit else _short_constant(value, constants))
+        else:
+            slots[result[0]] = reader.put(reader.operation(op, [slots[a] for a in args]))
+    return [stored[k] for k in range(len(expressions))]
+
+
+class _Reader:
+    # operands of sums and products are ordered by their first occurrence, so that equal expressions have equal nodes
+    def __init__(self, *, guess: bool) -> None:
+        self._guess = guess
+        self._order: dict[_Value, int] = {}
+
+    def put(self, value: _Value) -> _Value:
+        self._order.setdefault(value, len(self._order))
+        return value
+
+    def operation(self, op: str, values: Sequence[_Value]) -> _Value:
+        if op in _COMPARISONS:
+            return _Comparison(op, _plain(values[0], op), _plain(values[1], op))
+        if op == "not" and isinstance(condition := values[0], _Comparison):
+            return _Comparison(condition.op, condition.a, condition.b, not condition.negated)
+        if op == "if_else_zero" and isinstance(condition := values[0], _Comparison):
+            return _Branch(condition, _plain(values[1], op))
+        if op == "add" and (joined := _joined(*values)) is not None:
+            return joined
+        if op in _COMMUTATIVE:
+            values = sorted(values, key=lambda v: self._order[v])
+        args = [_plain(v, op) for v in values]
+        if op in _PLAIN:
+            return Node(_PLAIN[op], tuple(args))
+        if op in _COMPOSED:
+            return _COMPOSED[op](*args)
+        if op in ("pow", "constpow"):
+            return _power(*args, guess=self._guess)
+        remedy = _SUBSTITUTES.get(op, "use + - * / ^ and the functions " + ", ".join(FUNCTIONS))
+        raise UnsupportedOperation(f"operation {op!r} is not part of the claim grammar", key="claim", remedy=remedy)
+
+
+def _joined(first: _Value, second: _Value) -> Node | None:
+    """Return the select that CasADi writes as the sum of two branches with opposite conditions; None otherwise."""
+    if not (isinstance(first, _Branch) and isinstance(second, _Branch)):
+        return None
+    p, q = first.condition, second.condition
+    if (p.op, p.a, p.b) != (q.op, q.a, q.b) or p.negated == q.negated:
+        return None
+    x, y = (second.value, first.value) if p.negated else (first.value, second.value)
+    return Node("select", (p.a, p.b, x, y)) if p.op == "le" else Node("select", (p.b, p.a, y, x))
+
+
+def _plain(value: _Value, op: str) -> Node:
+    if isinstance(value, _Branch):  # CasADi leaves out a branch that is 0
+        c = value.condition
+        joined = _joined(value, _Branch(_Comparison(c.op, c.a, c.b, not c.negated), number(0)))
+        assert joined is not None
+        return joined
+    if not isinstance(value, Node):
+        raise UnsupportedOperation(
+            f"a comparison as an operand of {op!r} is not part of the claim grammar", key="claim", remedy="use select"
+        )
+    return value
+
+
+def _power(base: Node, exponent: Node, *, guess: bool) -> Node:
+    if exponent.op != "num":
+        return Node("exp", (exponent * Node("log", (base,)),))
+    value = exponent.value
+    near = value.limit_denominator(_LARGEST_SHARE)
+    if guess and float(near) == float(value):
+        value = near
+    if abs(value) > _LARGEST_POWER:
+        raise UnsupportedOperation(
+            f"a power with the exponent {float(value):g} is not part of the claim grammar",
+            key="claim",
+            remedy=f"use an exponent of at most {_LARGEST_POWER}",
+        )
+    return power(base, value)
+
+
+def _double(value: float) -> Node:
+    if not math.isfinite(value):
+        raise UnsupportedOperation(
+            f"contains the constant {value}", key="claim", remedy="find the expression that is undefined"
+        )
+    return number(Fraction(value))
+
+
+def _short_constant(value: float, others: Sequence[float]) -> Node:
+    _double(value)
+    share = _PI_PARTS.get(value)
+    if share is not None:
+        return PI if share == 1 else number(share) * PI
+    exact = Fraction(repr(value))
+    if sum(c.isdigit() for c in repr(value).split("e")[0].lstrip("-0.")) < _LONG:
+        return number(exact)
+    for b, c in combinations_with_replacement([x for x in others if x > 0 and x not in (1.0, abs(value))], 2):
+        if b * c == abs(value):
+            product = power(_short_constant(b, ()), 2) if b == c else _short_constant(b, ()) * _short_constant(c, ())
+            return product if value > 0 else -product
+    return number(exact)

@@ -14,21 +14,113 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import isqrt
 
-from surctl.verification.formula import Node, number, ordered, power
-from surctl.verification.proving.polynomial import (
-    Monomial,
-    Poly,
-    TooLarge,
-    added,
-    constant,
-    key_of,
-    leading,
-    multiplied,
-    scaled,
-    single,
-)
+from surctl.sos.polynomial import ONE, Polynomial
+from surctl.verification.formula import Node, number, ordered, power, variable
+from surctl.verification.formula.node import PI
 
-__all__ = ["Algebra", "Ratio", "TooLarge"]
+__all__ = [
+    "MOST_TERMS",
+    "Algebra",
+    "Monomial",
+    "Poly",
+    "Ratio",
+    "SplitAngles",
+    "TooLarge",
+    "Written",
+    "added",
+    "constant",
+    "key_of",
+    "leading",
+    "multiplied",
+    "scaled",
+    "single",
+]
+
+# Polynomials with exact rational coefficients; their indeterminates are the atoms of `proving.algebra`, by index
+
+
+Monomial = tuple[tuple[int, int], ...]
+"""A monomial: pairs (atom, exponent ≥ 1) in the order of the atoms."""
+Poly = dict[Monomial, Fraction]
+"""A polynomial: the coefficient of each monomial; no coefficient is 0."""
+
+_MOST = 400
+_KEY = frozenset
+
+
+class TooLarge(Exception):
+    """Error: a polynomial has too many terms, or an operation has no normal form."""
+
+
+def constant(value: Fraction | int) -> Poly:
+    """Return a constant polynomial."""
+    return {(): value if type(value) is Fraction else Fraction(value)} if value else {}
+
+
+def single(atom: int, exponent: int = 1) -> Poly:
+    """Return the polynomial atom^exponent of one atom."""
+    return {((atom, exponent),): ONE}
+
+
+def added(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction], factor: Fraction | int = 1) -> Poly:
+    """Return the sum a + factor · b."""
+    total = dict(a)
+    for monomial, coefficient in b.items():
+        value = coefficient if factor == 1 else -coefficient if factor == -1 else factor * coefficient
+        if monomial in total:
+            value += total[monomial]
+        if value:
+            total[monomial] = value
+        else:
+            total.pop(monomial, None)
+    return total
+
+
+def scaled(a: Mapping[Monomial, Fraction], factor: Fraction | int) -> Poly:
+    """Return the product factor · a."""
+    if factor == -1:
+        return {m: -c for m, c in a.items()}
+    return {m: c * factor for m, c in a.items()} if factor else {}
+
+
+def multiplied(a: Mapping[Monomial, Fraction], b: Mapping[Monomial, Fraction]) -> Poly:
+    """Return the product a b without using relations between atoms."""
+    if len(a) * len(b) > _MOST * 10:
+        raise TooLarge
+    total: Poly = {}
+    for m, c in a.items():
+        for n, d in b.items():
+            product = _joined(m, n)
+            value = d if c is ONE else c if d is ONE else c * d
+            if product in total:
+                value += total[product]
+            if value:
+                total[product] = value
+            else:
+                total.pop(product, None)
+    if len(total) > _MOST:
+        raise TooLarge
+    return total
+
+
+def leading(a: Mapping[Monomial, Fraction]) -> tuple[Monomial, Fraction]:
+    """Return the leading monomial and its coefficient, in a fixed order of monomials."""
+    first = max(a, key=lambda m: (sum(e for _, e in m), m))
+    return first, a[first]
+
+
+def key_of(a: Mapping[Monomial, Fraction]) -> frozenset[tuple[Monomial, Fraction]]:
+    """Return a hashable key of the polynomial; equal polynomials have equal keys."""
+    return _KEY(a.items())
+
+
+def _joined(m: Monomial, n: Monomial) -> Monomial:
+    if not m or not n:
+        return m or n
+    powers = dict(m)
+    for atom, exponent in n:
+        powers[atom] = powers.get(atom, 0) + exponent
+    return tuple(sorted(powers.items()))
 
 
 @dataclass(frozen=True)
@@ -304,3 +396,134 @@ def _square_root(value: Fraction) -> Fraction:
     return (
         Fraction(over, under) if over * over == value.numerator and under * under == value.denominator else Fraction(1)
     )
+
+
+# Convert normal forms to nested expressions (Horner form), whose interval evaluation gives narrow results
+
+
+class Written:
+    """Converter of the polynomials of one `Algebra` to expressions; every atom is converted only once."""
+
+    def __init__(self, algebra: Algebra) -> None:
+        self._algebra = algebra
+        self._atoms: dict[int, Node] = {}
+
+    def ratio(self, a: Ratio) -> Node:
+        """Return a fraction as an expression."""
+        tree = self.poly(a.over)
+        for at, exponent in a.under:
+            tree = tree / power(self.factor(at), exponent)
+        return tree
+
+    def factor(self, at: int) -> Node:
+        """Return the denominator factor with index `at` as an expression."""
+        return self._algebra.factor_words.get(at) or self.poly(self._algebra.factors[at])
+
+    def poly(self, a: Poly) -> Node:
+        """Return a polynomial in nested form.
+
+        The power that most terms share is factored out first; even powers take precedence over odd powers.
+        """
+        if not a:
+            return number(0)
+        shared = self._shared(a)
+        if len(a) == 1 or shared is None:
+            terms = [self._term(m, c) for m, c in sorted(a.items(), key=lambda item: _rank(item[0]), reverse=True)]
+            tree = terms[0]
+            for term in terms[1:]:
+                tree = tree - term.args[0] if term.op == "neg" else tree + term
+            return tree
+        atom, exponent = shared
+        inside: Poly = {}
+        outside: Poly = {}
+        for m, c in a.items():
+            powers = dict(m)
+            if powers.get(atom, 0) >= exponent:
+                powers[atom] -= exponent
+                inside[tuple((k, e) for k, e in sorted(powers.items()) if e)] = c
+            else:
+                outside[m] = c
+        tree = power(self.atom(atom), exponent) * self.poly(inside)
+        return tree + self.poly(outside) if outside else tree
+
+    def atom(self, at: int) -> Node:
+        """Return the atom with index `at` as an expression."""
+        if at not in self._atoms:
+            kind, args = self._algebra.atoms[at]
+            if at in self._algebra.words:
+                self._atoms[at] = self._algebra.words[at]
+            elif kind == "var":
+                self._atoms[at] = variable(str(args[0]))
+            elif kind == "pi":
+                self._atoms[at] = PI
+            else:
+                self._atoms[at] = Node(kind, tuple(self.ratio(a) for a in args if isinstance(a, Ratio)))
+        return self._atoms[at]
+
+    def _shared(self, a: Poly) -> tuple[int, int] | None:
+        counts: dict[tuple[int, int], int] = {}
+        for m in a:
+            for atom, exponent in m:
+                for e in range(1, exponent + 1):
+                    counts[atom, e] = counts.get((atom, e), 0) + 1
+        worth = {key: n + (0.5 if key[1] % 2 == 0 else 0.0) for key, n in counts.items() if n >= 2}
+        # do not split an even power e + 1 only to share its odd power e
+        for (atom, e), n in counts.items():
+            if e % 2 and (atom, e) in worth and counts.get((atom, e + 1), 0) > 0 and counts[atom, e + 1] < n:
+                worth[atom, e] -= 0.75
+        return max(worth, key=lambda key: (worth[key], key)) if worth else None
+
+    def _term(self, m: Monomial, c: Fraction) -> Node:
+        factors = [power(self.atom(k), e) for k, e in m]
+        size = abs(c)
+        if size != 1 or not factors:
+            factors.insert(0, number(size))
+        tree = factors[0]
+        for factor in factors[1:]:
+            tree = tree * factor
+        return -tree if c < 0 else tree
+
+
+def _rank(m: Monomial) -> tuple[int, Monomial]:
+    return sum(e for _, e in m), m
+
+
+# Normal forms with the angles of the checker's normal forms, for proofs by sums of squares
+
+
+MOST_TERMS = 1500
+"""Largest number of terms of a polynomial."""
+
+
+class SplitAngles(Algebra):
+    """Normal forms as in the checker: sine and cosine of a sum are those of its terms; products may be large."""
+
+    def product(self, a: Poly, b: Poly) -> Poly:
+        """Return the product a b, simplified by relations between atoms."""
+        if len(a) * len(b) > 8 * MOST_TERMS:
+            raise TooLarge
+        terms = (Polynomial(a) * Polynomial(b)).terms.items()
+        total = self._reduced({m: c if isinstance(c, Fraction) else Fraction(c) for m, c in terms})
+        if len(total) > MOST_TERMS:
+            raise TooLarge
+        return total
+
+    def _turned(self, angle: Ratio) -> tuple[Ratio, Ratio]:
+        if angle.under:
+            return self._leaf_angle(angle)
+        total = (Ratio(constant(1)), Ratio({}))
+        for monomial, coefficient in angle.over.items():
+            total = self._sum_of_turns(total, self._one_turn(monomial, coefficient))
+        return total
+
+    def _one_turn(self, monomial: Monomial, coefficient: Fraction) -> tuple[Ratio, Ratio]:
+        known = self._known_turn(monomial, coefficient)
+        if known is not None:
+            return known
+        times, size = abs(coefficient.numerator), Fraction(1, coefficient.denominator)
+        if times >= 9:
+            times, size = 1, abs(coefficient)
+        one = total = self._leaf_angle(Ratio({monomial: size}))
+        for _ in range(times - 1):
+            total = self._sum_of_turns(total, one)
+        return total if coefficient > 0 else (total[0], Ratio({m: -c for m, c in total[1].over.items()}))

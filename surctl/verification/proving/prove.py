@@ -14,11 +14,19 @@ from surctl.certcheck import check_document, seal
 from surctl.errors import InputError
 from surctl.verification.claim import Claim
 from surctl.verification.formula import FUNCTIONS, ordered, text_of
-from surctl.verification.proving.forms import Form, as_written, forms_of
+from surctl.verification.proving.forms import (
+    Case,
+    Form,
+    Statement,
+    as_written,
+    cases_of,
+    forms_of,
+    statement_of,
+    substituted,
+)
 from surctl.verification.proving.intervals import Ends
-from surctl.verification.proving.search import DIMENSIONS, SearchResult, Task, corners, search
+from surctl.verification.proving.search import DIMENSIONS, BoxTask, SearchResult, corners, search
 from surctl.verification.proving.squares import prove_by_squares
-from surctl.verification.proving.statement import Case, Statement, cases_of, statement_of, substituted
 from surctl.verification.proving.tape import Tape, build_tape
 from surctl.verification.proving.touching import excluded, touches
 
@@ -268,7 +276,7 @@ def _show(attempt: _Attempt, seconds: float) -> _Shown:
             continue  # nothing to choose: the last round alone
         volumes = []
         for k, form in enumerate(usable):
-            task = Task(
+            task = BoxTask(
                 build_tape(names, [form.numerator, *form.denominators]),
                 constraints, written, (statement.lower, statement.upper), part * attempt.slack,
             )  # fmt: skip
@@ -302,7 +310,7 @@ def _simple(
         squares = prove_by_squares(case, statement.names, box, seconds=seconds, most=_SIMPLE)
         if squares.form is not None:
             return _Shown(squares.form, _without_boxes(root, 1), 0.0, squares.squares)
-    return _Shown(plain, search(Task(bound, constraints, attempt.written, box, 0.0), deadline=np.inf, most=1), 0.0)
+    return _Shown(plain, search(BoxTask(bound, constraints, attempt.written, box, 0.0), deadline=np.inf, most=1), 0.0)
 
 
 def _without_boxes(root: Ends, looked: int) -> SearchResult:
@@ -312,7 +320,7 @@ def _without_boxes(root: Ends, looked: int) -> SearchResult:
 def _outside(case: Case, written: Tape, constraints: Tape, root: Ends) -> _Shown | None:
     """Return the proof of a case whose branches occur nowhere in the box; None unless one box shows it."""
     plain = as_written(case)
-    task = Task(constraints, constraints, written, (root[0][:, 0], root[1][:, 0]), 0.0)
+    task = BoxTask(constraints, constraints, written, (root[0][:, 0], root[1][:, 0]), 0.0)
     read = constraints.run(root)
     if not any(fine[0] and jet.value[0][0] > 0 for jet, fine in zip(read.jets, read.defined, strict=True)):
         return None

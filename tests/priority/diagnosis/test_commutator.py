@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from surctl.errors import InputError
 from surctl.priority.diagnosis.diagnose import nsb_velocities, residual_norms, strict_velocities
 from surctl.priority.diagnosis.field import commutator_norms, equals_strict_priority
-from surctl.priority.draws import draw_levels
+from tests.oracles.priority_draws import draw_levels
 from tests.oracles.priority_references import printed_law
 
 N = 4

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.ir import Real, compile_block, replay
 from surctl.priority import Level, LevelShape, PriorityStep, Row, build_problem, priority_step, safe_step
+from surctl.priority.compiled.step import idle_row
 from surctl.priority.settings import Fallback
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.fallback import BOUNDED, CAP, CLAMPED, MET
-from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
-from surctl.priority.solver.safe_point import idle_row
-from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials
+from tests.oracles.distance_trials import FAMILIES, Trials, draw_trials
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]

@@ -11,14 +11,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
-from surctl.errors import InputError
 from surctl.ir import Native, Real, Routine, compile_block, replay, to_casadi
-from surctl.priority import least_distance, safe_step
+from surctl.priority import safe_step
 from surctl.priority.solver.dual_step import OPTIMAL, STUCK, Space
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 from surctl.priority.solver.fallback import CLAMPED, LIMITED, MET, RELAXED
 from surctl.priority.solver.kernel import in_blocks, kernel, most_iterations
-from surctl.priority.solver.precision import FLOAT32, FLOAT64, Precision
-from surctl.priority.solver.trials import FAMILIES, Trials, draw_trials, judge
+from tests.oracles.distance_trials import FAMILIES, Trials, draw_trials, judge
 from tests.tools import need_compiler
 
 Array = NDArray[np.float64]
@@ -259,11 +258,3 @@ def test_no_number_anywhere_makes_it_anything_but_finite(bad: float, real: Real)
         if np.isnan(bad) and which < 4:
             soft = which == 3 and np.arange(count) % (N + 3) == N + 2  # what is no number is not soft
             assert (status[:, 0] == CLAMPED)[~np.broadcast_to(soft, count)].all()
-
-
-def test_rows_and_tasks_too_long_to_be_squared_are_refused_by_name() -> None:
-    wide = np.array([[1e155, 0.0]])
-    with pytest.raises(InputError, match=r"A\[0\]"):
-        least_distance([0.5, 0.0], A=wide, lower=[-1e154], upper=[1e154])
-    with pytest.raises(InputError, match=r"J\[0\]"):
-        least_distance([0.5, 0.0], A=np.eye(2), lower=[-1, -1], upper=[1, 1], J=wide, x=[1e154])

@@ -1,30 +1,49 @@
-"""The Python face of the ladder: names, multipliers, and mistakes that are told."""
+"""The fallback stages of the safe step: active rows, multipliers, and what is relaxed."""
 
 from __future__ import annotations
 
+from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-import surctl.priority.solver.safe_point as module
-from surctl.errors import InputError, ToolMissing
-from surctl.ir import SlowerEngine
-from surctl.priority import build_problem, least_distance, solve
-from surctl.priority.draws import draw_problem
-from surctl.priority.problem import Row
+from surctl.ir import runnable
+from surctl.priority import safe_step
+
+runner = cache(lambda n, p, m: runnable(safe_step(n, p, m)))
+STAGES = ("met", "limited", "relaxed", "clamped")
+
+
+def least_distance(
+    target: Any, *, A: Any, lower: Any, upper: Any, J: Any = None, x: Any = (0.0,), soft: Any = None, box: Any = None
+) -> Any:
+    """The result of the safe step; active rows as "row 0", …, with multipliers of the rows as written."""
+    normals, n = np.array(A, dtype=float), len(target)
+    rows = np.column_stack([normals, lower, upper, np.ones(len(normals)) if soft is None else soft])
+    limits = np.array([[-np.inf] * n, [np.inf] * n] if box is None else box, dtype=float)
+    task = np.zeros((1, n)) if J is None else np.array(J)
+    v, active, multipliers, opening, status, _ = runner(n, len(task), len(rows))(
+        np.array(target), task.reshape(-1), np.array(x), rows.reshape(-1), limits.reshape(-1)
+    )
+    binding = tuple(
+        (f"row {int(abs(k)) - 1}", float(np.sign(k) * u / np.linalg.norm(normals[int(abs(k)) - 1])))
+        for k, u in zip(active, multipliers, strict=True)
+        if k != 0.0
+    )
+    return SimpleNamespace(v=v, stage=STAGES[int(status[0]) - 1], opening=float(opening[0]), binding=binding)
+
 
 BOX: dict[str, Any] = {"A": np.eye(2), "lower": [-1.0, -1.0], "upper": [1.0, 1.0]}
 
 
 def test_names_and_multipliers_are_those_of_the_rows_as_given() -> None:
-    got = least_distance(
-        [3.0, 0.0], A=[[2.0, 0.0], [0.0, 1.0]], lower=[-9, -9], upper=[2.0, 9], names=("east", "north")
-    )
+    got = least_distance([3.0, 0.0], A=[[2.0, 0.0], [0.0, 1.0]], lower=[-9, -9], upper=[2.0, 9])
     assert got.stage == "met"
     np.testing.assert_allclose(got.v, [1.0, 0.0], atol=1e-15)
     ((name, multiplier),) = got.binding
-    assert name == "east" and multiplier == pytest.approx(1.0)  # 2·1 = 3 − 1
+    assert name == "row 0" and multiplier == pytest.approx(1.0)  # 2·1 = 3 − 1
     got = least_distance([-3.0, 0.0], **BOX)
     assert got.binding == (("row 0", pytest.approx(-2.0)),)
 
@@ -65,70 +84,3 @@ def test_of_equal_rows_the_first_binds_and_nearly_equal_ones_do_not_send_v_away(
     sharp = {"A": [[1.0, 0.0], [-1.0, 1e-9]], "lower": [-np.inf] * 2, "upper": [0.0, -1.0]}
     got = least_distance([0.0, 0.0], **sharp)
     assert got.stage == "relaxed" and np.abs(got.v).max() < 2.0
-
-
-def test_no_rows_and_many_rows() -> None:
-    nothing = np.zeros((0, 3))
-    assert least_distance([1.0, 2.0, 3.0], A=nothing, lower=[], upper=[]).v.tolist() == [1.0, 2.0, 3.0]
-    angle = np.linspace(0, 2 * np.pi, 100, endpoint=False)
-    ring = np.column_stack([np.cos(angle), np.sin(angle)])
-    got = least_distance([5.0, 0.0], A=ring, lower=np.full(100, -np.inf), upper=np.ones(100))
-    np.testing.assert_allclose(got.v, [1.0, 0.0], atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        ({"target": [np.nan, 0.0]}, r"target\[0\].*not finite"),
-        ({"A": [[1.0, 0.0], [np.inf, 0.0]]}, r"A\[1\].*not finite"),
-        ({"upper": [1.0, np.nan]}, r"limit b = .*no NaN"),
-        ({"upper": [1.0, -2.0]}, "limit b = .*exclude every velocity"),
-        ({"A": np.eye(3)}, "A: has shape"),
-        ({"J": [[1.0, 0.0]], "x": [1.0, 2.0]}, "x: has shape"),
-        ({"J": [[np.nan, 0.0]], "x": [1.0]}, r"J\[0\].*not finite"),
-        ({"x": [1.0]}, "requires J"),
-        ({"names": ("a",)}, "names: has 1 entries"),
-        ({"box": ([1, 1], [0, 2])}, r"box\[0\]"),
-        ({"target": "north"}, "not an array"),
-    ],
-)
-def test_mistakes_are_told(change: dict[str, Any], told: str) -> None:
-    given: dict[str, Any] = {"target": [0.0, 0.0], **BOX, "names": ("a", "b"), **change}
-    with pytest.raises(InputError, match=told):
-        least_distance(given.pop("target"), **given)
-
-
-def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    want = least_distance([3.0, 0.4], **BOX)
-
-    def missing(*_: object, **__: object) -> None:
-        raise ToolMissing("no C compiler found")
-
-    monkeypatch.setattr("surctl.ir.native.compile_block", missing)
-    module.step_runner.cache_clear()
-    try:
-        with pytest.warns(SlowerEngine, match="no C compiler found"):
-            got = least_distance([3.0, 0.4], **BOX)
-    finally:
-        module.step_runner.cache_clear()
-    assert got.v.tobytes() == want.v.tobytes() and got.binding == want.binding
-
-
-def test_the_backend_own_solves_whole_ticks_as_daqp_does() -> None:
-    rng = np.random.default_rng(11)
-    for _ in range(12):
-        problem = draw_problem(rng)
-        own, other = solve(problem, backend="own"), solve(problem, backend="daqp")
-        assert own.status == other.status
-        # rungs 2 and 3 go through an iteration that ends at 1e-7 or so
-        tolerance = 1e-9 if own.fallback == 1 else 1e-6
-        assert np.abs(own.v - other.v).max() <= tolerance * (1 + np.abs(other.v).max())
-        assert own.is_optimal(problem)
-
-
-def test_a_row_that_does_nothing_changes_nothing() -> None:
-    rng = np.random.default_rng(3)
-    problem = draw_problem(rng)
-    wider = build_problem(problem.levels, [*problem.rows, Row("idle", "barrier", np.ones(4), -np.inf, 1e6)])
-    a, b = solve(problem, backend="own"), solve(wider, backend="own")
-    np.testing.assert_allclose(a.v, b.v, atol=1e-12)

@@ -8,8 +8,7 @@ from mpmath import mp, mpf
 from surctl.errors import InputError, UnsupportedOperation
 from surctl.verification.formula import from_casadi, number, parse, reads_back, text_of, to_casadi, variable
 from surctl.verification.formula.node import PI, power
-from surctl.verification.proving.algebra import Algebra, TooLarge
-from surctl.verification.proving.horner import Written
+from surctl.verification.proving.algebra import Algebra, TooLarge, Written
 from tests.verification.expressions import NAMES, NoValue, TooClose, expressions, worth
 
 KNOWN = {n: variable(n) for n in NAMES}

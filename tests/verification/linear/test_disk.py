@@ -10,8 +10,7 @@ from surctl.errors import InputError
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import build_cascade, loop_margins
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
-from surctl.verification.linear import OpenLoop, disk_margin, structured_bounds
-from surctl.verification.linear.disk import _balanced, stored_disk_margin
+from surctl.verification.linear import OpenLoop, _balanced, disk_margin, stored_disk_margin, structured_bounds
 
 GAINS = {"k1": 0.3, "k2": 0.3, "k_psi": 0.6, "k_r": 1.5, "k_v": 1.5, "lookahead": 1.2}
 VEHICLE = load_vehicle("sur540-flooded")
@@ -170,7 +169,7 @@ def test_a_stored_margin_is_the_computed_one_and_another_loop_has_its_own(
     def none(_: object) -> None:
         raise AssertionError("computed again")
 
-    monkeypatch.setattr("surctl.verification.linear.disk.disk_margin", none)
+    monkeypatch.setattr("surctl.verification.linear.disk_margin", none)
     assert stored_disk_margin(loop, "there") == replace(first, place="there")
     with pytest.raises(AssertionError, match="computed again"):
         stored_disk_margin(faster, "thrust")

@@ -61,7 +61,7 @@ def test_a_disk_margin_that_cannot_be_shown_is_not_judged_and_ends_nothing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv("SURCTL_CACHE", str(tmp_path / "cache"))  # this result must not be stored for others
-    monkeypatch.setattr("surctl.verification.linear.disk._STEPS", 0)
+    monkeypatch.setattr("surctl.verification.linear._STEPS", 0)
     loop = open_loop(build_cascade(WU, GAINS, cruise=0.15, dt=0.05), "thrust")
     found: DiskMargin = disk_margin(loop, "thrust")
     assert found.stable and np.isnan(found.guaranteed) and found.reached > 0

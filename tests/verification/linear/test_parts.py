@@ -1,10 +1,18 @@
 import numpy as np
 import pytest
 
-from surctl.system.exponential import expm
-from surctl.verification.linear import OpenLoop, disk_profile, screened_peaks
-from surctl.verification.linear.disk import _SCREEN_POINTS, _SCREENED
-from surctl.verification.linear.parts import blockwise, distinct, eigenvalues, independent
+from surctl.system.linear_loop import expm
+from surctl.verification.linear import (
+    _SCREEN_POINTS,
+    _SCREENED,
+    OpenLoop,
+    blockwise,
+    disk_profile,
+    distinct,
+    eigenvalues,
+    independent,
+    screened_peaks,
+)
 
 
 def test_what_is_coupled_by_any_path_is_one_group() -> None:

@@ -9,8 +9,8 @@ from surctl.certcheck.expressions import ExpressionTable
 from surctl.certcheck.series import same_sign
 from surctl.sos.polynomial import Polynomial
 from surctl.verification import prove
-from surctl.verification.proving.cells import cells_of
-from surctl.verification.proving.facts import VALUES, fact_polynomial, facts_about
+from surctl.verification.proving.search import cells_of
+from surctl.verification.proving.touching import VALUES, fact_polynomial, facts_about
 from tests.verification.by_squares import certificate, squares_first
 from tests.verification.made_claims import claim_from
 

@@ -34,6 +34,7 @@ from surctl.marine.verification.region.rates import level_ratios
 from surctl.marine.verification.region.turning_loop import steady_turning, vertices
 from surctl.marine.verification.region.turning_shells import violated, worst_rate
 from surctl.verification.conic import minimise, symmetric_basis
+from surctl.verification.formula import text_of
 from tests.certcheck.cruise import boats, matrix, rate, rest, thrust
 
 KEPT = Path(__file__).parents[2] / "certcheck"
@@ -309,14 +310,18 @@ def test_the_heading_loop_of_a_craft_without_sway_force_is_proved() -> None:
     claim = statement.claim(craft, derived_gains(craft, cruise=1.1), cruise=1.1, cap=1.613333333)
     assert isinstance(claim, SteeringClaim)
     stated = json.loads((KEPT / "region-steered-20.json").read_text())["claim"]
-    own = json.loads(json.dumps(claim.document(offset=stated["motion"]["offset_m"])))
-    assert {**stated, "sha256_law": ""} == {**own, "sha256_law": ""} and stated["motion"]["offset_m"] > 0.25
+    own = claim.dynamics()
+    assert {s.name: text_of(rate) for s, rate in zip(own.states, own.rates, strict=True)} == stated["dynamics"]
+    assert {w.name: [w.lower, w.upper] for w in own.parameters} == {
+        row["name"]: [row["lower"], row["upper"]] for row in stated["parameters"]
+    }
+    assert {**own.about, "sha256_law": ""} == {**stated["about"], "sha256_law": ""}
     proof = prove_steering(replace(claim, rate=9.0))
     assert proof.verdict == "unknown" and "found no" in proof.reason
     for changed, word in (({"m12": 1.0}, "m12"), ({"Y0": 1.0}, "Y0"), ({"Nuu": 1.0}, "Nuu")):
         more = {name: replace(craft.parameters["m24"], value=value) for name, value in changed.items()}
         with pytest.raises(InputError, match=word):
-            replace(claim, vehicle=replace(craft, parameters={**craft.parameters, **more})).stated()
+            replace(claim, vehicle=replace(craft, parameters={**craft.parameters, **more})).dynamics()
     with pytest.raises(InputError, match="sway force"):
         statement.claim(load_vehicle("sur400"), load_gains("default"))
     with pytest.raises(InputError, match="sway force"):

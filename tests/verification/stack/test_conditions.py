@@ -4,11 +4,15 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.verification.stack import SHIPPED_STACKS, shipped_stack
-from surctl.priority.diagnosis.region import build_region
+from surctl.priority.diagnosis.findings import build_region
 from surctl.tasks import Stack, Task, depth_task, distance_task, heading_task, position_task
-from surctl.verification.stack import StackConditions, stack_conditions
-from surctl.verification.stack.coupling import comparison_converges
-from surctl.verification.stack.independence import prove_sine, prove_strength
+from surctl.verification.stack import (
+    StackConditions,
+    comparison_converges,
+    prove_sine,
+    prove_strength,
+    stack_conditions,
+)
 
 ETA = ca.SX.sym("eta", 4)
 REGION = ([1.0, 1.0, -1.0, -3.0], [3.0, 2.0, 0.0, 3.0])

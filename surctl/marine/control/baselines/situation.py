@@ -8,8 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.ir import fold, tabulated
-from surctl.marine.control.decision import Decision, Scan, TaskLevel, lower_levels
-from surctl.marine.control.echoes import Perception
+from surctl.marine.control.decision import Decision, Perception, Scan, TaskLevel, lower_levels
 from surctl.marine.control.reference import DesiredMotion
 from surctl.marine.control.steering import Steering
 from surctl.marine.control.stopping import Barrier, Movers

@@ -17,12 +17,10 @@ from math import ceil, isfinite
 from statistics import NormalDist
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from surctl.errors import InputError
 
-__all__ = ["BaseStation", "Delivery", "OwnState", "delayed", "delayed_symbols", "whole_steps"]
+__all__ = ["BaseStation", "Delivery", "OwnState", "delayed_symbols", "whole_steps"]
 
 _ALWAYS = 1e300  # bound that no standard normal number reaches
 _ROUNDING = 1e-9  # [1] tolerance of a number of steps
@@ -74,8 +72,8 @@ class Delivery:
         """Return the number of control periods dt [s] between two measurements; InputError if not a whole number."""
         return whole_steps("delivery.period", self.period, dt=dt)
 
-    def arrives(self, step: int, *, chance: float, dt: float) -> bool:
-        """Return whether a message that was measured `late(dt)` control periods before arrives at period `step`.
+    def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
+        """Return 1 if a message measured `late(dt)` control periods before arrives at period `step`, else 0.
 
         The first measurement takes place at control period 0.
 
@@ -87,12 +85,6 @@ class Delivery:
         Raises:
             InputError: if period or latency is not a multiple of dt.
         """
-        measured = step - self.late(dt)
-        due = measured >= 0 and measured % self.every(dt) == 0
-        return due and chance >= self.lost_below and not any(a <= measured < b for a, b in self._blind(dt))
-
-    def arrives_symbols(self, step: ca.SX, *, chance: ca.SX, dt: float) -> ca.SX:
-        """Return 1 if a message arrives at control period `step`, else 0, as `arrives` does, in CasADi symbols."""
         measured, every = step - self.late(dt), self.every(dt)
         there = ca.logic_and(measured >= 0, measured - every * ca.floor(measured / every) == 0)
         there = ca.logic_and(there, chance >= self.lost_below)
@@ -117,27 +109,8 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
     return count
 
 
-def delayed(ring: NDArray[np.float64], now: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the value (n,) from k steps ago, and the updated ring buffer (k, n) of the last k values.
-
-    Args:
-        ring: (k, n) ring buffer of the last k values, newest first; with k = 0 there is no delay.
-        now: (n,) present value.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import delayed
-        >>> ring = np.array([[0.2], [0.1]])  # the last two depths, newest first
-        >>> then, ring = delayed(ring, np.array([0.3]))
-        >>> then.tolist(), ring.tolist()
-        ([0.1], [[0.3], [0.2]])
-    """
-    known = np.vstack([np.reshape(now, (1, -1)), ring])
-    return known[-1], known[:-1]
-
-
 def delayed_symbols(ring: ca.SX, now: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the delayed value (n, 1) and the ring buffer (k, n), as `delayed` does, in CasADi symbols.
+    """Return the value (n, 1) from k steps ago, and the updated ring buffer (k, n) of the last k values, newest first.
 
     Example:
         >>> import casadi as ca
@@ -157,7 +130,7 @@ class BaseStation:
     Attributes:
         position_sd: standard deviation of each measured coordinate [m].
         velocity_sd: standard deviation of each measured velocity component [m/s].
-        messages: period, latency and loss probability of the messages that `message` returns.
+        messages: period, latency and loss probability of the messages of `message_symbols`.
     """
 
     position_sd: float = 0.01
@@ -169,32 +142,10 @@ class BaseStation:
         _check("base_station.position_sd", self.position_sd, unit="m")
         _check("base_station.velocity_sd", self.velocity_sd, unit="m/s")
 
-    def observe(
-        self, positions: NDArray[np.float64], velocities: NDArray[np.float64], *, noise: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the measured positions (K, 2) [m] and velocities (K, 2) [m/s] of K ≥ 0 obstacles in {E}.
-
-        Args:
-            positions: (K, 2) true positions [m] in {E}.
-            velocities: (K, 2) true velocities [m/s] in {E}.
-            noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
-
-        Raises:
-            InputError: if `positions` or `velocities` is not (K, 2), or `noise` is not (K, 4).
-        """
-        where, speed = np.asarray(positions, dtype=float), np.asarray(velocities, dtype=float)
-        if where.ndim != 2 or where.shape[1] != 2 or where.shape != speed.shape:
-            raise InputError(
-                f"have shapes {where.shape} and {speed.shape}", key="positions, velocities", remedy="give (K, 2) both"
-            )
-        if np.shape(noise) != (len(where), 4):
-            raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({len(where)}, 4)")
-        return where + self.position_sd * noise[:, :2], speed + self.velocity_sd * noise[:, 2:]
-
-    def message(
-        self, past: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], chance: float, dt: float
-    ) -> tuple[NDArray[np.float64], bool]:
-        """Return the message (K, 6) about K obstacles that arrives at a control period, and whether one arrives.
+    def message_symbols(
+        self, past: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
+    ) -> tuple[ca.SX, ca.SX]:
+        """Return the message (K, 6) about K obstacles, and 1 if one arrives at a control period, else 0.
 
         Without a message, all numbers are 0.
 
@@ -205,22 +156,7 @@ class BaseStation:
             noise: (K, 4) standard normal numbers, for x, y, and both velocity components.
             chance: a standard normal number that decides whether the whole message is lost.
             dt: control period [s].
-
-        Raises:
-            InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
         """
-        rows = np.array(past, dtype=float)
-        if rows.ndim != 2 or rows.shape[1] != 6:
-            raise InputError(f"has shape {rows.shape}", key="past", remedy="give (K, 6)")
-        rows[:, :2], rows[:, 3:5] = self.observe(rows[:, :2], rows[:, 3:5], noise=noise)
-        rows[rows[:, 5] < 0.5] = 0.0
-        arrived = self.messages.arrives(step, chance=chance, dt=dt)
-        return (rows if arrived else np.zeros_like(rows)), arrived
-
-    def message_symbols(
-        self, past: ca.SX, step: ca.SX, *, noise: ca.SX, chance: ca.SX, dt: float
-    ) -> tuple[ca.SX, ca.SX]:
-        """Return the message (K, 6), and 1 if a message arrives, else 0, as `message` does, in CasADi symbols."""
         arrived = self.messages.arrives_symbols(step, chance=chance, dt=dt)
         place, speed = past[:, :2] + self.position_sd * noise[:, :2], past[:, 3:5] + self.velocity_sd * noise[:, 2:]
         rows = ca.horzcat(place, past[:, 2], speed, past[:, 5])
@@ -236,7 +172,7 @@ class OwnState:
         position_sd: standard deviation of measured x, y and z [m]; 0 gives exact values.
         yaw_sd: standard deviation of the measured yaw ψ [rad]; 0 gives exact values.
         rate_sd: standard deviation of the measured yaw rate r [rad/s] (design choice); 0 gives exact values.
-        fixes: period, latency and loss probability of the position fixes that `fix` returns.
+        fixes: period, latency and loss probability of the position fixes of `fix_symbols`.
     """
 
     position_sd: float = 0.01
@@ -250,10 +186,8 @@ class OwnState:
         _check("own_state.yaw_sd", self.yaw_sd, unit="rad")
         _check("own_state.rate_sd", self.rate_sd, unit="rad/s")
 
-    def fix(
-        self, past: NDArray[np.float64], step: int, *, noise: NDArray[np.float64], dt: float
-    ) -> tuple[NDArray[np.float64], bool]:
-        """Return the position fix (3,) [m] in {E} that arrives at a control period, and whether one arrives.
+    def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
+        """Return the position fix (3,) [m] in {E}, and 1 if a fix arrives at a control period, else 0.
 
         Without a fix, the three numbers are 0.
 
@@ -262,65 +196,17 @@ class OwnState:
             step: number of the control period, from 0.
             noise: (4,) standard normal numbers: three for x, y, z, and one that decides whether the fix is lost.
             dt: control period [s].
-
-        Raises:
-            InputError: if an argument has a wrong shape, or period or latency is not a multiple of dt.
         """
-        place = np.asarray(past, dtype=float)
-        if place.shape != (3,) or np.shape(noise) != (4,):
-            raise InputError(
-                f"have shapes {place.shape} and {np.shape(noise)}", key="past, noise", remedy="give (3,) and (4,)"
-            )
-        arrived = self.fixes.arrives(step, chance=float(noise[3]), dt=dt)
-        return (place + self.position_sd * noise[:3] if arrived else np.zeros(3)), arrived
-
-    def fix_symbols(self, past: ca.SX, step: ca.SX, *, noise: ca.SX, dt: float) -> tuple[ca.SX, ca.SX]:
-        """Return the position fix (3,), and 1 if a fix arrives, else 0, as `fix` does, in CasADi symbols."""
         arrived = self.fixes.arrives_symbols(step, chance=noise[3], dt=dt)
         return ca.if_else(arrived, past + self.position_sd * noise[:3], 0.0), arrived
 
-    def imu(
-        self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
-    ) -> tuple[float, float]:
+    def imu_symbols(self, eta: ca.SX, nu: ca.SX, *, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Return the measured yaw ψ [rad] and yaw rate r [rad/s].
 
-        `eta` (4,) is the true pose x, y, z, ψ; `nu` (4,) is the true velocity u, v, w, r; `noise` holds two standard
+        `eta` (4,) is the true pose x, y, z, ψ; `nu` (4,) is the true velocity u, v, w, r; `noise` (2,) holds standard
         normal numbers.
         """
-        if np.shape(eta) != (4,) or np.shape(nu) != (4,) or np.shape(noise) != (2,):
-            raise InputError(
-                f"have shapes {np.shape(eta)}, {np.shape(nu)} and {np.shape(noise)}",
-                key="eta, nu, noise",
-                remedy="give (4,), (4,) and (2,)",
-            )
-        return float(eta[3] + self.yaw_sd * noise[0]), float(nu[3] + self.rate_sd * noise[1])
-
-    def imu_symbols(self, eta: ca.SX, nu: ca.SX, *, noise: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return the measured yaw ψ [rad] and yaw rate r [rad/s], as `imu` does, in CasADi symbols."""
         return eta[3] + self.yaw_sd * noise[0], nu[3] + self.rate_sd * noise[1]
-
-    def measure(
-        self, eta: NDArray[np.float64], nu: NDArray[np.float64], *, noise: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the measured pose η (4,) in {E} [m, rad], and the noise-free velocity ν (4,) in {B} [m/s, rad/s].
-
-        Args:
-            eta: (4,) true pose η: x, y, z, ψ.
-            nu: (4,) true velocity ν: u, v, w, r.
-            noise: (4,) standard normal numbers, for x, y, z and ψ.
-
-        Raises:
-            InputError: if the shape of an argument is not (4,).
-        """
-        pose, velocity = np.asarray(eta, dtype=float), np.array(nu, dtype=float)
-        if pose.shape != (4,) or velocity.shape != (4,) or np.shape(noise) != (4,):
-            raise InputError(
-                f"have shapes {pose.shape}, {velocity.shape} and {np.shape(noise)}",
-                key="eta, nu, noise",
-                remedy="give (4,) each",
-            )
-        spread = np.array((self.position_sd, self.position_sd, self.position_sd, self.yaw_sd))
-        return pose + spread * noise, velocity
 
 
 def _check(key: str, value: float, *, unit: str) -> None:

@@ -37,7 +37,7 @@ def expected_range(
 ) -> ca.SX:
     """Return the range [m] that one sensor would measure if only known walls and obstacles existed; at most 2·maximum.
 
-    The function uses the closed form of `surctl.marine.world.Shape.nearest_in_cone`: the nearest point of a wall or
+    The function uses the closed form of `Solid.nearest_in_cone`: the nearest point of a wall or
     disc in the cone is the foot point (the nearest point of the whole shape) if the cone contains it, otherwise a point
     on an edge ray of the cone.
 

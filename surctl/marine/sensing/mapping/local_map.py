@@ -20,8 +20,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite
+from typing import TypeAlias
 
 import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Call, Gather, Loop, Port, Program, Routine, Step, lower
@@ -29,6 +32,8 @@ from surctl.marine.sensing.mapping.firing import BLIND, MIDDLE, READING, READING
 from surctl.marine.sensing.mapping.programs import BASE, BEAM, NONE, MapPrograms
 
 __all__ = ["BLIND", "MIDDLE", "READING", "RING", "LocalMap"]
+
+Vector: TypeAlias = NDArray[np.float64]
 
 _HOLDS = 3  # cells; a disc two cells wide with its centre in a block touches at least this many of its cells
 _NOWHERE = 1e6  # cells; lowest corner of the window before the first update
@@ -127,6 +132,35 @@ class LocalMap:
         holds the corresponding numbers for the nearest unknown cell.
         """
         return _Steps(self).routine()
+
+    def view(self, cells: ArrayLike, corner: ArrayLike, *, edge: float = 1.0) -> tuple[Vector, Vector, Vector]:
+        """Return the map in {E}: values (N, N) indexed by y, then x; coordinates x (N,) and y (N,) of the cell centres.
+
+        Args:
+            cells: (N²,) values of the cells in the state of the map.
+            corner: (2,) lowest cell of the window in the state of the map.
+            edge: edge length of a cell [m]; with 1 the coordinates of the centres are in cells.
+
+        Raises:
+            InputError: if an array does not have the stated size.
+
+        Example:
+            >>> from surctl.marine.sensing import LocalMap
+            >>> local_map = LocalMap(dt=0.05, blocks=1, block=3, sectors=4)
+            >>> values, x, y = local_map.view([0, 0, 1, -1, -1, 0, -1, -1, 0], [0, 0], edge=0.1)
+            >>> values.tolist(), x.round(2).tolist()
+            ([[0.0, 0.0, 1.0], [-1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]], [0.05, 0.15, 0.25])
+        """
+        n, many, size = self.side, self.blocks, self.block
+        stored, low = np.asarray(cells, dtype=float), np.asarray(corner, dtype=float)
+        for name, array, count in (("cells", stored, n * n), ("corner", low, 2)):
+            if array.shape != (count,):
+                raise InputError(f"has shape {array.shape}", key=name, remedy=f"give ({count},)")
+        strength = stored - np.sign(stored) * 2 * np.floor(np.abs(stored) / 2)
+        torus = strength.reshape(many, many, size, size).swapaxes(1, 2).reshape(n, n)
+        x, y = (low[axis] + np.arange(n) for axis in (0, 1))
+        values = torus[np.ix_(np.mod(y, n).astype(int), np.mod(x, n).astype(int))]
+        return values, (x + 0.5) * edge, (y + 0.5) * edge
 
 
 class _Steps:

@@ -1,4 +1,4 @@
-"""The echo model in CasADi symbols for the compiled closed loop, equal to `true_range` and `firing_samples`."""
+"""The echo model in CasADi symbols: the distance to the nearest reflecting point, and the samples of a firing."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def beam_of(
 
 
 def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
-    """Return the distance [m] from the apex to the nearest reflecting point, at most 2·maximum; see `true_range`.
+    """Return the distance [m] from the apex to the nearest reflecting point, at most 2·maximum.
 
     Example:
         >>> import casadi as ca
@@ -124,7 +124,11 @@ def looks_of(beam: Beam, solids: Sequence[Solid]) -> tuple[list[tuple[ca.SX, ca.
 
 
 def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
-    """Return the samples (samples, 1) [m] of a firing whose echo comes from `distance` [m], as `firing_samples` does.
+    """Return the samples (samples, 1) [m] of a firing whose echo comes from `distance` [m], in order of time.
+
+    Each sample is scale · distance + bias + noise, limited to [lowest, maximum] and rounded to the nearest conversion
+    step (for example, the minimum of 0.2 m gives the nearest code, 0.194 m). Without an echo within the maximum, every
+    sample is the maximum.
 
     Args:
         array: the sonar array.

@@ -1,20 +1,19 @@
-"""One firing of a sonar and its faults: in NumPy for a single run, and as symbols for compiled loops.
+"""Faults of a sonar and the samples of a faulty firing, in CasADi symbols.
 
 A fault is scheduled for a sensor, a start time and a duration (`Fault`), or it is random with a probability per firing
 (`FaultChances`). At most one fault acts on a firing: the first scheduled fault that is active, otherwise the random
 fault.
 
 The model omits the water surface and the vertical opening of a beam: cones are planar at the robot's depth. The caller
-selects the obstacles that a beam meets at the robot's depth; in the closed loop, `simulation.column` selects these
+selects the obstacles that a beam meets at the robot's depth; in the closed loop, `Body.beside` selects these
 obstacles.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cache
-from math import floor, inf, isfinite
+from math import floor, inf
 from typing import Annotated, Literal, NamedTuple, TypeAlias, get_args
 
 import casadi as ca
@@ -27,7 +26,6 @@ from surctl.files import Strict
 from surctl.ir import Port
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.echo import echo_samples
-from surctl.marine.world import Shape, Vector2, nearest_echo
 
 __all__ = [
     "FAULT_KINDS",
@@ -37,116 +35,11 @@ __all__ = [
     "Fault",
     "FaultChances",
     "FaultKind",
-    "FaultState",
     "check_faults",
     "fault_ports",
     "fault_slots",
-    "fault_state",
-    "faulty",
     "faulty_samples",
-    "fire",
-    "firing_samples",
-    "true_range",
 ]
-
-
-def true_range(array: SonarArray, sensor: int, *, position: Vector2, heading: float, shapes: Iterable[Shape]) -> float:
-    """Return the distance [m] from a sensor's apex to the nearest reflecting point in its cones; inf if none exists.
-
-    Args:
-        array: the sonar array.
-        sensor: index of the sensor.
-        position: (2,) centre of the robot in {E} [m].
-        heading: ψ [rad].
-        shapes: all reflecting shapes of the scene, at their present positions.
-
-    Raises:
-        InputError: if the sensor does not exist, or the position or heading is not finite.
-
-    Example:
-        >>> from surctl.marine.sensing import SonarArray, true_range
-        >>> from surctl.marine.world import Disc
-        >>> pipe = Disc((3.0, 1.0), 0.2)
-        >>> place = {"position": (1.0, 1.0), "heading": 0.0}
-        >>> [true_range(SonarArray(), sensor, shapes=[pipe], **place) for sensor in (0, 2)]  # ahead, astern
-        [1.53, inf]
-    """
-    x, y, axis = array.apex(sensor, position=position, heading=heading)
-    if not isfinite(x + y):
-        raise InputError("position and heading must be finite", key="position", value=(x, y, heading))
-    scene, limit = list(shapes), array.incidence_limit
-    return min(
-        nearest_echo(scene, (x, y), axis + offset, half_angle=half, incidence_limit=limit)
-        for offset, half in array.cones[sensor]
-    )
-
-
-def fire(
-    array: SonarArray,
-    sensor: int,
-    *,
-    position: Vector2,
-    heading: float,
-    shapes: Iterable[Shape],
-    noise: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the raw samples (samples,) [m] of one firing in a scene of shapes.
-
-    Args:
-        array: the sonar array.
-        sensor: index of the sensor.
-        position: (2,) centre of the robot in {E} [m].
-        heading: ψ [rad].
-        shapes: all reflecting shapes of the scene, at their present positions.
-        noise: (samples,) standard normal numbers.
-
-    Raises:
-        InputError: if `true_range` raises InputError, or `noise` does not have the shape (samples,).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import SonarArray, fire
-        >>> from surctl.noise import NoiseStream
-        >>> from surctl.marine.world import Disc
-        >>> noise, pipe = NoiseStream(0).normals(6)[:5], Disc((3.0, 1.0), 0.2)
-        >>> fire(SonarArray(), 0, position=(1.0, 1.0), heading=0.0, shapes=[pipe], noise=noise).round(3).tolist()
-        [1.518, 1.553, 1.535, 1.518, 1.5]
-    """
-    return firing_samples(
-        array, true_range(array, sensor, position=position, heading=heading, shapes=shapes), noise=noise
-    )
-
-
-def firing_samples(array: SonarArray, distance: float, *, noise: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the raw samples (samples,) [m] of a firing whose echo comes from `distance`, in order of time.
-
-    Each sample is scale · distance + bias + noise, limited to [lowest, maximum] and rounded to the nearest conversion
-    step (for example, the minimum of 0.2 m gives the nearest code, 0.194 m). Without an echo within the maximum, every
-    sample is the maximum.
-
-    Args:
-        array: the sonar array.
-        distance: true range [m]; inf if there is no echo.
-        noise: (samples,) standard normal numbers.
-
-    Raises:
-        InputError: if `noise` does not have the shape (samples,).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import SonarArray, firing_samples
-        >>> array, exact = SonarArray(), np.zeros(5)
-        >>> [firing_samples(array, distance, noise=exact)[0].round(3).tolist() for distance in (0.05, 1.53, np.inf)]
-        [0.194, 1.535, 4.5]
-    """
-    if np.shape(noise) != (array.samples,):
-        raise InputError(f"has shape {np.shape(noise)}", key="noise", remedy=f"give ({array.samples},)")
-    if distance > array.maximum:
-        return np.full(array.samples, array.maximum)
-    reading = np.clip(array.scale * distance + array.bias + array.noise_sd * noise, array.lowest, array.maximum)
-    top = array.top_code
-    codes: NDArray[np.float64] = np.floor(reading * top / array.maximum + 0.5)
-    return codes * array.maximum / top
 
 
 FaultKind: TypeAlias = Literal[
@@ -223,41 +116,6 @@ class FaultChances(Strict):
         """Return the kinds of random faults, in the order in which a uniform number selects among them."""
         return tuple(kind for kind in FAULT_KINDS if kind in cls.model_fields)
 
-    def strikes(self, uniform: float) -> FaultKind | None:
-        """Return the kind of random fault that a uniform random number in (0, 1) selects; None if no fault occurs."""
-        passed = 0.0
-        for kind, chance in zip(self.kinds(), self.numbers, strict=True):
-            passed += chance
-            if uniform < passed:
-                return kind
-        return None
-
-
-@dataclass(frozen=True, eq=False)
-class FaultState:
-    """The samples of earlier firings; under some faults, these samples arrive again.
-
-    Attributes:
-        last: (n, samples) samples that arrived last from each sensor [m]; the maximum until samples arrive.
-        history: (n, `LONGEST_DELAY`, samples) fault-free samples of each sensor's last firings, newest first [m].
-    """
-
-    last: NDArray[np.float64]
-    history: NDArray[np.float64]
-
-
-def fault_state(array: SonarArray) -> FaultState:
-    """Return the fault state before the first firing.
-
-    Example:
-        >>> from surctl.marine.sensing import SonarArray, fault_state
-        >>> state = fault_state(SonarArray())
-        >>> state.last.shape, state.history.shape, float(state.last.min())  # m: as if nothing were in range
-        ((4, 5), (4, 8, 5), 4.5)
-    """
-    n, samples = array.size, array.samples
-    return FaultState(np.full((n, samples), array.maximum), np.full((n, LONGEST_DELAY, samples), array.maximum))
-
 
 def check_faults(array: SonarArray, faults: Sequence[Fault], chances: FaultChances | None = None) -> None:
     """Raise InputError if a fault is impossible: unknown sensor, too long a delay, or crosstalk with a single sensor.
@@ -296,88 +154,6 @@ def _fault_end(array: SonarArray, fault: Fault) -> float:
     if fault.duration_s is None:
         return fault.start_s + array.cycle if fault.kind == "spike" else inf
     return fault.start_s + fault.duration_s
-
-
-def faulty(
-    array: SonarArray,
-    state: FaultState,
-    sensor: int,
-    *,
-    time: float,
-    distance: float,
-    noise: NDArray[np.float64],
-    faults: Sequence[Fault] = (),
-    chances: FaultChances | None = None,
-    uniforms: Sequence[float] | NDArray[np.float64] = (0.5, 0.5),
-) -> tuple[NDArray[np.float64] | None, FaultState]:
-    """Return the samples (samples,) [m] that arrive from a firing, or None if none arrive, and the next fault state.
-
-    If no fault acts on the firing, the samples are those of `firing_samples` for `distance`. The function assumes that
-    every sensor fires once per cycle.
-
-    Args:
-        array: the sonar array.
-        state: fault state, from `fault_state` or from the result for the previous firing.
-        sensor: index of the sensor that fires.
-        time: time of the firing [s].
-        distance: range to the nearest reflecting point [m], from `true_range`.
-        noise: (samples,) standard normal numbers.
-        faults: scheduled faults, checked by `check_faults`; if several faults are active at a firing, the first fault
-            in the sequence acts.
-        chances: probabilities of random faults, which may occur if no scheduled fault is active.
-        uniforms: two numbers in (0, 1); the first selects the random fault, the second gives the value of a spike.
-
-    Raises:
-        InputError: if `noise` does not have the shape (samples,).
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.sensing import Fault, SonarArray, fault_state, faulty
-        >>> array, faults = SonarArray(), [Fault(sensor=0, kind="second_echo", start_s=1.0)]
-        >>> for time in (0.5, 1.5):
-        ...     firing = {"time": time, "distance": 1.0, "noise": np.zeros(5)}
-        ...     samples, _ = faulty(array, fault_state(array), 0, faults=faults, **firing)
-        ...     print(samples.round(3).tolist())
-        [1.006, 1.006, 1.006, 1.006, 1.006]
-        [1.994, 1.994, 1.994, 1.994, 1.994]
-    """
-    own = firing_samples(array, distance, noise=noise)
-    active = next((f for f in faults if f.sensor == sensor and _acts(array, f, time)), None)
-    kind = active.kind if active else chances.strikes(uniforms[0]) if chances else None
-    samples: NDArray[np.float64] | None = own
-    if kind in ("dropout", "dead"):
-        samples = None
-    elif kind == "stuck":
-        samples = state.last[sensor]
-    elif kind == "zero":
-        samples = np.zeros(array.samples)
-    elif kind == "maximum":
-        samples = np.full(array.samples, array.maximum)
-    elif kind == "spike":
-        samples = np.full(array.samples, _spike(array, uniforms[1]))
-    elif kind == "second_echo":
-        samples = firing_samples(array, 2.0 * distance, noise=noise)
-    elif kind == "crosstalk":
-        samples = state.last[array.order[array.order.index(sensor) - 1]]
-    elif kind == "delay" and active is not None:
-        m = _delay_firings(array, active)
-        began = time - m * array.cycle >= active.start_s - _SLACK
-        samples = state.history[sensor, m - 1] if began else None
-    last, history = state.last.copy(), state.history.copy()
-    history[sensor] = np.vstack((own, history[sensor, :-1]))
-    if samples is not None:
-        last[sensor] = samples
-    return samples, FaultState(last, history)
-
-
-def _acts(array: SonarArray, fault: Fault, time: float) -> bool:
-    return fault.start_s - _SLACK <= time < _fault_end(array, fault) - _SLACK
-
-
-def _spike(array: SonarArray, uniform: float) -> float:
-    # from the lowest reading to the maximum, rounded to a conversion step
-    value, top = array.lowest + uniform * (array.maximum - array.lowest), array.top_code
-    return floor(value * top / array.maximum + 0.5) * array.maximum / top
 
 
 SLOT = 5
@@ -454,7 +230,7 @@ def faulty_samples(
     delays: bool,
     prefix: str = "",
 ) -> Arrival:
-    """Return the samples that arrive from one firing, and the next fault state; see `faulty`.
+    """Return the samples that arrive from one firing, and the next fault state.
 
     Args:
         array: the sonar array.

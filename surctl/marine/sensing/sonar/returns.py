@@ -1,9 +1,9 @@
-"""Returns of a beam: reflectors, the range at which an echo is certain or weak, in NumPy and as symbols.
+"""Returns of a beam: reflectors, and the range at which an echo is certain or weak, in CasADi symbols.
 
 Several surfaces in a beam answer the same ping, and the module measures the first echo that it detects. So the measured
-range is the minimum over the returns that are detected. `certain_range` gives the nearest return that is always
-detected. `weak_range` gives the nearest of the other returns, if detected in this firing: edges and cylinders, which
-are detected with a probability, and corners of the site.
+range is the minimum over the returns that are detected. `certain_range_symbols` gives the nearest return that is always
+detected. `weak_range_symbols` gives the nearest of the other returns, if detected in this firing: edges and cylinders,
+which are detected with a probability, and corners of the site.
 
 Upright surfaces are met in the horizontal plane of the sensor: for a beam with pitch 0 this is exact, because the
 nearest point of an upright surface in a circular cone about a horizontal axis lies in that plane. The water surface and
@@ -21,37 +21,45 @@ A weak echo is detected with the probability P = 1/(1 + (r/R)⁶ (1 + x²)⁴). 
 angle from the beam's axis divided by that of half the opening angle, and R is the range at which an echo on the axis is
 detected in half of the firings. P is the logistic function of the echo's level in dB above the threshold, with a spread
 of 3.9 dB: the amplitude falls as r^(-3/2), and by half from the axis to the edge of the beam.
+
+The random numbers that decide on weak echoes depend only on the run's seed, the instant, the sensor and the echo. They
+are counter-based: no state passes from one number to the next, so their order and the number of threads do not matter.
+A number comes from the cipher MiMC (Albrecht, Grassi, Rechberger, Roy and Tiessen 2016): rounds of adding a key and a
+constant and of taking the cube modulo a prime p. The cube is a permutation because p − 1 is not divisible by 3. With p
+below 2^26, all products are exact in double precision, so Python, CasADi and C give the same bits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import cos, inf, pi, sin, sqrt, tan
+from math import cos, pi, sin, sqrt, tan
 from types import MappingProxyType
 from typing import Any
 from zlib import crc32
 
 import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
 from surctl.marine.sensing.sonar.array import SonarArray
 from surctl.marine.sensing.sonar.echo import Beam, looks_of
 from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc, SolidWalls
-from surctl.marine.world import Box, Disc, Shape, Vector2, Wall, box_edges, in_view, nearest_facing
+from surctl.noise import noise_states
 
 __all__ = [
+    "ECHO_KEY",
     "REFLECTORS",
     "Reflector",
     "Surfaces",
-    "certain_range",
     "certain_range_symbols",
-    "corner_points",
     "detection_odds",
+    "echo_keys",
     "echo_number",
+    "firing_block_symbols",
     "level_range",
     "rim",
-    "weak_range",
+    "uniform_symbols",
     "weak_range_symbols",
 ]
 
@@ -198,61 +206,6 @@ _LEVEL = 1e-6
 """Least sine of the elevation of a ray that meets water surface or floor."""
 
 
-def certain_range(
-    array: SonarArray,
-    sensor: int,
-    *,
-    place: Sequence[float],
-    heading: float,
-    shapes: Sequence[tuple[Shape, Reflector]],
-    surfaces: Surfaces,
-) -> float:
-    """Return the distance [m] to the nearest return that is detected with certainty; inf if there is none.
-
-    Args:
-        array: the sonar array.
-        sensor: index of the sensor.
-        place: (3,) centre of the robot in {E} [m].
-        heading: ψ [rad].
-        shapes: upright shapes of the scene, walls included, with their reflectors.
-        surfaces: reflectors of water surface and floor, and the depth of the water.
-
-    Raises:
-        InputError: if the sensor does not exist, or the place or heading is not finite.
-
-    Example:
-        >>> from surctl.marine.sensing import REFLECTORS, SonarArray, Surfaces, certain_range
-        >>> rough, smooth = REFLECTORS["diffuse"], REFLECTORS["specular"]
-        >>> beam = {"place": (1.0, 1.0, -0.15), "heading": 0.0, "shapes": []}
-        >>> for surface in (rough, smooth):
-        ...     around = Surfaces((), (rough,) * 4, surface=surface, floor=smooth, depth=5.0)
-        ...     print(round(certain_range(SonarArray(), 0, surfaces=around, **beam), 3))
-        0.246
-        inf
-    """
-    x, y, axis = array.apex(sensor, position=place, heading=heading)
-    if not abs(x + y + axis) < inf:
-        raise InputError("position and heading must be finite", key="place", value=(*place, heading))
-    scene = [shape for shape, _ in shapes]
-    faced = [reflector.faced(curved=isinstance(shape, Disc)) for shape, reflector in shapes]
-    nearest = min(
-        nearest_facing(scene, faced, (x, y), axis + offset, half_angle=half) for offset, half in array.cones[sensor]
-    )
-    levels = [(1, surfaces.surface, -place[2]), (-1, surfaces.floor, surfaces.depth + place[2])]
-    levels = [level for level in levels if level_range(array, level[1], side=level[0], gap=1.0) is not None]
-    if not levels:
-        return nearest
-    ahead = (cos(axis), sin(axis))
-    for ex, ey in [ahead, *(ray for shape in scene for ray in shape.outlook(x, y))]:
-        cosine = ex * ahead[0] + ey * ahead[1]
-        free = min((shape.hit(x, y, ex=ex, ey=ey)[0] for shape in scene), default=inf)
-        for side, reflector, gap in levels:
-            rise, level = rim(array, cosine, side=side)
-            if rise >= max(reflector.faced(curved=False), _LEVEL) and free * rise > max(gap, 0.0) * level:
-                nearest = min(nearest, max(gap, 0.0) / rise)
-    return nearest
-
-
 def level_range(array: SonarArray, reflector: Reflector, *, side: int, gap: float) -> float | None:
     """Return the range [m] of the return of the water surface (`side` 1) or floor (−1) that is `gap` [m] away.
 
@@ -296,70 +249,6 @@ def rim(array: SonarArray, cosine: Any, *, side: int) -> tuple[Any, Any]:
     return either(inside < 0, 0.0, rise), larger(level, 0.0)
 
 
-def weak_range(
-    array: SonarArray,
-    sensor: int,
-    *,
-    position: Vector2,
-    heading: float,
-    bodies: Sequence[tuple[int, Shape, Reflector]],
-    corners: Sequence[Vector2],
-    uniform: Callable[[int], float],
-) -> float:
-    """Return the distance [m] to the nearest detected edge, cylinder or corner of the site; inf if there is none.
-
-    Args:
-        array: the sonar array.
-        sensor: index of the sensor.
-        position: (2,) centre of the robot in {E} [m].
-        heading: ψ [rad].
-        bodies: the obstacles of the scene: number of their first echo (`echo_number`), shape, and reflector.
-        corners: corners of the site that answer (with certainty), from `corner_points`.
-        uniform: function that returns the random number in (0, 1) of an echo, by its number: that of the obstacle's
-            first echo, plus the number of the edge.
-
-    Example:
-        >>> from surctl.marine.sensing import REFLECTORS, SonarArray, weak_range
-        >>> from surctl.marine.world import Disc
-        >>> pipe = (0, Disc((3.0, 1.0), 0.05), REFLECTORS["specular"])
-        >>> beam = {"position": (1.0, 1.0), "heading": 0.0, "bodies": [pipe], "corners": []}
-        >>> [round(weak_range(SonarArray(), 0, uniform=lambda echo: u, **beam), 2) for u in (0.9, 0.99)]  # P is 0.92
-        [1.68, inf]
-    """
-    x, y, axis = array.apex(sensor, position=position, heading=heading)
-    ahead, tangent, nearest = (cos(axis), sin(axis)), tan(array.half_angle), inf
-    cones = [(cos(axis + o), sin(axis + o), cos(half) - _IN_CONE) for o, half in array.cones[sensor]]
-    shapes = [shape for _, shape, _ in bodies]
-
-    def holds(ex: float, ey: float) -> bool:
-        return any(ex * c + ey * s >= least for c, s, least in cones)
-
-    for point in corners:
-        distance, ex, ey = in_view(shapes, (x, y), point)
-        if holds(ex, ey):
-            nearest = min(nearest, distance)
-    for number, shape, reflector in bodies:
-        others = [other for other in shapes if other is not shape]
-        if isinstance(shape, Box) and reflector.edge_range > 0:
-            points, half_range, radius = box_edges(shape, (x, y)), reflector.edge_range, None
-        elif isinstance(shape, Disc) and reflector.cylinder_range:
-            _, px, py = shape.foot(x, y)
-            points, half_range, radius = [(px, py)], reflector.cylinder_range, shape.radius
-        else:
-            continue
-        for k, place in enumerate(points):
-            if place is None:
-                continue
-            distance, ex, ey = in_view(others, (x, y), place)
-            if not holds(ex, ey) or distance >= nearest:
-                continue
-            cosine = ex * ahead[0] + ey * ahead[1]
-            odds = detection_odds(distance, cosine, half_range=half_range, tangent=tangent, radius=radius)
-            if uniform(number + k) * odds < 1.0:
-                nearest = distance
-    return nearest
-
-
 def echo_number(name: str) -> int:
     """Return the number of the first weak echo of an obstacle, from its name.
 
@@ -373,20 +262,7 @@ def echo_number(name: str) -> int:
     return 4 * (crc32(name.encode()) % _NAMES)  # a box has four edges
 
 
-def corner_points(walls: Sequence[Wall], surfaces: Surfaces) -> list[tuple[float, float]]:
-    """Return the corners (x, y) [m] of the site that answer from any direction; see `Surfaces.corners`.
-
-    Example:
-        >>> from surctl.marine.sensing import REFLECTORS, Surfaces, corner_points
-        >>> from surctl.marine.world import site_walls
-        >>> smooth = REFLECTORS["specular"]
-        >>> corner_points(site_walls(2.0, 3.0), Surfaces((), (smooth,) * 4, smooth, smooth, depth=1.0))
-        [(0.0, 0.0), (0.0, 2.0), (3.0, 0.0), (3.0, 2.0)]
-    """
-    return [(walls[i].point[0], walls[j].point[1]) for i, j in surfaces.corners]
-
-
-_TOUCHES = 1e-9  # [m] as in `in_view`
+_TOUCHES = 1e-9  # [m] a shape that is nearer than a point by less than this does not hide it
 _LEAST = 1e-30
 
 
@@ -469,7 +345,7 @@ def weak_range_symbols(
 ) -> ca.SX:
     """Return the distance [m] to the nearest detected edge, cylinder or corner of the site, at most 2·maximum.
 
-    `bodies` are the obstacles with the numbers of their first echoes; see `weak_range`.
+    `bodies` are the obstacles with the numbers of their first echoes (`echo_number`).
 
     Example:
         >>> import casadi as ca
@@ -528,3 +404,73 @@ def _in_view(solids: Sequence[Solid], apex: ca.SX, point: ca.SX, nothing: float)
         far, _ = solid.hit(apex, ray, nothing=nothing)
         hidden = ca.logic_or(hidden, ca.logic_and(solid.present, far < distance - _TOUCHES))
     return ca.if_else(hidden, nothing, distance), ray
+
+
+ECHO_KEY = 6
+"""Number of values in the key of a run: whole numbers below 2^26."""
+
+_P = 67108859  # 2^26 − 5, the largest prime below 2^26
+_ROUNDS = 4  # for each of the three counters: instant, sensor, echo
+_CONSTANTS = (14159265, 35897932, 38462643, 38327950, 28841971, 69399375 % _P, 10582097, 49445923, 7816406, 28620899,
+              8628034, 82534211 % _P)  # fmt: skip  # digits of π
+
+
+def echo_keys(seeds: ArrayLike) -> NDArray[np.float64]:
+    """Return the key of each seed, (n, `ECHO_KEY`) whole numbers.
+
+    Example:
+        >>> from surctl.marine.sensing import echo_keys
+        >>> echo_keys([0, 1]).shape
+        (2, 6)
+    """
+    return np.asarray(noise_states(seeds) % _P, dtype=float)
+
+
+def firing_block_symbols(key: ca.SX, instant: ca.SX, sensor: ca.SX) -> ca.SX:
+    """Return the state of a firing, from which `uniform_symbols` makes the numbers of its echoes, in CasADi symbols.
+
+    Args:
+        key: (`ECHO_KEY`,) key of the run.
+        instant: number of the firing instant, 0 to 6e7.
+        sensor: index of the sensor that fires.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.sensing import echo_keys, firing_block_symbols
+        >>> key = ca.SX(echo_keys([7])[0])
+        >>> float(ca.evalf(firing_block_symbols(key, ca.SX(40), ca.SX(1)))) < 2**26
+        True
+    """
+    return _mixed_symbols(_mixed_symbols(instant, key, 0) + sensor, key, 1)
+
+
+def uniform_symbols(key: ca.SX, block: ca.SX, echo: ca.SX | int) -> ca.SX:
+    """Return the uniform random number in (0, 1) of one echo of a firing in CasADi symbols.
+
+    Args:
+        key: (`ECHO_KEY`,) key of the run.
+        block: state of the firing, from `firing_block_symbols`.
+        echo: number of the echo, 0 to 2^22.
+
+    Example:
+        >>> import casadi as ca
+        >>> from surctl.marine.sensing import echo_keys, firing_block_symbols, uniform_symbols
+        >>> key = ca.SX(echo_keys([7])[0])
+        >>> block = firing_block_symbols(key, ca.SX(40), ca.SX(1))
+        >>> [round(float(ca.evalf(uniform_symbols(key, block, echo))), 4) for echo in (0, 1)]
+        [0.1932, 0.2188]
+    """
+    return (_mixed_symbols(block + echo, key, 2) + 0.5) / float(_P)
+
+
+def _mixed_symbols(x: ca.SX, key: ca.SX, counter: int) -> ca.SX:
+    for k in range(counter * _ROUNDS, (counter + 1) * _ROUNDS):
+        x = _remainder(x + key[k % ECHO_KEY] + _CONSTANTS[k])
+        x = _remainder(_remainder(x * x) * x)
+    return x
+
+
+def _remainder(x: ca.SX) -> ca.SX:
+    # exact for whole x below 2^52: the quotient is whole or at least 1/p below the next whole number, and its rounding
+    # error is below 2^-27
+    return x - ca.floor(x / float(_P)) * float(_P)

@@ -1,4 +1,4 @@
-"""Reflecting shapes in CasADi symbols for the compiled closed loop, equal to the shapes of `surctl.marine.world`.
+"""Reflecting shapes in CasADi symbols for the compiled closed loop.
 
 If a ray or cone does not meet a shape, the range is `nothing`, a value beyond the sensor's maximum. Every branch of an
 if_else is finite for finite inputs.
@@ -71,8 +71,8 @@ def disc_range(axis: ca.SX, to: ca.SX, *, radius: ca.SX, half_angle: float | ca.
     return ca.fmax(0.0, ca.if_else(length <= radius, 0.0, nearest))
 
 
-_IN_CONE = 1e-12  # tolerance, as in `Shape.nearest_in_cone`
-_BESIDE = 1e-9  # rad, as `Shape.outlook`
+_IN_CONE = 1e-12  # tolerance of a cosine, so that a corner exactly on the cone's edge counts as inside
+_BESIDE = 1e-9  # [rad] angle between a ray and the corner or rim that it passes, so that rounding cannot change the hit
 _PARALLEL = 1e-30  # replaces a direction component of 0, so that the ray crosses the slab very far away
 _LEAST = 1e-30  # m, lower limit of a length used as divisor
 
@@ -95,7 +95,7 @@ class Cone:
 
 
 class Solid(ABC):
-    """A reflecting shape; see `surctl.marine.world.Shape` for the meaning of each method."""
+    """A reflecting shape: the distances and directions of its surface as seen from an apex."""
 
     present: ca.SX
     """1 if the shape is present, else 0."""

@@ -1,9 +1,9 @@
-"""Simulate many closed loops at once, with compiled C or CasADi's virtual machine."""
+"""Simulate many closed loops at once, with compiled C or CasADi's virtual machine: metrics, or signals over time."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal, NamedTuple, get_args
@@ -39,18 +39,26 @@ __all__ = [
     "Engine",
     "SlowerEngine",
     "StoredLoop",
+    "Trace",
     "broadcast",
     "compiled_loop",
+    "loop_sources",
+    "metrics_table",
     "simulate_batch",
     "stored_loop",
+    "trace_batch",
 ]
 
-_SOURCES = (
-    *LAW_SOURCES,
+_FURTHER = (
     *(f"surctl.{name}" for name in ("files", "own_code", "units")),
     *(f"surctl.marine.{name}" for name in ("allocation", "simulation", "world")),
 )
-"""Packages whose source code determines the instruction list of a closed loop."""
+"""Packages besides `LAW_SOURCES` whose source code determines the programs of a closed loop."""
+
+
+def loop_sources() -> str:
+    """Return a digest of the source code that determines the programs of a closed loop; raises as `source_digest`."""
+    return source_digest(*LAW_SOURCES) + source_digest(*_FURTHER)
 
 
 class StoredLoop(NamedTuple):
@@ -75,7 +83,7 @@ def stored_loop(structure: Structure) -> StoredLoop:
     if is_own(structure.law) or structure.actuators is not None:
         return _built(structure)
     try:
-        sources = source_digest(*_SOURCES)
+        sources = loop_sources()
     except SurctlError:  # the source code is missing or changed since the import, so it cannot identify a cached loop
         return _built(structure)
     key = hashlib.sha256(f"{sources}\0{structure!r}".encode()).hexdigest()
@@ -168,12 +176,12 @@ def simulate_batch(
         try:
             compiled = compiled_loop(loop.structure)
             final = compiled.run(packed.state, packed.parameters, steps=packed.steps, threads=threads)
-            return BatchResult(_metrics(loop, final), "c")
+            return BatchResult(metrics_table(loop, final), "c")
         except ToolMissing as missing:
             if engine == "c":
                 raise
             warn_slower(missing)
-    return BatchResult(_metrics(loop, _through_machine(loop, packed)), "vm")
+    return BatchResult(metrics_table(loop, _through_machine(loop, packed)), "vm")
 
 
 @cache
@@ -244,8 +252,8 @@ def _crab(loop: Loop, s: Mapping[str, Columns]) -> dict[str, Columns]:
     }
 
 
-def _metrics(loop: Loop, final: Columns) -> Columns:
-    # (n, len(METRICS))
+def metrics_table(loop: Loop, final: Columns) -> Columns:
+    """Return the metrics (n, len(METRICS)) of n runs from their final states (n, …)."""
     s = {port.name: final[:, loop.state.slice(port.name)][:, 0] for port in loop.state}
     rows, dt = s["step"] + 1, loop.law.dt
     error = np.divide(s["sum_error"], s["count_error"], out=np.full(len(final), np.nan), where=s["count_error"] > 0)
@@ -277,3 +285,57 @@ def _metrics(loop: Loop, final: Columns) -> Columns:
     columns["wasted_impulse_n_s"] = wasted * dt
     columns["wasted_share"] = np.divide(wasted, s["sum_effort"], out=np.zeros(len(final)), where=spent)
     return np.column_stack([columns[name] for name in METRICS])
+
+
+_TOGETHER = 64  # runs whose signals are in memory at once
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Signals of one run at its n control steps.
+
+    Attributes:
+        plant: (n, …) state of the plant, see `plant_state`: first η (4,), then ν (4,).
+        law: (n, nx) state of the law.
+        tau: (n, 4) commanded thrust [N, N m].
+    """
+
+    plant: Columns
+    law: Columns
+    tau: Columns
+
+
+def trace_batch(case: Case, values: Mapping[str, ArrayLike], *, seeds: ArrayLike = 0) -> Iterator[Trace]:
+    """Simulate runs as `simulate_batch` does and yield the signals of each run, without its last control step.
+
+    Args:
+        case: the simulated setup (scenario, vehicle, law).
+        values: parameter values by name: an array (n,) or one number for all runs.
+        seeds: (n,) seeds, or one seed for all runs.
+
+    Raises:
+        InputError: as for `simulate_batch`.
+        ToolMissing: there is no C compiler.
+    """
+    columns, run_seeds = broadcast(values, seeds)
+    check_values(case, columns)
+    loop = build_loop(structure_of(case, columns))
+    compiled = compiled_loop(loop.structure)
+    plant, law, tau = (loop.state.slice(name) for name in ("plant", "law", "last_thrust"))
+    for first in range(0, len(run_seeds), _TOGETHER):
+        some = slice(first, first + _TOGETHER)
+        packed = pack(case, loop, {name: column[some] for name, column in columns.items()}, run_seeds[some])
+        state, ended = packed.state, np.full(len(packed.state), packed.steps)
+        plants, laws, taus = [], [], []
+        for k in range(packed.steps):
+            after = compiled.run(state, packed.parameters, steps=1)  # one thread: to start more takes longer
+            plants.append(state[:, plant])
+            laws.append(state[:, law])
+            taus.append(after[:, tau])
+            ended[(after[:, 0] != 0) & (state[:, 0] == 0)] = k
+            if after[:, 0].all():
+                break
+            state = after
+        signals = [np.stack(rows, axis=1) for rows in (plants, laws, taus)]
+        for run, count in enumerate(ended):
+            yield Trace(*(signal[run, :count] for signal in signals))

@@ -1,7 +1,4 @@
-"""Sensors of the closed loop as CasADi expressions: sonars, position measurement, and messages about obstacles.
-
-The module computes the same sensor values as the methods `_listen` and `_measurements` of `simulation.loop.Loop`.
-"""
+"""Sensors of the closed loop as CasADi expressions: sonars, position measurement, and messages about obstacles."""
 
 from __future__ import annotations
 
@@ -243,13 +240,13 @@ class Listening:
     @property
     def normals(self) -> int:
         """Number of normally distributed random numbers for the sonar firings of one control step (an even number)."""
-        count = self._instants * self._wide * self.structure.equipment.array.samples
+        count = self._instants * self.wide * self.structure.equipment.array.samples
         return count + count % 2
 
     @property
     def uniforms(self) -> int:
         """Number of uniform random numbers for one control step; at least 1, so that the array is not empty."""
-        return 2 * self._instants * self._wide if self.structure.may_fail else 1
+        return 2 * self._instants * self.wide if self.structure.may_fail else 1
 
     @property
     def _instants(self) -> int:
@@ -260,11 +257,12 @@ class Listening:
         return firing_plan(self.structure.equipment.array)
 
     @property
-    def _wide(self) -> int:
+    def wide(self) -> int:
+        """Largest number of sonars that fire at one instant."""
         return len(self._plan.sensors[0])
 
     def draw(self, noise: ca.SX, out: dict[str, ca.SX], *, movers: ca.SX | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Draw the noise of one control step, as `simulation.loop._StepNoise` defines it.
+        """Draw the noise of one control step: for the sonars, the robot's own state, then every moving obstacle.
 
         The function returns three expressions: the noise of the own-state measurement, the noise of the base station's
         message, and the random number that decides whether the message is lost. It writes the noise of the sonars to
@@ -303,13 +301,12 @@ class Listening:
         if self.law.perception is None:
             spread = [own.position_sd, own.position_sd, own.position_sd, own.yaw_sd] if own else [0.0] * 4
             inputs = {"eta": eta + ca.DM(spread) * own_noise[:4], "nu": nu}
-            if rows.shape[0]:
-                inputs["contacts"] = ca.vertcat(
-                    *(_observed(station, rows[k, :], noise[k, :]) for k in range(rows.shape[0]))
-                )
+            if "contacts" in self.law.inputs:
+                observed = (_observed(station, rows[k, :], noise[k, :]) for k in range(rows.shape[0]))
+                inputs["contacts"] = ca.vertcat(ca.SX(0, 6), *observed)
             return inputs
         inputs = {}
-        if rows.shape[0]:
+        if "contacts" in self.law.inputs:
             then = flat(rows)
             if "messages" in state:
                 then, out["messages"] = delayed_symbols(state["messages"], then)
@@ -340,7 +337,7 @@ class Listening:
         instant: int,
     ) -> tuple[dict[str, ca.SX], ca.SX]:
         """Return the stored echoes after one firing instant, and (sonars, 1): 1 for a sonar whose echo arrived."""
-        structure, plan, wide = self.structure, self._plan, self._wide
+        structure, plan, wide = self.structure, self._plan, self.wide
         array, samples = structure.equipment.array, structure.equipment.array.samples
         after = {name: value for name, value in echoes.items() if name.startswith("sonar_")}
         fresh = [ca.SX(0)] * array.size
@@ -354,7 +351,8 @@ class Listening:
             noise, sensor = numbers["normals"][at : at + samples], ca.SX(0)
             for t, i in enumerate(listed):
                 sensor = ca.if_else(turn == t, i, sensor)
-            distance = self._distance(w, bodies, beam, plant[2], sensor, step * self._instants + instant)
+            certain = numbers["echo"][k] if "echo" in numbers else None
+            distance = self._distance(w, bodies, beam, plant[2], sensor, step * self._instants + instant, certain)
             if structure.may_fail:
                 at = 2 * (instant * wide + k)
                 arrival = faulty_samples(
@@ -384,15 +382,25 @@ class Listening:
         return after, ca.vertcat(*fresh)
 
     def _distance(
-        self, w: Mapping[str, ca.SX], bodies: Sequence[Body], beam: Beam, z: ca.SX, sensor: ca.SX, instant: ca.SX
+        self,
+        w: Mapping[str, ca.SX],
+        bodies: Sequence[Body],
+        beam: Beam,
+        z: ca.SX,
+        sensor: ca.SX,
+        instant: ca.SX,
+        certain: ca.SX | None,
     ) -> ca.SX:
-        # distance [m] of the first detected echo; `instant` counts the firing instants of the run
+        # distance [m] of the first detected echo; `instant` counts the firing instants of the run; `certain` is the
+        # distance of the first certain echo if it is measured elsewhere
         array, surfaces = self.structure.equipment.array, self.structure.surfaces
         walls, solids = SolidWalls(w["walls"]), [body.solid for body in bodies]
         if surfaces is None:
-            return echo_range(array, beam, [*solids, walls])
+            return echo_range(array, beam, [*solids, walls]) if certain is None else certain
         upright = list(zip(solids, surfaces.obstacles, strict=True))
-        nearest = certain_range_symbols(array, beam, upright, walls, z=z, surfaces=surfaces)
+        nearest = certain
+        if nearest is None:
+            nearest = certain_range_symbols(array, beam, upright, walls, z=z, surfaces=surfaces)
         if not (surfaces.weak or surfaces.corners):
             return nearest
         key, numbers = ca.SX.zeros(ECHO_KEY), ca.SX.zeros(len(upright))

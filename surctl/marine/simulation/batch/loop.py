@@ -1,14 +1,13 @@
 """One control period of the closed loop (world, sensors, law, plant and metrics) as one CasADi function.
 
-The module writes the loop of `simulation.loop.simulate` as CasADi expressions, so that a whole run can be compiled,
-differentiated or run in CasADi's virtual machine. The two versions of the loop are written independently, and the tests
-compare their results.
+The module writes the loop as CasADi expressions: whole runs are compiled or run in CasADi's virtual machine, and
+`simulation.loop` steps a single run through the same programs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import casadi as ca
@@ -30,11 +29,11 @@ from surctl.ir import (
 from surctl.marine.control import WORKING, Law, build_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, ROW, follow
 from surctl.marine.simulation.batch.listening import SUMS, Listening, counted, flat, path_square, path_tangent, slots
-from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_at, body_size, driven
-from surctl.marine.simulation.column import LONGEST
+from surctl.marine.simulation.batch.structure import ABSENT, Body, Mission, Structure, body_size, driven
 from surctl.marine.simulation.metrics import STANDSTILL, STOPPED_LIMIT, STOPS
 from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.sensors import FIRING
+from surctl.marine.simulation.world import LONGEST
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 from surctl.noise import NOISE_STATE
 
@@ -80,6 +79,24 @@ class Loop:
         )
         return Routine("step", (("s", state.size), ("w", parameters.size)), steps, outputs[2])
 
+    def calls(self, *, measured: bool) -> dict[str, Block]:
+        """Return the programs of `step` except law, thrusters and plant, for a single run that keeps the law's state.
+
+        The state of such a loop has no entry `law`, see `loop_of`. With `measured`, the distances of the sonars' first
+        certain echoes [m] are inputs: `echo` of `sense` and of `between`.
+        """
+        builder = _Builder(self.structure, self.law, self.state, self.parameters, measured=measured)
+        fed = builder.mission.programs(self.state, self.parameters) if builder.mission else ()
+        listed = (*fed, builder.sense(), builder.between(), builder.close())
+        return {block.name: block for block in listed}
+
+
+@cache
+def loop_of(structure: Structure, law: Law, *, single: bool = False) -> Loop:
+    """Return the loop of a law; that of a `single` run has no law state, which the run keeps itself."""
+    state = [port for port in _state_ports(law, structure) if not (single and port.name == "law")]
+    return Loop(structure, law, Layout(tuple(state)), Layout(_parameter_ports(law, structure)))
+
 
 @cache
 def build_loop(structure: Structure) -> Loop:
@@ -98,7 +115,7 @@ def build_loop(structure: Structure) -> Loop:
         depths=structure.depths,
         actuators=structure.actuators,
     )
-    return Loop(structure, law, Layout(_state_ports(law, structure)), Layout(_parameter_ports(law, structure)))
+    return loop_of(structure, law)
 
 
 def _parameter_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
@@ -165,8 +182,11 @@ def _state_ports(law: Law, structure: Structure) -> tuple[Port, ...]:
 
 
 class _Builder:
-    def __init__(self, structure: Structure, law: Law, state: Layout, parameters: Layout) -> None:
+    def __init__(
+        self, structure: Structure, law: Law, state: Layout, parameters: Layout, *, measured: bool = False
+    ) -> None:
         self.structure, self.law, self.state, self.parameters = structure, law, state, parameters
+        self.measured, self.alone = measured and structure.sensing == "sonar", "law" not in state
         self.sonar, self.listening = structure.sensing == "sonar", Listening(structure, law)
         self.mission = _mission_of(structure, law)
 
@@ -176,14 +196,19 @@ class _Builder:
         w, parameters = self.parameters.symbols("w")
         step, dt = state["step"], self.law.dt
         time = step * dt
-        bodies = self._bodies(parameters, time)
+        bodies = self.structure.bodies_at(parameters, time)
         eta, nu = state["plant"][:4], state["plant"][4:8]
-        out: dict[str, ca.SX] = {} if self.mission else {"x": state["law"], "p": w[: self.law.gains.size]}
+        out: dict[str, ca.SX] = {}
+        if not (self.mission or self.alone):
+            out = {"x": state["law"], "p": w[: self.law.gains.size]}
+        echo = {"echo": ca.SX.sym("echo", self.listening.wide)} if self.measured else {}
         inputs: dict[str, ca.SX] = {"eta": eta, "nu": nu}
         if self.sonar:
             own, message_noise, loss = self.listening.draw(state["noise"], out, movers=self._movers(parameters))
             near = self._beside(parameters, bodies, eta)
-            echoes, arrived = self.listening.instant(parameters, near, state["plant"], state, step, out, instant=0)
+            echoes, arrived = self.listening.instant(
+                parameters, near, state["plant"], state, step, {**out, **echo}, instant=0
+            )
             inputs = {"samples": echoes["sonar_last"], "fresh": ca.fmax(state["fresh"], arrived)}
             out["echoes"] = self.listening.echoes.join(echoes)
             movers = [b for b in bodies if b.moving]
@@ -195,19 +220,25 @@ class _Builder:
             near = self._beside(parameters, bodies, eta)
             if "contacts" in self.law.inputs:
                 slot_count = self.law.inputs.port("contacts").shape[0]
-                rows = slots([b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near], slot_count)
-                inputs["contacts"] = ca.vertcat(rows, ca.SX.zeros(slot_count - rows.shape[0], 6))
+                inputs["contacts"] = slots(
+                    [b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near], slot_count
+                )
+        if "contacts" in inputs:
+            rows = inputs["contacts"]
+            inputs["contacts"] = ca.vertcat(
+                rows, ca.SX.zeros(self.law.inputs.port("contacts").shape[0] - rows.shape[0], 6)
+            )
         if WORKING in self.law.inputs:
             inputs[WORKING] = parameters[WORKING]
         if "column" in self.law.inputs:
-            inputs["column"] = _column(bodies, parameters, eta)
+            inputs["column"] = _column(bodies, parameters, eta) if self.structure.depths else ca.SX.zeros(2)
         out["u"] = self.law.inputs.join(inputs)
         out["plant"], out["plant_p"] = state["plant"], parameters["plant"]
         out["d0"], out["d1"] = self._disturbance(parameters, time), self._disturbance(parameters, time + FIRING)
         out["step"] = step
         out["clearance"] = _clearances(bodies, parameters, eta[:3])
         out["late"] = ca.vertcat(ca.SX(0, 1), *(flat(out.pop(port.name)) for port in self._late if port.name in out))
-        return lower_named("sense", {"s": s, "w": w}, out)
+        return lower_named("sense", {"s": s, "w": w, **echo}, out)
 
     @property
     def _late(self) -> Layout:
@@ -229,9 +260,10 @@ class _Builder:
         if self.sonar:
             listening = self.listening
             sizes |= {"normals": listening.normals, "uniforms": listening.uniforms, "echoes": listening.echoes.size}
+            sizes |= {"echo": listening.wide} if self.measured else {}
         v = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
         plant = v["plant_between"]
-        bodies = self._bodies(parameters, v["step"] * self.law.dt + FIRING)
+        bodies = self.structure.bodies_at(parameters, v["step"] * self.law.dt + FIRING)
         echoes, fresh = v["echoes"], ca.SX(0)
         if self.sonar:
             before = self.listening.echoes.split(echoes)
@@ -252,7 +284,7 @@ class _Builder:
             "clearance": 2,
             "clearance_between": 2,
             "tau": 4,
-            "x_next": law.state.size,
+            **({"total": 1} if self.alone else {"x_next": law.state.size}),
             "status": 1,
             "telemetry": law.outputs.size - 4,
             "plant_next": plant_state(self.structure.form).size,
@@ -266,7 +298,11 @@ class _Builder:
         place = old["plant"][:2]
         clear, clearance = _with_walls(old["clear"], v["clearance"])
         with Recording() as recording:
-            total = fold("total", lambda total, entry: total + entry, v["status"], v["x_next"])
+            total = (
+                v["total"]
+                if self.alone
+                else fold("total", lambda total, entry: total + entry, v["status"], v["x_next"])
+            )
         total += ca.sum1(v["tau"]) + ca.sum1(v["telemetry"])
         to_target = place - parameters["waypoints"][MAX_WAYPOINTS - 1, :].T
         gap = ca.sqrt(ca.sumsqr(to_target))
@@ -296,7 +332,7 @@ class _Builder:
             "done": ca.logic_or(ended, last),
             "step": ca.if_else(ca.logic_or(ended, last), old["step"], old["step"] + 1),
             "plant": v["plant_next"],
-            "law": v["x_next"],
+            **({} if self.alone else {"law": v["x_next"]}),
             "clear": clear_between,
             "least": ca.if_else(ended, least, ca.fmin(least, between)),
             "stop": stop,
@@ -327,14 +363,6 @@ class _Builder:
             counts["stopped"] = ca.if_else(now, old["stopped"] + 1, 0)
             stop = ca.if_else(counts["stopped"] >= round(STOPPED_LIMIT / law.dt), _code("standstill"), stop)
         return counts, stop
-
-    def _bodies(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
-        bodies = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.structure.bodies)]
-        if self.structure.heights:
-            bodies = [replace(b, heights=w["heights"][k, :].T) for k, b in enumerate(bodies)]
-        if not self.structure.optional:
-            return bodies
-        return [replace(b, present=ca.logic_and(b.present, w["there"][k] > 0.5)) for k, b in enumerate(bodies)]
 
     @staticmethod
     def _beside(w: Mapping[str, ca.SX], bodies: Sequence[Body], plant: ca.SX) -> list[Body]:
@@ -367,7 +395,7 @@ def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX)
 
 
 def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
-    # free water (2, 1) [m] above and below the hull, as in `simulation.column.column`
+    # free water (2, 1) [m] above and below the hull
     above = below = ca.SX(LONGEST)
     for body in bodies:
         over, under = body.over_and_under(place[:3], w["world_hull"])

@@ -133,7 +133,7 @@ class _Filler:
         first = layout.pack(
             {
                 "plant": plant_state(case.vehicle.form).pack({"eta": case.scenario.start_pose}),
-                "law": self.loop.law.initial_state(),
+                **({"law": self.loop.law.initial_state()} if "law" in layout else {}),
             }
         )
         out = np.tile(first, (len(self.seeds), 1))
@@ -238,8 +238,9 @@ class _Filler:
         if structure.faults:
             slots = fault_slots(structure.equipment.array, scenario.sensors.faults, structure.faults)
             columns["fault_slots"] = [np.asarray(value) for value in slots.ravel()]
-        if structure.actuators is not None:
-            flags = working_flags(structure.actuators, self.case.failed)
+        actuators = self.case.vehicle.actuators
+        if actuators is not None and WORKING in self.loop.parameters:
+            flags = working_flags(actuators, self.case.failed)
             columns[WORKING] = [np.asarray(flag) for flag in flags]
         if structure.optional:
             columns["there"] = [self.number(f"obstacle.{o.name}.there") for o in scenario.obstacles]

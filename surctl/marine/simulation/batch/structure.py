@@ -28,10 +28,10 @@ from surctl.marine.guidance import (
     window_values,
 )
 from surctl.marine.sensing import Equipment, Solid, SolidBox, SolidDisc, Surfaces
-from surctl.marine.simulation.column import BAND, FOOTPRINT, LONGEST
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
 from surctl.marine.simulation.thruster_faults import fin_excess
+from surctl.marine.simulation.world import BAND, FOOTPRINT, LONGEST
 from surctl.marine.vehicle import Actuators, PlantForm, plant_state
 from surctl.priority import Mode
 
@@ -103,12 +103,21 @@ class Mission:
 
     def steps(self, state: Layout, parameters: Layout) -> tuple[Step, ...]:
         """Return the steps that read state `s` and parameters `w` and write `x`, `p`, `first_next` and the rows."""
-        names = (*self._window, *self.around)
+        places, feed = self.programs(state, parameters)
         return (
-            Call(self._places(state, parameters), ("s", "w"), tuple(f"at_{name}" for name in names)),
-            *(Gather("w", f"at_{name}", ROW, name) for name in names),
-            Call(self._feed(state, parameters), ("s", "w", *self._window), ("x", "p", "first_next")),
+            Call(places, ("s", "w"), tuple(f"at_{name}" for name in self.rows)),
+            *(Gather("w", f"at_{name}", ROW, name) for name in self.rows),
+            Call(feed, ("s", "w", *self._window), ("x", "p", "first_next")),
         )
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Names of the rows of the table that a control period reads."""
+        return (*self._window, *self.around)
+
+    def programs(self, state: Layout, parameters: Layout) -> tuple[Program, Program]:
+        """Return the programs `places`, to the numbers of the `rows`, and `feed`, to `x`, `p` and `first_next`."""
+        return self._places(state, parameters), self._feed(state, parameters)
 
     def _places(self, state: Layout, parameters: Layout) -> Program:
         # numbers of the pieces of w
@@ -117,10 +126,9 @@ class Mission:
         base = parameters.slice("mission").start // ROW
         numbers = [ca.SX(0), *(old["first"] + k for k in range(AHEAD + 1)), known["legs"]]
         numbers += [old["leg"] - 1 + k for k in range(_AROUND)]
-        names = (*self._window, *self.around)
         places = {
             f"at_{name}": base + ca.fmin(ca.fmax(number, 0), known["legs"])
-            for name, number in zip(names, numbers, strict=True)
+            for name, number in zip(self.rows, numbers, strict=True)
         }
         return lower_named("places", {"s": s, "w": w}, places)
 
@@ -129,7 +137,8 @@ class Mission:
         s, old = state.symbols("s")
         w, known = parameters.symbols("w")
         rows = {name: ca.SX.sym(name, ROW) for name in self._window}
-        x = law.state.split(old["law"])
+        alone = {} if "law" in old else {"law_state": ca.SX.sym("law_state", law.state.size)}
+        x = law.state.split(alone["law_state"] if alone else old["law"])
         table = ca.vertcat(*(rows[f"row{k}"].T for k in range(AHEAD + 1)))
         last = ca.fmax(1, known["legs"] - AHEAD)
         first, shift = window_next(old["first"], x["progress"], table, rows["start"][:2], last)
@@ -143,7 +152,7 @@ class Mission:
         fed = {"waypoints": window[:, :2], "depth": depth, "cruise": cruise, "visit": visit}
         p = law.gains.join({port.name: fed.get(port.name, known[port.name]) for port in law.gains})
         outputs = {"x": law.state.join(x), "p": p, "first_next": first}
-        return lower_named("feed", {"s": s, "w": w, **rows}, outputs)
+        return lower_named("feed", {"s": s, "w": w, **rows, **alone}, outputs)
 
     def progress(
         self, old: Mapping[str, ca.SX], w: Mapping[str, ca.SX], rows: Mapping[str, ca.SX]
@@ -403,6 +412,15 @@ class Structure:
     def slots(self) -> int:
         """Number of moving obstacles that a message of the base station contains."""
         return min(CONTACT_SLOTS, self.movers)
+
+    def bodies_at(self, w: Mapping[str, ca.SX], time: ca.SX) -> list[Body]:
+        """Return the obstacles at a time [s], from the parameters of a run by name."""
+        bodies = [body_at(kind, w[f"body{k}"], time) for k, kind in enumerate(self.bodies)]
+        if self.heights:
+            bodies = [replace(b, heights=w["heights"][k, :].T) for k, b in enumerate(bodies)]
+        if not self.optional:
+            return bodies
+        return [replace(b, present=ca.logic_and(b.present, w["there"][k] > 0.5)) for k, b in enumerate(bodies)]
 
     @property
     def contacts(self) -> int:

@@ -24,7 +24,7 @@ from surctl.marine.simulation.metrics import METRICS, STOPS
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, check_equation_3
-from surctl.tuning.share import Share
+from surctl.tuning.statistics import Share
 
 __all__ = ["MEANINGS", "RunTable", "Summary", "assumptions", "summarise"]
 

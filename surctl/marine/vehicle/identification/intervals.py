@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.vehicle.identification.model import AXIS_OF, CONSTANT_FORCE, OFFSETS, Model, Section, axes_of
+from surctl.marine.vehicle.identification.model import AXIS_OF, CONSTANT_FORCE, OFFSETS, LogSection, Model, axes_of
 from surctl.marine.vehicle.identification.prediction import Trial
 from surctl.marine.vehicle.identification.solve import products
 from surctl.marine.vehicle.motion_log import MotionLog
@@ -294,7 +294,7 @@ def _placed(present: NDArray[np.bool_], axes: int) -> NDArray[np.bool_]:
     return placed
 
 
-def few_thrusts(log: MotionLog, sections: tuple[Section, ...]) -> str:
+def few_thrusts(log: MotionLog, sections: tuple[LogSection, ...]) -> str:
     """Return why the thrust of a log does not determine a lag; an empty text if it does."""
     largest = np.max(np.abs(log.thrust), axis=0)
     scale = np.where(largest > 0, largest, 1.0)

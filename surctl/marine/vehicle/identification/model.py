@@ -28,9 +28,9 @@ __all__ = [
     "LONGEST",
     "MASS_OF",
     "OFFSETS",
+    "LogSection",
     "Model",
     "Repeated",
-    "Section",
     "Slope",
     "axes_of",
     "drift_sections_of",
@@ -246,7 +246,7 @@ _AT_ONCE = 60_000  # integration steps whose sensitivities are in memory at the 
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class LogSection:
     """A part of a log without a gap.
 
     Attributes:
@@ -261,15 +261,15 @@ class Section:
     thrust: Array
     at: NDArray[np.int64]
 
-    def part(self, first: int, rows: int) -> Section:
+    def part(self, first: int, rows: int) -> LogSection:
         """Return at most `rows` rows of the section from the row `first` on."""
         at = self.at[first : first + rows]
         steps = slice(int(at[0]), int(at[-1]))
         start = self.rows.start + first
-        return Section(slice(start, start + len(at)), self.dt[steps], self.thrust[steps], at - at[0])
+        return LogSection(slice(start, start + len(at)), self.dt[steps], self.thrust[steps], at - at[0])
 
 
-def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[Section, ...]:
+def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[LogSection, ...]:
     """Return the sections of a log that have enough rows with motion, each of at most `longest` seconds.
 
     Raises:
@@ -304,7 +304,7 @@ def sections_of(log: MotionLog, *, longest: float = LONGEST) -> tuple[Section, .
     return tuple(sections)
 
 
-def drift_sections_of(log: MotionLog) -> tuple[Section, ...]:
+def drift_sections_of(log: MotionLog) -> tuple[LogSection, ...]:
     """Return the sections of a log, each with a constant force of its own: of 20 s, or longer if they have few rows.
 
     Raises:
@@ -320,11 +320,11 @@ def _runs(gap: NDArray[np.bool_], rows: int) -> list[tuple[int, int]]:
     return list(zip([0, *ends.tolist()], [*ends.tolist(), rows], strict=True))
 
 
-def _section(log: MotionLog, start: int, stop: int) -> Section:
+def _section(log: MotionLog, start: int, stop: int) -> LogSection:
     step = np.diff(log.time[start:stop])
     longest = min(max(_STEP, float(np.median(step)) / _STEPS_PER_ROW), _LONGEST_STEP)
     parts = np.maximum(np.ceil(step / longest - 1e-9).astype(int), 1)
-    return Section(
+    return LogSection(
         slice(start, stop),
         np.repeat(step / parts, parts),
         np.repeat(log.thrust[start : stop - 1], parts, axis=0),
@@ -341,7 +341,9 @@ class Model:
     force from that of the vehicle in its middle, and by the further difference (4,) at its end [N, N m].
     """
 
-    def __init__(self, log: MotionLog, start: Vehicle, sections: tuple[Section, ...], *, drift: bool = False) -> None:
+    def __init__(
+        self, log: MotionLog, start: Vehicle, sections: tuple[LogSection, ...], *, drift: bool = False
+    ) -> None:
         self.log, self.sections, self.drift = log, sections, drift
         whole = with_all_constants(start)
         self.names, self.masses = names_of(whole), _masses_of(whole)
@@ -376,7 +378,7 @@ class Model:
         """Return the parameters by name, in SI units."""
         return dict(zip(self.names, (self.start + self.scale * theta[: self.size]).tolist(), strict=True))
 
-    def begin(self, sections: tuple[Section, ...]) -> Array:
+    def begin(self, sections: tuple[LogSection, ...]) -> Array:
         """Return θ with unchanged parameters, and each section's first measured motion and first command."""
         parts = [np.zeros(self.size)]
         for section in sections:
@@ -387,7 +389,7 @@ class Model:
             parts.append(np.pad(state, (0, self.local - self.order)))
         return np.concatenate(parts)
 
-    def states(self, theta: Array, sections: tuple[Section, ...]) -> list[Array]:
+    def states(self, theta: Array, sections: tuple[LogSection, ...]) -> list[Array]:
         """Return for each section the simulated states (m + 1, s) after each integration step."""
         lengths = np.array([len(s.dt) for s in sections])
         total = int(lengths.sum())
@@ -402,16 +404,16 @@ class Model:
             for k, n, begin in zip(firsts.tolist(), lengths.tolist(), initial, strict=True)
         ]
 
-    def misfit(self, theta: Array, sections: tuple[Section, ...]) -> list[Array]:
+    def misfit(self, theta: Array, sections: tuple[LogSection, ...]) -> list[Array]:
         """Return for each section simulated minus measured motion (n, c); 0 where no measurement exists."""
         return [self._difference(s, x) for s, x in zip(sections, self.states(theta, sections), strict=True)]
 
-    def _difference(self, section: Section, states: Array) -> Array:
+    def _difference(self, section: LogSection, states: Array) -> Array:
         present = self.present[section.rows]
         measured = np.where(present, self.motion[section.rows], 0.0)
         return np.where(present, states[section.at][:, self.outputs] - measured, 0.0)
 
-    def turned_back(self, theta: Array, sections: tuple[Section, ...]) -> Array:
+    def turned_back(self, theta: Array, sections: tuple[LogSection, ...]) -> Array:
         """Return θ with whole turns added to the headings at the start of sections, so that they fit best."""
         turned = theta.copy()
         own = turned[self.size :].reshape(-1, self.local)
@@ -421,7 +423,7 @@ class Model:
                 own[k, _HEADING] -= 2.0 * np.pi * np.round(error[present, _HEADING].mean() / (2.0 * np.pi))
         return turned
 
-    def cost(self, theta: Array, noise: Array, sections: tuple[Section, ...]) -> float:
+    def cost(self, theta: Array, noise: Array, sections: tuple[LogSection, ...]) -> float:
         """Return half the sum of the squared residuals, with the prior.
 
         The cost is inf if the simulation diverges, or if the inertia matrix is not positive definite.
@@ -443,7 +445,7 @@ class Model:
             inertia[i, j] = inertia[j, i] = p[at]
         return bool(np.linalg.eigvalsh(inertia)[0] > 0)
 
-    def prior(self, sections: tuple[Section, ...]) -> tuple[Array, Array]:
+    def prior(self, sections: tuple[LogSection, ...]) -> tuple[Array, Array]:
         """Return the mean of θ before the log is known, and the weight 1/σ² of each entry.
 
         The prior holds unobservable entries near their start: unchanged parameters, initial thrust as commanded.
@@ -453,7 +455,7 @@ class Model:
         weight = np.concatenate([weight, np.tile((_DRIFT * self.thrust) ** -2.0, (self.local - self.order) // 4)])
         return self.begin(sections), np.concatenate([np.full(self.size, _PRIOR**-2.0), np.tile(weight, len(sections))])
 
-    def slopes(self, theta: Array, noise: Array, sections: tuple[Section, ...]) -> list[tuple[Array, Array]]:
+    def slopes(self, theta: Array, noise: Array, sections: tuple[LogSection, ...]) -> list[tuple[Array, Array]]:
         """Return for each section the residuals (n, c) and their derivatives (n, c, p + local), divided by the noise.
 
         The derivatives are those by the parameters and by the section's own entries of θ; where no measurement
@@ -475,7 +477,7 @@ class Model:
         # the fitted parameters, then the other entries of the plant's parameter vector
         return np.concatenate([self.start + self.scale * theta[: self.size], self._known])
 
-    def _rows(self, theta: Array, sections: tuple[Section, ...], only: Sequence[int] | None = None) -> Array:
+    def _rows(self, theta: Array, sections: tuple[LogSection, ...], only: Sequence[int] | None = None) -> Array:
         # the parameters of each step of some sections, by default of all
         p = self._parameters(theta)
         chosen = range(len(sections)) if only is None else only
@@ -486,10 +488,10 @@ class Model:
             rows[:, self._force] += np.vstack(force)
         return rows
 
-    def _initial(self, theta: Array, sections: tuple[Section, ...]) -> Array:
+    def _initial(self, theta: Array, sections: tuple[LogSection, ...]) -> Array:
         return theta[self.size : self.size + self.local * len(sections)].reshape(-1, self.local)[:, : self.order]
 
-    def _sensitivities(self, parts: list[tuple[Section, Array]], p: Array) -> tuple[list[Array], list[Array]]:
+    def _sensitivities(self, parts: list[tuple[LogSection, Array]], p: Array) -> tuple[list[Array], list[Array]]:
         """Return ∂x⁺/∂x (m, s, s) and ∂x⁺/∂θ (m, s, p) of each step, with drift (m, s, p + 8) of each section.
 
         Within a step, the derivatives of the rate are those in its middle, so the results have second order in dt.
@@ -511,7 +513,7 @@ class Model:
         cuts = np.cumsum([len(s.dt) for s, _ in parts])[:-1]
         return np.split(over_x, cuts), np.split(integral @ rate_p, cuts)
 
-    def _propagated(self, sections: tuple[Section, ...], over_x: list[Array], over_p: list[Array]) -> list[Array]:
+    def _propagated(self, sections: tuple[LogSection, ...], over_x: list[Array], over_p: list[Array]) -> list[Array]:
         # derivatives (n, c, p + local) of the motion at the rows of each section, all sections at the same time
         order, states = sorted(range(len(sections)), key=lambda k: -len(sections[k].dt)), self.order
         longest, size = len(sections[order[0]].dt), self.size + self.local
@@ -534,13 +536,13 @@ class Model:
         return [history[sections[k].at, order.index(k)] for k in range(len(sections))]
 
 
-def _through(section: Section) -> Array:
+def _through(section: LogSection) -> Array:
     # (m,) the middle of each step, from −1 at the start of the section to 1 at its end
     end = np.cumsum(section.dt)
     return np.asarray(2.0 * (end - section.dt / 2) / end[-1] - 1.0)
 
 
-def _groups(sections: tuple[Section, ...]) -> list[list[int]]:
+def _groups(sections: tuple[LogSection, ...]) -> list[list[int]]:
     # sections whose sensitivities fit in memory together
     groups: list[list[int]] = [[]]
     for k, section in enumerate(sections):

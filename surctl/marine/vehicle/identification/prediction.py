@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError
 from surctl.marine.vehicle.identification.model import (
     MASS_OF,
+    LogSection,
     Model,
-    Section,
     drift_sections_of,
     names_of,
     sections_of,
@@ -155,7 +155,9 @@ def _columns(log: MotionLog, count: int) -> MotionLog:
     return replace(log, motion=np.hstack([log.motion[:, :count], missing]))
 
 
-def _windows(log: MotionLog, section: Section, window: float, *, after: float) -> list[tuple[Section, Section]]:
+def _windows(
+    log: MotionLog, section: LogSection, window: float, *, after: float
+) -> list[tuple[LogSection, LogSection]]:
     # each with its section; the thrust at its start follows from the commands of the time `after` before
     time = log.time[section.rows]
     count = max(int((time[-1] - time[0] - after) // window), 0)
@@ -167,7 +169,7 @@ def _windows(log: MotionLog, section: Section, window: float, *, after: float) -
     return parts
 
 
-def _first_state(log: MotionLog, section: Section, part: Section, *, lag: float) -> Array | None:
+def _first_state(log: MotionLog, section: LogSection, part: LogSection, *, lag: float) -> Array | None:
     """Return the state (12,) or (16,) at the first row of a window, or None if a velocity cannot be computed."""
     row, origin = part.rows.start, section.rows.start
     motion = log.motion[row].copy()
@@ -300,7 +302,7 @@ def _values(log: MotionLog, start: Vehicle, parameters: Array, noise: Array, *, 
     return model.values(minimise(model, theta, noise, model.sections, free=free, tolerance=_ROUGH)[0])
 
 
-def _some(sections: tuple[Section, ...]) -> tuple[Section, ...]:
+def _some(sections: tuple[LogSection, ...]) -> tuple[LogSection, ...]:
     # sections, spread over the log, with at most `_MOST_STEPS` steps unless one is longer
     count = int(np.clip(_MOST_STEPS // max(len(s.dt) for s in sections), 1, len(sections)))
     return tuple(sections[k] for k in np.unique(np.linspace(0, len(sections) - 1, count).round().astype(int)))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.vehicle.identification.model import Model, Section
+from surctl.marine.vehicle.identification.model import LogSection, Model
 from surctl.marine.vehicle.motion_log import MotionLog
 
 __all__ = ["beginning", "minimise", "outliers", "products", "simulable", "without_outliers"]
@@ -86,7 +86,7 @@ def minimise(
     model: Model,
     theta: Array,
     noise: Array,
-    sections: tuple[Section, ...],
+    sections: tuple[LogSection, ...],
     *,
     free: NDArray[np.bool_],
     tolerance: float = _CONVERGED,
@@ -116,7 +116,7 @@ def _descent(
     model: Model,
     theta: Array,
     noise: Array,
-    sections: tuple[Section, ...],
+    sections: tuple[LogSection, ...],
     *,
     free: NDArray[np.bool_],
     tolerance: float,
@@ -148,7 +148,7 @@ def _descent(
     return theta, False
 
 
-def _normal(model: Model, theta: Array, noise: Array, sections: tuple[Section, ...]) -> tuple[Array, Array]:
+def _normal(model: Model, theta: Array, noise: Array, sections: tuple[LogSection, ...]) -> tuple[Array, Array]:
     # the matrix JᵀJ and the gradient Jᵀe of all residuals, with the prior
     mean, weight = model.prior(sections)
     information, gradient = np.diag(weight), weight * (theta - mean)
@@ -194,7 +194,7 @@ def beginning(model: Model, noise: Array, *, free: NDArray[np.bool_]) -> Array:
     return theta
 
 
-def _pieces(model: Model, rows: int) -> tuple[Section, ...]:
+def _pieces(model: Model, rows: int) -> tuple[LogSection, ...]:
     # pieces of all sections, spread over the log, with at most `_MOST_STEPS` steps unless one is longer
     pieces = [s.part(k, rows) for s in model.sections for k in range(0, len(s.at), rows)]
     pieces = [s for s in pieces if len(s.dt) >= _LEAST_STEPS and model.present[s.rows].any()] or [model.sections[0]]
@@ -202,7 +202,7 @@ def _pieces(model: Model, rows: int) -> tuple[Section, ...]:
     return tuple(pieces[k] for k in np.unique(np.linspace(0, len(pieces) - 1, count).round().astype(int)))
 
 
-def simulable(model: Model, theta: Array, noise: Array, sections: tuple[Section, ...]) -> Array:
+def simulable(model: Model, theta: Array, noise: Array, sections: tuple[LogSection, ...]) -> Array:
     """Return θ, if necessary nearer to the start vehicle, so that the simulated motion over the sections is finite.
 
     A fit to a short part of the log may give a negative drag. With a negative drag, the simulated motion over a whole

@@ -11,18 +11,17 @@ from pydantic import Field, model_validator
 
 from surctl.errors import InputError
 from surctl.files import Strict, read_toml, validate
-from surctl.marine.vehicle.frames import Frame, swap_body
-from surctl.marine.vehicle.logs.recording import Recording, Topic, step_back
-from surctl.marine.vehicle.motion_log import MotionLog, swapped
+from surctl.marine.vehicle.logs.recording import LogRecording, Topic, step_back
+from surctl.marine.vehicle.motion_log import Frame, MotionLog, swap_body, swapped
 from surctl.units import in_unit
 
 __all__ = [
-    "Attitude",
+    "LogAttitude",
     "LogMap",
-    "Position",
+    "LogPosition",
+    "LogThrust",
     "Rates",
     "Source",
-    "Thrust",
     "Velocity",
     "heading_frame",
     "joined",
@@ -40,20 +39,20 @@ class Source(Strict):
     fields: list[str] = Field(min_length=1)
 
 
-class Position(Source):
+class LogPosition(Source):
     """Position x, y, z in the world frame; without z, x and y; "" for a coordinate that was not measured."""
 
     fields: list[str] = Field(min_length=2, max_length=3)
     unit: str = "m"
 
 
-class Attitude(Source):
+class LogAttitude(Source):
     """Heading alone, or roll, pitch and heading, or a quaternion x, y, z, w (body to world)."""
 
     unit: str = "rad"
 
     @model_validator(mode="after")
-    def _known(self) -> Attitude:
+    def _known(self) -> LogAttitude:
         if len(self.fields) not in (1, 3, 4):
             raise ValueError(
                 "needs 1 field (heading), 3 (roll, pitch, heading) or 4 (quaternion x, y, z, w); correct it"
@@ -84,7 +83,7 @@ class Rates(Source):
         return self
 
 
-class Thrust(Source):
+class LogThrust(Source):
     """Forces along the body axes and yaw moment; or commands of thrusters, with their curve and the frame matrix.
 
     Attributes:
@@ -106,7 +105,7 @@ class Thrust(Source):
     hold_s: Positive | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Thrust:
+    def _consistent(self) -> LogThrust:
         if self.matrix is None:
             if self.command is not None or self.force_N is not None:
                 raise ValueError("has a curve, but no matrix; add matrix with the rows surge, sway, heave, yaw")
@@ -175,11 +174,11 @@ class LogMap(Strict):
 
     kind: Literal["log-map"]
     log: Clock
-    position: Position | None = None
-    attitude: Attitude | None = None
+    position: LogPosition | None = None
+    attitude: LogAttitude | None = None
     velocity: Velocity | None = None
     rates: Rates | None = None
-    thrust: Thrust
+    thrust: LogThrust
 
     @model_validator(mode="after")
     def _complete(self) -> LogMap:
@@ -254,7 +253,7 @@ def heading_frame(velocity: Array, roll: Array, pitch: Array) -> Array:
     return np.column_stack([u * np.cos(pitch) + down * np.sin(pitch), across, down * np.cos(pitch) - u * np.sin(pitch)])
 
 
-def joined(recording: Recording, log_map: LogMap, *, map_name: str) -> MotionLog:
+def joined(recording: LogRecording, log_map: LogMap, *, map_name: str) -> MotionLog:
     """Return the log of motion and thrust of a recording, in the frame enu.
 
     The common times are those of the velocity, else of the position, else of the attitude, else of the rates; or a
@@ -347,7 +346,7 @@ def _check_norm(quaternion: Array, sources: _Sources, part: Source) -> None:
 
 class _Sources:
     # the parts of the map, read from the recording
-    def __init__(self, recording: Recording, log_map: LogMap, map_name: str) -> None:
+    def __init__(self, recording: LogRecording, log_map: LogMap, map_name: str) -> None:
         self.recording, self.map, self.map_name = recording, log_map, map_name
         self.notes: list[str] = []
         for key, names in (("stamp", log_map.log.stamp), ("shift_s", log_map.log.shift_s)):
@@ -459,7 +458,7 @@ class _Sources:
         result[counts] = values[place[counts]]
         return result
 
-    def _count_outside(self, part: Thrust, commands: Array) -> None:
+    def _count_outside(self, part: LogThrust, commands: Array) -> None:
         if part.command is None:
             return
         low, high = part.command[0], part.command[-1]

@@ -18,10 +18,10 @@ import numpy as np
 from surctl.errors import InputError, nearest
 from surctl.marine.vehicle.logs.joining import LogMap, joined, load_log_map
 from surctl.marine.vehicle.logs.recording import (
+    LogRecording,
     Reader,
-    Recording,
-    Rows,
     Stream,
+    TopicRows,
     bare_names,
     flattened,
     matches,
@@ -38,7 +38,7 @@ __all__ = ["READERS", "read_mapped_log", "read_recording", "topic_lines"]
 _NO_MOTION = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 
 
-def _read_ardupilot(path: Path, topics: Collection[str] | None) -> Recording:
+def _read_ardupilot(path: Path, topics: Collection[str] | None) -> LogRecording:
     """Read messages by type, such as ATT or RCOU; further instances of a type have names such as XKF1[1].
 
     In a telemetry log, types that several systems or components sent have names such as ATTITUDE@1.1. The time is that
@@ -48,7 +48,7 @@ def _read_ardupilot(path: Path, topics: Collection[str] | None) -> Recording:
         InputError: pymavlink is not installed, or the file is not such a log.
     """
     mavutil = optional_module("pymavlink.mavutil", path=path, extra="ardupilot")
-    rows: dict[Stream, Rows] = {}
+    rows: dict[Stream, TopicRows] = {}
     kinds = bare_names(topics)
     bad = 0
     try:
@@ -61,7 +61,7 @@ def _read_ardupilot(path: Path, topics: Collection[str] | None) -> Recording:
             values = message.to_dict()
             values.pop("mavpackettype", None)
             time = values["TimeUS"] * 1e-6 if "TimeUS" in values else float(message._timestamp)
-            rows.setdefault(_stream(message, values), Rows()).append(time, flattened(values))
+            rows.setdefault(_stream(message, values), TopicRows()).append(time, flattened(values))
         log.close()
     except (OSError, ValueError, KeyError, IndexError, TypeError) as error:
         raise InputError(
@@ -80,7 +80,7 @@ def _stream(message: Any, values: dict[str, Any]) -> Stream:
     return Stream(message.get_type(), instance, source)
 
 
-def _read_bag(path: Path, topics: Collection[str] | None) -> Recording:
+def _read_bag(path: Path, topics: Collection[str] | None) -> LogRecording:
     """Read a bag of ROS 1, or of ROS 2 in a folder with metadata.yaml (a file inside it may be named).
 
     The time is that of the recorder. Custom messages need their definitions in the bag. A topic that several nodes
@@ -100,7 +100,7 @@ def _read_bag(path: Path, topics: Collection[str] | None) -> Recording:
                 file=shown(path),
                 remedy="give the folder of the bag: ros2 bag reindex",
             )
-    rows: dict[Stream, Rows] = {}
+    rows: dict[Stream, TopicRows] = {}
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
         with highlevel.AnyReader([bag], default_typestore=store) as reader:
@@ -111,7 +111,9 @@ def _read_bag(path: Path, topics: Collection[str] | None) -> Recording:
                 message = reader.deserialize(raw, connection.msgtype)
                 node = getattr(connection.ext, "callerid", None) or ""
                 source = f"{node}:{connection.msgtype}" if connection.topic in several else node
-                rows.setdefault(Stream(connection.topic, None, source), Rows()).append(stamp * 1e-9, flattened(message))
+                rows.setdefault(Stream(connection.topic, None, source), TopicRows()).append(
+                    stamp * 1e-9, flattened(message)
+                )
     except Exception as error:  # rosbags passes on errors of its own and of every library that it reads with
         raise InputError(
             f"cannot be read as a bag ({_line(error)})", file=shown(path), remedy="check it with: ros2 bag info"
@@ -119,7 +121,7 @@ def _read_bag(path: Path, topics: Collection[str] | None) -> Recording:
     return recording_of(path, {stream: one.topic() for stream, one in rows.items()})
 
 
-def _read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
+def _read_mcap(path: Path, topics: Collection[str] | None) -> LogRecording:
     """Read an MCAP file with messages in JSON, ROS 1 or ROS 2 (CDR); the time is that of the recorder.
 
     A topic with several channels has names such as `/odom@3`, with the number of the channel.
@@ -128,7 +130,7 @@ def _read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
         InputError: a package is not installed, the file cannot be read, or its messages have another encoding.
     """
     reader_of = optional_module("mcap.reader", path=path, extra="ros").make_reader
-    rows: dict[Stream, Rows] = {}
+    rows: dict[Stream, TopicRows] = {}
     decoders: dict[int, Callable[[bytes], Any]] = {}
     try:
         with path.open("rb") as file:
@@ -139,7 +141,7 @@ def _read_mcap(path: Path, topics: Collection[str] | None) -> Recording:
                     decoders[channel.id] = _decoder(path, schema, channel)
                 decoded = decoders[channel.id](message.data)
                 stream = Stream(channel.topic, None, str(channel.id))
-                rows.setdefault(stream, Rows()).append(message.log_time * 1e-9, flattened(decoded))
+                rows.setdefault(stream, TopicRows()).append(message.log_time * 1e-9, flattened(decoded))
     except InputError:
         raise
     except Exception as error:  # mcap raises errors of its decompressors too
@@ -177,7 +179,7 @@ def _line(error: Exception) -> str:
 
 def _read_table(
     path: Path, *, time: str, unit: str, columns: Sequence[str] | None = None, skip_lines: int = 0, map_name: str = ""
-) -> Recording:
+) -> LogRecording:
     """Read the numeric columns of a table as the fields of one topic with an empty name.
 
     Args:
@@ -213,7 +215,7 @@ def _read_table(
             value=time,
             remedy="name the column of the time",
         )
-    return Recording(table.name, {"": topic_of(seconds[known], {k: v[known] for k, v in fields.items()})})
+    return LogRecording(table.name, {"": topic_of(seconds[known], {k: v[known] for k, v in fields.items()})})
 
 
 def _numbers(table: Recorded, name: str) -> np.ndarray[tuple[int], np.dtype[np.float64]] | None:
@@ -228,7 +230,7 @@ _HEADER = 16  # bytes
 _LONGEST = 10_000  # bytes of a message; a longer one is damage, as in pyulog
 
 
-def _read_ulog(path: Path, topics: Collection[str] | None) -> Recording:
+def _read_ulog(path: Path, topics: Collection[str] | None) -> LogRecording:
     """Read topics by name; further instances of a topic have names such as `sensor_gyro[1]`.
 
     The time is that of the autopilot (`timestamp`).
@@ -322,7 +324,7 @@ def _quiet() -> Iterator[StringIO]:
 
 def read_recording(
     path: Path, topics: Collection[str] | None = None, *, log_map: LogMap | None = None, map_name: str = ""
-) -> Recording:
+) -> LogRecording:
     """Read a recording; the format follows from the suffix.
 
     Args:
@@ -404,7 +406,7 @@ def read_mapped_log(path: Path, map_path: Path) -> MotionLog:
     return joined(recording, log_map, map_name=shown(map_path))
 
 
-def topic_lines(recording: Recording) -> list[str]:
+def topic_lines(recording: LogRecording) -> list[str]:
     """Return one line per topic: name, number of messages, rate, and the names of its fields.
 
     Example:

@@ -16,11 +16,11 @@ from surctl.errors import InputError, nearest
 from surctl.recorded import shown
 
 __all__ = [
+    "LogRecording",
     "Reader",
-    "Recording",
-    "Rows",
     "Stream",
     "Topic",
+    "TopicRows",
     "bare_names",
     "flattened",
     "matches",
@@ -33,7 +33,7 @@ __all__ = [
 _LONGEST = 64  # numbers of an array that become fields
 _JITTER = 1.0  # [s] messages that are late by at most this are sorted
 
-Reader = Callable[[Path, Collection[str] | None], "Recording"]
+Reader = Callable[[Path, Collection[str] | None], "LogRecording"]
 """Reads the topics with some names, or all, from a file."""
 
 
@@ -76,7 +76,7 @@ class Topic:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class LogRecording:
     """Topics by name; a table of one clock has one topic with an empty name.
 
     Attributes:
@@ -133,7 +133,7 @@ class Recording:
 
 
 @dataclass
-class Rows:
+class TopicRows:
     """Messages of one topic while a file is read."""
 
     time: list[float] = field(default_factory=list)
@@ -161,7 +161,7 @@ def topic_of(time: NDArray[np.float64], fields: Mapping[str, NDArray[np.float64]
     return Topic(time[chosen], {k: v[chosen] for k, v in fields.items()}, step_back(time), repeated)
 
 
-def recording_of(path: Path, topics: Mapping[Stream, Topic], notes: Iterable[str] = ()) -> Recording:
+def recording_of(path: Path, topics: Mapping[Stream, Topic], notes: Iterable[str] = ()) -> LogRecording:
     """Return the recording of a file that was read; topics without fields are omitted.
 
     The lowest instance of a topic has the name of the topic, the others have names such as `XKF1[1]`; instances with
@@ -187,7 +187,7 @@ def recording_of(path: Path, topics: Mapping[Stream, Topic], notes: Iterable[str
         for stream in full
     }
     others = {name: tuple(best[s] for s in meant) for name, meant in also.items()}
-    return Recording(
+    return LogRecording(
         shown(path),
         {best[stream]: topic for stream, topic in full.items()},
         {name: meant for name, meant in others.items() if meant != (name,)},

@@ -1,9 +1,8 @@
 """The linearised closed loop of a mission: margins over the corners, poles, and the exactly sampled loop."""
 
 from surctl.marine.verification.linear.corners import Corners, corners
-from surctl.marine.verification.linear.interop import closed_system, loop_system, open_system, sampled_loop_system
 from surctl.marine.verification.linear.modes import Mode, bearable_speed, cap_above, cap_above_bearable, slowest_mode
-from surctl.marine.verification.linear.sampled import SampledLimits, largest_period, sampled_limits, sampled_poles
+from surctl.marine.verification.linear.sampled import SampledLimits, sampled_limits
 from surctl.marine.verification.linear.side import (
     DISK_PLACES,
     LinearSide,
@@ -26,19 +25,13 @@ __all__ = [
     "bearable_speed",
     "cap_above",
     "cap_above_bearable",
-    "closed_system",
     "corner_margin",
     "corners",
-    "largest_period",
     "least_disk",
     "linear_side",
-    "loop_system",
     "margin_speed",
     "open_loop",
-    "open_system",
     "sampled_limits",
-    "sampled_loop_system",
-    "sampled_poles",
     "slowest_mode",
     "worst_linear_side",
 ]

@@ -6,7 +6,7 @@ and needs no Padé approximation. The integral state ξ is computed inside the c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from typing import Any
@@ -14,21 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
-from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification.cascade import Cascade, build_cascade
-from surctl.system.exponential import expm
-from surctl.verification.linear.parts import blockwise, eigenvalues
+from surctl.marine.verification.cascade import Cascade
+from surctl.system.linear_loop import expm
+from surctl.verification.linear import blockwise, eigenvalues
 
 __all__ = [
     "SampledLimits",
-    "check_delay",
-    "largest_period",
-    "open_transition",
     "radii_of",
     "sampled_limits",
-    "sampled_poles",
 ]
 
 Array = NDArray[np.float64]
@@ -68,56 +62,6 @@ class SampledLimits:
         return {**asdict(self), "largest_period_s": dict(zip(map(str, _DELAYS), self.largest_period_s, strict=True))}
 
 
-def sampled_poles(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    cruise: float,
-    period: float,
-    delay: int = 0,
-    model: Vehicle | None = None,
-) -> NDArray[np.complex128]:
-    """Return the poles z (n,) of the sampled loop, largest |z| first; the loop is stable if every |z| is less than 1.
-
-    Args:
-        vehicle: the plant.
-        gains: the gains by name, as in `build_cascade`.
-        cruise: cruise speed U [m/s].
-        period: control period T [s], > 0.
-        delay: delay from measurement to thrust in whole periods, at least 0.
-        model: the controller's model of the vehicle; default the vehicle itself.
-
-    Raises:
-        InputError: `build_cascade` rejects its arguments, or the delay is not a whole number of at least 0.
-    """
-    check_delay(delay)
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=period, model=model, delay=0.0)
-    poles = np.linalg.eigvals(_transition(cascade, delay, _held(cascade, period))).astype(complex)
-    return poles[np.argsort(-np.abs(poles), kind="stable")]
-
-
-def largest_period(
-    vehicle: Vehicle,
-    gains: Mapping[str, float],
-    *,
-    cruise: float,
-    delay: int = 0,
-    model: Vehicle | None = None,
-) -> float:
-    """Return the largest control period T [s] up to which the sampled loop is stable.
-
-    The tried periods grow from 1 ms in steps of 6 % until the loop is unstable; bisection then refines the last step.
-    The result is inf if the loop is stable up to 20 s, and 0 if it is unstable at 1 ms. Longer periods at which the
-    loop is stable again are ignored.
-
-    Raises:
-        InputError: `sampled_poles` rejects its arguments.
-    """
-    check_delay(delay)
-    undelayed = build_cascade(vehicle, gains, cruise=cruise, dt=_SHORTEST, model=model, delay=0.0)
-    return _largest(undelayed, delay, partial(_held, undelayed))
-
-
 def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
     """Return the sampling limits of a cascade that was built with `delay=0`, for the control period `period` [s].
 
@@ -128,7 +72,7 @@ def sampled_limits(undelayed: Cascade, period: float) -> SampledLimits:
         return _sampled_limits(undelayed, period)
     matrices = [np.asarray(getattr(undelayed, name), dtype=float) for name in ("A", "B", "C", "K")]
     values = stored_numbers(
-        ("surctl.marine.verification.linear.sampled", "surctl.system.exponential", "surctl.verification.linear.parts"),
+        ("surctl.marine.verification.linear.sampled", "surctl.system.linear_loop", "surctl.verification.linear"),
         (period, *((matrix.shape, matrix.tobytes()) for matrix in matrices)),
         lambda: asdict(_sampled_limits(undelayed, period)),
         suffix=".sampled",
@@ -200,15 +144,6 @@ def _held(cascade: Cascade, period: float | Array) -> _Held:
     return grown[..., :n, :n], grown[..., :n, n:]
 
 
-def open_transition(cascade: Cascade, period: float, delay: int) -> tuple[Array, Array, Array]:
-    """Return (M, E, F) of a sampled cascade built with `delay=0`: x⁺ = M x + E f, where the law commands f = F x.
-
-    x holds the states of the plant and ξ, together (n,), then four delayed thrusts for each period of delay; the
-    thrusts that act next come first. M includes the integral action of the controller.
-    """
-    return _open_transition(cascade, delay, _held(cascade, period))
-
-
 def _open_transition(cascade: Cascade, delay: int, held: _Held) -> tuple[Array, Array, Array]:
     phi, gamma = held
     many, n = phi.shape[:-2], phi.shape[-1]
@@ -225,9 +160,3 @@ def _open_transition(cascade: Cascade, delay: int, held: _Held) -> tuple[Array, 
     late[..., size - _AXES :, :] = np.eye(_AXES)
     law_of_all[..., :n] = thrust
     return rest, late, law_of_all
-
-
-def check_delay(delay: int) -> None:
-    """Raise InputError for a delay that is not a whole number of at least 0."""
-    if not isinstance(delay, int | np.integer) or isinstance(delay, bool) or delay < 0:
-        raise InputError("must be a whole number of at least 0", key="delay", value=delay, remedy="give e.g. 1")

@@ -16,14 +16,14 @@ from surctl.marine.vehicle.linearise import can_hold
 from surctl.marine.verification.cascade import Cascade, build_cascade, build_cascades
 from surctl.marine.verification.linear.corners import Corners, corners
 from surctl.marine.verification.linear.sampled import SampledLimits, radii_of, sampled_limits
-from surctl.verification.linear.disk import (
+from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
+    OpenLoop,
     quick_disk_margin,
     screened_peaks,
     stored_disk_margin,
 )
-from surctl.verification.linear.open_loop import OpenLoop
 
 __all__ = [
     "DISK_PLACES",

@@ -10,12 +10,11 @@ from surctl.marine.verification.region.library import (
     refused_regions,
     region_statement,
 )
-from surctl.marine.verification.region.proof import RegionProof, prove_region
+from surctl.marine.verification.region.proof import RegionProof, prove_region, prove_turning
 from surctl.marine.verification.region.statement import RegionStatement, load_region, write_region
 from surctl.marine.verification.region.steering import SteeringClaim, steering_claim
 from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim, turning_claim
-from surctl.marine.verification.region.turning_proof import prove_turning
 
 __all__ = [
     "REGION_CLAIMS",

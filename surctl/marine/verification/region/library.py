@@ -14,12 +14,11 @@ from surctl.marine.vehicle import Vehicle
 from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.heading import HeadingClaim
 from surctl.marine.verification.region.heading_proof import prove_heading
-from surctl.marine.verification.region.proof import RegionProof, prove_region
+from surctl.marine.verification.region.proof import RegionProof, prove_region, prove_turning
 from surctl.marine.verification.region.statement import RegionStatement
 from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.steering_proof import prove_steering
 from surctl.marine.verification.region.turning import TurningClaim
-from surctl.marine.verification.region.turning_proof import prove_turning
 
 __all__ = ["REGION_CLAIMS", "applicable_region", "implies", "prove_statement", "refused_regions", "region_statement"]
 

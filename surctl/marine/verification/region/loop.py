@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.certcheck.region_claim import read_claim
-from surctl.certcheck.region_flow import steady_trim
+from surctl.certcheck.region_trim import steady_trim
 from surctl.marine.verification.region.claim import RegionClaim
 
 __all__ = [
@@ -134,7 +134,7 @@ class Gains:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds in one shell, by their names in the linear inclusion (see `certcheck.region_bounds.Shell`)."""
+    """Bounds in one shell, by their names in the linear inclusion (see `certcheck.region_inclusion.Shell`)."""
 
     steer: tuple[float, float]
     catch: tuple[float, float]

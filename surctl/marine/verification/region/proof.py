@@ -1,4 +1,4 @@
-"""Proof of a region claim: search for a region, round its numbers, and let the independent checker decide."""
+"""Proof of a claim about a cruise: search for a region, round its numbers, and let the independent checker decide."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from surctl.marine.verification.region.rates import LevelRatios, cruise_loop, le
 from surctl.marine.verification.region.steering import SteeringClaim
 from surctl.marine.verification.region.synthesis import Candidate, search
 from surctl.marine.verification.region.turning import TurningClaim
-from surctl.marine.verification.region.turning_certificate import raised, region_of
 from surctl.marine.verification.region.turning_search import turning_search
+from surctl.marine.verification.region.turning_shells import certificate_of as turning_certificate
+from surctl.marine.verification.region.turning_shells import raised, region_of
 from surctl.verification.certified import Certified
 
-__all__ = ["RegionProof", "prove_region"]
+__all__ = ["RegionProof", "prove_region", "prove_turning"]
 
 _DIGITS = 7
 _SHRUNK = 2 / 3  # largest share of the offset within which the motion ends, for a region that is of use
 _PROGRAMS = 16  # least number of programs of the turning search, if there are as many attempts
+_NOT = "not provable for this vehicle and these gains, because"
 
 
 @dataclass(frozen=True)
@@ -233,3 +235,53 @@ def _offset(P: NDArray[np.float64], steady: Steady, claim: RegionClaim) -> float
         a, b, c = P[1, 1], -abs(P[0, 1] * x), P[0, 0] * x * x - 1  # the worse sign of y
         offsets.append((b + np.sqrt(b * b - a * c)) / a if c < 0 else 0.0)
     return float(np.floor(1e4 * max(min(offsets) - steady.aside, 0.0) * 0.9999) / 1e4)
+
+
+def prove_turning(claim: TurningClaim, *, attempts: int = 40, seed: int = 0) -> RegionProof:
+    """Search for the largest region in which the claim holds, and let the checker decide.
+
+    Args:
+        claim: the claim.
+        attempts: number of convex programs of the search.
+        seed: seed of the search.
+    """
+    began = time.perf_counter()
+    reason = f"{_NOT} the search found no quadratic V with this decay rate{_further(claim)}"
+    for candidate in turning_search(claim, attempts=attempts, seed=seed):
+        for one in raised(candidate):
+            document = turning_certificate(claim, one)
+            checked = check_document(document)
+            if checked.accepted:
+                break
+        if not checked.accepted:
+            reason = f"{_NOT} {checked.reason}"
+            continue
+        stated = document["claim"]
+        if (moment := stated["vehicle"]["munk_moment_nm"]) >= claim.yaw_limit:
+            reason = f"{_NOT} the Munk moment of {moment:g} N m exceeds the yaw thrust of {claim.yaw_limit:g} N m"
+            continue
+        if claim.rest and stated["motion"]["rest_offset_m"] is None:
+            reason = f"{_NOT} no region that the search found contains a vehicle at rest"
+            continue
+        x, y = stated["motion"]["ultimate_bound_m"]
+        return RegionProof(
+            claim, "proved", document, "", stated["motion"]["offset_m"], (x, y), time.perf_counter() - began,
+            checked.seconds, float(np.sqrt(np.linalg.inv(candidate.P)[1, 1])),
+            rest_offset=stated["motion"]["rest_offset_m"],
+        )  # fmt: skip
+    return RegionProof(claim, "unknown", {}, reason, 0.0, (0.0, 0.0), time.perf_counter() - began, 0.0)
+
+
+def _further(claim: TurningClaim) -> str:
+    """Return what makes a claim with a current, thrust lag or held commands hard to prove, as a part of a sentence."""
+    parts, k_v = [], claim.gains["k_v"]
+    if claim.current:
+        drag = np.array(claim.linear) + np.array(claim.quadratic) * (2 * claim.cruise + claim.current)
+        force = float((claim.drag_factor[1] * claim.current * drag).max())
+        parts.append(f"the current changes the drag by up to {force:.2g} N, at any time if the heading turns")
+    if claim.lag or claim.period:
+        late = claim.lag + claim.period
+        parts.append(
+            f"thrust comes up to {late:.2g} s after its command, and the velocity loop answers in {1 / k_v:.2g} s"
+        )
+    return "; " + "; ".join(parts) if parts else ""

@@ -8,15 +8,17 @@ the largest ratio of a commanded thrust to its limit (n,).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.turning_law import Follower, followed
 from surctl.marine.verification.region.claim import RegionClaim
 from surctl.marine.verification.region.heading import HeadingClaim
 
-__all__ = ["LevelRatios", "Loop", "cruise_loop", "heading_loop", "level_ratios"]
+__all__ = ["LevelRatios", "Loop", "cruise_loop", "cruise_rate", "heading_loop", "level_ratios"]
 
 Array = NDArray[np.float64]
 Loop = Callable[[Array, Array], tuple[Array, Array]]
@@ -62,37 +64,52 @@ def heading_loop(claim: HeadingClaim) -> Loop:
     return rate
 
 
+def cruise_rate(
+    law: Follower, mass: Array | float, drag: tuple[Array, Array], state: Array, psi: Array
+) -> tuple[Array, Array]:
+    """Return d/dt of (x_e, y_e, U_x, U_y) (n, 4), and the largest ratio of a commanded thrust to its limit (n,).
+
+    Args:
+        law: the numbers of the law, with the thrust limits of the vehicle.
+        mass: true mass m11 = m22 [kg].
+        drag: true linear and quadratic drag of surge and sway, (2,) or (2, n).
+        state: the state (n, 4), with the velocity in the path frame.
+        psi: angle (n,) from the path to the heading.
+    """
+    forces = followed(replace(law, thrust=(np.inf, np.inf)), state, psi)
+    c, s = np.cos(psi), np.sin(psi)
+    parts = []
+    for k, n in enumerate((c * state[:, 2] + s * state[:, 3], c * state[:, 3] - s * state[:, 2])):
+        thrust = np.clip(forces[:, k], -law.thrust[k], law.thrust[k])
+        parts.append((thrust - drag[0][k] * n - drag[1][k] * n * np.abs(n)) / mass)
+    rate = np.stack(
+        [state[:, 2] - law.cruise, state[:, 3], c * parts[0] - s * parts[1], s * parts[0] + c * parts[1]], axis=1
+    )
+    return rate, np.max(np.abs(forces) / law.thrust, axis=1)
+
+
 def cruise_loop(claim: RegionClaim) -> Loop:
     """Return the function that computes ξ̇ of the cruise loop with thrust limits, without thrust lag or sampling."""
     mass, hat, hat2 = claim.model
     gains, v = claim.gains, claim.cruise
     ratio = np.inf if claim.asymmetry >= 2 else (2 + claim.asymmetry) / (2 - claim.asymmetry)
-    velocity_gain = mass * gains["k_v"]
+    law = Follower(
+        gains["k1"], gains["lookahead"], v, claim.cap, gains["k_v"], (mass,) * 2, (hat,) * 2, (hat2,) * 2,
+        (claim.thrust,) * 2,
+    )  # fmt: skip
 
     def rate(xi: Array, draws: Array) -> tuple[Array, Array]:
         linear, quadratic = (
-            (first := _between(pair, draws[:, k]),
-             np.clip(_between(pair, draws[:, k + 1]), first / ratio, first * ratio))
+            np.array([
+                first := _between(pair, draws[:, k]),
+                np.clip(_between(pair, draws[:, k + 1]), first / ratio, first * ratio),
+            ])
             for k, pair in ((1, claim.linear), (3, claim.quadratic))
         )  # fmt: skip
-        missing = (np.mean(linear, axis=0) - hat) * v + 0.85 * (np.mean(quadratic, axis=0) - hat2) * v * v
-        omega = missing / (velocity_gain + hat + 1.7 * hat2 * v)
-        psi = 2 * np.pi * draws[:, 5]
-        c, s = np.cos(psi), np.sin(psi)
-        x_e, y = xi[:, 0] - omega / gains["k1"], xi[:, 1]
-        slant = np.hypot(1, y / gains["lookahead"])
-        along = np.minimum(np.maximum(v - gains["k1"] * x_e, 0), claim.cap / slant)
-        desired = along, -along * y / gains["lookahead"]
-        speed = v + xi[:, 2], xi[:, 3]
-        accelerations, share, true_mass = [], np.zeros(len(xi)), _between(claim.mass, draws[:, 0])
-        for k, (a, b) in enumerate(((c, s), (-s, c))):
-            w, n = a * desired[0] + b * desired[1], a * speed[0] + b * speed[1]
-            free = hat * w + hat2 * w * np.abs(w) + velocity_gain * (w - n)
-            share = np.maximum(share, np.abs(free) / claim.thrust)
-            lost = linear[k] * n + quadratic[k] * n * np.abs(n)
-            accelerations.append((np.clip(free, -claim.thrust, claim.thrust) - lost) / true_mass)
-        a, b = accelerations
-        return np.stack([xi[:, 2], xi[:, 3], c * a - s * b, s * a + c * b], axis=1), share
+        missing = (linear.mean(axis=0) - hat) * v + 0.85 * (quadratic.mean(axis=0) - hat2) * v * v
+        state = xi + np.array([0.0, 0.0, v, 0.0])
+        state[:, 0] -= missing / (mass * gains["k_v"] + hat + 1.7 * hat2 * v) / gains["k1"]
+        return cruise_rate(law, _between(claim.mass, draws[:, 0]), (linear, quadratic), state, 2 * np.pi * draws[:, 5])
 
     return rate
 

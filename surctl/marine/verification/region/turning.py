@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from surctl.certcheck.turning_claim import EXCLUDES, read_claim
 from surctl.certcheck.turning_claim import TurningClaim as Stated
-from surctl.certcheck.turning_masses import coupling_of, inverse_masses, turn_points
+from surctl.certcheck.turning_terms import coupling_of, inverse_masses, turn_points
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.control import Gains, build_law
 from surctl.marine.vehicle import Vehicle

@@ -1,6 +1,6 @@
 """Thrust that lags behind its command, or follows a held one, in the search for V of a turning cruise.
 
-The quantities are those of `certcheck.turning_late`, on a grid of headings and in floating point.
+The quantities are those of `certcheck.turning_form`, on a grid of headings and in floating point.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.certcheck.turning_late import lipschitz, stir
+from surctl.certcheck.turning_form import lipschitz, stir
 from surctl.marine.verification.region.turning import TurningClaim
 
 __all__ = ["Behind", "behind_of", "split_of"]

@@ -1,7 +1,7 @@
 """The turning cruise as a linear inclusion on a grid of headings, in floating point; the checker derives its own.
 
 The state is ξ = (x, y, δU_x, δU_y), the deviation from the steady cruise in the path frame; with thrust lag or held
-commands, the two entries of E follow (`certcheck.turning_late`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯
+commands, the two entries of E follow (`certcheck.turning_form`). At a vertex of the parameters ξ̇ = A ξ + w with w wᵀ ⪯
 W; `certcheck.turning_cells` derives this inclusion.
 """
 

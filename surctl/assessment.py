@@ -1,0 +1,509 @@
+"""The subject of an assessment of a system of the user's own: its loop at the equilibrium, a run, a proved region."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surctl.errors import InputError
+from surctl.system import ENDED, LOST, Record, System, run_system, unresponsive
+from surctl.system.values import checked_ranges, run_numbers
+from surctl.verification.linear import LEAST_DISK_MARGIN
+from surctl.verification.loops import LEAST_DELAY_MARGIN, LoopMargins
+from surctl.verification.sampled_margins import SystemCorners, system_corners
+
+__all__ = [
+    "SATURATED",
+    "Assessment",
+    "Assumption",
+    "ClosedLoop",
+    "Comparison",
+    "Figure",
+    "Line",
+    "Part",
+    "Region",
+    "Subject",
+    "assess",
+    "loop_figures",
+    "loop_line",
+]
+
+# An assessment: every figure and verdict about one subject, in the form that every page, command and status reads
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number that describes a subject.
+
+    Attributes:
+        name: key of the figure, the same in every table, file and page.
+        value: the number; NaN if it could not be determined.
+        unit, meaning: as in a table head.
+        better: whether high or low values are better; None if neither is.
+        least: least sufficient value (largest, if low is better); None if there is none.
+        where: the corner, loop or mission that decides the value; may be empty.
+    """
+
+    name: str
+    value: float
+    unit: str
+    meaning: str
+    better: Literal["high", "low"] | None
+    least: float | None = None
+    where: str = ""
+
+    @property
+    def enough(self) -> bool:
+        """Whether the value is sufficient; a value that could not be determined is not."""
+        if self.least is None:
+            return True
+        return bool(self.value >= self.least if self.better == "high" else self.value <= self.least)
+
+    def worse(self, before: Figure) -> bool:
+        """Return whether the value is worse than that of `before` by more than rounding; NaN is the worst."""
+        if self.better is None or np.isnan(before.value):
+            return False
+        if np.isnan(self.value):
+            return True
+        lost = self.value - before.value if self.better == "low" else before.value - self.value
+        return bool(lost > 1e-9 + 1e-6 * abs(before.value))
+
+
+@dataclass(frozen=True)
+class Line:
+    """One verdict of an assessment as a sentence.
+
+    Attributes:
+        passed: whether it holds; None if that is not known.
+        text: the sentence.
+        about: the part of a page that shows the details; may be empty.
+        counts: whether the line counts towards the result; a remark does not.
+    """
+
+    passed: bool | None
+    text: str
+    about: str = ""
+    counts: bool = True
+
+    @property
+    def rank(self) -> int:
+        """0 for a line that fails, 1 for one that is not decided, 2 for one that holds, 3 for a remark."""
+        return 3 if not self.counts else {False: 0, None: 1, True: 2}[self.passed]
+
+    @property
+    def mark(self) -> str:
+        """The line's mark in front of its text in a terminal."""
+        return ("FAIL", "open", "ok  ", "    ")[self.rank]
+
+
+@dataclass(frozen=True)
+class Assumption:
+    """A value that is assumed because the vehicle file states none.
+
+    Attributes:
+        name: the parameter, or "ranges".
+        value: the assumed value, in words.
+        margins: disk margin at the worst corner with half of the value, the value, and double of it; NaN if it was not
+            computed or the vehicle cannot hold the cruise speed.
+    """
+
+    name: str
+    value: str
+    margins: tuple[float, float, float]
+
+    @property
+    def text(self) -> str:
+        """The assumption and its influence as one sentence."""
+        text = f"assumption: {self.name} {self.value}, because the vehicle file states none"
+        if np.isnan(self.margins).all():
+            return text
+        half, value, double = ("none" if np.isnan(m) else f"{m:.2f}" for m in self.margins)
+        return f"{text}; disk margin {value}, {half} with half of it, {double} with double"
+
+
+class Part(NamedTuple):
+    """Figures and lines of one part of an assessment, the objects that they come from, and the defaults it assumes."""
+
+    figures: tuple[Figure, ...]
+    lines: tuple[Line, ...]
+    source: Any = None
+    assumptions: tuple[Assumption, ...] = ()
+
+
+class Subject(Protocol):
+    """What is assessed: the parts by name, each a function that computes it."""
+
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+
+    def parts(self) -> Mapping[str, Callable[[], Part]]:
+        """Return the parts that concern the subject, cheapest first."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """What is known about a subject.
+
+    Attributes:
+        subject: its name.
+        figures: figures by name.
+        lines: verdicts, worst first.
+        parts: the parts that were computed, by name.
+        omitted: parts that were not assessed.
+        assumptions: defaults on which the figures depend; each is also a remark among the lines.
+    """
+
+    subject: str
+    figures: Mapping[str, Figure]
+    lines: tuple[Line, ...]
+    parts: Mapping[str, Part]
+    omitted: tuple[str, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
+
+    @property
+    def sources(self) -> Mapping[str, Any]:
+        """The objects behind each part, by name of the part."""
+        return {name: part.source for name, part in self.parts.items()}
+
+    def with_lines(self, lines: Collection[Line]) -> Assessment:
+        """Return the assessment with further lines, of a page that knows more about the subject."""
+        return replace(self, lines=_sorted([*self.lines, *lines]))
+
+    @property
+    def passed(self) -> bool | None:
+        """False if a line fails, None if one is not decided (or none counts), True if all that count hold."""
+        ranks = [line.rank for line in self.lines if line.counts]
+        return (False, None, True)[min(ranks, default=1)]
+
+    @property
+    def failures(self) -> list[str]:
+        """The texts of the lines that fail."""
+        return [line.text for line in self.lines if line.rank == 0]
+
+    @property
+    def banner(self) -> str:
+        """The verdict in one sentence: the worst line, and how many others are like it."""
+        if self.passed is True:
+            return "All that is assessed holds."
+        like = [line for line in self.lines if line.rank == (0 if self.passed is False else 1)]
+        if not like:
+            return "Nothing is assessed."
+        more = f" (and {len(like) - 1} more)" if len(like) > 1 else ""
+        lead = "Fails" if self.passed is False else "Nothing fails; open"
+        return f"{lead}: {like[0].text}{more}"
+
+    def weakest(self, count: int) -> tuple[Line, ...]:
+        """Return the worst lines that count, at most `count`."""
+        return tuple(line for line in self.lines if line.counts)[:count]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the assessment as plain data for JSON; the writer converts numbers that are not finite."""
+        return {
+            "subject": self.subject,
+            "passed": self.passed,
+            "banner": self.banner,
+            "figures": {name: asdict(figure) for name, figure in self.figures.items()},
+            "lines": [asdict(line) for line in self.lines],
+            "not_assessed": list(self.omitted),
+            "assumptions": [asdict(assumption) for assumption in self.assumptions],
+        }
+
+
+def assess(
+    subject: Subject, *, parts: Collection[str] | None = None, computed: Mapping[str, Part] | None = None
+) -> Assessment:
+    """Assess a subject.
+
+    Args:
+        subject: what is assessed, such as a `Mission`.
+        parts: names of the parts to compute; None: all. The assessment says which parts of the subject are omitted.
+        computed: parts of an earlier assessment of the same subject (`Assessment.parts`), which are not computed again.
+
+    Example:
+        >>> from surctl.marine.assessment import Mission
+        >>> from surctl.assessment import assess
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> robot = Mission(load_vehicle("sur400"), load_gains("default"), cruise=0.15, cap=0.22)
+        >>> result = assess(robot, parts=["loop"])
+        >>> result.passed, result.figures["disk_margin"].where, result.omitted
+        (True, 'mass -5%, drag -20%', ('region',))
+    """
+    known, ready = subject.parts(), computed or {}
+    done = {
+        name: ready[name] if name in ready else compute()
+        for name, compute in known.items()
+        if parts is None or name in parts
+    }
+    figures = {figure.name: figure for part in done.values() for figure in part.figures}
+    lines = [line for part in done.values() for line in part.lines]
+    omitted = tuple(name for name in known if name not in done)
+    lines += [Line(None, f"{name}: not assessed", counts=False) for name in omitted]
+    assumed = tuple(one for part in done.values() for one in part.assumptions)
+    lines += [Line(None, one.text, "margins", counts=False) for one in assumed]
+    return Assessment(subject.name, MappingProxyType(figures), _sorted(lines), MappingProxyType(done), omitted, assumed)
+
+
+def _sorted(lines: Collection[Line]) -> tuple[Line, ...]:
+    return tuple(sorted(lines, key=lambda line: line.rank))
+
+
+# The figures of a linear loop and their verdict: one definition for vehicles, laws and systems
+
+
+SATURATED = 0.5
+"""Share of time at a limit above which the linear figures do not describe a run."""
+
+_DISK = "all loops at once, at commands or measurements, at the worst corner of the ranges"
+
+
+def loop_figures(
+    disks: tuple[float, float],
+    slowest: tuple[float, float],
+    margins: Sequence[LoopMargins],
+    *,
+    corner: str,
+    which: str,
+    least_delay: float = LEAST_DELAY_MARGIN,
+) -> dict[str, Figure]:
+    """Return the figures of a linear loop by name.
+
+    Args:
+        disks: disk margin of all loops at once, nominal and at the worst corner.
+        slowest: largest real part [1/s] of a pole, nominal and over the corners.
+        margins: margins of each loop alone.
+        corner: the worst corner.
+        which: what the margins of each loop alone are of, such as the nominal vehicle.
+        least_delay: least sufficient delay margin [s].
+    """
+    delay = min(margins, key=lambda m: m.delay_margin_s)
+    single = min(margins, key=lambda m: m.disk_margin)
+    figures = (
+        Figure("disk_margin", disks[1], "1", _DISK, "high", LEAST_DISK_MARGIN, corner),
+        Figure("nominal_disk_margin", disks[0], "1", "disk margin, nominal", "high"),
+        Figure(
+            "single_loop_disk_margin", single.disk_margin, "1", f"least disk margin of one loop alone, {which}",
+            "high", where=single.name,
+        ),
+        Figure(
+            "delay_margin_s", delay.delay_margin_s, "s", f"least delay margin of one loop alone, {which}",
+            "high", least_delay, delay.name,
+        ),
+        Figure("slowest_pole_per_s", slowest[0], "1/s", "largest real part of a pole, nominal", "low"),
+        Figure("corner_slowest_pole_per_s", slowest[1], "1/s", "largest real part of a pole, corners", "low"),
+    )  # fmt: skip
+    return {figure.name: figure for figure in figures}
+
+
+def loop_line(figures: dict[str, Figure], *, stable: bool, place: str, unstable: str) -> Line:
+    """Return the verdict on a linear loop; `unstable` says what is wrong with a nominal loop that is not stable."""
+    disk, nominal, delay = (figures[n] for n in ("disk_margin", "nominal_disk_margin", "delay_margin_s"))
+    if not stable:
+        text = f"the linear loop {place} is UNSTABLE"
+        if nominal.value > 0:
+            text += f" at the corner {disk.where}; the nominal disk margin is {nominal.value:.2f}"
+        else:
+            text += unstable
+        return Line(False, text, "margins")
+    short = [f"at least {f.least:g}" + (f" {f.unit}" if f.unit != "1" else "") for f in (disk, delay) if not f.enough]
+    worst, first = ("not determined" if np.isnan(f.value) else f"{f.value:.2f}" for f in (disk, nominal))
+    text = f"margins {place}: disk margin {worst} at the worst corner, {first} nominal; least delay "
+    text += f"margin {delay.value:{'.2f' if delay.value >= 0.1 else '.2g'}} s ({delay.where})"
+    if short:
+        text += f"; required: {', '.join(short)} (worst corner: {disk.where})"
+    undetermined = np.isnan(disk.value) and delay.enough
+    return Line(None if undetermined else not short, text, "margins")
+
+
+# Two assessments of one subject, before and after a change: every figure of both, and what got worse
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """An assessment before and after a change of the gains."""
+
+    before: Assessment
+    after: Assessment
+
+    @property
+    def rows(self) -> list[tuple[Figure, Figure]]:
+        """Every figure of one of both, before and after; NaN where one has none. What got worse comes first."""
+        known = {**self.after.figures, **self.before.figures}
+        pairs = [tuple(_of(one, figure) for one in (self.before, self.after)) for figure in known.values()]
+        return sorted(((old, new) for old, new in pairs), key=lambda pair: -_loss(*pair))
+
+    @property
+    def worse(self) -> list[tuple[Figure, Figure]]:
+        """The figures that got worse, the largest share first."""
+        return [(old, new) for old, new in self.rows if new.worse(old)]
+
+    @property
+    def headline(self) -> str:
+        """What got worse, or that nothing did, in one line."""
+        if not self.worse:
+            return "no figure of the assessment is worse than before"
+        changes = ", ".join(f"{old.name} {_text(old)} -> {_text(new)}" for old, new in self.worse)
+        return f"WORSE than before: {changes}"
+
+    def lines(self) -> list[str]:
+        """Return the headline, the table of all figures, and what fails or is not decided after the change."""
+        table = [f"{'figure':<28}{'unit':<6}{'required':>10}{'before':>12}{'after':>12}"]
+        for old, new in self.rows:
+            sign = "" if new.least is None else f"{'≥' if new.better == 'high' else '≤'} {new.least:g}"
+            mark = "  worse" if new.worse(old) else ""
+            table.append(f"{new.name:<28}{new.unit:<6}{sign:>10}{_text(old):>12}{_text(new):>12}{mark}")
+        open_ends = [f"{line.mark} {line.text}" for line in self.after.lines if line.rank < 2]
+        return [self.headline, *table, *open_ends]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return both assessments and the names of the figures that got worse as plain data for JSON."""
+        worse = [new.name for _, new in self.worse]
+        return {"before": self.before.to_dict(), "after": self.after.to_dict(), "worse": worse}
+
+
+def _of(one: Assessment, figure: Figure) -> Figure:
+    missing = Figure(figure.name, float("nan"), figure.unit, figure.meaning, figure.better, figure.least)
+    return one.figures.get(figure.name, missing)
+
+
+def _loss(old: Figure, new: Figure) -> float:
+    # share of the value that is lost; 0 or less if nothing is
+    if not new.worse(old):
+        return 0.0
+    lost = abs(new.value - old.value) / max(abs(old.value), 1e-9)
+    return float(lost) if np.isfinite(lost) else float("inf")
+
+
+def _text(figure: Figure) -> str:
+    return "none" if np.isnan(figure.value) else f"{figure.value:.3g}"
+
+
+class Region(Protocol):
+    """A claim about a region of attraction with its verdict, such as `surctl.lyapunov.Solution`."""
+
+    @property
+    def falsified(self) -> float | None:
+        """Return the least level at which a counterexample is known."""
+
+    @property
+    def verdict(self) -> Literal["proved", "refuted", "unknown"]:
+        """Return the verdict."""
+
+    @property
+    def vacuous(self) -> str:
+        """Why the proved claim says nothing; empty if it says something."""
+
+    @property
+    def level(self) -> float | None:
+        """Return the level of the claim; None if it has none."""
+
+    def lines(self) -> list[str]:
+        """Return lines that state the claim."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedLoop:
+    """A system with its numbers, the run in which it is judged, and the region that is claimed.
+
+    Attributes:
+        system: the closed loop.
+        values: numbers of one run by name, see `run_numbers`.
+        ranges: ranges of uncertain numbers; None: those that the system declares.
+        record: the run; None: it is simulated, if there are `seconds`.
+        seconds: duration of the run [s]; None: no run is judged.
+        region: function that decides the claimed region of attraction; None: none is claimed.
+    """
+
+    system: System
+    values: Mapping[str, ArrayLike] = field(default_factory=dict)
+    ranges: Mapping[str, tuple[float, float]] | None = None
+    record: Record | None = None
+    seconds: float | None = None
+    region: Callable[[], Region] | None = None
+
+    @property
+    def name(self) -> str:
+        """Names of plant and controller."""
+        return f"{self.system.plant.name} under {self.system.controller.name}"
+
+    def parts(self) -> Mapping[str, Callable[[], Part]]:
+        """Return the parts of the assessment; run and region only if they are asked for."""
+        parts: dict[str, Callable[[], Part]] = {"loop": self._loop}
+        if self.record is not None or self.seconds is not None:
+            parts["run"] = self._run
+        if self.region is not None:
+            parts["region"] = self._region
+        return parts
+
+    def _loop(self) -> Part:
+        run_numbers(self.system, self.values)  # a mistake is raised, unlike a loop without equilibrium
+        checked_ranges(self.system, self.system.ranges if self.ranges is None else self.ranges)
+        try:
+            corners = system_corners(self.system, self.values, self.ranges)
+        except InputError as error:
+            line = Line(None, f"margins: not judged, because {error.problem}", "margins", counts=False)
+            return Part((), (line,), error)
+        figures = _figures(corners, self.system.dt)
+        unstable = f": the largest pole is |z| = {np.abs(corners.nominal.poles).max(initial=0.0):.6g}"
+        line = loop_line(figures, stable=corners.stable, place="at the equilibrium", unstable=unstable)
+        if corners.lost:
+            line = Line(False, f"the loop has no equilibrium at the corner {corners.corner}", "margins")
+        return Part(tuple(figures.values()), (line,), corners)
+
+    def _run(self) -> Part:
+        record = self.record
+        if record is None:
+            assert self.seconds is not None  # `parts` asks for a run only then
+            record = run_system(self.system, self.seconds, self.values)
+        how = f"the run ends after {record.duration:.6g} s ({record.lost or record.stopped})"
+        lines = [Line(record.stopped != LOST, how, "run", counts=record.stopped in (ENDED, LOST))]
+        figures = []
+        for name, cost in self.system.costs.items():
+            value = record.figures[name]
+            meaning = cost.meaning or f"{cost.how} over the run"
+            figures.append(Figure(f"cost.{name}", value, cost.unit, meaning, "low", cost.at_most))
+            if cost.at_most is not None:
+                text = f"{name} = {value:.6g} {cost.unit}, at most {cost.at_most:g} {cost.unit}"
+                lines.append(Line(figures[-1].enough, text, "run"))
+        shares = unresponsive(record)
+        if shares:
+            worst = max(shares, key=lambda name: shares[name])
+            meaning = "share of the run in which a command does not respond: at a limit, or in a dead zone"
+            figures.append(Figure("limited_share", shares[worst], "1", meaning, "low", where=worst))
+            if shares[worst] > SATURATED:
+                text = f"command {worst} does not respond {shares[worst]:.0%} of the run"
+                lines.append(Line(None, f"{text}, so the linear margins do not describe this run", "run"))
+        return Part(tuple(figures), tuple(lines), record)
+
+    def _region(self) -> Part:
+        assert self.region is not None  # `parts` asks for a region only then
+        solution = self.region()
+        proved = solution.verdict == "proved" and not solution.vacuous
+        passed = True if proved else False if solution.verdict == "refuted" else None
+        line = Line(passed, f"region of attraction: {' '.join(solution.lines()[0].split())}", "region")
+        level = solution.level
+        if level is None:
+            return Part((), (line,), solution)
+        share = level / solution.falsified if proved and solution.falsified else float("nan") if proved else 0.0
+        figure = Figure(
+            "region_share", share, "1", "certified level over the least level with a counterexample", "high"
+        )
+        return Part((figure,), (line,), solution)
+
+
+def _figures(corners: SystemCorners, dt: float) -> dict[str, Figure]:
+    nominal = corners.nominal
+    return loop_figures(
+        (nominal.disk, corners.disk),
+        (nominal.slowest_per_s, corners.slowest_per_s),
+        nominal.margins,
+        corner=corners.corner,
+        which="nominal system",
+        least_delay=dt,  # the command of a step may be applied up to one period late
+    )

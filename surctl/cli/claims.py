@@ -1,0 +1,389 @@
+"""The claims of `surctl verify`: inequalities, regions, braking, and solutions of any dynamics."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from surctl.cli.output import finish, progress, refusal_line, saving, stoppable, timed
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from surctl.lyapunov import Solution
+    from surctl.marine.control import Gains
+    from surctl.marine.vehicle import Vehicle
+    from surctl.marine.verification.region import RegionStatement
+    from surctl.verification import Inapplicable, Verdict
+    from surctl.verification.formula import Statement
+
+__all__ = [
+    "Braking",
+    "Regions",
+    "are_problems",
+    "check_regions",
+    "claim_line",
+    "is_braking",
+    "is_region",
+    "prove_all",
+    "prove_regions",
+    "region_of",
+    "require_own_speeds",
+    "statement_lines",
+    "verify_motion",
+    "write_solution",
+]
+
+_SHOWN = 400  # characters of a printed expression
+
+
+def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> list[str]:
+    """Return the statement as the checker reads it: from the certificate, if there is one."""
+    from surctl.verification.formula import text_of
+
+    left, right, *constraints = map(text_of, exact.parts)
+    ends = [*zip(exact.names, exact.lower.tolist(), exact.upper.tolist(), strict=True)]
+    if certificate is not None:
+        claim = certificate["claim"]
+        left, right, constraints = claim["left"], claim["right"], claim["constraints"]
+        ends = [(v["name"], v["lower"], v["upper"]) for v in claim["variables"]]
+    slack = certificate["claim"]["slack"] if certificate is not None else 0.0
+    bound = f"{right} + {slack!r}" if slack else right
+    where = [f"{name} in [{low!r}, {high!r}]" for name, low, high in ends] + [f"{g} <= 0" for g in constraints]
+    return [f"  {_clipped(left)} <= {_clipped(bound)}", f"  where {_clipped(', '.join(where))}"]
+
+
+def _clipped(text: str) -> str:
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]} ... ({len(text)} characters)"
+
+
+def _number(value: float, digits: str) -> str:
+    return repr(value) if digits == "r" else f"{value:{digits}}"
+
+
+def claim_line(verdict: Verdict) -> str:
+    """Return one line for a verdict, with its counterexample, its slack or the reason why it is unknown."""
+    counterexample, proof = verdict.counterexample, verdict.certificate
+    where = ""
+    if counterexample is not None:
+        digits = "r" if counterexample.undefined else ".4g"  # beside a pole, every digit counts
+        where = " at " + ", ".join(f"{k} = {_number(v, digits)}" for k, v in counterexample.values.items())
+        where += f": {counterexample.sentence}"
+    elif verdict.vacuous:
+        where = f", but vacuous: {verdict.vacuous}"
+    elif proof is not None and proof["claim"]["slack"]:
+        where = f" to within {proof['claim']['slack']:.1g} {verdict.claim.unit}"
+    elif verdict.open_ends:
+        where = f": {verdict.open_ends}"
+    mark = "ok  " if verdict.as_expected else "FAIL"
+    return f"{mark} {verdict.claim.name:<22} {verdict.verdict}{where}"
+
+
+class Regions(NamedTuple):
+    """The result of the region claims.
+
+    Attributes:
+        claims: plain data of each claim.
+        lines: lines to print.
+        files: certificate files.
+        instead: name of a claim that applies to the vehicle, if one that was asked for does not; "" if there is none.
+    """
+
+    claims: list[dict[str, Any]]
+    lines: list[str]
+    files: list[Path]
+    instead: str
+
+
+def is_region(word: str) -> bool:
+    """Return whether a word is the name of a region claim or a file of kind region.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    if word.endswith(".toml"):
+        from surctl.files import read_toml
+
+        return bool(read_toml(Path(word)).get("kind") == "region")
+    return word.startswith("region-")
+
+
+def region_of(word: str) -> RegionStatement:
+    """Return the region claim with the given name or file.
+
+    Raises:
+        InputError: the claim is unknown, or the file is not a region claim.
+    """
+    from surctl.marine.verification.region import load_region, region_statement
+
+    return load_region(Path(word)) if word.endswith(".toml") else region_statement(word)
+
+
+def check_regions(
+    words: Sequence[str], vehicle: Vehicle, gains: Gains, speeds: tuple[float, float]
+) -> tuple[dict[str, RegionStatement], dict[str, Inapplicable]]:
+    """Return the region claims by word, and those that do not apply to the vehicle with their reason; proves nothing.
+
+    Args:
+        words: names and files of the claims.
+        vehicle: the vehicle.
+        gains: the gains.
+        speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
+
+    Raises:
+        InputError: a claim is unknown or has a mistake.
+    """
+    from surctl.errors import InputError, NotApplicable
+    from surctl.verification import Inapplicable
+
+    cruise, cap = speeds
+    stated = {word: region_of(word) for word in words}
+    refused: dict[str, Inapplicable] = {}
+    for word, statement in stated.items():
+        try:
+            statement.claim(vehicle, gains, cruise=cruise, cap=cap)
+        except NotApplicable as reason:
+            refused[word] = Inapplicable.of(statement.name, reason)
+        except InputError as error:
+            raise (error.inside(word) if word.endswith(".toml") and not error.file else error) from None
+    return stated, refused
+
+
+def require_own_speeds(words: Sequence[str], cruise: float | None, cap: float | None) -> None:
+    """Raise InputError if an option sets another speed than the one that a region claim states.
+
+    Args:
+        words: names and files of the claims.
+        cruise: cruise speed of the option [m/s]; None if it is not set.
+        cap: speed limit of the option [m/s]; None if it is not set.
+    """
+    from surctl.errors import InputError
+
+    for word in words:
+        statement = region_of(word)
+        stated = {"cruise_m_per_s", "cap_m_per_s"} & statement.model_fields_set
+        for key, option in (("cruise_m_per_s", cruise), ("cap_m_per_s", cap)):
+            value = getattr(statement, key)
+            if stated and option is not None and option != value:
+                name = f"--{key.partition('_')[0]}"
+                problem = f"is not the speed of the region claim, which is proved at {value:g} m/s"
+                raise InputError(problem, file=word, key=name, value=option, remedy=f"drop {name}, or change the claim")
+
+
+def prove_regions(
+    words: Sequence[str],
+    *,
+    vehicle: str,
+    gains: str | Gains,
+    speeds: tuple[float, float],
+    seed: int = 0,
+    out: Path | None = None,
+) -> Regions:
+    """Prove region claims for a vehicle and a gain file; the certificates are written to `out` as NAME.json.
+
+    Args:
+        words: names and files of the claims.
+        vehicle: name or file of the vehicle.
+        gains: name or file of the gains, or the gains.
+        speeds: (cruise speed, speed limit) [m/s] for claims whose text does not set these speeds.
+        seed: seed of the search for a certificate.
+        out: folder of the certificates.
+
+    Raises:
+        InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
+    """
+    from surctl.marine.control import load_gains
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
+
+    robot = load_vehicle(vehicle)
+    values = load_gains(gains) if isinstance(gains, str) else gains
+    cruise, cap = speeds
+    stated, refused = check_regions(words, robot, values, speeds)
+    proofs, files = [], []
+    for word, statement in stated.items():
+        if word in refused:
+            continue
+        name = statement.name
+        with timed(name):
+            proof = prove_statement(statement, robot, values, seed=seed, cruise=cruise, cap=cap)
+        proofs.append(proof)
+        if out is not None and proof.verdict == "proved":
+            with saving(f"certificate of {name}"):
+                file = out / f"{name}.json"
+                proof.write(file)
+                files.append(file)
+    marks = ["ok  " if p.useful else "open" if p.verdict == "proved" else "FAIL" for p in proofs]
+    lines = [f"{mark} {p.claim.name:<22} {p.sentence}" for mark, p in zip(marks, proofs, strict=True)]
+    lines += [refusal_line(one) for one in refused.values()]
+    data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused.values())]
+    known = {statement.name for statement in stated.values()}
+    others = [name for name in ("region-turning-20", "region-steered-20") if name not in known]
+    instead = applicable_region(others, robot, values, cruise=cruise, cap=cap) if refused and others else None
+    return Regions(data, lines, files, instead.name if isinstance(instead, RegionStatement) else "")
+
+
+_KINDS = ("braking-rule", "braking-inertia", "braking-simple")
+
+
+class Braking(NamedTuple):
+    """The result of the braking claims: plain data, lines to print, certificate files, whether all are proved."""
+
+    claims: list[dict[str, Any]]
+    lines: list[str]
+    files: list[Path]
+    passed: bool
+
+
+def is_braking(name: str) -> bool:
+    """Return whether a name denotes a braking claim; False for the name of a step in the proof of a claim."""
+    return name.startswith(_KINDS)
+
+
+def prove_all(
+    names: Sequence[str], *, vehicle: str, gains: str | Gains, cap: float, out: Path | None = None
+) -> Braking:
+    """Prove the named braking claims for a vehicle, gains (or their file) and a speed limit `cap` [m/s].
+
+    The certificates are written to the folder `out` as NAME.json.
+
+    Raises:
+        InputError: a claim, vehicle or gain file is unknown; the error is raised before the first proof.
+    """
+    if not names:
+        return Braking([], [], [], True)
+    from surctl.errors import NotApplicable
+    from surctl.marine.control import load_gains
+    from surctl.marine.vehicle import load_vehicle
+    from surctl.marine.verification.braking import braking_claim_named, prove_braking
+    from surctl.verification import Inapplicable
+
+    robot = load_vehicle(vehicle)
+    values = load_gains(gains) if isinstance(gains, str) else gains
+    proofs, files, claims, refused = [], [], [], []
+    for name in names:
+        try:
+            claims.append(braking_claim_named(name, robot, values, cap=cap))
+        except NotApplicable as reason:
+            refused.append(Inapplicable.of(name, reason))
+    for claim in claims:
+        with timed(claim.name):
+            proof = prove_braking(claim)
+        proofs.append(proof)
+        if out is not None and proof.verdict == "proved":
+            with saving(f"certificate of {claim.name}"):
+                out.mkdir(parents=True, exist_ok=True)
+                file = out / f"{claim.name}.json"
+                proof.write(file)
+                files.append(file)
+    lines = [f"{'ok  ' if p.verdict == 'proved' else 'FAIL'} {p.claim.name:<22} {p.sentence}" for p in proofs]
+    lines += [refusal_line(one) for one in refused]
+    data = [*(p.to_dict() for p in proofs), *(one.to_dict() for one in refused)]
+    return Braking(data, lines, files, not refused and all(p.verdict == "proved" for p in proofs))
+
+
+def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
+    """Return whether the words are files about dynamics.
+
+    Args:
+        words: positional arguments of the command.
+        only: names of the parameters of the command that apply to such files.
+
+    Raises:
+        InputError: only some of the words are such files, or an option does not apply to them.
+    """
+    files = [word for word in words if word.endswith(".toml") and Path(word).is_file()]
+    if not files:
+        return False
+    import click
+    from click.core import ParameterSource
+
+    from surctl.errors import InputError
+    from surctl.lyapunov import is_problem
+
+    about = [word for word in files if is_problem(Path(word))]
+    if not about:
+        return False
+    other = next((word for word in words if word not in about), None)
+    if other is not None:
+        remedy = "check it by a command of its own"
+        raise InputError(
+            "is not a claim about dynamics, unlike the other arguments", key="claim", value=other, remedy=remedy
+        )
+    context = click.get_current_context()
+    for option in context.command.params:
+        typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
+        if isinstance(option, click.Option) and typed and option.name not in only:
+            raise InputError("does not apply to a claim about dynamics", key=option.opts[0], remedy="drop it")
+    return True
+
+
+def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Path | None, as_json: bool) -> None:
+    """Prove or refute the claims; exit with status 1 if a verdict is not the expected one."""
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.lyapunov import load_problem, solve
+
+    problems = {word: load_problem(Path(word)) for word in words}
+    names = [problem.dynamics.name for problem in problems.values()]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError("is given twice", key="claim", value=twice, remedy="rename or drop one of them")
+    if out is not None:
+        prepare_folder(out)
+    lines: list[str] = []
+    claims: list[dict[str, Any]] = []
+    failures: list[str] = []
+    files: list[Path] = []
+    for word, problem in problems.items():
+        with (
+            timed(problem.dynamics.name, time_limit),
+            stoppable("the finished claims are above", lines, as_json=as_json),
+        ):
+            try:
+                solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)
+            except InputError as error:
+                raise (error if error.file else error.inside(Path(word))) from None
+        lines += solution.lines()
+        data = solution.to_dict() | {"expected": problem.expected}
+        if out is not None:
+            written = write_solution(solution, out)
+            files += written[:1]
+            data["files"] = [str(path) for path in written]
+            lines += [f"  {path}" for path in written]
+        claims.append(data)
+        if solution.verdict != problem.expected:
+            failures.append(f"{problem.dynamics.name} is {solution.verdict}, not {problem.expected}")
+    if failures:
+        lines.append(f"exit status 1, because {'; '.join(failures)}")
+    then = [shlex.join(["surctl", "check", str(file)]) for file in files[:1]]
+    if out is None and any(claim["verdict"] == "proved" for claim in claims):
+        then = [shlex.join(["surctl", "verify", *words, "--out", "proofs"])]
+    result = {"claims": claims} | ({"failures": failures} if failures else {})
+    finish(result, lines, as_json=as_json, passed=not failures, then=then)
+
+
+def write_solution(solution: Solution, out: Path) -> list[Path]:
+    """Write the certificate, if there is one, and the picture of a region; return the files."""
+    from surctl.files import write_file
+    from surctl.lyapunov import Safety
+
+    if solution.decision is None or not solution.document:
+        return []
+    claim = solution.decision.claim
+    name = claim.dynamics.name
+    text = json.dumps(solution.document, ensure_ascii=False, separators=(",", ":"))
+    files = []
+    with saving("certificate"):
+        files.append(write_file(out / f"{name}.json", text + "\n"))
+    if not isinstance(claim, Safety):
+        with saving("plot"):
+            from surctl.report.motion_plots import plot_motion
+            from surctl.report.theme import save_figure
+
+            figure = plot_motion(solution.dynamics, claim.function, level=claim.level, falsified=solution.falsified)
+            files.append(save_figure(figure, out, (name,)))
+    return files

@@ -1,0 +1,397 @@
+"""Options that select vehicle, gains, law, speeds and barrier of the robot, and the commands that suggest them."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from surctl.cli.output import together
+
+if TYPE_CHECKING:
+    from surctl.marine.control import Gains, GainSpec, Law
+    from surctl.marine.simulation import SafetyClaim, Scenario
+    from surctl.marine.vehicle import Vehicle
+    from surctl.verification import Inapplicable
+
+__all__ = [
+    "DEFAULT_VEHICLE",
+    "GAINS_HELP",
+    "MISSION",
+    "SPEEDS",
+    "GainsChoice",
+    "RobotOptions",
+    "Speeds",
+    "VehicleChoice",
+    "at_hand",
+    "barrier_options",
+    "check_barrier",
+    "choose_gains",
+    "choose_law",
+    "choose_shared",
+    "choose_vehicle",
+    "derive_words",
+    "export_command",
+    "fitting_scenario",
+    "law_option",
+    "law_words",
+    "margin_short",
+    "priority_options",
+    "trust_option",
+]
+
+DEFAULT_VEHICLE = "sur540-flooded"
+"""The vehicle of a command without `--vehicle` and without a scenario."""
+
+
+class VehicleChoice(NamedTuple):
+    """Name or file of a vehicle, and the origin of the choice: "--vehicle", "scenario NAME" or "default"."""
+
+    word: str
+    origin: str
+
+    def line(self, name: str) -> str:
+        """Return one line that names the vehicle and the origin of the choice; `name` is the name in its file."""
+        return f"vehicle {name} (from {self.origin})" if self.origin != "default" else f"vehicle {name} (default)"
+
+
+def choose_vehicle(
+    option: str | None, scenario: tuple[str, str] | None = None, *, default: str = DEFAULT_VEHICLE
+) -> VehicleChoice:
+    """Return the vehicle of the option `--vehicle`, else the vehicle of the scenario, else the default vehicle.
+
+    Args:
+        option: value of the option `--vehicle`; None if it is not given.
+        scenario: name of the scenario and name or file of its vehicle; None if the command has no scenario.
+        default: vehicle if neither the option nor the scenario names one.
+
+    Raises:
+        InputError: the scenario names a file that does not exist.
+    """
+    if option is not None:
+        return VehicleChoice(option, "--vehicle")
+    if scenario is not None:
+        if scenario[1].endswith(".toml") and not Path(scenario[1]).is_file():
+            from surctl.errors import InputError
+
+            key, remedy = f"vehicle of scenario {scenario[0]}", "correct the entry, or give --vehicle"
+            raise InputError("no such file", key=key, value=scenario[1], remedy=remedy)
+        return VehicleChoice(scenario[1], f"scenario {scenario[0]}")
+    return VehicleChoice(default, "default")
+
+
+def at_hand(scenario: Scenario, vehicle: Vehicle, gains: str) -> list[str]:
+    """Return the command-line options that select the given mission, vehicle and gain file."""
+    from surctl.marine.simulation import LIBRARY as SCENARIOS
+    from surctl.marine.vehicle import LIBRARY as VEHICLES
+
+    def word(source: str, library: Path) -> str:
+        return Path(source).stem if Path(source).parent == library else source
+
+    mission, robot = word(scenario.source, SCENARIOS) or scenario.name, word(vehicle.source, VEHICLES) or vehicle.name
+    return ["--scenario", mission, "--vehicle", robot, "--gains", gains]
+
+
+GAINS_HELP = "Gain set: name or file (default: the vehicle's)."
+"""Help of the option `--gains`. The default is the set `default` for the SUR vehicles, and derived gains for others."""
+
+
+class GainsChoice(NamedTuple):
+    """The gains, lines that say how they were derived (empty for a named set), and the same as data (or None)."""
+
+    gains: Gains
+    lines: list[str]
+    data: dict[str, Any] | None
+
+    @property
+    def derived(self) -> bool:
+        """Whether the gains were derived from the vehicle."""
+        return self.data is not None
+
+
+def choose_gains(
+    word: str | None, vehicle: Vehicle, *, cruise: float, own: Mapping[str, GainSpec] | None = None
+) -> GainsChoice:
+    """Return the gains of the option `--gains`, or the default gains of the vehicle at a cruise speed [m/s]."""
+    from surctl.marine.tuning import gains_for
+
+    gains, derivation = gains_for(word, vehicle, cruise=cruise, own=own)
+    beyond = _beyond([(vehicle, cruise)])
+    if derivation is None:
+        return GainsChoice(gains, beyond, None)
+    return GainsChoice(gains, [*derivation.lines(), *beyond], derivation.to_dict())
+
+
+def _beyond(pairs: Sequence[tuple[Vehicle, float]]) -> list[str]:
+    # one line for each vehicle whose cruise speed needs more thrust than laws give
+    from surctl.marine.vehicle.linearise import WITHIN_LAW, beyond_law
+
+    said = [(f"{cruise:g} m/s {vehicle.name}", beyond_law(vehicle, cruise)) for vehicle, cruise in pairs]
+    return list(dict.fromkeys(f"  warning: at {who} {beyond}; {WITHIN_LAW}" for who, beyond in said if beyond))
+
+
+def choose_shared(
+    word: str | None, pairs: Sequence[tuple[Vehicle, float]], *, own: Mapping[str, GainSpec] | None = None
+) -> GainsChoice:
+    """Return one gain set for several vehicles, each with its cruise speed [m/s]; see `tuning.shared_gains`."""
+    from surctl.marine.tuning import has_tuned, shared_gains
+
+    gains, derivation = shared_gains(word, pairs, own=own)
+    if derivation is not None:
+        return GainsChoice(gains, [*derivation.lines(), *_beyond(pairs)], derivation.to_dict())
+    others = dict.fromkeys(one.name for one, _ in pairs if word is None and not has_tuned(one))
+    why = "different vehicles share one set; for gains of one vehicle: surctl gains derive"
+    return GainsChoice(gains, [f"gains default, not derived from {', '.join(others)}: {why}"] if others else [], None)
+
+
+def derive_words(vehicle: str, cruise: float, file: str, *, margin: float = math.nan) -> str:
+    """Return the command that writes the derived gains of a vehicle to a file, if finite with this gain `margin`."""
+    words = ["surctl", "gains", "derive", vehicle, "--cruise", f"{cruise:g}"]
+    words += ["--margin", f"{margin:g}"] if math.isfinite(margin) else []
+    return shlex.join([*words, "--out", file])
+
+
+def margin_short(contact: SafetyClaim | Inapplicable | None) -> float:
+    """Return the gain `margin` [m] that a no-contact claim needs if it has too little; else a value not finite."""
+    from surctl.verification import Inapplicable
+
+    if contact is None or isinstance(contact, Inapplicable) or contact["margin needed"] <= contact["margin"]:
+        return math.nan
+    return contact.least_margin
+
+
+law_option = click.option(
+    "--law",
+    metavar="NAME",
+    help="guarded, calm, steered, paper, closed_form, apf, dwa, vo, cbf, FILE.py:FUNCTION (default: the vehicle's).",
+)
+
+
+def choose_law(law: str | None, vehicles: Sequence[Vehicle]) -> tuple[str, list[str]]:
+    """Return the reference of the law for the vehicles, and a line that says why, unless it is the usual default.
+
+    Args:
+        law: value of the option `--law`; None: the law that the forces of the vehicles allow.
+        vehicles: all vehicles of the command.
+
+    Raises:
+        InputError: the law is unknown, a vehicle lacks a force that it needs, or the vehicles need different laws.
+    """
+    from surctl.errors import InputError
+    from surctl.marine.control import LAW_NAMES, check_forces, default_law, law_ref
+
+    if law is not None:
+        reference = law_ref(law, key="--law")
+        for vehicle in vehicles:
+            check_forces(reference, vehicle, key="--law")
+        return reference, []
+    chosen = {default_law(vehicle): vehicle.name for vehicle in vehicles}
+    if len(chosen) > 1:
+        names = " and ".join(f"{name} for {vehicle}" for name, vehicle in chosen.items())
+        raise InputError(f"the vehicles need different laws, {names}", key="--law", remedy="run them one by one")
+    reference, name = next(iter(chosen.items()), (LAW_NAMES[0], ""))
+    if reference == LAW_NAMES[0]:
+        return reference, []
+    return reference, [f"law {reference}, because {name} has no sway force (Fv_max = 0)"]
+
+
+def law_words(reference: str) -> list[str]:
+    """Return the command-line options that select this law, for a suggested command."""
+    from surctl.own_code import own_file
+
+    return ["--law", own_file(reference)]
+
+
+trust_option = click.option("--trust", is_flag=True, help="Run the law of your own that FILE names.")
+
+
+priority_options = together(
+    click.option(
+        "--priority-mode",
+        default="nsb",
+        metavar="NAME",
+        help="Mode: nsb (default), filter, projected, lexicographic.",
+    ),
+    click.option(
+        "--fallback",
+        default="exact",
+        metavar="NAME",
+        help="If limits conflict: exact (default), or bounded cost.",
+    ),
+)
+"""A decorator that adds these options to a command; the command receives them as `priority_mode` and `fallback`."""
+
+
+barrier_options = together(
+    click.option(
+        "--barrier",
+        default="simple",
+        metavar="NAME",
+        help="Bound on approach speed: simple (default) or inertia.",
+    ),
+    click.option("--movers", default="predict", metavar="NAME", help="Moving obstacles: predict (default) or barrier."),
+)
+"""A decorator that adds these options to a command; the command receives them as `barrier` and `movers`."""
+
+
+def check_barrier(barrier: str, movers: str) -> None:
+    """Raise InputError if one of the options has an unknown value."""
+    from surctl.errors import InputError, nearest
+    from surctl.marine.control import BARRIER_NAMES, MOVERS
+
+    for key, value, known in (("barrier", barrier, BARRIER_NAMES), ("movers", movers, MOVERS)):
+        if value not in known:
+            raise InputError("is not known", key=key, value=value, remedy=nearest(value, known))
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """The options that select the robot and its law; those that a command does not have keep their defaults.
+
+    Attributes:
+        vehicle, gains: name or file; None: that of the scenario, those of the vehicle.
+        law: name or FILE.py:FUNCTION; None: that of the vehicle.
+        avoidance: form of equation (20).
+        guidance: path guidance.
+        priority_mode, fallback: how the law treats priorities, and limits that conflict.
+        barrier, movers: bound on the approach speed, and how moving obstacles enter it.
+        sensing: `truth` or `sonar`; None: as the law has it.
+    """
+
+    vehicle: str | None = None
+    gains: str | None = None
+    law: str | None = None
+    avoidance: str = "corrected"
+    guidance: str = "los"
+    priority_mode: str = "nsb"
+    fallback: str = "exact"
+    barrier: str = "simple"
+    movers: str = "predict"
+    sensing: str | None = "truth"
+
+    def build(self, law: str, scenario: Scenario, vehicle: Vehicle) -> Law:
+        """Return the law for the sensors and depths of a scenario, and the actuators of a vehicle."""
+        from surctl.marine.control import build_law
+
+        return build_law(
+            law,
+            mode=self.priority_mode,
+            sonar=self.sensing == "sonar",
+            equipment=scenario.sensors.on(vehicle["radius"]),
+            fallback=self.fallback,
+            depths=scenario.depths is not None,
+            actuators=vehicle.actuators,
+            **self.forms,
+        )
+
+    @property
+    def forms(self) -> dict[str, Any]:
+        """The forms of guidance and avoidance, as keywords of `build_law` and `Case`."""
+        forms = {"avoidance": self.avoidance, "guidance": self.guidance}
+        return {**forms, "barrier": self.barrier, "movers": self.movers}
+
+
+class Speeds(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.4 only
+    """Cruise speeds [m/s], written like a sweep axis: one value, several values, or a range with a count."""
+
+    name = "V1,V2,...|LOW..HIGH:COUNT"
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Return the cruise speeds, slowest first; InputError if the text is not a list or range of speeds."""
+        from surctl.errors import InputError
+        from surctl.marine.verification import cruise_speeds
+        from surctl.tuning import Span, parse_axis
+
+        key, text = "--cruise", str(value)
+        single = text.split(",")
+        if ".." not in text:
+            try:
+                return cruise_speeds([float(word) for word in single if word.strip() or len(single) > 1], key=key)
+            except ValueError:
+                pass
+        else:
+            try:
+                axis = parse_axis(f"cruise={text}")
+            except InputError as error:
+                raise InputError(error.problem, key=key, value=text, remedy=f"write {self.name}") from None
+            if not isinstance(axis, Span):
+                return cruise_speeds(axis.values, key=key)
+        raise InputError("is not a list of speeds", key=key, value=text, remedy=f"write {self.name}, in m/s")
+
+
+SPEEDS = Speeds()
+
+
+MISSION = "pool-static"
+"""The default scenario of an export."""
+
+_TRIED = (MISSION, "tank-static")
+
+
+def fitting_scenario(vehicle: Vehicle, scenario: str | None = None) -> str | None:
+    """Return the first of the tried scenarios for which `findings` reports no error with this hull, or None.
+
+    If `scenario` is given, only this scenario is tried; otherwise first the default scenario of `surctl export`, then
+    `tank-static`.
+    """
+    from surctl.marine.simulation import load_scenario
+
+    tried = _TRIED if scenario is None else (scenario,)
+    return next((word for word in tried if _fits(load_scenario(word), vehicle)), None)
+
+
+def export_command(
+    scenario: str | None,
+    vehicle: str,
+    gains: str | Gains,
+    certificates: Sequence[Path] = (),
+    *,
+    file: str | None = None,
+    law: str = "guarded",
+    guidance: str | None = None,
+    sensing: str = "sonar",
+) -> list[str]:
+    """Return the words of the export command, with the certificates that apply; empty if the vehicle fits no scenario.
+
+    Args:
+        scenario: name or file of the scenario; None takes a built-in scenario that fits the hull.
+        vehicle: name or file of the vehicle.
+        gains: name or file of the gains, or the gains.
+        certificates: certificate files; the command carries those that concern the law `guarded`.
+        file: name or file of the gains in the command; None: `gains` itself.
+        law: the law to export, a name or FILE.py:FUNCTION.
+        guidance: path guidance; None: the default of the command.
+        sensing: "sonar" or "truth".
+    """
+    from surctl.marine.control import build_law, load_gains
+    from surctl.marine.export import fitting_certificates
+    from surctl.marine.simulation import law_numbers, load_scenario
+    from surctl.marine.vehicle import load_vehicle
+
+    robot = load_vehicle(vehicle)
+    chosen = fitting_scenario(robot, scenario)
+    if chosen is None:
+        return []
+    travel: Sequence[Path] = ()
+    if certificates:
+        values = load_gains(gains) if isinstance(gains, str) else gains
+        numbers = law_numbers(load_scenario(chosen), values, robot)
+        travel = fitting_certificates(certificates, build_law(), robot, numbers)
+    words = ["surctl", "export", "--scenario", chosen, "--vehicle", vehicle, "--gains", file or str(gains)]
+    words += [*law_words(law), *(() if guidance is None else ("--guidance", guidance)), "--sensing", sensing]
+    return [shlex.join([*words, *(word for file in travel for word in ("--certificate", str(file)))])]
+
+
+def _fits(scenario: Scenario, vehicle: Vehicle) -> bool:
+    from surctl.errors import InputError
+    from surctl.marine.simulation import findings
+
+    try:
+        return not any(finding.level == "error" for finding in findings(scenario, vehicle))
+    except InputError:  # the start lies inside an obstacle
+        return False

@@ -1,0 +1,392 @@
+"""Options of `surctl simulate` for what surrounds the law: animation, physics, a controller in its own process."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surctl.cli.output import doing, progress, saving, together
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from surctl.export import SerialLine
+    from surctl.marine.control import Law
+    from surctl.marine.engine import EngineOptions
+    from surctl.marine.export import CompiledLaw, LinkedLaw, LinkFaults
+    from surctl.marine.simulation import Case, Run, Scenario, ThrusterFault
+    from surctl.marine.vehicle import Vehicle
+
+__all__ = [
+    "ControllerOptions",
+    "NamedFile",
+    "PlantOptions",
+    "animate_option",
+    "check_animate",
+    "controller_options",
+    "plant_options",
+]
+
+
+class NamedFile(click.Path):
+    """The name of a file to write, which is not empty (an empty name would be the present folder)."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path; raise InputError if the name is empty."""
+        if value == "":
+            from surctl.errors import InputError
+
+            raise InputError("is empty", key=param.opts[0] if param else None, value=value, remedy="name a file")
+        return super().convert(value, param, ctx)
+
+
+animate_option = click.option(
+    "--animate", type=NamedFile(path_type=Path), metavar="FILE", help="Animation to write: FILE.gif or FILE.mp4."
+)
+
+
+def check_animate(path: Path | None, *, runs: int, campaign: bool, film: Path | None = None) -> None:
+    """Create the folder of the animation; raise InputError before any simulation if the runs cannot be animated.
+
+    `film` is the file of `--film`, which must be another one.
+    """
+    if path is None:
+        return
+    from surctl.errors import InputError
+    from surctl.files import prepare_folder
+    from surctl.marine.report import check_animation
+
+    if campaign:
+        remedy = "simulate one run of DIR/worst: --from FILE --animate"
+        raise InputError("shows one run, not a campaign", key="--animate", value=str(path), remedy=remedy)
+    if runs != 1:
+        raise InputError(
+            f"shows one run, not {runs}", key="--animate", value=str(path), remedy="name one scenario, drop --runs"
+        )
+    if film is not None and film.resolve() == path.resolve():
+        raise InputError("is also the file of --film", key="--animate", value=str(path), remedy="name two files")
+    prepare_folder(check_animation(path).parent, key="--animate")
+
+
+plant_options = together(
+    click.option("--plant", default="own", metavar="NAME", help="Plant: own (default) or mujoco[:KEY=VALUE,..]."),
+    click.option(
+        "--film", type=NamedFile(path_type=Path), metavar="FILE", help="Film of --plant mujoco: FILE.gif or FILE.mp4."
+    ),
+    click.option("--view", is_flag=True, help="Show the run in MuJoCo's window."),
+)
+"""A decorator that adds these options to a command, which receives them as `plant`, `film` and `view`."""
+
+
+@dataclass(frozen=True)
+class PlantOptions:
+    """The options for the physics on the command line.
+
+    Attributes:
+        plant: name of the physics with its options.
+        film: file of the film, or None.
+        view: whether MuJoCo's window shows the run.
+        threads: number of processes, or None.
+    """
+
+    plant: str
+    film: Path | None
+    view: bool
+    threads: int | None
+
+    @property
+    def own(self) -> bool:
+        """Whether the physics is surctl's own."""
+        return self.plant == "own"
+
+    def check(self, *, campaign: bool, runs: int, controller: str | None, sensing: str) -> EngineOptions | None:
+        """Return the options of MuJoCo, None for surctl's own physics.
+
+        Raises:
+            InputError: an option is wrong, or does not go with another one.
+            ToolMissing: MuJoCo is not installed, or no program writes the film.
+        """
+        from surctl.errors import InputError
+        from surctl.marine.engine import parse_plant
+
+        chosen = parse_plant(self.plant)
+        requested = [("--film", self.film), ("--view", self.view or None)]
+        for key, value in requested if chosen is None else ():
+            if value is not None:
+                raise InputError(
+                    "applies only to runs in MuJoCo", key=key, remedy="add --plant mujoco; --animate shows all"
+                )
+        if chosen is None:
+            return None
+        if campaign:
+            raise InputError(
+                "does not simulate a campaign, whose compiled loop has surctl's own plant",
+                key="--plant",
+                value=self.plant,
+                remedy="drop --monte-carlo and --random-worlds, and give --runs N with --threads N",
+            )
+        if controller is not None and controller != "c" and self.threads not in (None, 1):
+            remedy = "drop --threads, or give --controller c"
+            raise InputError("has one connection", key="--controller", value=controller, remedy=remedy)
+        for key, value in requested:
+            if value is not None and runs != 1:
+                remedy = "name one scenario, drop --runs"
+                raise InputError(f"shows one run, not {runs}", key=key, remedy=remedy)
+        if self.view and self.threads not in (None, 1):
+            raise InputError("opens one window", key="--view", remedy="drop --threads")
+        unheard = chosen.unheard if sensing == "truth" else ()
+        for key in unheard[:1]:
+            remedy = "add --sensing sonar, or drop it"
+            raise InputError("has no effect with true positions", key=f"--plant mujoco:{key}", remedy=remedy)
+        from surctl.marine.engine.mjcf import mujoco_library
+
+        mujoco_library()
+        if self.film is not None:
+            from surctl.files import prepare_folder
+            from surctl.marine.engine.pictures import check_pictures
+            from surctl.marine.report import check_film
+
+            check_pictures()
+            prepare_folder(check_film(self.film).parent, key="--film")
+        if self.view:
+            from surctl.marine.engine.pictures import check_screen
+
+            check_screen()
+        return chosen
+
+    def fit(self, options: EngineOptions | None, vehicles: Iterable[Vehicle]) -> None:
+        """Raise InputError if the options do not fit one of the vehicles."""
+        from surctl.errors import InputError
+
+        for vehicle in vehicles if options is not None else ():
+            try:
+                assert options is not None
+                options.of(vehicle)
+            except InputError as error:
+                raise error.inside(None, f"--plant mujoco:{error.key}") from None
+
+    def runs(
+        self,
+        options: EngineOptions | None,
+        case: Case,
+        law: Law,
+        seeds: Iterable[int],
+        *,
+        fallback: str,
+        faults: tuple[ThrusterFault, ...],
+        linked: Callable[..., LinkedLaw | CompiledLaw | None],
+        compiled: type[CompiledLaw] | None,
+    ) -> Iterator[tuple[Run, Any]]:
+        """Yield each run with the report of what computed its control steps in place of the law, or None."""
+        from surctl.marine.simulation import OwnPhysics, simulate
+
+        physics: Any = OwnPhysics
+        if options is not None:
+            from surctl.marine.engine import BatchCase, mujoco_physics
+            from surctl.marine.engine.physics import simulate_with_steppers
+
+            physics = mujoco_physics(options)
+            if self.threads not in (None, 1):
+                batch_case = BatchCase(case, physics, fallback, faults, compiled)
+                yield from simulate_with_steppers(batch_case, list(seeds), processes=self.threads or 1)
+                return
+            if self.view:
+                from surctl.marine.engine.pictures import watched
+
+                physics = watched(physics)
+
+        def watch(time: float) -> None:
+            doing(f"{case.scenario.name}: {f'{time:.1f} s simulated' if time else 'building the law'}")
+
+        for seed in seeds:
+            stepper = linked(seed=seed)
+            run = simulate(
+                case.scenario,
+                case.vehicle,
+                gains=case.gains,
+                law=law,
+                sensing=case.sensing,
+                seed=seed,
+                stepper=stepper,
+                thruster_faults=faults,
+                physics=physics,
+                watch=watch,
+            )
+            yield run, None if stepper is None else stepper.report()
+
+    def output(self, run: Run, options: EngineOptions | None, result: dict[str, Any]) -> list[str]:
+        """Return lines about the physics of a run, and write its film; add both to `result`."""
+        if options is None:
+            return []
+        touched = ", ".join(f"{contact.what} at {contact.time:.2f} s" for contact in run.contacts) or "none"
+        tilt = ""
+        if run.record.tilt is not None:
+            tilt = f"; largest roll {result['max_roll_deg']:.1f} deg, pitch {result['max_pitch_deg']:.1f} deg"
+        lines = [f"  {run.plant}: contacts {touched}{tilt}"]
+        result["plant_options"] = options.of(run.vehicle).to_dict()
+        if self.film is not None:
+            with saving("film"):
+                from surctl.marine.report import save_film
+
+                result["film"] = str(save_film(run, self.film, options=options))
+                lines.append(f"  {result['film']}")
+        return lines
+
+
+controller_options = together(
+    click.option(
+        "--controller",
+        metavar="URL",
+        help="Law as C: c, tcp://HOST:PORT or qemu:cortex-m4f.",
+    ),
+    click.option("--link-loss", type=float, metavar="P", help="Probability that a message is lost (default 0)."),
+    click.option("--link-delay", type=float, metavar="S", help="Delay of each command [s] (default 0)."),
+    click.option("--link-deadline", type=float, metavar="S", help="Largest age of a used command [s] (default 0.25)."),
+    click.option("--link-compact", is_flag=True, help="Request short replies, for a slow line."),
+    click.option(
+        "--link-timeout", type=float, metavar="S", help="Stop if the link is silent for S seconds (default 5)."
+    ),
+)
+
+
+@dataclass(frozen=True)
+class ControllerOptions:
+    """The options for the controller process and its connection; an option that is not given has the value None."""
+
+    controller: str | None
+    link_loss: float | None
+    link_delay: float | None
+    link_deadline: float | None
+    link_timeout: float | None
+    link_compact: bool = False
+
+    def check(self, *, campaign: bool) -> None:
+        """Raise InputError for options that exclude each other, or that require another option that is not given."""
+        from surctl.errors import InputError
+
+        options = {
+            "loss": self.link_loss,
+            "delay": self.link_delay,
+            "deadline": self.link_deadline,
+            "timeout": self.link_timeout,
+        }
+        alone = [f"--link-{name}" for name, value in options.items() if value is not None]
+        alone += ["--link-compact"] * self.link_compact
+        if self.controller in (None, "c"):
+            if alone:
+                raise InputError(
+                    "needs a controller over a link", key=alone[0], remedy="add --controller tcp://127.0.0.1:PORT"
+                )
+            if self.controller is None or not campaign:
+                return
+        if campaign:
+            raise InputError(
+                "applies only to single runs",
+                key="--controller",
+                remedy="drop --monte-carlo, --random-worlds and --from",
+            )
+        if self.link_timeout is not None and not 0.0 < self.link_timeout <= 3600.0:
+            raise InputError(
+                "is not a valid time", key="link-timeout", value=self.link_timeout, remedy="give seconds, above 0"
+            )
+        if self.controller is None or not self.controller.startswith(("tcp://", "qemu:")):
+            raise InputError(
+                "is not the address of a controller",
+                key="controller",
+                value=self.controller,
+                remedy="use c, tcp://HOST:PORT or qemu:cortex-m4f",
+            )
+        self._faults(seed=0)
+
+    @contextmanager
+    def opened(
+        self, law: Law, p: NDArray[np.float64], mission: Scenario, vehicle: Vehicle
+    ) -> Iterator[SerialLine | None]:
+        """Open the connection to the controller of this law and these parameters; None if no option requests one.
+
+        Raises:
+            InputError: no controller listens at the address, or the processor is unknown.
+        """
+        if self.controller in (None, "c"):
+            yield None
+            return
+        from surctl.errors import InputError
+        from surctl.export import connect, emulated, emulated_target
+        from surctl.marine.export import build_bundle, closed_form, operating_envelope
+
+        assert self.controller is not None
+        if mission.path.fed and not self.controller.startswith("tcp://"):
+            raise InputError(
+                "cannot receive a path of more than 8 points, or speeds or depths for its legs",
+                key="--controller",
+                value=self.controller,
+                remedy="give at most 8 points, or use tcp://HOST:PORT, whose controller has the mission in its bundle",
+            )
+        if self.controller.startswith("tcp://"):
+            with connect(
+                self.controller, **({} if self.link_timeout is None else {"patience": self.link_timeout})
+            ) as line:
+                yield line
+            return
+        target = emulated_target(self.controller.removeprefix("qemu:"))
+        shipped = closed_form(law, real="float32")
+        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
+        bundle = build_bundle(shipped, law.gains.unpack(p), real="float32", envelope=within)
+        progress(f"compiling for {target.name}")
+        with (
+            tempfile.TemporaryDirectory(prefix="surctl-pil-") as scratch,
+            emulated(bundle, target, Path(scratch)) as line,
+        ):
+            line.patience = line.patience if self.link_timeout is None else self.link_timeout
+            yield line
+
+    @property
+    def compiled(self) -> type[CompiledLaw] | None:
+        """What computes each step by the law's C in this process, if it is requested."""
+        if self.controller != "c":
+            return None
+        from surctl.marine.export import CompiledLaw
+
+        return CompiledLaw
+
+    def linked(
+        self,
+        law: Law,
+        p: NDArray[np.float64],
+        line: SerialLine | None,
+        mission: Scenario,
+        vehicle: Vehicle,
+        *,
+        seed: int,
+    ) -> LinkedLaw | CompiledLaw | None:
+        """Return the function that computes each step of a run as C, over the open connection or here; else None.
+
+        Raises:
+            InputError: the connected controller is not the controller of this run.
+        """
+        if self.compiled is not None:
+            return self.compiled(law)
+        if line is None:
+            return None
+        from surctl.marine.export import LinkedLaw, operating_envelope
+
+        within = operating_envelope(law, mission, vehicle, law.gains, tuned=p)
+        return LinkedLaw(law, p, line, self._faults(seed=seed), within, compact=self.link_compact, fed=mission.path.fed)
+
+    def _faults(self, *, seed: int) -> LinkFaults:
+        from surctl.marine.export import LinkFaults
+
+        usual = LinkFaults()
+        options = (self.link_loss, self.link_delay, self.link_deadline)
+        loss, delay, deadline = (
+            value if value is not None else other
+            for value, other in zip(options, (usual.loss, usual.delay, usual.deadline), strict=True)
+        )
+        return LinkFaults(loss, delay, deadline, seed)

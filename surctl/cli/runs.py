@@ -1,0 +1,514 @@
+"""The output of commands about closed-loop runs: one run, several runs, campaigns of random runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from surctl.cli.output import finish, progress, same_command, saving, stoppable, together
+from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
+
+if TYPE_CHECKING:
+    from surctl.cli.sensor_options import SensorOptions
+    from surctl.marine.simulation import Case, Run, SafetyClaim
+    from surctl.marine.simulation.campaign import Campaign, Plan
+    from surctl.marine.vehicle import Vehicle
+    from surctl.verification import Inapplicable
+
+__all__ = [
+    "CampaignOptions",
+    "activity_line",
+    "campaign_options",
+    "failure",
+    "further_output",
+    "linear_warning",
+    "loop_lines_of_run",
+    "run_line",
+    "series_lines",
+    "simulate_again",
+]
+
+_ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
+_CRABBING = 15.0  # [deg] mean crab angle from which the line of a run says that the hull crabs
+
+
+def run_line(run: Run) -> str:
+    """Return one line with the scenario, the vehicle, how the run ended, and its main metrics."""
+    m = run.metrics
+    missed = (
+        f", a corner missed by {m.missed_corner_m:.3f} m" if m.missed_corner_m > run.scenario.arrival_radius else ""
+    )
+    crab = f", but crabbing {m.crab_angle_deg:.0f} deg" if m.crab_angle_deg > _CRABBING else ""
+    error = "no path error, because the whole run counts as avoidance"
+    if m.path_error_m >= 0:
+        error = f"path error {m.path_error_m:.3f} m"
+    return (
+        f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}, seed {run.seed}: {m.stopped_because} at "
+        f"{m.time_s:.2f} s{crab}, least clearance {m.min_clearance_m:.3f} m, {error}{missed}"
+    )
+
+
+def activity_line(run: Run) -> str:
+    """Return one line with crab angle, heading error, thrust activity and wasted thrust of a run."""
+    m = run.metrics
+    angles = f"crab angle {m.crab_angle_deg:.0f} deg (largest {m.max_crab_angle_deg:.0f}), " * (m.crab_angle_deg >= 0)
+    angles += f"heading error {m.heading_error_deg:.0f} deg; " * (m.heading_error_deg >= 0)
+    axes = (
+        m.variation_surge_n_per_s,
+        m.variation_sway_n_per_s,
+        m.variation_heave_n_per_s,
+        m.variation_yaw_n_m_per_s,
+    )
+    varies = ", ".join(f"{one if abs(one) > _ROUNDING else 0:.2g}" for one in axes)
+    return (
+        f"  {angles}thrust varies by {varies} (N/s in surge, sway, heave, N m/s in "
+        f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
+        f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
+    )
+
+
+def failure(run: Run) -> str | None:
+    """Return why a run fails (the command then exits with status 1); None if the robot arrives without contact."""
+    m = run.metrics
+    why = [] if m.reached else [f"it does not arrive ({m.stopped_because} at {m.time_s:.2f} s)"]
+    why += [f"the hull touches an obstacle or wall (clearance {m.min_clearance_m:.3f} m)"] * (m.min_clearance_m <= 0)
+    return f"{run.scenario.name} by {run.vehicle.name}: {', and '.join(why)}" if why else None
+
+
+def series_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return at most five lines about runs of one scenario that differ in the seed.
+
+    The lines name two runs that collide or do not arrive, and a low margin of the linear loop, which all runs share.
+    """
+    from surctl.verification.linear import LEAST_DISK_MARGIN
+
+    times = [run["time_s"] for run in runs if run["reached"]]
+    worst = min(runs, key=lambda run: run["min_clearance_m"])
+    collided = sum(run["min_clearance_m"] <= 0 for run in runs)
+    arrivals = f"arrival after {min(times):.2f} to {max(times):.2f} s, " if times else ""
+    lines = [
+        f"{worst['scenario']} by {worst['vehicle']}, {worst['sensing']}: {len(times)} of {len(runs)} runs arrive, "
+        f"{collided} collide",
+        f"  {arrivals}least clearance {worst['min_clearance_m']:.3f} m (seed {worst['seed']}); --seed N prints one run",
+    ]
+    failing = [run for run in runs if not (run["reached"] and run["min_clearance_m"] > 0)]
+    lines += [
+        f"  seed {run['seed']}: {run['stopped_because']} at {run['time_s']:.2f} s, least clearance "
+        f"{run['min_clearance_m']:.3f} m"
+        for run in failing[:2]
+    ]
+    linear = worst["linear"] or {}
+    if not linear.get("stable", True):
+        lines.append("  the linear loop at this speed is unstable")
+    elif (margin := linear.get("disk_margin", LEAST_DISK_MARGIN)) < LEAST_DISK_MARGIN:
+        lines.append(
+            f"  the linear loop has a disk margin of {margin:.2f} at its worst corner (below {LEAST_DISK_MARGIN:g})"
+        )
+    return lines
+
+
+def loop_lines_of_run(run: Run, result: dict[str, Any]) -> list[str]:
+    """Add to `result` whether the linear loop at cruise speed is stable; return lines to print if its margin is low."""
+    from surctl.marine.control import law_source
+
+    if law_source(run.law.ref).steering is not None:
+        result["linear"] = None
+        return _sampled_part(run, result)
+    attitude = run.attitude
+    crab = "" if attitude is None else f", mean crab angle {attitude.crab_angle_deg:.0f} deg"
+    data, lines = linear_warning(
+        run.vehicle,
+        run.gains.values,
+        cruise=run.scenario.fastest,
+        dt=run.law.dt,
+        law=run.law.ref,
+        guidance=run.law.guidance,
+        crab=crab,
+    )
+    result["linear"] = data
+    return lines
+
+
+def linear_warning(
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    law: str,
+    guidance: str,
+    model: Vehicle | None = None,
+    crab: str = "",
+) -> tuple[dict[str, Any] | None, list[str]]:
+    """Return the stability and the disk margin of the linear loop of a run as data, and lines about a defect.
+
+    There are lines if the loop is unstable, or if the disk margin is below the least one. The data is None if the law
+    has no linear loop, or if the thrust cannot hold the speed (which lint reports). `crab` is appended to the first
+    line.
+    """
+    from surctl.errors import InputError
+    from surctl.marine.verification.cascade import has_cascade
+    from surctl.marine.verification.linear import corner_margin, slowest_mode
+    from surctl.verification.linear import LEAST_DISK_MARGIN
+
+    if not has_cascade(law, guidance):
+        return None, []
+    try:
+        margin, _, corner = corner_margin(vehicle, gains, cruise=cruise, dt=dt, model=model)
+    except InputError:
+        return None, []
+    data: dict[str, Any] = {"cruise_m_per_s": cruise, "stable": True, "disk_margin": margin, "corner": corner}
+    if margin >= LEAST_DISK_MARGIN:
+        return data, []
+    mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt, model=model)
+    data |= {"stable": mode.stable, "mode": mode.to_dict()}
+    if mode.stable:
+        word = f"has a disk margin of {margin:.2f}" if margin > 0 else "is unstable"
+        return data, [f"  the linear loop at this speed {word} at {corner} (at least {LEAST_DISK_MARGIN:g}){crab}"]
+    head = f"  the linear loop at this speed is unstable{crab}:"
+    return data, [head, *(f"    {line.strip()}" for line in mode.lines())]
+
+
+def _sampled_part(run: Run, result: dict[str, Any]) -> list[str]:
+    from surctl.errors import InputError
+    from surctl.marine.verification import law_loop
+
+    try:
+        loop = law_loop(run.law, run.vehicle, run.gains, cruise=run.scenario.fastest)
+    except InputError:  # the thrust cannot hold this speed; lint reports it
+        return []
+    result["linear"] = {"cruise_m_per_s": loop.cruise, "stable": loop.stable, "sampled": loop.to_dict()}
+    return [] if loop.stable else ["  the linear loop at this speed is unstable:", f"    {loop.lines()[0]}"]
+
+
+def further_output(
+    run: Run, result: dict[str, Any], *, explained: bool, out: Path | None, animate: Path | None = None
+) -> list[str]:
+    """Return lines about depth changes, explanations, animation and plots, and write the plots to the folder `out`.
+
+    Explanations and the path of the animation are also added to `result`.
+    """
+    from surctl.marine.simulation import depth_changes, thruster_use
+
+    lines = [f"  {change}" for change in depth_changes(run)]
+    if (use := thruster_use(run)) is not None:
+        result["thrusters"] = use.to_dict()
+        lines.append(f"  {use.line()}")
+    if explained:
+        from surctl.marine.simulation import explain
+
+        explanations = explain(run)
+        result["explanations"] = [asdict(one) for one in explanations]
+        lines += [f"  {one.time_s:6.2f} s  {one.text}" for one in explanations]
+    if out is not None:
+        with saving("plots"):
+            from surctl.marine.report import save_priority, save_run
+
+            lines.append(f"  {save_run(run, out)}")
+            if explained:
+                lines.append(f"  {save_priority(run, out)}")
+    if animate is not None:
+        with saving("animation"):
+            from surctl.marine.report import save_animation
+
+            result["animation"] = str(save_animation(run, animate))
+            lines.append(f"  {result['animation']}")
+    return lines
+
+
+MOST_ROWS = 100  # largest number of runs printed as JSON; the files in the output folder hold all runs
+
+campaign_options = together(
+    click.option("--monte-carlo", is_flag=True, help="Draw vehicle and obstacles of each run at random."),
+    click.option(
+        "--random-worlds", "worlds", type=click.IntRange(1, 1_000_000), metavar="N", help="Simulate N worlds."
+    ),
+    click.option("--worst", type=click.IntRange(0, 1000), metavar="N", help="Worst runs to save (default 5)."),
+    click.option("--threads", type=click.IntRange(1, 1024), metavar="N", help="Parallel runs (default 2; MuJoCo 1)."),
+    click.option("--fresh", is_flag=True, help="Start the campaign again instead of resuming it."),
+    click.option(
+        "--from", "replayed", type=click.Path(path_type=Path), metavar="FILE", help="Repeat a run saved in DIR/worst."
+    ),
+)
+"""A decorator that adds these options to a command.
+
+The command receives them as `monte_carlo`, `worlds`, `worst`, `threads`, `fresh` and `replayed`."""
+
+
+@dataclass(frozen=True)
+class CampaignOptions:
+    """The campaign options of the command line; an option that is not given has the value None.
+
+    Attributes:
+        monte_carlo: whether plant and obstacles are drawn at random.
+        worlds: number of random worlds.
+        worst: number of the worst runs that are saved.
+        threads: number of threads of the compiled loop.
+        fresh: whether to discard earlier results and start again.
+    """
+
+    monte_carlo: bool = False
+    worlds: int | None = None
+    worst: int | None = None
+    threads: int | None = None
+    fresh: bool = False
+
+    @property
+    def any(self) -> bool:
+        """Return whether the options request a campaign of random runs."""
+        return self.monte_carlo or self.worlds is not None
+
+    def check(self, *, scenarios: tuple[str, ...], runs: int, explained: bool, out: Path | None) -> None:
+        """Raise InputError for options that exclude each other, or that require another option that is not given."""
+        from surctl.errors import InputError
+
+        if not self.any:
+            for key, value in (("--worst", self.worst), ("--threads", self.threads), ("--fresh", self.fresh or None)):
+                if value is not None:
+                    remedy = "add --monte-carlo or --random-worlds N, or drop this option"
+                    raise InputError("applies only to a campaign", key=key, value=value, remedy=remedy)
+        elif explained:
+            raise InputError(
+                "applies only to single runs",
+                key="--explain",
+                remedy="simulate one run of DIR/worst: --from FILE --explain",
+            )
+        elif out is None and (self.fresh or self.worst is not None):
+            key = "--fresh" if self.fresh else "--worst"
+            raise InputError("needs an output folder", key=key, remedy="add --out DIR")
+        if self.worlds is not None and scenarios:
+            remedy = "drop the scenario or this option"
+            raise InputError("draws its own scenarios", key="--random-worlds", value=scenarios[0], remedy=remedy)
+        if self.worlds is not None and runs != 1:
+            raise InputError(
+                "already sets the number of runs", key="--random-worlds", value=self.worlds, remedy="drop --runs"
+            )
+        if self.worlds is None and not scenarios:
+            raise InputError("needs a scenario", key="SCENARIOS", remedy="choose one of: surctl list")
+        if len(set(scenarios)) < len(scenarios) and self.any:
+            raise InputError("is named twice", key="SCENARIOS", value=" ".join(scenarios), remedy="name each once")
+
+    def plans(
+        self,
+        scenarios: tuple[str, ...],
+        robot: RobotOptions,
+        sensors: SensorOptions,
+        *,
+        law: str,
+        seed: int,
+    ) -> list[Plan]:
+        """Return the plans of the requested campaigns.
+
+        Raises:
+            InputError: a name is unknown, or the law or a scenario does not support an option.
+        """
+        from surctl.marine.control import law_source, load_gains
+        from surctl.marine.simulation import load_scenario
+        from surctl.marine.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
+        from surctl.marine.tuning import build_cases
+        from surctl.marine.vehicle import load_vehicle
+
+        vehicles = [] if robot.vehicle is None else [load_vehicle(robot.vehicle)]
+        if self.worlds is None:
+            missions = [sensors.over(load_scenario(name)) for name in scenarios]
+        else:
+            vehicles = vehicles or [load_vehicle(WORLDS_VEHICLE)]
+            missions = [sensors.over(world_template(vehicles[0]))]
+        own = law_source(law).gains
+        base = load_gains(robot.gains or "default", own=own)
+        kind = {"mode": robot.priority_mode, "sensing": robot.sensing or "truth", "guidance": robot.guidance}
+        cases = build_cases(missions, vehicles, gains=base, law=law, **kind)
+        tuned = [choose_gains(robot.gains, case.vehicle, cruise=case.scenario.cruise, own=own) for case in cases]
+        for line in dict.fromkeys(line for one in tuned for line in one.lines):
+            progress(line)
+        cases = tuple(replace(case, gains=one.gains, **robot.forms) for case, one in zip(cases, tuned, strict=True))
+        for case in cases[:1]:
+            case.build()  # reports a mistake before any file is written
+        if self.worlds is None:
+            return [MonteCarlo(case, seed) for case in cases]
+        return [RandomWorlds(case, seed, self.monte_carlo) for case in cases]
+
+    def run(
+        self,
+        plans: list[Plan],
+        first: Sequence[str] = (),
+        *,
+        vehicle: str | None,
+        runs: int,
+        out: Path | None,
+        as_json: bool,
+    ) -> None:
+        """Simulate the campaigns, store them in `out`, print the lines `first` and the results, and end the command.
+
+        `vehicle` is the value of the option `--vehicle`, or None.
+        """
+        from surctl.errors import InputError
+        from surctl.files import write_file
+        from surctl.marine.simulation.campaign import CampaignFolder, run_campaign
+
+        names = [plan.name for plan in plans]
+        if len(set(names)) < len(names):
+            raise InputError(
+                "two scenarios have the same name", key="SCENARIOS", value=" ".join(names), remedy="rename one"
+            )
+        folder = None if out is None else CampaignFolder(out, tuple(plans))
+        if folder is not None:
+            folder.prepare(fresh=self.fresh)
+        reports, lines, good = [], list(first), True
+        nothing = "the runs are not saved; with --out DIR the same command would continue"
+        message = nothing if out is None else f"the finished runs are in {out}; to continue: {same_command()}"
+        for plan in plans:
+            with (
+                stoppable(message, lines, as_json=as_json),
+                nullcontext() if folder is None else folder.store(plan) as store,
+            ):
+                campaign = run_campaign(plan, runs=runs, threads=self.threads or 2, store=store, progress=progress)
+            worst = 5 if self.worst is None else self.worst
+            files = [] if folder is None else folder.write(campaign, worst=worst)
+            reports.append(_report(campaign, files, worst))
+            own = None if self.worlds is not None else (plan.case.scenario.name, plan.case.scenario.vehicle)
+            choice = choose_vehicle(vehicle, own)
+            reports[-1]["vehicle_from"] = choice.origin
+            reports[-1]["linear"], warning = _linear(plan.case)
+            lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
+            good = good and campaign.summary.stopped["reached"].count == runs
+        if out is not None:
+            import json
+
+            from surctl.cli.output import finite
+
+            write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
+        finish({"campaigns": reports}, lines, as_json=as_json, passed=good)
+
+
+def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
+    from surctl.marine.control import BARRIER, law_source
+    from surctl.own_code import label
+
+    case, table = campaign.plan.case, campaign.table
+    rows = [table.row(k) for k in table.worst(worst)]
+    for row, file in zip(rows, files, strict=False):
+        row["file"] = f"worst/{file.name}"
+    head = {
+        "campaign": campaign.plan.name,
+        "scenario": case.scenario.name,
+        "vehicle": case.vehicle.name,
+        "law": label(case.law),
+        "avoidance": case.avoidance,
+        "guidance": case.guidance,
+        "priority_mode": case.mode,
+        "barrier": case.barrier,
+        "movers": case.movers,
+        "sensing": case.sensing,
+        "gains": case.gains.name,
+        "sampling": dict(campaign.plan.settings()),
+        "number_of_runs": len(table),
+    }
+    if BARRIER in law_source(case.law).parts:
+        head["claim"] = _claim(case).to_dict()
+    few = {"runs": [table.row(k) for k in range(len(table))]} if len(table) <= MOST_ROWS else {}
+    return {**head, **campaign.summary.to_dict(), "worst": rows, **few}
+
+
+def _linear(case: Case) -> tuple[dict[str, Any] | None, list[str]]:
+    # the loop of the unchanged scenario and vehicle
+    return linear_warning(
+        case.vehicle,
+        case.gains.values,
+        cruise=case.scenario.cruise,
+        dt=case.build().dt,
+        law=case.law,
+        guidance=case.guidance,
+        model=case.model,
+    )
+
+
+def _claim(case: Case) -> SafetyClaim | Inapplicable:
+    # for the unchanged scenario and the vehicle's parameter ranges
+    from math import inf
+
+    from surctl.errors import NotApplicable
+    from surctl.marine.simulation import safety_claim, turn_rate
+    from surctl.marine.simulation.echo_fit import detection_range
+    from surctl.verification import Inapplicable
+
+    sees = detection_range(case.scenario) if case.sensing == "sonar" else inf
+    believed = case.model or case.vehicle
+    turning = turn_rate(case.scenario, believed, case.gains, sonar=case.sensing == "sonar")
+    kind: dict[str, Any] = {"barrier": case.barrier, "movers": case.movers}
+    try:
+        return safety_claim(case.scenario, believed, case.gains, **kind, detection=sees, turning=turning)
+    except NotApplicable as reason:
+        return Inapplicable.of("no contact", reason)
+
+
+def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
+    from surctl.marine.control import BARRIER, law_source
+    from surctl.own_code import label
+    from surctl.verification import Inapplicable
+
+    case, table = campaign.plan.case, campaign.table
+    lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {label(case.law)}, {case.sensing}, {len(table)} runs:"]
+    claim = BARRIER in law_source(case.law).parts
+    lines += campaign.summary.lines(claim=claim)
+    if claim and campaign.summary.violated:
+        stated = _claim(case)
+        text = stated.sentence if isinstance(stated, Inapplicable) else stated.statement
+        lines.append(f"  the no-contact claim: {text}")
+    for place, k in enumerate(table.worst(worst)):
+        time, clear = table.column("time_s")[k], table.column("min_clearance_m")[k]
+        broken = f", violated: {', '.join(table.broken[k])}" if table.broken[k] else ""
+        saved = f"  {files[place]}" if place < len(files) else ""
+        lines.append(
+            f"  worst {place + 1}: seed {table.seeds[k]}, {table.stopped(k)} at {time:.2f} s, "
+            f"clearance {clear:.4f} m{broken}{saved}"
+        )
+    return lines
+
+
+def simulate_again(
+    path: Path, *, trust: bool, explained: bool, out: Path | None, animate: Path | None, as_json: bool
+) -> None:
+    """Simulate a saved run as a single run, compare the result with the campaign, and end the command.
+
+    The exit status is 1 if the result differs from the campaign or if the run does not arrive.
+    """
+    from surctl.files import prepare_folder
+    from surctl.marine.simulation.campaign import load_replay
+
+    for name, source in _typed().items():
+        if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:
+            from surctl.errors import InputError
+
+            known = {param.name: param for param in click.get_current_context().command.params}
+            what = known[name].opts[0] if isinstance(known[name], click.Option) else f"the {name}"
+            raise InputError(
+                f"already sets {what}", key="--from", value=str(path), remedy=f"drop {what}, or edit the file"
+            )
+    if out is not None:
+        prepare_folder(out)
+    replay = load_replay(path, trust=trust)
+    run = replay.run.simulate()
+    difference = replay.difference(run)
+    same = difference <= SAME
+    result = run.to_dict() | {"campaign": replay.campaign, "same": same, "largest_difference": difference}
+    verdict = "as in the campaign" if same else f"NOT as in the campaign ({replay.stopped_because})"
+    lines = [f"{run_line(run)}: {verdict}, largest difference {difference:.1g}", activity_line(run)]
+    lines += further_output(run, result, explained=explained, out=out, animate=animate)
+    finish({"runs": [result]}, lines, as_json=as_json, passed=same and run.metrics.reached)
+
+
+SAME = 1e-9
+"""The largest difference allowed between the compiled loop and a single run; see `Replay.difference`."""
+
+
+def _typed() -> dict[str, bool]:
+    # by parameter name: whether the parameter was given on the command line
+    context = click.get_current_context()
+    default = (click.core.ParameterSource.DEFAULT, click.core.ParameterSource.DEFAULT_MAP)
+    return {name: context.get_parameter_source(name) not in default for name in context.params}

@@ -1,0 +1,455 @@
+"""A system as the first argument of a command, FILE.py:FUNCTION or subject:NAME, and what commands print of it."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
+
+    from surctl.ir import Layout
+    from surctl.lyapunov import Problem
+    from surctl.system import Operating, Record, System
+    from surctl.verification.sampled_margins import SystemCorners, SystemLoop
+
+__all__ = [
+    "OwnSystem",
+    "RegionWords",
+    "assigned",
+    "command_line",
+    "cost_data",
+    "cost_lines",
+    "end_text",
+    "gain_ranges_of",
+    "is_system",
+    "listed_values",
+    "load_system",
+    "loop_data",
+    "loop_lines",
+    "mode_text",
+    "nominal_gains",
+    "region_words",
+    "resting",
+    "seconds_option",
+]
+
+seconds_option = click.option(
+    "--seconds", type=float, metavar="S", help="Duration of a run of a system [s] (default: its own)."
+)
+
+_MOST_PERIODS = 10_000_000  # of a run in Python, whose signals are in memory
+
+
+@dataclass(frozen=True)
+class OwnSystem:
+    """A system of the user's own, and its name on the command line.
+
+    Attributes:
+        system: the closed loop.
+        word: FILE.py:FUNCTION or subject:NAME as typed.
+        label: the same without folder.
+        settings: further words of the command line.
+        sha256: SHA-256 of the text of the file.
+    """
+
+    system: System
+    word: str
+    label: str
+    settings: tuple[str, ...]
+    sha256: str
+
+    @property
+    def origin(self) -> dict[str, str]:
+        """Return the version of surctl, and name and SHA-256 of the file that the system comes from."""
+        from surctl import __version__
+
+        return {"source": f"surctl {__version__}", "system": self.label, "file_sha256": self.sha256}
+
+    @property
+    def title(self) -> str:
+        """Return the names of plant and controller as text."""
+        return f"{self.system.plant.name} under {self.system.controller.name}"
+
+    @property
+    def names(self) -> dict[str, Any]:
+        """Return the names of system, plant and controller, and the control period, for JSON."""
+        system = self.system
+        return {
+            "system": self.label,
+            "plant": system.plant.name,
+            "controller": system.controller.name,
+            "period_s": float(system.dt),
+        }
+
+    def seconds(self, seconds: float | None) -> float:
+        """Return the duration of a run [s]: `seconds`, or that of the system.
+
+        Raises:
+            InputError: the duration is missing, or is not a valid duration.
+        """
+        from surctl.errors import InputError
+        from surctl.system import periods
+
+        file, key = (None, "--seconds") if seconds is not None else (self.word, "duration")
+        seconds = self.system.duration if seconds is None else seconds
+        if seconds is None:
+            remedy = "give the duration of a run [s], or System(duration=…)"
+            raise InputError("is missing", key="--seconds", remedy=remedy)
+        try:
+            steps = periods(self.system, seconds)
+        except InputError as error:
+            raise InputError(error.problem, file=file, key=key, value=seconds, remedy=error.remedy) from None
+        if steps > _MOST_PERIODS:
+            remedy = f"give at most {_MOST_PERIODS * self.system.dt:g} s"
+            raise InputError(f"is {steps} control periods", file=file, key=key, value=seconds, remedy=remedy)
+        return seconds
+
+    def exported_name(self, name: str | None = None, *, reserved: Collection[str]) -> str:
+        """Return the name of the bundle: `name`, or that of the controller.
+
+        Raises:
+            InputError: it cannot be the name of a bundle, or it is one of `reserved`.
+        """
+        from surctl.errors import InputError
+        from surctl.export.contract import checked_name
+
+        try:
+            chosen = checked_name(self.system.controller, name)
+            if chosen in reserved:
+                problem, remedy = "is the name of a built-in law", "choose another name"
+                raise InputError(problem, key="name", value=chosen, remedy=remedy)
+        except InputError as error:
+            if error.key == "name" and name:
+                raise InputError(error.problem, key="--name", value=name, remedy=error.remedy) from None
+            raise error.inside(self.word, "controller" if error.key == "name" else error.key) from None
+        return chosen
+
+
+def is_system(words: Sequence[str], *allowed: str) -> bool:
+    """Return whether the words of a command begin with a system of the user's own.
+
+    Args:
+        words: positional arguments of the command.
+        allowed: names of the parameters that the command takes for a system.
+
+    Raises:
+        InputError: an option of the command line applies only to a system, or only to the robot; or a word names a
+            system or a Python file in a position where it is not allowed.
+    """
+    from surctl.errors import InputError
+    from surctl.system.subjects import is_subject
+
+    context = click.get_current_context()
+    own = bool(words) and is_subject(words[0])
+    for word in words[own:]:
+        if is_subject(word):
+            raise InputError("is not the first argument", key="system", value=word, remedy="give one system, first")
+        if word.endswith(".py"):
+            raise InputError("names no function", key="system", value=word, remedy=f"write {word}:FUNCTION")
+    if not own:
+        if context.params.get("seconds") is not None:
+            remedy = "begin with FILE.py:FUNCTION, or drop it"
+            raise InputError("applies only to a system", key="--seconds", remedy=remedy)
+        return False
+    for option in context.command.params:
+        typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
+        if isinstance(option, click.Option) and typed and option.name not in allowed:
+            raise InputError("does not apply to a system of your own", key=option.opts[0], remedy="drop it")
+    return True
+
+
+def load_system(words: Sequence[str]) -> OwnSystem:
+    """Return the system that the first word names; what its file prints goes to stderr.
+
+    Raises:
+        InputError: the file or function does not exist, the function fails, or it does not return a system.
+    """
+    from surctl.system.subjects import load_subject
+
+    subject = load_subject(words[0])
+    return OwnSystem(subject.system, words[0], subject.label, tuple(words[1:]), subject.sha256)
+
+
+def assigned(words: Sequence[str]) -> Mapping[str, NDArray[np.float64]]:
+    """Return the numbers of words NAME=VALUE by name; commas separate the entries of a vector.
+
+    Raises:
+        InputError: as in `listed_values`.
+    """
+    import numpy as np
+
+    return {name: np.array(v[0] if len(v) == 1 else [v]) for name, v in listed_values(words).items()}
+
+
+def listed_values(words: Sequence[str]) -> dict[str, list[float]]:
+    """Return the numbers of words NAME=V1,V2,… by name.
+
+    Raises:
+        InputError: a word does not assign a value, a value is not a number, or a name is given twice.
+    """
+    from surctl.errors import InputError
+
+    values: dict[str, list[float]] = {}
+    for word in words:
+        name, equals, text = (part.strip() for part in word.partition("="))
+        if not (name and equals):
+            raise InputError("is not NAME=VALUE", value=word, key="setting", remedy="write such as plant.mass=2")
+        if name in values:
+            raise InputError("is given twice", key=name, remedy="give it once")
+        try:
+            values[name] = [float(number) for number in text.split(",")]
+        except ValueError:
+            raise InputError("is not a number", key=name, value=text, remedy=f"write {name}=1.5") from None
+    return values
+
+
+def command_line(command: str, own: OwnSystem, *words: str) -> str:
+    """Return the command line that runs a command on this system."""
+    return shlex.join(["surctl", command, own.word, *words])
+
+
+def end_text(own: OwnSystem, record: Record) -> str:
+    """Return one line with the system, and when and why the run ended."""
+    why = f"{record.stopped}: {record.lost}" if record.lost else record.stopped
+    return f"{own.title}: ended after {record.duration:.10g} s ({why}), control period {own.system.dt:g} s"
+
+
+def cost_lines(system: System, figures: Mapping[str, float]) -> list[str]:
+    """Return one line for each cost: name, value with unit, and what it means."""
+    width = max(map(len, figures), default=0)
+    if figures and all(map(math.isnan, figures.values())):
+        return ["  no costs: a run that ends at its start, or is not finite, has none"]
+    return [
+        f"  {name:<{width}}  {value:.6g} {cost.unit} ({cost.how}){f'  {cost.meaning}' if cost.meaning else ''}"
+        for (name, value), cost in zip(figures.items(), system.costs.values(), strict=True)
+    ]
+
+
+def cost_data(system: System, figures: Mapping[str, float]) -> dict[str, Any]:
+    """Return the costs with unit, kind and meaning, for JSON."""
+    return {
+        name: {"value": figures[name], "unit": cost.unit, "how": cost.how, "meaning": cost.meaning}
+        for name, cost in system.costs.items()
+    }
+
+
+def loop_lines(own: OwnSystem, loop: SystemCorners) -> list[str]:
+    """Return lines of text: equilibrium, slowest mode, margins of each loop alone and of all loops at once."""
+    nominal, period = loop.nominal, own.system.dt
+    lines = [f"{own.title}, linear about its equilibrium, with references and disturbances of t = 0:"]
+    lines += [
+        f"  {kind} {label} = {value:.6g} {unit}"
+        for kind, rows in resting(own.system, nominal.at).items()
+        for label, value, unit in rows
+    ]
+    stable = "stable" if nominal.stable else "UNSTABLE"
+    lines.append(f"sampled every {period:g} s: {stable}, {len(nominal.poles)} poles")
+    lines.append(f"  slowest mode: {mode_text(nominal)}")
+    if nominal.stable:
+        lines += ["each loop alone, opened at one signal, all others closed:"]
+        lines += [f"  {margin.line()}" for margin in nominal.margins]
+        lines += [margin.line(margin.place) for margin in nominal.disks]
+    if loop.count:
+        word = f"disk margin {loop.disk:.2f}" if loop.stable else "no equilibrium" if loop.lost else "UNSTABLE"
+        lines.append(f"worst of the {loop.count} corners of the ranges: {word} at {loop.corner}")
+    return lines
+
+
+def loop_data(own: OwnSystem, loop: SystemCorners) -> dict[str, Any]:
+    """Return equilibrium, poles and margins as plain data for JSON."""
+    nominal = loop.nominal
+    return {
+        "equilibrium": {
+            kind: {label: value for label, value, _ in rows} for kind, rows in resting(own.system, nominal.at).items()
+        },
+        "stable": nominal.stable,
+        "poles": [[float(pole.real), float(pole.imag)] for pole in nominal.poles],
+        "slowest_mode": _slowest(nominal),
+        "margins": [margin.to_dict() for margin in nominal.margins],
+        "disk_margins": [margin.to_dict() for margin in nominal.disks],
+        "worst": {"stable": loop.stable, "disk_margin": loop.disk, "corner": loop.corner, "corners": loop.count},
+    }
+
+
+def resting(system: System, at: Operating) -> dict[str, list[tuple[str, float, str]]]:
+    """Return (label, value, unit) of every number at the equilibrium, by kind."""
+    from surctl.system import entry_labels, entry_units
+
+    def rows(layout: Layout, numbers: Sequence[float]) -> list[tuple[str, float, str]]:
+        return list(
+            zip(entry_labels(layout), (float(number) + 0.0 for number in numbers), entry_units(layout), strict=True)
+        )
+
+    return {
+        "state": rows(system.plant.state, at.x.tolist()),
+        "controller state": rows(system.controller.state, at.z.tolist()),
+        "command": rows(system.commands, at.f.tolist()),
+    }
+
+
+def _slowest(loop: SystemLoop) -> dict[str, Any]:
+    """Return magnitude, time constant [s] (negative if unstable) and angular frequency [rad/s] of the slowest pole."""
+    pole, dt = complex(loop.poles[0]), loop.linear.dt
+    size = abs(pole)
+    rate = math.log(size) / dt if size > 0.0 else -math.inf
+    return {
+        "pole": [pole.real, pole.imag],
+        "size": size,
+        "time_constant_s": -1.0 / rate if rate else math.inf,
+        "frequency_rad_per_s": abs(math.atan2(pole.imag, pole.real)) / dt,
+    }
+
+
+def mode_text(loop: SystemLoop) -> str:
+    """Return what the slowest mode does, as text."""
+    mode = _slowest(loop)
+    constant, frequency = mode["time_constant_s"], mode["frequency_rad_per_s"]
+    change = f"{'decays' if constant >= 0 else 'grows'} with time constant {abs(constant):.4g} s"
+    beat = f", oscillates at {frequency:.4g} rad/s" if frequency > 0 else ""
+    return f"|z| = {mode['size']:.6g}, {'does not decay' if math.isinf(constant) else change}{beat}"
+
+
+_WITHIN, _CLAIM = "within.", "lyapunov."
+
+
+@dataclass(frozen=True)
+class RegionWords:
+    """What the words of the command line say about a region of attraction.
+
+    Attributes:
+        within: lower and upper bound of each state.
+        ranges: lower and upper bound of uncertain numbers.
+        claim: texts of `function`, `level` and `rate`.
+    """
+
+    within: Mapping[str, tuple[float, float]]
+    ranges: Mapping[str, tuple[float, float]]
+    claim: Mapping[str, str]
+
+    def problem(self, system: System, values: Mapping[str, ArrayLike]) -> Problem:
+        """Return the problem of finding and proving a region of attraction of the system.
+
+        Raises:
+            InputError: see `sampled_dynamics`; or the function, the level or the rate is not valid.
+        """
+        from surctl.errors import InputError
+        from surctl.lyapunov import Problem, sampled_dynamics
+        from surctl.verification.formula import parse, variable
+
+        dynamics = sampled_dynamics(system, self.within, values=values, ranges=self.ranges)
+        dynamics.require_equilibrium()
+        numbers: dict[str, float | None] = {}
+        for key in ("level", "rate"):
+            text = self.claim.get(key)
+            numbers[key] = None if text is None else _finite_number(text, f"{_CLAIM}{key}")
+            if text is not None and not (numbers[key] or 0.0) > 0:
+                raise InputError("is not positive", key=f"{_CLAIM}{key}", value=text, remedy="give a positive number")
+        function = None
+        if "function" in self.claim:
+            known = {name: variable(name) for name in dynamics.names}
+            function = parse(self.claim["function"], known, key=f"{_CLAIM}function")
+        elif numbers["level"] is not None:
+            raise InputError("is given without a function", key=f"{_CLAIM}level", remedy="give lyapunov.function too")
+        return Problem(dynamics, "lyapunov", function, numbers["level"], numbers["rate"])
+
+
+def region_words(
+    words: Sequence[str], system: System
+) -> tuple[list[str], RegionWords | None, dict[str, tuple[float, float]]]:
+    """Separate the words about a region of attraction and the ranges from the others.
+
+    Without words `within.STATE`, the box is that of the system; if it has none, no region is asked for (None).
+
+    Raises:
+        InputError: a range is not LOW..HIGH, a name is given twice, or a claim is stated without `within.STATE`.
+    """
+    from surctl.errors import InputError, nearest
+
+    others: list[str] = []
+    within: dict[str, tuple[float, float]] = {}
+    ranges: dict[str, tuple[float, float]] = {}
+    claim: dict[str, str] = {}
+    for word in words:
+        name, _, text = (part.strip() for part in word.partition("="))
+        if name.startswith(_CLAIM):
+            key = name.removeprefix(_CLAIM)
+            if key not in ("function", "level", "rate"):
+                raise InputError("is not known", key=name, remedy=nearest(key, ("function", "level", "rate")))
+            _once(claim, key, name)
+            claim[key] = text
+        elif name.startswith(_WITHIN) or ".." in text:
+            table = within if name.startswith(_WITHIN) else ranges
+            key = name.removeprefix(_WITHIN)
+            _once(table, key, name)
+            table[key] = _range(text, name)
+        else:
+            others.append(word)
+    within = within or dict(system.within)
+    if not within:
+        if claim:
+            key = f"{_CLAIM}{next(iter(claim))}"
+            remedy = "add within.STATE=LOW..HIGH for every state"
+            raise InputError("asks for a region of attraction, whose box is missing", key=key, remedy=remedy)
+        return others, None, ranges
+    return others, RegionWords(within, ranges, claim), ranges
+
+
+def _once(table: Mapping[str, object], key: str, name: str) -> None:
+    from surctl.errors import InputError
+
+    if key in table:
+        raise InputError("is given twice", key=name, remedy="give it once")
+
+
+def _range(text: str, name: str) -> tuple[float, float]:
+    from surctl.errors import InputError
+
+    low, dots, high = text.partition("..")
+    if not dots:
+        raise InputError("is not a range", key=name, value=text, remedy=f"write {name}=-1..1")
+    return _finite_number(low, name), _finite_number(high, name)
+
+
+def _finite_number(text: str, name: str) -> float:
+    from math import isfinite
+
+    from surctl.errors import InputError
+
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not isfinite(value):
+        raise InputError("is not a number", key=name, value=text, remedy="write such as 1.5")
+    return value
+
+
+def gain_ranges_of(own: OwnSystem, ranges: Mapping[str, tuple[float, float] | None]) -> dict[str, tuple[float, float]]:
+    """Return the search ranges of the named gains, or of all gains; default: a quarter to 4 times the nominal value."""
+    from surctl.errors import InputError, nearest
+    from surctl.tuning.design import default_range
+
+    nominal, result = nominal_gains(own), {}
+    for name, ends in (ranges or dict.fromkeys(nominal)).items():
+        if name not in nominal:
+            raise InputError("is not a gain of the system", key="--gain", value=name, remedy=nearest(name, nominal))
+        if ends is None and nominal[name] == 0:
+            raise InputError("is 0 and so has no default range", key=f"--gain {name}", remedy=f"write {name}=LOW..HIGH")
+        result[name] = default_range(nominal[name]) if ends is None else ends
+    return result
+
+
+def nominal_gains(own: OwnSystem) -> dict[str, float]:
+    """Return the system's own gains by name."""
+    from surctl.system import entry_labels
+
+    gains = own.system.controller.gains
+    return dict(zip(entry_labels(gains), gains.pack().tolist(), strict=True))

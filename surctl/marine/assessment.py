@@ -1,0 +1,569 @@
+"""The subject of an assessment of the robot: a vehicle with its law, gains, speeds and missions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from surctl.assessment import SATURATED, Assumption, Figure, Line, Part, loop_figures, loop_line
+from surctl.errors import InputError, NotApplicable
+from surctl.marine.control import CASCADE, Barrier, Gains, Law, Movers, build_law, default_law, law_source
+from surctl.marine.guidance import Guidance, Path
+from surctl.marine.simulation import (
+    Disturbance,
+    Run,
+    SafetyClaim,
+    Scenario,
+    Sensing,
+    mission_size,
+    safety_claim,
+    simulate,
+    stop_reason,
+    straight_mission,
+    turn_rate,
+)
+from surctl.marine.simulation.echo_fit import detection_range
+from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.linearise import check_cruise
+from surctl.marine.vehicle.specs import DEFAULTED
+from surctl.marine.verification import LawCorners, closed_loop_poles, law_corners, steady_motion, worst_margins
+from surctl.marine.verification.cascade import has_cascade
+from surctl.marine.verification.linear import (
+    LinearSide,
+    Mode,
+    cap_above,
+    corner_margin,
+    corners,
+    linear_side,
+    slowest_mode,
+    worst_linear_side,
+)
+from surctl.marine.verification.linear.corners import DRAG_SPREAD, MASS_SPREAD
+from surctl.marine.verification.region import RegionStatement, applicable_region, prove_statement
+from surctl.own_code import label
+from surctl.verification import Inapplicable, LoopMargins
+
+__all__ = [
+    "DEFAULT_REGIONS",
+    "LoopAnalysis",
+    "Mission",
+    "assumptions",
+    "judged_contact",
+]
+
+# Defaults that a vehicle file leaves to surctl, and how much the disk margin depends on each
+
+
+def assumptions(
+    vehicle: Vehicle,
+    gains: Mapping[str, float] | None,
+    *,
+    cruise: float,
+    dt: float,
+    uncertainty: float | None = None,
+) -> tuple[Assumption, ...]:
+    """Return the defaults on which the linear loop of a vehicle depends.
+
+    Args:
+        vehicle: the vehicle.
+        gains: gains of a law with the built-in cascade; None: no margins.
+        cruise: cruise speed [m/s].
+        dt: control period [s].
+        uncertainty: relative error of mass and drag that takes the place of the ranges, or None.
+
+    Example:
+        >>> from surctl.marine.assessment import assumptions
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default").values
+        >>> [ranges] = assumptions(rov, gains, cruise=0.15, dt=0.05)
+        >>> ranges.value, ranges.margins[0] > ranges.margins[2]
+        ('of mass ±5% and of drag ±20%', True)
+    """
+    margin = partial(_margin, gains=gains, cruise=cruise, dt=dt, uncertainty=uncertainty)
+    assumed = []
+    for name, parameter in vehicle.parameters.items():
+        if parameter.provenance == DEFAULTED and parameter.value:
+            values = (vehicle.with_values({name: share * parameter.value}) for share in (0.5, 1.0, 2.0))
+            half, same, double = (margin(one) for one in values)
+            unit = "" if parameter.unit == "1" else f" {parameter.unit}"
+            assumed.append(Assumption(name, f"= {parameter.value:g}{unit}", (half, same, double)))
+    if corners(vehicle, uncertainty).assumed:
+        half, same, double = (margin(vehicle, spread=share) for share in (0.5, 1.0, 2.0))
+        assumed.append(
+            Assumption("ranges", f"of mass ±{MASS_SPREAD:.0%} and of drag ±{DRAG_SPREAD:.0%}", (half, same, double))
+        )
+    return tuple(assumed)
+
+
+def _margin(
+    vehicle: Vehicle,
+    *,
+    gains: Mapping[str, float] | None,
+    cruise: float,
+    dt: float,
+    uncertainty: float | None,
+    spread: float = 1.0,
+) -> float:
+    if gains is None:
+        return float("nan")
+    try:
+        worst = corner_margin(vehicle, gains, cruise=cruise, dt=dt, uncertainty=uncertainty, spread=spread)
+    except InputError:  # the vehicle cannot hold the speed
+        return float("nan")
+    return worst.margin
+
+
+# How a run of an unstable linear loop goes on: a bounded motion, such as a crab, or a departure from the path
+
+
+# end of the first leg in hull lengths: a start on a straight path would hide that a loop is unstable
+_BEND = (2.0, 0.5)
+
+
+def _motion_text(plant: Vehicle, model: Vehicle, gains: Gains, *, law: Law, cruise: float) -> str:
+    """Return how one run of a vehicle goes on after a bend of the path, in words; empty if there is no such run.
+
+    Args:
+        plant: the vehicle that moves.
+        model: the vehicle of the law's model.
+        gains: gains of the law.
+        law: a law for exact obstacle positions.
+        cruise: cruise speed [m/s].
+    """
+    size = mission_size(model, gains, cruise=cruise)
+    mission = straight_mission(model, cruise=cruise, size=size)
+    first, last = mission.path.waypoints
+    bend = first + 2 * size * np.array(_BEND)
+    mission = replace(mission, path=Path(np.array([first, bend, last + np.array([0.0, bend[1] - first[1]])])))
+    try:
+        run = simulate(mission, plant, gains=gains, law=law, model=model)
+    except InputError:
+        return ""
+    angle = np.degrees(np.arctan2(_BEND[1], _BEND[0]))
+    head = f"its run after a bend of {angle:.0f} deg, in still water,"
+    late = run.record.eta[len(run.record.eta) // 2 :]
+    away, m = float(np.abs(late[:, 1] - bend[1]).max()), run.metrics
+    if not m.reached:
+        return f"{head} does not arrive ({m.stopped_because} at {m.time_s:.0f} s), up to {away:.3g} m from the path"
+    crab = f"crabs by {m.crab_angle_deg:.0f} deg (at most {m.max_crab_angle_deg:.0f})"
+    return f"{head} stays bounded: it arrives, {crab}, and its second half is within {away:.2g} m of the path"
+
+
+# The nonlinear parts of a mission's assessment: region of attraction, no contact, and simulated runs
+
+
+DEFAULT_REGIONS = ("region-cruise-20", "region-turning-20", "region-steered-20")
+"""The region claims of an assessment, strongest assumption first; the first that applies is the one of a vehicle."""
+
+
+def _region_part(vehicle: Vehicle, gains: Gains, *, law: str, cruise: float, cap: float) -> Part:
+    """Return whether a region of attraction about the path is proved, and its size."""
+    if not law_source(law).parts:
+        return Part((), (Line(None, f"region of attraction: no claim concerns law {label(law)}", "region"),))
+    claim = applicable_region(DEFAULT_REGIONS, vehicle, gains, cruise=cruise, cap=cap)
+    if not isinstance(claim, RegionStatement):
+        text = f"region of attraction: not applicable to {claim.to}, because {claim.because}"
+        return Part((), (Line(None, text, "region"),), claim)
+    proof = prove_statement(claim, vehicle, gains, cruise=cruise, cap=cap)
+    proved = proof.verdict == "proved"
+    sizes = (proof.offset, max(proof.ultimate_bound)) if proved else (0.0, float("nan"))
+    figures = (
+        Figure("region_m", sizes[0], "m", "distance beside the path from which the return is proved", "high"),
+        Figure("region_within_m", sizes[1], "m", "distance within which the motion ends, proved", "low"),
+    )
+    named = tuple(Figure(f.name, f.value, f.unit, f.meaning, f.better, where=claim.name) for f in figures)
+    return Part(named, (Line(True if proof.useful else None, f"{claim.name}: {proof.sentence}", "region"),), proof)
+
+
+def judged_contact(
+    scenario: Scenario,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    sonar: bool = True,
+    barrier: Barrier = "simple",
+    movers: Movers = "predict",
+    spread: float | None = None,
+) -> SafetyClaim | Inapplicable:
+    """Return the no-contact claim of a mission, or why it does not apply; by true positions unless `sonar`."""
+    sight = detection_range(scenario) if sonar else float("inf")
+    turning = turn_rate(scenario, vehicle, gains, sonar=sonar)
+    try:
+        return safety_claim(
+            scenario, vehicle, gains, barrier=barrier, movers=movers, detection=sight, spread=spread, turning=turning
+        )
+    except NotApplicable as reason:
+        return Inapplicable.of("no contact", reason)
+
+
+def _contact_part(
+    missions: Sequence[tuple[Scenario, Vehicle]],
+    gains: Gains,
+    *,
+    law: str,
+    sonar: bool = True,
+    barrier: Barrier = "simple",
+    movers: Movers = "predict",
+    spread: float | None = None,
+) -> Part:
+    """Return the no-contact claim of each mission, a scenario and its vehicle, that has obstacles."""
+    met = [(scenario, vehicle) for scenario, vehicle in missions if scenario.obstacles]
+    if CASCADE not in law_source(law).parts:
+        text = f"no contact: not judged, because the claim concerns law guarded and this is {label(law)}"
+        return Part((), (Line(None, text, "runs", counts=bool(met)),))
+    claims = [judged_contact(*each, gains, sonar=sonar, barrier=barrier, movers=movers, spread=spread) for each in met]
+    lines = []
+    for (scenario, _), claim in zip(met, claims, strict=True):
+        if isinstance(claim, Inapplicable):
+            lines.append(Line(None, f"no contact in {scenario.name}: {claim.sentence}", "runs"))
+            continue
+        how = f"holds: margin {claim['margin']:g} m, needed {claim['margin needed']:.3g} m"
+        end = how if claim.holds else f"does not hold: {claim.shortfall}"
+        lines.append(Line(claim.holds, f"no contact in {scenario.name} {end}", "runs"))
+    spare = [(c["margin"] - c["margin needed"], c.scenario) for c in claims if isinstance(c, SafetyClaim)]
+    if not spare:
+        return Part((), tuple(lines), tuple(claims))
+    least, where = min(spare)
+    figure = Figure("contact_margin_m", least, "m", "gain margin beyond the one that braking needs", "high", 0.0, where)
+    return Part((figure,), tuple(lines), tuple(claims))
+
+
+def _runs_part(runs: Sequence[Run], *, extra: Sequence[bool] = ()) -> Part:
+    """Return what runs show: arrival, clearance, path error, thrust at its limit; `extra` ones do not count."""
+    lines = []
+    apart = extra or [False] * len(runs)
+    for place, (run, beside) in enumerate(zip(runs, apart, strict=True), start=1):
+        m = run.metrics
+        text = f"{run.scenario.name} by {run.vehicle.name}, {run.sensing}: {m.stopped_because} at {m.time_s:.1f} s"
+        text += f", least clearance {m.min_clearance_m:.3f} m"
+        lines.append(Line(m.reached and m.min_clearance_m > 0, text, f"runs-{place}", counts=not beside))
+        if m.axis_saturated_share > SATURATED:
+            full = f"a thrust is at its limit {m.axis_saturated_share:.0%} of the time"
+            text = f"{run.scenario.name}, {run.sensing}: {full}, so the linear margins do not describe this run"
+            lines.append(Line(None, text, f"runs-{place}", counts=not beside))
+    counted = [run for run, beside in zip(runs, apart, strict=True) if not beside]
+    if not counted:
+        return Part((), tuple(lines), tuple(runs))
+    rows: tuple[tuple[str, str, str, Literal["high", "low"]], ...] = (
+        ("time_ratio", "1", "arrival time over the ideal time (path length / cruise speed)", "low"),
+        ("path_error_m", "m", "rms distance to the path", "low"),
+        ("min_clearance_m", "m", "least distance to an obstacle or wall", "high"),
+        ("limited_share", "1", "share of time at its limit of the thrust that is there most", "low"),
+    )
+    figures = []
+    for name, unit, meaning, better in rows:
+        values = np.array([_of(run, name) for run in counted])
+        ill = np.where(np.isnan(values), -np.inf, values if better == "low" else -values)
+        at = int(np.argmax(ill))
+        where = counted[at].scenario.name
+        figures.append(Figure(name, float(values[at]), unit, f"{meaning}, worst run", better, where=where))
+    return Part(tuple(figures), tuple(lines), tuple(runs))
+
+
+def _of(run: Run, name: str) -> float:
+    m = run.metrics
+    if name == "time_ratio":
+        ideal = run.scenario.path.length / run.scenario.cruise
+        return m.time_s / ideal if m.reached else float("inf")
+    return m.axis_saturated_share if name == "limited_share" else float(getattr(m, name))
+
+
+# The linear part of a mission's assessment: margins, poles and sampling of the loop of any law
+
+
+@dataclass(frozen=True, eq=False)
+class LoopAnalysis:
+    """The linear analysis of a law about a cruise or a steady motion, at the nominal vehicle and at the worst corner.
+
+    Attributes:
+        cruise: cruise speed [m/s].
+        margins: margins of each loop alone, of the nominal vehicle, or the least over a stated uncertainty.
+        sides: all loops together, nominal and worst corner; empty for a law that is linearised numerically.
+        poles: closed-loop poles [rad/s] of the nominal vehicle; None for such a law.
+        mode: the slowest or most unstable mode; None for such a law.
+        law: the sampled loop of such a law, or None.
+        unjudged: the reason why there is no analysis; else empty.
+        failed: whether that reason is a failure of the law.
+        assumptions: defaults on which the analysis depends.
+        motion: for an unstable loop about a straight cruise, how a run of the worst corner goes on, in words.
+    """
+
+    cruise: float
+    margins: tuple[LoopMargins, ...] = ()
+    sides: tuple[LinearSide, ...] = ()
+    poles: Any = None
+    mode: Mode | None = None
+    law: LawCorners | None = None
+    unjudged: str = ""
+    failed: bool = False
+    uncertainty: float | None = None
+    assumptions: tuple[Assumption, ...] = ()
+    motion: str = ""
+
+    @property
+    def stable(self) -> bool | None:
+        """Whether the loop is stable, also at the worst corner; None if there is no analysis."""
+        if self.law is not None:
+            return self.law.stable
+        return all(side.stable for side in self.sides) if self.sides else None
+
+    def part(self) -> Part:
+        """Return the figures and the verdict."""
+        if self.unjudged:
+            line = Line(False if self.failed else None, f"margins: not judged, because {self.unjudged}", "margins")
+            return Part((), (replace(line, counts=self.failed),), self)
+        figures = self._figures()
+        place = f"at {self.cruise:g} m/s"
+        if self.law is not None and self.law.nominal.place:
+            place = f"about {self.law.nominal.place}"
+        mode = self.mode
+        why = "; lower the cruise speed" if mode is None else f" (loop {mode.loop}): {unstable_text(mode)}"
+        line = loop_line(figures, stable=self.stable is not False, place=place, unstable=why)
+        if self.motion:
+            line = replace(line, text=f"{line.text}; {self.motion}")
+        return Part(tuple(figures.values()), (line,), self, self.assumptions)
+
+    def _figures(self) -> dict[str, Figure]:
+        if self.law is not None:
+            nominal, worst, corner = self.law.nominal.disk, self.law.disk, self.law.corner
+            slowest = (self.law.nominal.slowest_per_s, self.law.slowest_per_s)
+        else:
+            first, last = self.sides
+            nominal, worst, corner = first.disk, last.disk, last.corner or "the nominal vehicle"
+            slowest = (first.slowest_per_s, last.slowest_per_s)
+        which = f"mass and drag off by ±{self.uncertainty:.0%}" if self.uncertainty else "nominal vehicle"
+        return loop_figures((nominal, worst), slowest, self.margins, corner=corner, which=which)
+
+
+def unstable_text(mode: Mode) -> str:
+    """Return the dominant states of an unstable mode, its pole, and what stabilises the loop, as text."""
+    states = ", ".join(f"{name} {share:.0%}" for name, share in list(mode.participation.items())[:3])
+    return f"pole {mode.real:.3g} 1/s, dominant states {states}; stable {mode.remedy}"
+
+
+def _loop_part(*arguments: Any, **options: Any) -> Part:
+    """Return the part of an assessment; for the arguments see `_analyse_loop`."""
+    return _analyse_loop(*arguments, **options).part()
+
+
+def _analyse_loop(
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    law: str,
+    cruise: float,
+    dt: float | None = None,
+    guidance: Guidance = "los",
+    uncertainty: float | None = None,
+    missions: Sequence[Scenario] = (),
+) -> LoopAnalysis:
+    """Return the linear analysis of a law.
+
+    A law with the built-in cascade is linearised by formulae, a law that steers numerically about a straight cruise,
+    any other law numerically about the steadiest motion of a run.
+
+    Args:
+        vehicle: nominal plant and model of the controller.
+        gains: the gains.
+        law: reference of the law.
+        cruise: cruise speed [m/s].
+        dt: control period [s]; None: that of the law.
+        guidance: guidance of the law.
+        uncertainty: relative error of mass and drag; None: the ranges of the vehicle file, or the default (`corners`).
+        missions: scenarios of the run, the first with a steady motion, without waves and drift; none: a straight path
+            in open water.
+
+    Raises:
+        InputError: the law is a user's own and fails.
+    """
+    source = law_source(law)
+    built = build_law(law, guidance=guidance) if dt is None else build_law(law, guidance=guidance, dt=dt)
+    if source.steering is None and has_cascade(law, guidance):
+        try:
+            check_cruise(vehicle, cruise)
+        except InputError as error:
+            return LoopAnalysis(cruise, unjudged=f"a cruise at {cruise:g} m/s {error.problem}")
+        speeds: dict[str, Any] = {"cruise": cruise, "dt": built.dt}
+        values = gains.values
+        analysis = LoopAnalysis(
+            cruise,
+            worst_margins(vehicle, values, uncertainty=uncertainty or 0.0, **speeds),
+            (
+                linear_side(vehicle, values, **speeds),
+                worst_linear_side(corners(vehicle, uncertainty), values, **speeds),
+            ),
+            closed_loop_poles(vehicle, values, **speeds),
+            slowest_mode(vehicle, values, **speeds),
+            uncertainty=uncertainty,
+            assumptions=assumptions(vehicle, values, uncertainty=uncertainty, **speeds),
+        )
+        return _with_motion(analysis, analysis.sides[-1].at, vehicle, gains, built)
+    own = gains.with_own(source.gains)
+    if source.steering is not None:
+        try:
+            loops = law_corners(built, vehicle, own, cruise=cruise, uncertainty=uncertainty)
+        except InputError as error:
+            return LoopAnalysis(cruise, unjudged=_reason(error, cruise))
+        assumed = assumptions(vehicle, None, cruise=cruise, dt=built.dt, uncertainty=uncertainty)
+        analysis = LoopAnalysis(cruise, loops.nominal.margins, law=loops, assumptions=assumed)
+        return _with_motion(analysis, loops.at, vehicle, own, built)
+    return _about_runs(built, vehicle, own, cruise=cruise, uncertainty=uncertainty, missions=missions)
+
+
+def _with_motion(analysis: LoopAnalysis, worst: Vehicle | None, model: Vehicle, gains: Gains, law: Law) -> LoopAnalysis:
+    if analysis.stable is not False:
+        return analysis
+    nominal = analysis.sides[0].stable if analysis.law is None else analysis.law.nominal.stable
+    plant = worst if nominal and worst is not None else model
+    return replace(analysis, motion=_motion_text(plant, model, gains, law=law, cruise=analysis.cruise))
+
+
+def _about_runs(
+    law: Law,
+    vehicle: Vehicle,
+    gains: Gains,
+    *,
+    cruise: float,
+    uncertainty: float | None,
+    missions: Sequence[Scenario],
+) -> LoopAnalysis:
+    reason = ""
+    for mission in missions or (None,):
+        run = _run(law, vehicle, gains, cruise=cruise, mission=mission)
+        if run.metrics.stopped_because == "fault":
+            why = f"the run of {run.scenario.name} ended with a fault: {stop_reason(run)}"
+            return LoopAnalysis(cruise, unjudged=why, failed=True)
+        try:
+            at = steady_motion(run)
+            loops = law_corners(law, vehicle, gains, cruise=cruise, uncertainty=uncertainty, at=at)
+        except InputError as error:
+            reason = reason or _reason(error, cruise)
+            continue
+        assumed = assumptions(vehicle, None, cruise=at.speed, dt=law.dt, uncertainty=uncertainty)
+        return LoopAnalysis(at.speed, loops.nominal.margins, law=loops, assumptions=assumed)
+    return LoopAnalysis(cruise, unjudged=reason or f"law {label(law.ref)} has no steady motion")
+
+
+def _reason(error: InputError, cruise: float) -> str:
+    which = f"a cruise at {cruise:g} m/s" if error.key in (None, "cruise") else error.key
+    return f"{which} {error.problem}"
+
+
+def _run(law: Law, vehicle: Vehicle, gains: Gains, *, cruise: float, mission: Scenario | None) -> Run:
+    if mission is None:
+        scenario = straight_mission(vehicle, cruise=cruise, size=mission_size(vehicle, gains, cruise=cruise))
+    else:
+        calm = Disturbance(current_m_per_s=mission.disturbance.current_m_per_s)
+        scenario = replace(mission, cruise=cruise, cap=max(mission.cap, cruise), disturbance=calm)
+    return simulate(scenario, vehicle, gains=gains, law=law)
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """A vehicle with its law, gains and speeds, and the scenarios in which it runs.
+
+    Attributes:
+        vehicle, gains: the vehicle, also the model of the law, and the gains.
+        cruise, cap: cruise speed and speed limit [m/s].
+        law: reference of the law; empty: the default law of the vehicle.
+        guidance: guidance of the law.
+        scenarios: the missions.
+        dt: control period [s]; None: that of the law.
+        uncertainty: relative error of mass and drag; None: the ranges of the vehicle file, or the default ranges.
+        sensing: what the law measures in the missions; None: sonar, if the law can use it.
+        hulls: vehicle of each scenario; empty: the vehicle.
+        runs: runs of the missions, if they were simulated before.
+        extra: for each of these runs, whether it does not count; empty: all count.
+        barrier, movers: options of the law, as for `build_law`.
+    """
+
+    vehicle: Vehicle
+    gains: Gains
+    cruise: float
+    cap: float
+    law: str = ""
+    guidance: Guidance = "los"
+    scenarios: tuple[Scenario, ...] = ()
+    dt: float | None = None
+    uncertainty: float | None = None
+    sensing: Sensing | None = None
+    hulls: tuple[Vehicle, ...] = ()
+    runs: tuple[Run, ...] | None = None
+    extra: tuple[bool, ...] = ()
+    barrier: Barrier = "simple"
+    movers: Movers = "predict"
+
+    @property
+    def name(self) -> str:
+        """Name of the vehicle."""
+        return self.vehicle.name
+
+    @property
+    def period(self) -> float:
+        """Control period [s]."""
+        return build_law(self.law_ref).dt if self.dt is None else self.dt
+
+    @property
+    def law_ref(self) -> str:
+        """Reference of the law."""
+        return self.law or default_law(self.vehicle)
+
+    def parts(self) -> Mapping[str, Callable[[], Part]]:
+        """Return the parts of the assessment; those about missions only if there is one."""
+        about: dict[str, Any] = {"vehicle": self.vehicle, "gains": self.gains, "law": self.law_ref}
+        parts: dict[str, Callable[[], Part]] = {
+            "loop": self._loop,
+            "region": partial(_region_part, **about, cruise=self.cruise, cap=self.cap),
+        }
+        if self.scenarios:
+            parts["no contact"] = partial(
+                _contact_part,
+                tuple(zip(self.scenarios, self.hulls or [self.vehicle] * len(self.scenarios), strict=True)),
+                self.gains,
+                law=self.law_ref,
+                sonar=self.sensed == "sonar",
+                barrier=self.barrier,
+                movers=self.movers,
+                spread=self.uncertainty,
+            )
+            parts["runs"] = lambda: _runs_part(self._runs(), extra=self.extra)
+        return parts
+
+    def _loop(self) -> Part:
+        part = _loop_part(
+            self.vehicle,
+            self.gains,
+            law=self.law_ref,
+            cruise=self.cruise,
+            dt=self.dt,
+            guidance=self.guidance,
+            uncertainty=self.uncertainty,
+            missions=self.scenarios,
+        )
+        mode = part.source.mode
+        text = None if mode is None else cap_above(self.vehicle, mode.bearable, cap=self.cap)
+        return part if text is None else part._replace(lines=(*part.lines, Line(None, text, "cap", counts=False)))
+
+    @property
+    def sensed(self) -> Sensing:
+        """What the law measures in the missions."""
+        return self.sensing or ("sonar" if "sonar" in law_source(self.law_ref).sensing else "truth")
+
+    def _runs(self) -> tuple[Run, ...]:
+        if self.runs is not None:
+            return self.runs
+        hulls = self.hulls or [self.vehicle] * len(self.scenarios)
+        return tuple(self._run(*each) for each in zip(self.scenarios, hulls, strict=True))
+
+    def _run(self, scenario: Scenario, vehicle: Vehicle) -> Run:
+        options: dict[str, Any] = {"guidance": self.guidance, "barrier": self.barrier, "movers": self.movers}
+        if self.sensed == "sonar":
+            sensors = scenario.sensors.on(vehicle["radius"])
+            options |= {"sonar": True, "equipment": sensors, "depths": scenario.depths is not None}
+        law = build_law(self.law_ref, actuators=vehicle.actuators, **options)
+        return simulate(scenario, vehicle, gains=self.gains, law=law, sensing=self.sensed)

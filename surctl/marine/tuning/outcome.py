@@ -1,0 +1,368 @@
+"""The result of a tuning: what it misses, its table of goals, its data, and the origin of its gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from surctl import __version__
+from surctl.marine.control import Gains
+from surctl.marine.simulation import STOPS, simulate_batch
+from surctl.marine.tuning.cegis import Tuning
+from surctl.marine.tuning.evaluation import Condition, figures, scope
+from surctl.marine.tuning.goals import Goal
+from surctl.marine.verification import speeds_text
+
+__all__ = ["Miss", "advice", "goal_rows", "misses", "summary", "tuned_gains", "tuning_dict", "value_text"]
+
+_ZERO_IF_UNSTABLE = ("disk_margin", "single_loop_disk_margin", "delay_margin_s", "phase_margin_deg")
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A hard goal or a claim that the tuned gains miss, in the run in which they miss it most.
+
+    Attributes:
+        name: name of the goal or of the claim.
+        goal: the goal; None for a claim.
+        run: the worst run; None for a claim.
+        figure: value of the goal's metric in this run, in its unit; NaN if the run did not arrive.
+        ending: how and at what time the run ended; None for a goal about the linear loop and for a claim.
+        nominal: the worst run that misses the goal with the vehicle's own parameters; None if there is none.
+        extent: the runs that miss the goal, as text; empty for a claim.
+    """
+
+    name: str
+    goal: Goal | None
+    run: Condition | None
+    figure: float
+    ending: str | None = None
+    extent: str = ""
+    nominal: Condition | None = None
+
+    @property
+    def text(self) -> str:
+        """The miss in one line: goal, run, value and bound."""
+        if self.goal is None or self.run is None:
+            return f"claim {self.name} is refuted with these gains"
+        goal = self.goal
+        unit = "" if goal.unit == "1" else f" {goal.unit}"
+        bound = f"{'≤' if goal.sense == 'at most' else '≥'} {goal.limit:g}{unit}"
+        value = value_text(goal, self.figure)
+        value += unit if value[-1].isdigit() else ""
+        ended = "" if self.ending is None else f" ({self.ending})"
+        return f"{self.name} in {self.run.label}: {goal.metric} {value}{ended}, bound {bound}; {self.extent}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The miss as plain data for JSON."""
+        run = self.run
+        where = {} if run is None else {"case": run.case.name, "seed": run.seed, "plant": dict(run.plant)}
+        limit = None if self.goal is None else self.goal.limit
+        value = {"figure": self.figure, "limit": limit, "ending": self.ending, "extent": self.extent}
+        return {"name": self.name, **where, **value}
+
+
+def value_text(goal: Goal, figure: float) -> str:
+    """Return the value of a goal's metric as text, or a word: no arrival, a value that is not finite, an unstable loop.
+
+    Examples:
+        >>> from surctl.marine.tuning import Goal, value_text
+        >>> soon = Goal("soon", "time_s", "s", 20.0)
+        >>> value_text(soon, 19.93), value_text(soon, float("nan"))
+        ('19.93', 'no arrival')
+        >>> value_text(Goal("late", "delay_margin_s", "s", 0.2, "at least"), 0.0)
+        'unstable'
+    """
+    if np.isnan(figure):
+        return "undefined" if goal.linear else "no arrival"
+    if goal.metric in _ZERO_IF_UNSTABLE and figure == 0:
+        return "unstable"
+    return f"{figure:.4g}" if np.isfinite(figure) else "unbounded"
+
+
+def misses(tuning: Tuning) -> tuple[Miss, ...]:
+    """Return the hard goals and claims that the tuned gains miss (`Tuning.unmet`), each with its worst run.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, misses, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("fast", "time_s", "s", 15.0, kind="hard"),)
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> [miss] = misses(tuning)
+        >>> miss.text
+        'fast in pool-behind/sur400/truth, seed 0: time_s ... s (reached at ... s), bound ≤ 15 s; missed in 1 of 1 run'
+    """
+    goals = {g.name: g for g in tuning.request.goals}
+    request, verified = tuning.request, tuning.result.verified
+    own = [goals[name] for name in tuning.unmet if name in goals]
+    sets = {name: np.asarray(values, dtype=float) for name, values in tuning.tuned.sets.items()}
+    known = _worst(own, request.conditions, sets, threads=request.threads) if own else {}
+    result = []
+    for name in tuning.unmet:
+        if name in known:
+            result.append(known[name])
+            continue
+        counterexample = next((c for c in verified.counterexamples if c.goal == name), None) if verified else None
+        if counterexample is None or verified is None:
+            result.append(Miss(name, None, None, float("nan")))
+            continue
+        run = counterexample.condition(request.cases)
+        ending = None if goals[name].linear else _ending(run, sets)
+        extent = f"missed in {verified.missed[name]:.2%} of the verifying runs"
+        if goals[name].over == "mean":
+            extent = "the mean of the verifying runs misses it"
+        own_plant = None if run.plant else run
+        result.append(Miss(name, goals[name], run, counterexample.figure, ending, extent, own_plant))
+    return tuple(result)
+
+
+def _worst(
+    goals: Sequence[Goal], conditions: Sequence[Condition], sets: Mapping[str, Any], *, threads: int
+) -> dict[str, Miss]:
+    """Return the goals that one gain set misses under the conditions, by name."""
+    table = figures(goals, conditions, sets, threads=threads)
+    worst = {}
+    for goal in goals:
+        own = scope(goal, conditions)
+        figure = goal.worst(table)[0][0, own]
+        each = goal.normalised(figure)
+        mean = goal.over == "mean"
+        whole = float(goal.normalised(figure.mean()) if mean else each.max())
+        if whole <= 1:
+            continue
+        # of runs that are equally bad, one with the nominal plant, which the user can simulate directly
+        varied = np.array([bool(conditions[k].plant) for k in own])
+        order = np.lexsort((varied, -goal.badness(figure), -each))
+        k = int(order[0])
+        run = conditions[own[k]]
+        extent = f"missed in {int((each > 1).sum())} of {len(own)} run{'s' * (len(own) != 1)}"
+        if mean:
+            extent = f"the mean of {len(own)} runs is {value_text(goal, float(figure.mean()))}"
+        ending = None if goal.linear else _ending(run, sets)
+        own_plant = next((conditions[own[j]] for j in order if each[j] > 1 and not varied[j]), None)
+        worst[goal.name] = Miss(goal.name, goal, run, float(figure[k]), ending, extent, own_plant)
+    return worst
+
+
+def _ending(run: Condition, sets: Mapping[str, Any]) -> str:
+    """Return how a run ends with the gain set."""
+    values = {name: float(np.ravel(v)[0]) for name, v in sets.items()} | dict(run.plant)
+    batch = simulate_batch(run.case, {name: np.array([v]) for name, v in values.items()}, seeds=np.array([run.seed]))
+    stop, time = (float(np.ravel(batch.column(name))[0]) for name in ("stopped", "time_s"))
+    return f"{STOPS[int(stop)]} at {time:.2f} s"
+
+
+def advice(tuning: Tuning, *, trials: int) -> tuple[str, bool]:
+    """Return what to do about the missed hard goals, and whether more trials or rounds can help.
+
+    Args:
+        tuning: a tuning that is not accepted.
+        trials: number of trials of each search of this tuning.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, advice, build_cases, conditions, gain_ranges, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("fast", "time_s", "s", 15.0, kind="hard"),)
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> text, longer = advice(tuning, trials=8)
+        >>> text.split(";")[0], longer
+        ('no gain set of the searches (8 trials each) meets fast even without the other goals', False)
+    """
+    clash = tuning.conflict
+    if not clash:
+        return "some gain set may meet them: increase --trials and --rounds", True
+    searched = f"no gain set of the searches ({trials} trials each) meets"
+    if len(clash) == 1:
+        linear = any(g.linear and g.name == clash[0] for g in tuning.request.goals)
+        remedy = "look at such a run, then relax the goal or change the mission or the vehicle"
+        if linear:
+            remedy = "relax the goal or lower its cruise speed"
+        return f"{searched} {clash[0]} even without the other goals; {remedy}", False
+    return f"{searched} {' + '.join(clash)} together: relax one of them; each part of them can be met", False
+
+
+_SCORE = "the largest soft goal over its limit, or over its start value if that meets the limit; lower is better"
+_LARGE = 100  # a larger normalised value only says that a run did not arrive, or that the metric is almost 0
+
+
+def tuned_gains(tuning: Tuning) -> Gains:
+    """Return the tuned gains and, as provenance, the goals, seeds, version, rounds and result of the tuning.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuned_gains
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
+        >>> tuned = tuned_gains(tuning)
+        >>> tuned.name, tuned["k_v"] > gains["k_v"], tuned["lookahead"] == gains["lookahead"]
+        ('default-tuned', True, True)
+        >>> print(tuned.provenance)
+        chosen by hand for the built-in law, ...; tuned by surctl ...goals: soon: ...; not verified by fresh runs
+    """
+    request = tuning.request
+    bounds = "; ".join(
+        f"{g.name}: {g.over} {g.metric} {g.sense} {g.limit:g} {g.unit} ({g.kind}){_at(g)}" for g in request.goals
+    )
+    requested = request.conditions[: tuning.requested]
+    seeds = sorted({c.seed for c in requested})
+    cases = ", ".join(dict.fromkeys(c.case.name for c in requested))
+    text = (
+        f"{request.base.provenance}; tuned by surctl {__version__} from gains {request.base.name}, "
+        f"request {request.digest[:16]}, search seed {request.seed}, {len(tuning.rounds)} round(s), "
+        f"{len(requested)} runs over {cases} with seeds {seeds[0]} to {seeds[-1]} and "
+        f"{len(request.conditions) - tuning.requested} counterexamples; goals: {bounds}; {_outcome(tuning)}"
+    )
+    values = dict(tuning.result.gains)
+    return request.base.with_values(values, provenance=text, how="tuned")
+
+
+def _at(goal: Goal) -> str:
+    return f" at {speeds_text(goal.cruise)}" if goal.cruise else ""
+
+
+def _outcome(tuning: Tuning) -> str:
+    last = tuning.result
+    fresh = last.verified
+    missed = f"HARD GOALS NOT MET: {', '.join(tuning.unmet)}; " if tuning.unmet else ""
+    checked = "not verified by fresh runs"
+    if fresh is not None:
+        refuted = ", ".join(last.refuted) or "nothing"
+        checked = f"{fresh.runs} fresh runs with seeds {fresh.seeds[0]} to {fresh.seeds[1]} refute {refuted}"
+    if tuning.conflict:
+        checked += f"; not met together: {' + '.join(tuning.conflict)}"
+    return missed + checked
+
+
+def goal_rows(tuning: Tuning) -> list[dict[str, Any]]:
+    """Return one table row per goal: its bound, and its metric and normalised value with start gains and tuned gains.
+
+    `worst_cruise_m_per_s` is the cruise speed at which the goal is worst with the tuned gains; NaN for a goal at the
+    scenario's own speed.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, goal_rows, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> goals = (Goal("soon", "time_s", "s", 20.0), Goal("clear", "min_clearance_m", "m", 0.08, "at least", "hard"))
+        >>> tuning = tune(Request(goals, runs, gains, gain_ranges(gains, ["k_v"])), trials=8, rounds=1, runs=0)
+        >>> row, _ = goal_rows(tuning)
+        >>> row["name"], row["limit"], row["unit"], round(row["hand"], 2), round(row["tuned"], 1), row["met"]
+        ('soon', 20.0, 's', 20.45, 19.9, True)
+    """
+    hand, tuned = tuning.hand.evaluation, tuning.tuned.evaluation
+    return [
+        goal.to_dict()
+        | {
+            "hand": float(hand.figure[0, j]),
+            "tuned": float(tuned.figure[0, j]),
+            "normalised_hand": float(hand.normalised[0, j]),
+            "normalised_tuned": float(tuned.normalised[0, j]),
+            "met": bool(tuned.normalised[0, j] <= 1),
+            "worst_cruise_m_per_s": float(tuned.speed[0, j]),
+            "better": tuning.better[j],
+        }
+        for j, goal in enumerate(tuning.request.goals)
+    ]
+
+
+def summary(tuning: Tuning) -> list[str]:
+    """Return the result of a tuning as lines of text: the table of the goals, then the outcome.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, summary, tune
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
+        >>> lines = summary(tuning)
+        >>> print(lines[1])
+        soon                    soft  s             ≤ 20       20.45        19.9     1.022 → 0.995
+        >>> print(lines[-1])
+        after 1 round(s): not verified by fresh runs
+    """
+    lines = [f"{'goal':<24}{'kind':<6}{'unit':<6}{'limit':>12}{'start gains':>12}{'tuned':>12}{'normalised':>18}"]
+    for goal, one in zip(tuning.request.goals, goal_rows(tuning), strict=True):
+        change = " → ".join(_normalised(one[f"normalised_{which}"]) for which in ("hand", "tuned"))
+        mark = "" if one["met"] else "  MISSED"
+        mark += f"  worst at {one['worst_cruise_m_per_s']:g} m/s" if one["cruise_m_per_s"] else ""
+        lines.append(
+            f"{one['name']:<24}{one['kind']:<6}{one['unit']:<6}{goal.sign + ' ' + format(one['limit'], 'g'):>12}"
+            f"{value_text(goal, one['hand']):>12}{value_text(goal, one['tuned']):>12}{change:>18}{mark}"
+        )
+    if any(goal.kind == "soft" for goal in tuning.request.goals):
+        start = tuning.hand.evaluation.normalised[0]
+        change = " → ".join(f"{pool.score(start)[0]:.3f}" for pool in (tuning.hand, tuning.tuned))
+        lines += ["", f"score {change}: {_SCORE}"]
+    last = tuning.result
+    values = ", ".join(f"{name} = {value:.4g}" for name, value in last.gains.items())
+    lines += ["", f"gains: {values}", f"after {len(tuning.rounds)} round(s): {_outcome(tuning)}"]
+    return lines
+
+
+def _normalised(value: float) -> str:
+    return f"{value:.3f}" if value < _LARGE else f"> {_LARGE}"
+
+
+def tuning_dict(tuning: Tuning) -> dict[str, Any]:
+    """Return the result as plain data for `tuning.json`.
+
+    Numbers that are not finite are converted when the file is written.
+
+    Example:
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario
+        >>> from surctl.marine.tuning import Goal, Request, build_cases, conditions, gain_ranges, tune, tuning_dict
+        >>> gains = load_gains("default")
+        >>> runs = conditions(build_cases([load_scenario("pool-behind")], gains=gains, law="closed_form"), seeds=[0])
+        >>> request = Request((Goal("soon", "time_s", "s", 20.0),), runs, gains, gain_ranges(gains, ["k_v"]))
+        >>> tuning = tune(request, trials=8, rounds=1, runs=0)
+        >>> table = tuning_dict(tuning)
+        >>> table["space"], table["goals"][0]["met"], table["best"]["feasible"], table["conflict"]
+        ({'k_v': [0.375, 6.0]}, True, True, [])
+    """
+    request, front, best = tuning.request, tuning.front, tuning.result
+    start = tuning.hand.evaluation.normalised[0]
+    scores = front.score(start)
+    return {
+        "version": __version__,
+        "request": request.digest,
+        "seed": request.seed,
+        "accepted": tuning.accepted,
+        "unmet": list(tuning.unmet),
+        "misses": [miss.to_dict() for miss in misses(tuning)],
+        "goals": goal_rows(tuning),
+        "space": {s.name: [s.low, s.high] for s in request.space},
+        "best": {"gains": dict(best.gains), "score": best.score, "feasible": best.feasible},
+        "front": [
+            {
+                "gains": front.gains(k),
+                "score": float(scores[k]),
+                "effort_n": float(front.evaluation.effort[k]),
+                "normalised": front.evaluation.normalised[k].tolist(),
+            }
+            for k in range(len(scores))
+        ],
+        "rounds": [r.to_dict() for r in tuning.rounds],
+        "counterexamples": [
+            c.to_dict()
+            for r in tuning.rounds
+            for c in (*r.training, *(r.verified.counterexamples if r.verified else ()))
+        ],
+        "conflict": list(tuning.conflict),
+    }
