@@ -10,7 +10,7 @@ from surctl.certcheck import PATIENCE
 from surctl.lyapunov.claims import Stability
 from surctl.lyapunov.decide import prove_by_slopes
 from surctl.lyapunov.equilibrium import linearisation
-from surctl.lyapunov.hugging import hugged
+from surctl.lyapunov.rays import hugged
 from surctl.lyapunov.slope_search import form_of, slope_candidate
 from surctl.marine.verification.region.proof import RegionProof
 from surctl.marine.verification.region.steering import SteeringClaim
