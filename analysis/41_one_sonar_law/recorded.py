@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.control import load_gains
-from surctl.marine.sensing import REFLECTORS, LocalMap, SonarArray, level_range, map_view
+from surctl.marine.sensing import REFLECTORS, LocalMap, SonarArray, level_range
 from surctl.marine.simulation import ECHOES, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Disc, Shape, site_walls
@@ -172,7 +172,7 @@ def record(
         out.firings.append(firings)
         if k % EACH == 0:
             grid, corner = (after[k, law.state.slice(f"map_{one}")] for one in ("cells", "corner"))
-            values, xs, ys = map_view(local_map, grid, corner, edge=hull / CELLS)
+            values, xs, ys = local_map.view(grid, corner, edge=hull / CELLS)
             row, column = np.nonzero(values > 0)
             out.marks.append(np.stack([xs[column], ys[row]], axis=1))
     return out
