@@ -25,6 +25,7 @@ from surctl.marine.vehicle import FITTED, load_vehicle
 from surctl.marine.verification.region import REGION_CLAIMS, RegionProof
 from surctl.marine.world import Disc
 from surctl.priority import solve
+from tests.oracles.rays import nearest_in_cone
 from tests.pictures import blank_pictures
 from tests.processes import run_python
 from tests.tools import need, need_compiler, need_module
@@ -442,7 +443,7 @@ def test_the_trackers_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> No
     arcs, elements = study["Arcs"](array), study["Elements"](array, risk=0.5)
     for k in range(640):
         x, y, axis = array.apex(array.sensor_at(k), position=here, heading=0.01 * k)
-        reading = pole.nearest_in_cone((x, y), axis, half_angle=array.half_angle)
+        reading = nearest_in_cone(pole, (x, y), axis, half_angle=array.half_angle)
         firing = study["Firing"](
             0.025 * k, np.array([x, y]), axis, min(reading, 4.5), reading > 4.5, False, False, whole
         )

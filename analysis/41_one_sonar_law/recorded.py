@@ -9,18 +9,23 @@ the site and the moving obstacles, so a way also ends at a wall, and only still 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import REFLECTORS, LocalMap, SonarArray, level_range
 from surctl.marine.simulation import ECHOES, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Disc, Shape, site_walls
+from tests.oracles.rays import nearest_in_cone
 
 __all__ = ["EACH", "ECHOES", "RAYS", "Firing", "Judge", "Recorded", "cells", "present", "record", "stops_at"]
 
@@ -162,7 +167,7 @@ def record(
                 sensor, position=rows.eta[k, :2] - late * rates[k, :2], heading=rows.eta[k, 3] - late * rates[k, 3]
             )
             reading = float(readings[k, sensor])
-            known = [s.nearest_in_cone(apex[:2], apex[2], half_angle=array.half_angle) for s in (*walls, *movers)]
+            known = [nearest_in_cone(s, apex[:2], apex[2], half_angle=array.half_angle) for s in (*walls, *movers)]
             silent, blind = reading > array.maximum - 0.1, reading < array.lowest + 1.5 * array.resolution
             explained = not silent and reading > min([*known, level]) - EXPLAINED
             answered = np.zeros(0, dtype=int) if silent or blind else _answered(surfaces[k], true, reading, array)
