@@ -18,11 +18,14 @@ import numpy as np
 import pytest
 
 from surctl.marine.control import load_gains
+from surctl.marine.sensing import SonarArray
 from surctl.marine.simulation import METRICS, STOPS, BatchResult, Case, simulate
 from surctl.marine.simulation.campaign import RunTable
 from surctl.marine.vehicle import FITTED, load_vehicle
 from surctl.marine.verification.region import REGION_CLAIMS, RegionProof
+from surctl.marine.world import Disc
 from surctl.priority import solve
+from tests.oracles.rays import nearest_in_cone
 from tests.pictures import blank_pictures
 from tests.processes import run_python
 from tests.tools import need, need_compiler, need_module
@@ -419,6 +422,53 @@ def test_the_study_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> None:
         cell = successor[cell]
         way.append(cell)
     assert (12, n - 1) in way and cost[11, 0] < 1e3
+
+
+def test_the_trackers_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = ANALYSIS / "41_one_sonar_law"
+    done = run(folder / "tracker.py", "--quick")
+    assert done.returncode == 0, done.stdout + done.stderr
+    rows = [row for row in table(done.stdout) if row[1] == "ideal"]
+    assert [row[2] for row in rows] == ["present", "arcs", "arcs-5", "elements-10", "elements-50"]
+    assert all(int(row[3]) > 0 and float(row[6]) <= float(row[4]) <= float(row[7]) for row in rows)
+    monkeypatch.syspath_prepend(str(folder))
+    study = runpy.run_path(str(folder / "tracker.py"))
+    # a pole ahead of a robot that turns on the spot, all echoes exact
+    pole, array, here = Disc((2.6, 2.0), 0.05), SonarArray(hull_radius=0.2), np.array([2.0, 2.0])
+    points = study["record"].__globals__["surface_points"](pole)
+    whole = np.arange(len(points))
+    recorded = study["Recorded"](
+        array, 0.2, np.array([4.0, 4.0]), 0.05, here[None], [], [[pole]], [points], 0 * whole, []
+    )
+    arcs, elements = study["Arcs"](array), study["Elements"](array, risk=0.5)
+    for k in range(640):
+        x, y, axis = array.apex(array.sensor_at(k), position=here, heading=0.01 * k)
+        reading = nearest_in_cone(pole, (x, y), axis, half_angle=array.half_angle)
+        firing = study["Firing"](
+            0.025 * k, np.array([x, y]), axis, min(reading, 4.5), reading > 4.5, False, False, whole
+        )
+        arcs.update(firing)
+        elements.update(firing)
+    exact = study["stops_at"](here, np.array([pole.center]), np.array([0.25])).min(axis=0)
+
+    def errors(stops: Any, *, heard: bool = True) -> tuple[list[float], int]:
+        judge = study["Judge"](recorded)
+        if heard:
+            judge.hear([firing._replace(time=0.0)])
+        judge.compare(0, stops, lambda place: True)
+        return judge.errors, judge.unmeasured
+
+    blocked = np.isfinite(exact)
+    assert np.allclose(errors(exact)[0], 0, atol=1e-9) and min(errors(exact - 0.1)[0]) == pytest.approx(-0.1)
+    assert max(errors(exact + 9)[0]) == pytest.approx(0.25), "the hull drives through the middle of the pole"
+    assert errors(exact + 9, heard=False) == ([], blocked.sum())
+    assert np.max(np.abs(errors(arcs.stops(here, 0.2))[0])) < 0.05
+    assert np.max(np.abs(errors(elements.stops(here, 0.2))[0])) < 0.05
+    for k in range(640, 840):  # the pole is taken away
+        x, y, axis = array.apex(array.sensor_at(k), position=here, heading=0.01 * k)
+        for tracker in (arcs, elements):
+            tracker.update(study["Firing"](0.025 * k, np.array([x, y]), axis, 4.5, True, False, False, whole))
+    assert np.isinf(arcs.stops(here, 0.2)).all() and np.isinf(elements.stops(here, 0.2)).all()
 
 
 def test_the_study_of_the_slope_rule() -> None:
