@@ -63,7 +63,7 @@ def _course_corrected(setting: Setting) -> Claim:
 
 
 _BUILDERS: Mapping[str, Callable[[Setting], Claim]] = {
-    build.__name__.replace("_", "-"): build
+    build.__name__.strip("_").replace("_", "-"): build
     for build in (
         tracking.v1_printed,
         tracking.v1_corrected,
