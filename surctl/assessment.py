@@ -29,8 +29,6 @@ __all__ = [
     "Region",
     "Subject",
     "assess",
-    "loop_figures",
-    "loop_line",
 ]
 
 # An assessment: every figure and verdict about one subject, in the form that every page, command and status reads

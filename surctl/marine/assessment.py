@@ -52,7 +52,6 @@ __all__ = [
     "LoopAnalysis",
     "Mission",
     "assumptions",
-    "judged_contact",
 ]
 
 # Defaults that a vehicle file leaves to surctl, and how much the disk margin depends on each

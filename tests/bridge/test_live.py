@@ -13,7 +13,7 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.bridge import Bridge, Ended, FrameLog, SimulatedSub, Wire, parse_address, run_session
-from surctl.marine.bridge.live import Guardian
+from surctl.marine.bridge.guardian import Guardian
 from surctl.marine.bridge.wire import Parser
 from tests.bridge.test_rehearsal import plan
 
