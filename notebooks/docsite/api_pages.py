@@ -50,7 +50,9 @@ PACKAGES = {
 
 def exported(package: str) -> tuple[str, list[str]]:
     """Return the first line of a package's docstring and the names that it exports, without importing it."""
-    tree = ast.parse(ROOT.joinpath("surctl", *package.split("."), "__init__.py").read_text(encoding="utf-8"))
+    place = ROOT.joinpath("surctl", *package.split("."))
+    file = place / "__init__.py" if place.is_dir() else place.with_suffix(".py")
+    tree = ast.parse(file.read_text(encoding="utf-8"))
     names: list[str] = []
     for node in tree.body:
         if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "__all__":
