@@ -313,6 +313,8 @@ def _largest_level(shapes: _Shapes, shape: Shape) -> float:
     for _ in range(_HALVINGS):
         middle = (low + high) / 2 if low else high / 4
         low, high = (middle, high) if shapes.holds(shape, middle * top) else (low, middle)
+    if not low and shapes.holds(shape, _NEAR * top):
+        low = _NEAR
     return low * top
 
 

@@ -49,6 +49,12 @@ CRAFT = dynamics(
 )
 
 
+def test_a_small_region_in_a_large_box_is_a_start_of_the_search() -> None:
+    small = dynamics({"x": 1.0}, ["-x + 6000*x^3"], {})  # stable within 0.0129
+    candidate = slope_candidate(small, linearisation(small), None, seconds=1.0)
+    assert candidate is not None and candidate.volume > 0.005
+
+
 def test_a_limited_uncertain_loop_is_proved_where_the_limit_acts(tmp_path: Path) -> None:
     file = tmp_path / "limited.toml"
     file.write_text(LIMITED)
