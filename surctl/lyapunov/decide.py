@@ -18,7 +18,7 @@ from surctl.lyapunov.claims import Bound, DynamicClaim, Inequality, Power, Safet
 from surctl.lyapunov.dynamics import Dynamics
 from surctl.lyapunov.equilibrium import linearisation
 from surctl.lyapunov.falsified import least_level
-from surctl.lyapunov.near import fails_nearby, inward_speeds, short, stationary_state
+from surctl.lyapunov.near import fails_nearby, inward_speeds, point_text, short, stationary_state
 from surctl.verification.claim import Claim
 from surctl.verification.decide import confirmed
 from surctl.verification.doubtful import undefined_at
@@ -254,7 +254,7 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
         low, high = inequality.exact.lower[:, None], inequality.exact.upper[:, None]
         undefined = undefined_at(inequality.exact, low + (high - low) * sobol(len(low), _FEW, 0))
         if undefined is not None:
-            return f"{inequality.name}: {undefined[1]} is not defined at {_point(undefined[0])}", undefined[0]
+            return f"{inequality.name}: {undefined[1]} is not defined at {point_text(undefined[0])}", undefined[0]
     if isinstance(claim, Stability):
         still = None if claim.rate is not None else stationary_state(claim)
         if still is not None:
@@ -267,7 +267,7 @@ def _refutation(claim: DynamicClaim, seed: int) -> tuple[str, Mapping[str, float
 
 
 def _fails(name: str, point: Mapping[str, float]) -> str:
-    return f"{name}: fails at {_point(point)}"
+    return f"{name}: fails at {point_text(point)}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,10 +417,6 @@ def _refuted(claim: Claim, seed: int, *, few: bool = False) -> Mapping[str, floa
     worst = outcome.verdict.counterexample
     sure = None if worst is None else confirmed(claim, worst, outcome.violating)
     return None if sure is None else sure.values
-
-
-def _point(values: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
 
 
 def _require_sound(claim: DynamicClaim) -> None:

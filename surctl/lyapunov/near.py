@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.lyapunov.claims import Power, Safety, Stability
-from surctl.lyapunov.dynamics import Dynamics
+from surctl.lyapunov.dynamics import Dynamics, exact
 from surctl.lyapunov.equilibrium import Linear
 from surctl.verification.falsifier import sobol
 from surctl.verification.formula import Node, number, substitute, values_of
@@ -21,6 +20,7 @@ __all__ = [
     "Failure",
     "fails_nearby",
     "inward_speeds",
+    "point_text",
     "short",
     "slowest",
     "stationary_state",
@@ -97,7 +97,7 @@ def stationary_state(claim: Stability) -> Mapping[str, float] | None:
     loss = d.change(claim.function)
     if d.discrete:
         loss = loss - claim.function
-    fixed = {w.name: _exact(w.lower) for w in d.parameters}
+    fixed = {w.name: exact(w.lower) for w in d.parameters}
     rest = {s.name: float(s.equilibrium) for s in d.states} | {w.name: float(w.lower) for w in d.parameters}
     for s in d.states:
         others = fixed | {o.name: number(o.rest) for o in d.states if o is not s}
@@ -110,10 +110,6 @@ def stationary_state(claim: Stability) -> Mapping[str, float] | None:
                 if value is not None and change is not None and value[1] < claim.level:
                     return point
     return None
-
-
-def _exact(value: float) -> Node:
-    return number(Fraction(repr(float(value))))
 
 
 Array = NDArray[np.float64]
@@ -209,7 +205,9 @@ def fails_nearby(
             if d.discrete and k:
                 fact = f"V+ - V <= -{rate:g} V fails" if rate else "V+ <= V fails"
             why = too_fast(d, linear, rate) if k else ""
-            return Failure(point, f"{fact} close to the equilibrium, at {_text(point)}" + (f": {why}" if why else ""))
+            return Failure(
+                point, f"{fact} close to the equilibrium, at {point_text(point)}" + (f": {why}" if why else "")
+            )
     return None
 
 
@@ -226,5 +224,6 @@ def _confirmed(d: Dynamics, claim: object, along: Array, corner: Array) -> dict[
     return dict(zip(names, map(float, points[:, int(np.argmax(fails))]), strict=True))
 
 
-def _text(values: Mapping[str, float]) -> str:
+def point_text(values: Mapping[str, float]) -> str:
+    """Return the values of a point as text."""
     return ", ".join(f"{name} = {value:.6g}" for name, value in values.items())

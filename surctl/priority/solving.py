@@ -30,7 +30,7 @@ were relaxed or moved. unconfirmed: v satisfies the limits as far as a solver co
 the tolerance `optimality.LOSS`. clamped: the actuator limits contradict each other (or no solver found a solution), and
 v is only clipped to the velocity bounds."""
 
-_NOTICEABLE = 1e-7
+_LEAST_NAMED = 1e-7  # smallest loss of a task that `explain` names
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ class PrioritySolution:
         lost: dict[tuple[str, ...], list[str]] = {}
         for name, residual in self.residuals.items():
             amount = residual - self.without_limits[name]
-            if amount > _NOTICEABLE:
+            if amount > _LEAST_NAMED:
                 unit = f" {self.units[name]}" if self.units[name] else ""
                 lost.setdefault(self.causes.get(name, bind), []).append(f"task `{name}` gave up {amount:.2g}{unit}")
         if not lost:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from surctl.errors import InputError
 from surctl.report.theme import AVOIDING, INK, dress, finite, new_axes
 
-__all__ = ["draw_cells", "draw_frame", "plot_cost_map"]
+__all__ = ["draw_cells", "draw_frame", "plot_cost_map", "value_range"]
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def draw_cells(
     """
     ax.grid(visible=False)
     colours = mpl.colormaps["cividis"].with_extremes(bad="#E8EAED")
-    low, high = _range(values)
+    low, high = value_range(values)
     image = ax.imshow(values, origin="lower", aspect="auto", cmap=colours, vmin=low, vmax=high)
     bar = ax.figure.colorbar(image, ax=ax)
     bar.ax.tick_params(labelsize=8.5)
@@ -97,8 +97,8 @@ def _ticks(values: Array) -> tuple[list[int], list[str]]:
     return places, [f"{values[k]:.4g}" for k in places]
 
 
-def _range(values: Array) -> tuple[float, float]:
-    # never empty, even if all values are equal or none is finite
+def value_range(values: Array) -> tuple[float, float]:
+    """Return the range of the finite values, never empty, even if all are equal or none is finite."""
     known = values[np.isfinite(values)]
     if known.size == 0:
         return 0.0, 1.0

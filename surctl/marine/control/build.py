@@ -41,6 +41,7 @@ from surctl.marine.control.decision import Decision, Scan, TaskLevel, perceive
 from surctl.marine.control.law import (
     DEGRADED,
     DEPTH_PORT,
+    PRECISIONS,
     SWITCHED,
     TELEMETRY,
     TRAPPED,
@@ -70,7 +71,6 @@ from surctl.marine.sensing import Equipment
 from surctl.marine.vehicle import Actuators
 from surctl.own_code import is_own, label, own_file
 from surctl.priority import Fallback, LevelShape, Mode, check_fallback, nsb_symbolic, priority_step
-from surctl.priority.solver.elimination import FLOAT32, FLOAT64
 from surctl.tasks import LimitRow, VelocityBox
 
 __all__ = [
@@ -169,7 +169,6 @@ def _layout(listed: list[list[Any]]) -> Layout:
 
 
 _MEMORY = ("carried", "reported", "flags")
-_PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
 
 
 def limited(
@@ -186,7 +185,7 @@ def limited(
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
     # the law does not report which limit rows limit task 1, so `named` is off
     step = priority_step(
-        mode, n=4, levels=shapes, rows=rows, precision=_PRECISIONS[real], named=False, confirm=False, fallback=fallback
+        mode, n=4, levels=shapes, rows=rows, precision=PRECISIONS[real], named=False, confirm=False, fallback=fallback
     )
     solution = tuple(f"step_{name}" for name, _ in step.outputs)
     results = tuple(name for name, _ in post.outputs)

@@ -32,6 +32,7 @@ from surctl.system import NONFINITE
 __all__ = [
     "DEGRADED",
     "NONFINITE",
+    "PRECISIONS",
     "SATURATED",
     "SWITCHED",
     "TELEMETRY",
@@ -304,7 +305,7 @@ class Law:
 WORKING = "working"
 """Name of the input that says which thrusters work."""
 
-_PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
+PRECISIONS = {"float64": FLOAT64, "float32": FLOAT32}
 
 
 def _allocation_outputs(actuators: Actuators) -> tuple[Port, ...]:
@@ -331,7 +332,7 @@ def with_allocation(law: Law, actuators: Actuators, *, real: Real = "float64") -
         >>> [port.name for port in law.outputs][-3:], law.inputs.port("working").shape
         (['tau_desired', 'thruster_force', 'thruster_command'], (8,))
     """
-    precision = _PRECISIONS[real]
+    precision = PRECISIONS[real]
     if actuators.fins and "nu" not in law.inputs:
         raise InputError(
             "measures no velocity, on which the force of a rudder depends",

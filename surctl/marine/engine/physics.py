@@ -36,7 +36,6 @@ __all__ = [
 ]
 
 Array = NDArray[np.float64]
-_SURFACE_GROUP = 3  # group of the water surface in the model
 
 
 def _beam_directions(half: float, *, count: int, fan: bool = False) -> Array:

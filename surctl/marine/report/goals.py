@@ -18,7 +18,7 @@ from surctl.marine.control import Gains
 from surctl.marine.simulation import Run, simulate
 from surctl.marine.tuning import Condition, Goal, Pool, SweepTable, SweptAxis, Tuning, figures, scope
 from surctl.marine.vehicle import Vehicle
-from surctl.report.cost_map import draw_cells, draw_frame
+from surctl.report.cost_map import draw_cells, draw_frame, value_range
 from surctl.report.theme import (
     AVOIDING,
     BAD,
@@ -183,7 +183,7 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
         scales.append(table.column(name).reshape(-1))
         titles.append(_column_title(table, name))
     ax = ax or new_axes(1.35 * len(scales) + 1.0, 4.2)
-    ends = [_ends(values) for values in scales]
+    ends = [value_range(values) for values in scales]
     lines = np.stack([(v - low) / (high - low) for v, (low, high) in zip(scales, ends, strict=True)], axis=1)
     feasible = table.column("feasible").reshape(-1) > 0.5
     shown = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), _LINES)).astype(int))
@@ -202,15 +202,6 @@ def plot_parallel(table: SweepTable, columns: Sequence[str] | None = None, ax: A
         handles.append(Line2D([], [], color=AVOIDING, linewidth=2.6, label="picked"))
     legend_below(ax, columns=3, handles=handles)
     return ax
-
-
-def _ends(values: NDArray[np.float64]) -> tuple[float, float]:
-    # the ends differ even if all values are equal
-    known = values[np.isfinite(values)]
-    if known.size == 0:
-        return 0.0, 1.0
-    low, high = float(known.min()), float(known.max())
-    return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
 def _collection(lines: NDArray[np.float64], colour: str, width: float, strength: float) -> LineCollection:

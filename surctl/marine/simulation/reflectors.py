@@ -151,9 +151,3 @@ class Reflectors:
         site |= {key: name for key, name in (("surface", self.surface), ("floor", self.floor)) if name is not None}
         kinds = {name: kind.model_dump(exclude_none=True) for name, kind in self.kinds.items()}
         return {"site": site, **({"reflectors": kinds} if kinds else {})}
-
-
-def _reflector_name(reflector: Reflector, kinds: Mapping[str, ReflectorTable]) -> str:
-    """Return the name by which messages refer to a reflector."""
-    own = {name: table.reflector() for name, table in kinds.items()}
-    return next((name for name, known in {**own, **REFLECTORS}.items() if known == reflector), "smooth")

@@ -418,7 +418,6 @@ _COMMUTATIVE = frozenset({"add", "mul"})
 _COMPARISONS = frozenset({"lt", "le"})
 _LONG = 15  # a number with at least this many digits is assumed to result from rounding
 _LARGEST_SHARE = 1000  # an exponent of 15 digits or more is read as a fraction with at most this denominator
-_LARGEST_POWER = 64
 
 
 @dataclass(frozen=True)
@@ -548,11 +547,11 @@ def _power(base: Node, exponent: Node, *, guess: bool) -> Node:
     near = value.limit_denominator(_LARGEST_SHARE)
     if guess and float(near) == float(value):
         value = near
-    if abs(value) > _LARGEST_POWER:
+    if abs(value) > LARGEST_POWER:
         raise UnsupportedOperation(
             f"a power with the exponent {float(value):g} is not part of the claim grammar",
             key="claim",
-            remedy=f"use an exponent of at most {_LARGEST_POWER}",
+            remedy=f"use an exponent of at most {LARGEST_POWER}",
         )
     return power(base, value)
 

@@ -34,6 +34,7 @@ __all__ = [
     "Statement",
     "as_written",
     "cases_of",
+    "constraint_ratio",
     "forms_of",
     "signed",
     "signs_of",
@@ -220,7 +221,7 @@ def _touching(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
 def _rewritten(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
     algebra = Algebra()
     margin = algebra.of(case.margin)
-    guards = [_guard(algebra, c) for c in case.constraints]
+    guards = [constraint_ratio(algebra, c) for c in case.constraints]
     if len(margin.over) > _MOST_TERMS:
         return
     written = Written(algebra)
@@ -241,7 +242,8 @@ def _rewritten(case: Case, names: Sequence[str], box: Ends) -> Iterator[Form]:
     yield Form(written.poly(over), under, (number(0),) * len(guards))
 
 
-def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
+def constraint_ratio(algebra: Algebra, constraint: Node) -> Ratio | None:
+    """Return a constraint as a ratio of polynomials; None if it is too large."""
     try:
         return algebra.of(constraint)
     except TooLarge:

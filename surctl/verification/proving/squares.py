@@ -21,7 +21,6 @@ from surctl.sos.polynomial import Polynomial, quotient
 from surctl.verification.formula import Node, number, ordered, text_of
 from surctl.verification.proving.algebra import (
     MOST_TERMS,
-    Algebra,
     Monomial,
     Poly,
     Ratio,
@@ -31,7 +30,7 @@ from surctl.verification.proving.algebra import (
     constant,
     single,
 )
-from surctl.verification.proving.forms import Case, Form, signed, signs_of
+from surctl.verification.proving.forms import Case, Form, constraint_ratio, signed, signs_of
 from surctl.verification.proving.tape import build_tape
 from surctl.verification.proving.touching import VALUES, fact_polynomial, facts_about
 
@@ -210,7 +209,7 @@ class _Problem:
         self._names, self._box, self._at = names, box, case.touching
         self._algebra = algebra = SplitAngles()
         margin = algebra.of(case.margin)
-        guards = [_guard(algebra, c) for c in case.constraints]
+        guards = [constraint_ratio(algebra, c) for c in case.constraints]
         written = Written(algebra)
         ends = box[0][:, None], box[1][:, None]
         signs = signs_of(algebra, written, names, ends)
@@ -464,13 +463,6 @@ class _Problem:
 def _has_no_division(node: Node) -> bool:
     """Return whether an expression divides by nothing but numbers."""
     return not any((n.op == "div" and n.args[1].op != "num") or (n.op == "pow" and n.value < 0) for n in ordered(node))
-
-
-def _guard(algebra: Algebra, constraint: Node) -> Ratio | None:
-    try:
-        return algebra.of(constraint)
-    except TooLarge:
-        return None
 
 
 def _size(p: Polynomial) -> Fraction:
