@@ -86,6 +86,56 @@ class Recorded:
     marks: list[Array]
 
 
+class Pose(NamedTuple):
+    """Position (2,) [m] and heading [rad] of the robot in {E}, with its velocity (2,) [m/s] and yaw rate [rad/s]."""
+
+    position: Array
+    heading: float
+    velocity: Array
+    turning: float
+
+
+class Ears:
+    """What the sonars of an array hear, two firings a step.
+
+    `walls` are the surfaces that the law knows, and `level` is the range of the echo of water surface or floor [m].
+    """
+
+    def __init__(self, array: SonarArray, walls: list[Shape], level: float) -> None:
+        self.array, self.walls, self.level = array, walls, level
+
+    def late(self, k: int) -> list[tuple[int, float]]:
+        """Return the sonars that fired before control step `k`, and how long before it [s]."""
+        return [(self.array.sensor_at(2 * k - n), n * self.array.firing_period) for n in (1, 0) if 2 * k >= n]
+
+    def heard(self, k: int, pose: Pose, readings: Array, fresh: NDArray[np.bool_], movers: list[Shape]) -> list[tuple[int, Firing]]:
+        """Return the sonars and firings of control step `k`, without the true points that answered.
+
+        Args:
+            k: the control step.
+            pose: the pose from which the firings are seen.
+            readings: (sensors,) mean readings [m].
+            fresh: (sensors,) whether a firing has arrived.
+            movers: the known moving obstacles.
+        """
+        array, found = self.array, []
+        for sensor, late in self.late(k):
+            if not fresh[sensor]:
+                continue
+            apex = array.apex(
+                sensor, position=pose.position - late * pose.velocity, heading=pose.heading - late * pose.turning
+            )
+            reading = float(readings[sensor])
+            known = [nearest_in_cone(s, apex[:2], apex[2], half_angle=array.half_angle) for s in (*self.walls, *movers)]
+            silent, blind = reading > array.maximum - 0.1, reading < array.lowest + 1.5 * array.resolution
+            explained = not silent and reading > min([*known, self.level]) - EXPLAINED
+            corrected = (reading - array.bias) / array.scale
+            nothing = np.zeros(0, dtype=int)
+            at = np.array(apex[:2])
+            found.append((sensor, Firing(array.firing_period * 2 * k - late, at, apex[2], corrected, silent, blind, explained, nothing)))
+        return found
+
+
 def surface_points(shape: Shape) -> Array:
     """Return points (n, 2) [m] on the surface of a disc or of an upright box, at most `GRAIN` apart."""
     if isinstance(shape, Disc):
@@ -154,26 +204,20 @@ def record(
     bodies = np.repeat(np.arange(len(shapes[0])), [len(each) for each in points[0]])
     surfaces = [np.concatenate(each) for each in points]
     out = Recorded(array, hull, extent, law.dt, rows.eta[:-1, :2], [], shapes, surfaces, bodies, [])
-    local_map = LocalMap(dt=law.dt)
+    local_map, ears = LocalMap(dt=law.dt), Ears(array, [*walls], level)
     for k in range(len(after)):
         movers = [body.shape for body in rows.obstacles[k] if body.moving]
+        late = dict(ears.late(k))
         firings = []
-        for ago in (1, 0):  # two firings a step
-            sensor, late = array.sensor_at(2 * k - ago), ago * array.firing_period
-            if 2 * k < ago or not fresh[k, sensor]:
-                continue
-            apex = array.apex(sensor, position=pose[k, :2] - late * speed[k], heading=pose[k, 2] - late * turning[k])
-            true = array.apex(
-                sensor, position=rows.eta[k, :2] - late * rates[k, :2], heading=rows.eta[k, 3] - late * rates[k, 3]
-            )
-            reading = float(readings[k, sensor])
-            known = [nearest_in_cone(s, apex[:2], apex[2], half_angle=array.half_angle) for s in (*walls, *movers)]
-            silent, blind = reading > array.maximum - 0.1, reading < array.lowest + 1.5 * array.resolution
-            explained = not silent and reading > min([*known, level]) - EXPLAINED
-            answered = np.zeros(0, dtype=int) if silent or blind else _answered(surfaces[k], true, reading, array)
-            corrected = (reading - array.bias) / array.scale
-            at = float(rows.time[k] - late)
-            firings.append(Firing(at, np.array(apex[:2]), apex[2], corrected, silent, blind, explained, answered))
+        for sensor, firing in ears.heard(k, Pose(pose[k, :2], pose[k, 2], speed[k], turning[k]), readings[k], fresh[k], movers):
+            if not firing.silent and not firing.blind:
+                ago = late[sensor]
+                true = array.apex(
+                    sensor, position=rows.eta[k, :2] - ago * rates[k, :2], heading=rows.eta[k, 3] - ago * rates[k, 3]
+                )
+                reading = float(readings[k, sensor])
+                firing = firing._replace(surface=_answered(surfaces[k], true, reading, array))
+            firings.append(firing)
         out.firings.append(firings)
         if k % EACH == 0:
             grid, corner = (after[k, law.state.slice(f"map_{one}")] for one in ("cells", "corner"))

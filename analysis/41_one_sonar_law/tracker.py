@@ -63,13 +63,18 @@ class Free:
         rows = np.vstack([self.rows, [*firing.apex, firing.axis, free, firing.time]])
         self.rows = rows[rows[:, 4] > firing.time - MEMORY]
 
-    def holds(self, points: Array, time: float) -> NDArray[np.bool_]:
-        """Return for each point (n, 2) [m] whether two firings show that no surface can have drifted there."""
+    def holds(self, points: Array, time: float, towards: Array | None = None, within: float = np.pi) -> NDArray[np.bool_]:
+        """Return for each point (n, 2) [m] whether two firings show that no surface can have drifted there.
+
+        Only firings within `within` [rad] of the directions `towards` (n,) [rad] count.
+        """
         away = points[:, None, :] - self.rows[None, :, :2]
         far, slack = np.hypot(away[..., 0], away[..., 1]), np.minimum(DRIFT * (time - self.rows[:, 4]), AMPLITUDE)
-        off = np.abs(wrapped(np.arctan2(away[..., 1], away[..., 0]) - self.rows[:, 2]))
+        bearing = np.arctan2(away[..., 1], away[..., 0])
+        off = np.abs(wrapped(bearing - self.rows[:, 2]))
+        same = True if towards is None else np.abs(wrapped(bearing - towards[:, None])) < within
         deep = np.sin(np.clip(self.half - EDGE - off, -1.5, 1.5)) * far
-        return np.asarray(((deep > slack) & (far < self.rows[:, 3] - slack)).sum(axis=1) >= 2)
+        return np.asarray((same & (deep > slack) & (far < self.rows[:, 3] - slack)).sum(axis=1) >= 2)
 
 
 class Arcs:
@@ -254,6 +259,100 @@ class Elements:
         return bool(((self.weight * near).sum(axis=1) * self.exists).max() > 0.3)
 
 
+class Points(Elements):
+    """At most 64 surface points; the places of a point on its arc exclude each other, and silence counts as in `arcs-5`.
+
+    An echo is a likelihood for the places of the point that explains it; one that none explains adds a point.
+    """
+
+    COUNT, HYPOTHESES, RADII = 64, 40, (0.0,)
+    LEAST = 0.05  # least probability of an echo for a point to explain it
+    OTHER = 0.02  # probability that the echo comes from elsewhere
+    WITHIN = float(np.radians(5))  # rad around the directions from which a place answered, where silence counts
+    GAIN, BODY = 0.3, 0.12  # share of a difference by which a place follows, and m around it that follow with it
+
+    def __init__(self, array: SonarArray, *, risk: float, seed: int = 0) -> None:
+        super().__init__(array, risk=risk, seed=seed)
+        self.middle, self.width = np.zeros_like(self.weight), np.zeros_like(self.weight)  # rad, where it answered from
+
+    def update(self, firing: Firing) -> None:
+        """Weigh the places by what they predict of this firing; add a point if none explains the echo."""
+        self.time = firing.time
+        live = np.flatnonzero(self.exists > 0)
+        away, exists = self.centre[live] - firing.apex, self.exists[live]
+        far, towards = np.hypot(away[..., 0], away[..., 1]), np.arctan2(away[..., 1], away[..., 0])
+        off, turned = np.abs(wrapped(towards - firing.axis)), wrapped(towards + np.pi - self.middle[live])
+        inside = 1 / (1 + np.exp(np.clip((off - self.array.half_angle) / self.SOFT, -500, 500)))
+        excess = (firing.reading - far) / SPREAD
+        answers = np.abs(turned) <= self.width[live] + self.WITHIN
+        factor = 1 - self.DETECTED * inside * answers * _share(excess - 2) * (not firing.blind)
+        owner, echo = -1, not firing.silent and not firing.known
+        if echo:
+            near = (self.array.blind - far) / SPREAD
+            like = inside * (_share(near) if firing.blind else np.exp(-(excess**2) / 2))
+            total = exists * (self.weight[live] * like).sum(axis=1)
+            if total.max(initial=0) > self.LEAST:
+                owner = int(np.argmax(total))
+                factor[owner] = like[owner] + self.OTHER * factor[owner]
+        after = self.weight[live] * factor
+        share = after.sum(axis=1)
+        self.weight[live] = after / np.maximum(share, 1e-300)[:, None]
+        self.exists[live] *= share / np.maximum(1 - exists + exists * share, 1e-9)
+        self.exists[self.exists < 0.05] = 0
+        if owner >= 0:
+            k = live[owner]
+            self.exists[k] = np.clip((1 + self.exists[k]) / 2, 0.9, self.SURE)
+            low, high = np.minimum(-self.width[k], turned[owner]), np.maximum(self.width[k], turned[owner])
+            heard = like[owner] > 0.3
+            self.middle[k] += np.where(heard, (low + high) / 2, 0)
+            self.width[k] = np.where(heard, (high - low) / 2, self.width[k])
+            if not firing.blind:
+                step = self.GAIN * SPREAD * like[owner] * excess[owner] / np.maximum(far[owner], 0.05)
+                self._follow(k, step[:, None] * away[owner])
+            if (self.weight[k] ** 2).sum() > 3 / self.HYPOTHESES:
+                self._resample(k, firing.apex)
+        elif echo and firing.reading < self.FAR:
+            self._add(firing)
+        if not firing.blind:
+            self.free.add(firing, firing.reading - 2 * SPREAD)
+
+    def surface(self) -> Array:
+        """Return the places (n, 2) [m] that count; those of each point left out have together the probability `risk`."""
+        order = np.argsort(self.weight, axis=1)
+        out = np.cumsum(np.take_along_axis(self.weight, order, axis=1), axis=1) * self.exists[:, None] < self.risk
+        counts = np.ones_like(out)
+        np.put_along_axis(counts, order, ~out, axis=1)
+        return self.centre[counts]
+
+    def _follow(self, owner: int, move: Array) -> None:
+        # the places follow the echo, and so does what belongs to the same body
+        here, mean = self.weight[owner] @ self.centre[owner], self.weight[owner] @ move
+        beside = np.hypot(self.centre[..., 0] - here[0], self.centre[..., 1] - here[1]) < self.BODY
+        beside[owner] = False
+        self.centre[owner] += move
+        self.centre[beside] += mean
+
+    def _resample(self, k: int, apex: Array) -> None:
+        steps = (np.arange(self.HYPOTHESES) + self.rng.random()) / self.HYPOTHESES
+        chosen = np.minimum(np.searchsorted(np.cumsum(self.weight[k]), steps), self.HYPOTHESES - 1)
+        self.centre[k] = self.centre[k, chosen] + 0.003 * self.rng.standard_normal((self.HYPOTHESES, 2))
+        self.middle[k], self.width[k] = self.middle[k, chosen], self.width[k, chosen]
+        self.weight[k] = 1 / self.HYPOTHESES
+
+    def _add(self, firing: Firing) -> None:
+        many = self.HYPOTHESES
+        distance = np.hypot(*np.moveaxis(self.centre.mean(axis=1) - firing.apex, -1, 0))
+        k = int(np.argmax(np.where(self.exists > 0, distance, np.inf)))  # an empty one, or else the farthest
+        reach = firing.reading + SPREAD / 2 * self.rng.standard_normal(many)
+        if firing.blind:
+            reach = self.array.blind * np.sqrt(self.rng.random(many))
+        bearing = firing.axis + self.array.half_angle * self.rng.permutation(np.linspace(-1, 1, many))
+        self.centre[k] = firing.apex + reach[:, None] * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+        self.middle[k], self.width[k] = wrapped(bearing + np.pi), 0.0
+        weight = np.where(self.free.holds(self.centre[k], firing.time, bearing, self.WITHIN), 1e-2, 1.0)
+        self.weight[k], self.exists[k] = weight / weight.sum(), 0.9
+
+
 def wrapped(angle: Array) -> Array:
     """Return angles [rad] between -pi and pi."""
     return np.asarray(np.mod(angle + np.pi, 2 * np.pi) - np.pi)
@@ -262,6 +361,15 @@ def wrapped(angle: Array) -> Array:
 def _share(z: Array) -> Array:
     # the normal distribution, as a logistic function
     return np.asarray(1 / (1 + np.exp(-1.7 * np.clip(z, -15, 15))))
+
+
+class Surface(Points):
+    """The points, of which each place counts that is not among the least probable ones of its arc."""
+
+    def stops(self, here: Array, hull: float) -> Array:
+        """Return the ways of the hull until it touches a place that counts."""
+        places = self.surface()
+        return np.asarray(stops_at(here, places, np.full(len(places), hull)).min(axis=0, initial=np.inf))
 
 
 def replay(run: Recorded, tracker: Map) -> Judge:
@@ -281,6 +389,9 @@ MAPS: dict[str, Callable[[Recorded], Judge]] = {
     "arcs": lambda run: replay(run, Arcs(run.array)),
     "arcs-5": lambda run: replay(run, Arcs(run.array, within=np.radians(5))),
     "elements-10": lambda run: replay(run, Elements(run.array, risk=0.1)),
+    "points-10": lambda run: replay(run, Points(run.array, risk=0.1)),
+    "points-30": lambda run: replay(run, Points(run.array, risk=0.3)),
+    "surface-10": lambda run: replay(run, Surface(run.array, risk=0.1)),
     "elements-50": lambda run: replay(run, Elements(run.array, risk=0.5)),
 }
 

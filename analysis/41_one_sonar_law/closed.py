@@ -1,0 +1,267 @@
+"""A short law by sonar in the closed loop: the points of `tracker.py`, a cost-to-go of their map, and a fan of courses.
+
+    python analysis/41_one_sonar_law/closed.py            # five scenarios, two echo models, 5 seeds; some minutes
+    python analysis/41_one_sonar_law/closed.py --quick    # 3 s of one run in `pool-static`
+
+`--scenario`, `--echoes`, `--law` and `--seeds` choose; `--why` adds a line for each run that does not arrive. Prints
+Markdown. The exit status is 2 for a bad option.
+
+The law takes pose, heave and yaw moment from the law of the library, and computes the horizontal thrust:
+
+- map: `Points`, in which each place counts that is not among the least probable ones of its arc;
+- cost-to-go on 24 x 24 cells, again every 0.5 s: a cell that the hull cannot enter costs 100 times its length, and
+  water that no beam has reached `UNKNOWN` times more;
+- of 72 courses the one that comes farthest along the descent, each at the speed from which the robot can brake.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from recorded import ECHOES, Array, Ears, Firing, Pose, distances, level_echo
+from to_go import CELLS, to_go
+from tracker import Points, wrapped
+
+from surctl.marine.control import Law, LawStep, build_law, default_law, load_gains
+from surctl.marine.simulation import Run, Scenario, load_scenario, simulate
+from surctl.marine.vehicle import Vehicle, load_vehicle
+from surctl.marine.world import Disc, site_walls
+
+SCENARIOS = ("pool-static", "tank-static", "tank-slalom", "pool-speed-020", "tank-speed-020")
+LAWS = ("library", "points")
+MODELS = ("ideal", "webots")
+HEAD = (
+    "| scenario | echoes | law | runs | arrived | touched | else | mean time [s] | median [s] | slowest [s] "
+    "| least clearance [m] |\n|---|---|---|---|---|---|---|---|---|---|---|"
+)
+RISK = 0.1  # probability of the places of a point that the map leaves out
+MARGIN = 0.03  # m between the hull and a place that counts, for drift, position and shape
+UNKNOWN = 1.0  # price of unknown water: share by which its way counts as longer
+FROM_PATH = 1.0  # 1/m, as in `to_go.py`
+EVERY = 10  # control steps between two costs-to-go
+AHEAD = 0.5  # m along the descent to which the wanted course leads
+NEAR_GOAL = 0.4  # m from the goal within which the course leads straight to it
+COURSES, KEEPS = 72, 0.4  # number of courses, and weight of the last one beside the wanted one
+RETREAT = 0.05  # m/s, largest speed away from a place
+BRAKE, HARD = 4.0, 0.02  # as in `surctl.marine.control.stopping`
+HORIZON = 8.0  # s, prediction of movers
+PASSING = 0.1  # m from a mover
+LAG = 0.1  # s, age of the position in the law's state
+
+_TURNS = 2 * np.pi * np.arange(COURSES) / COURSES
+_COURSES = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
+
+
+class SonarLaw:
+    """The law of one run; it takes the place of the law's step in `simulate`."""
+
+    def __init__(self, scenario: Scenario, vehicle: Vehicle, law: Law, echoes: str) -> None:
+        self.law, self.hull = law, vehicle["radius"]
+        self.array = scenario.sensors.array_on(self.hull)
+        self.extent = np.array(scenario.site[:2])
+        walls = site_walls(float(self.extent[1]), float(self.extent[0]))
+        self.ears = Ears(self.array, [*walls], level_echo(scenario, self.array, echoes))
+        self.map = Points(self.array, risk=RISK)
+        self.map.FAR = 2.5
+        self.latency = scenario.sensors.equipment.station.messages.latency
+        self.way, self.gain = scenario.path.waypoints, load_gains("default").values
+        self.cruise, self.limit = scenario.cruise, np.array(vehicle.thrust_limit)
+        self.mass, self.drag = np.array(vehicle.mass), np.array(vehicle.drag_at(self.cruise))
+        self.quadratic = np.array(vehicle.quadratic_drag)
+        self.size = self.extent / CELLS
+        self.centres = (np.stack(np.meshgrid(*[np.arange(CELLS)] * 2, indexing="ij"), axis=-1) + 0.5) * self.size
+        self.seen = np.zeros((CELLS, CELLS), dtype=bool)
+        along = np.diff(self.way, axis=0)
+        off = self.centres[..., None, :] - self.way[:-1]
+        share = np.clip((off * along).sum(axis=-1) / (along**2).sum(axis=-1), 0, 1)
+        self.beside = np.hypot(*np.moveaxis(off - share[..., None] * along, -1, 0)).min(axis=-1)
+        self.k, self.last, self.next = 0, np.zeros(2), dict[tuple[int, ...], tuple[int, ...]]()
+        self.movers, self.told = np.zeros((0, 5)), 0
+
+    def __call__(self, x: Array, u: Array, p: Array) -> LawStep:
+        """Return the control step; see `surctl.marine.simulation.Stepper`."""
+        inner, law = self.law.step(x, u, p), self.law
+        after = inner.x_next.copy()
+        own = {one: after[law.state.slice(f"own_{one}")] for one in ("position", "velocity", "turn")}
+        velocity, heading = own["velocity"][:2], float(own["turn"][0])
+        here = own["position"][:2] + LAG * velocity
+        self._listen(u, Pose(here, heading, velocity, float(own["turn"][1])))
+        if self.k % EVERY == 0:
+            self._plan()
+        wanted = self.decide(here, velocity)
+        c, s = np.cos(heading), np.sin(heading)
+        turn = np.array([[c, s], [-s, c]])
+        reference, error = turn @ wanted, turn @ (wanted - velocity)
+        drag = self.drag[:2] * reference + self.quadratic[:2] * reference * np.abs(reference)
+        free = drag + self.gain["k_v"] * self.mass[:2] * error
+        tau = inner.tau.copy()
+        tau[:2] = np.clip(free, -self.limit[:2], self.limit[:2])
+        after[law.state.slice("last_thrust")] = tau
+        after[law.state.slice("trapped")] = 0
+        told = inner.telemetry.copy()
+        told[law.telemetry_slice("trapped")] = 0
+        self.k += 1
+        return LawStep(tau, after, inner.status & 1, told)
+
+    def _listen(self, u: Array, pose: Pose) -> None:
+        inputs = self.law.inputs
+        samples = u[inputs.slice("samples")].reshape(self.array.size, -1)
+        if "contacts" in inputs and u[inputs.slice("contacts_fresh")][0] > 0.5:
+            rows = u[inputs.slice("contacts")].reshape(-1, 6)
+            self.movers, self.told = rows[rows[:, 5] > 0.5, :5], self.k
+        self.movers_now = self.movers.copy()
+        self.movers_now[:, :2] += ((self.k - self.told) * self.law.dt + self.latency) * self.movers[:, 3:]
+        shapes: list[Any] = [Disc((m[0], m[1]), m[2]) for m in self.movers_now]
+        readings = np.sort(samples, axis=1)[:, 1:-1].mean(axis=1)
+        for _, firing in self.ears.heard(self.k, pose, readings, u[inputs.slice("fresh")] > 0.5, shapes):
+            self.map.update(firing)
+            if not firing.blind:
+                self._see(firing)
+        around = np.hypot(*np.moveaxis(self.centres - pose.position, -1, 0)) < self.hull + np.max(self.size)
+        self.seen |= around
+
+    def _see(self, firing: Firing) -> None:
+        away = self.centres - firing.apex
+        off = np.abs(wrapped(np.arctan2(away[..., 1], away[..., 0]) - firing.axis))
+        self.seen |= (off < self.array.half_angle) & (np.hypot(away[..., 0], away[..., 1]) < firing.reading)
+
+    def _plan(self) -> None:
+        places, keep = self.map.surface(), self.hull + MARGIN
+        gap = np.minimum(self.centres, self.extent - self.centres).min(axis=-1)
+        if len(places):
+            gap = np.minimum(gap, np.hypot(*np.moveaxis(self.centres[:, :, None] - places, -1, 0)).min(axis=-1))
+        weight = 1 + FROM_PATH * self.beside + UNKNOWN * ~self.seen + 100.0 * (gap < keep)
+        goal = tuple(np.clip((self.way[-1] / self.size).astype(int), 0, CELLS - 1))
+        self.next = to_go(self.centres, weight, goal)[1]
+
+    def decide(self, here: Array, now: Array) -> Array:
+        """Return the velocity (2,) in {E} [m/s] to command at a position (2,) [m] with the velocity `now` [m/s]."""
+        goal = self.way[-1] - here
+        course, left = goal, float(np.hypot(*goal))
+        if left > NEAR_GOAL:
+            cell = target = tuple(np.clip((here / self.size).astype(int), 0, CELLS - 1))
+            while target in self.next and np.hypot(*(self.centres[target] - self.centres[cell])) < AHEAD:
+                target = self.next[target]
+            course = self.centres[target] - here
+        ahead = course / max(float(np.hypot(*course)), 1e-6)
+        normal, bound = self._bounds(here)
+        most = min(self.cruise, 0.5 * left + 0.03)
+        along = _COURSES @ normal.T
+        free = np.where(along > 1e-3, np.maximum(bound, 0) / np.maximum(along, 1e-3), np.inf).min(axis=1, initial=most)
+        met = self._met(here, free[:, None] * _COURSES)
+        same = _COURSES @ self.last / max(float(np.hypot(*self.last)), 0.03)
+        value = free * (_COURSES @ ahead + KEEPS * same) - 2 * met
+        best = int(np.argmax(value))
+        self.last = free[best] * _COURSES[best] if value[best] > 0 or met[best] > 0 else np.zeros(2)
+        return braked(self.last, now, normal, bound)
+
+    def _bounds(self, here: Array) -> tuple[Array, Array]:
+        # unit normals and the largest speeds along them: the nearest place in each of 36 sectors, and the walls
+        walls = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
+        clear = np.concatenate([self.extent - here, here]) - self.hull
+        away = self.map.surface() - here
+        far = np.hypot(*away.T)
+        away, far = away[far < 2.0], far[far < 2.0]
+        order = np.argsort(far)
+        sector = (np.arctan2(away[order, 1], away[order, 0]) / (2 * np.pi) * 36).round()
+        chosen = order[np.unique(sector, return_index=True)[1]]
+        normal = np.concatenate([walls, away[chosen] / np.maximum(far[chosen], 1e-3)[:, None]])
+        clear = np.concatenate([clear, far[chosen] - self.hull]) - MARGIN
+        a = self.gain["brake"] * self.limit[:2].min() / self.mass[:2].max()
+        late = self.gain["reaction"] * a
+        room = np.maximum(clear, 0)
+        bound = np.sqrt(late**2 + 2 * a * room) - late
+        return normal, np.where(clear < 0, np.maximum(clear, -RETREAT), bound)
+
+    def _met(self, here: Array, velocity: Array) -> Array:
+        # depth [m] by which a mover comes nearer than allowed within the horizon, for each velocity (n, 2)
+        worst = np.zeros(len(velocity))
+        for m in self.movers_now:
+            apart, rate = m[:2] - here, m[3:] - velocity
+            when = np.clip(-(rate @ apart) / np.maximum((rate**2).sum(axis=1), 1e-6), 0, HORIZON)
+            least = np.hypot(*(apart + when[:, None] * rate).T) - self.hull - m[2]
+            allowed = min(PASSING, float(np.hypot(*apart)) - self.hull - m[2])
+            worst = np.maximum(worst, allowed - least)
+        return worst
+
+
+def braked(velocity: Array, now: Array, normal: Array, bound: Array) -> Array:
+    """Return the velocity (2,) that brakes harder where `now` exceeds a bound; see `stopping.braked`."""
+    over = normal @ now - bound
+    closing = (normal @ now > np.maximum(bound, 0)) * 10.0
+    worst = int(np.argmax(over + closing))
+    n, excess = normal[worst], max(float(over[worst]), 0.0)
+    straight = now + ((velocity - now) @ n) * n
+    velocity = velocity + min(excess / HARD, 1) * (straight - velocity) - BRAKE * excess * n
+    for row, most in zip(normal, bound, strict=True):
+        velocity = velocity - max(float(velocity @ row) - max(float(most), 0), 0) * row
+    return velocity
+
+
+def run(name: str, echoes: str, which: str, seed: int, *, limit: float | None = None) -> tuple[Run, SonarLaw | None]:
+    """Return a run of a scenario with the law of the library or with this law."""
+    scenario = load_scenario(name)
+    scenario = replace(scenario, sensors=scenario.sensors.hearing(echoes), time_limit=limit or scenario.time_limit)
+    vehicle = load_vehicle(scenario.vehicle)
+    law = build_law(
+        default_law(vehicle), sonar=True, equipment=scenario.sensors.on(vehicle["radius"]), actuators=vehicle.actuators
+    )
+    own = SonarLaw(scenario, vehicle, law, echoes) if which == "points" else None
+    gains = load_gains("default")
+    return simulate(scenario, vehicle, gains=gains, law=law, sensing="sonar", seed=seed, stepper=own), own
+
+
+def reason(one: Run, own: SonarLaw | None) -> str:
+    """Return where a run ended, and what the map knew of the nearest obstacle."""
+    rows = one.record
+    here, shapes = rows.eta[-1, :2], [body.shape for body in rows.obstacles[-1]]
+    told = f"seed {one.seed}: {one.metrics.stopped_because} at {one.metrics.time_s:.1f} s, ({here[0]:.2f}, {here[1]:.2f}) m"
+    told += f", speed {np.hypot(*rows.nu[-1, :2]):.2f} m/s, true clearance {rows.clearance[-1]:.3f} m"
+    if own is not None:
+        believed = np.hypot(*(own.map.surface() - here).T).min(initial=np.inf) - own.hull
+        own_place = rows.law_state[-1][one.law.state.slice("own_position")][:2]
+        told += f", map {believed:.3f} m, obstacles {float(distances(shapes, here)) - own.hull:.3f} m"
+        told += f", error of the position {np.hypot(*(own_place - here)):.3f} m"
+    return told
+
+
+def main(words: list[str]) -> int:
+    """Run the comparison and print its table."""
+    parser = argparse.ArgumentParser(prog="closed.py", description="Compare laws by sonar in the closed loop.")
+    parser.add_argument("--quick", action="store_true", help="3 s of one run in pool-static")
+    parser.add_argument("--seeds", type=int, default=5, help="runs of each row (default 5)")
+    parser.add_argument("--scenario", choices=SCENARIOS, help="only this scenario")
+    parser.add_argument("--echoes", choices=tuple(ECHOES), help="only this echo model")
+    parser.add_argument("--law", choices=LAWS, help="only this law")
+    parser.add_argument("--why", action="store_true", help="say how each run ended that did not arrive")
+    options = parser.parse_args(words)
+    if options.seeds < 1:
+        parser.error("--seeds: must be at least 1")
+    print(HEAD)
+    for name in [options.scenario] if options.scenario else SCENARIOS[: 1 if options.quick else None]:
+        for echoes in [options.echoes] if options.echoes else MODELS[: 1 if options.quick else None]:
+            for which in [options.law] if options.law else LAWS[1 if options.quick else 0 :]:
+                seeds, limit = (1, 3.0) if options.quick else (options.seeds, None)
+                runs = [run(name, echoes, which, seed, limit=limit) for seed in range(seeds)]
+                ends = [one.metrics for one, _ in runs]
+                took = np.array([end.time_s for end in ends if end.reached])
+                hit = sum(end.stopped_because == "collision" for end in ends)
+                times = f"{took.mean():.1f} | {np.median(took):.1f} | {took.max():.1f}" if len(took) else "- | - | -"
+                least = min(end.min_clearance_m for end in ends)
+                print(
+                    f"| `{name}` | {echoes} | {which} | {seeds} | {len(took)} | {hit} | {seeds - len(took) - hit} "
+                    f"| {times} | {least:.3f} |",
+                    flush=True,
+                )
+                for one, own in runs:
+                    if options.why and not one.metrics.reached:
+                        print(f"  {reason(one, own)}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
