@@ -18,21 +18,31 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from recorded import ECHOES, Array, Ears, Firing, Pose, distances, level_echo
-from to_go import CELLS, to_go
-from tracker import Points, wrapped
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+from to_go import CELLS
+from tracker import Arcs, Elements, Map, Points, wrapped
 
 from surctl.marine.control import Law, LawStep, build_law, default_law, load_gains
+from surctl.marine.sensing import SonarArray
 from surctl.marine.simulation import Run, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import Vehicle, load_vehicle
 from surctl.marine.world import Disc, site_walls
 
 SCENARIOS = ("pool-static", "tank-static", "tank-slalom", "pool-speed-020", "tank-speed-020")
-LAWS = ("library", "points")
+MAPS: dict[str, Callable[[SonarArray], Map]] = {
+    "points": lambda array: Points(array, risk=RISK),
+    "elements": lambda array: Elements(array, risk=RISK),
+    "arcs": lambda array: Arcs(array, within=np.radians(5)),
+}
+LAWS = ("library", *MAPS)
 MODELS = ("ideal", "webots")
 HEAD = (
     "| scenario | echoes | law | runs | arrived | touched | else | mean time [s] | median [s] | slowest [s] "
@@ -59,14 +69,13 @@ _COURSES = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
 class SonarLaw:
     """The law of one run; it takes the place of the law's step in `simulate`."""
 
-    def __init__(self, scenario: Scenario, vehicle: Vehicle, law: Law, echoes: str) -> None:
+    def __init__(self, scenario: Scenario, vehicle: Vehicle, law: Law, echoes: str, which: str) -> None:
         self.law, self.hull = law, vehicle["radius"]
         self.array = scenario.sensors.array_on(self.hull)
         self.extent = np.array(scenario.site[:2])
         walls = site_walls(float(self.extent[1]), float(self.extent[0]))
         self.ears = Ears(self.array, [*walls], level_echo(scenario, self.array, echoes))
-        self.map = Points(self.array, risk=RISK)
-        self.map.FAR = 2.5
+        self.map = MAPS[which](self.array)
         self.latency = scenario.sensors.equipment.station.messages.latency
         self.way, self.gain = scenario.path.waypoints, load_gains("default").values
         self.cruise, self.limit = scenario.cruise, np.array(vehicle.thrust_limit)
@@ -79,7 +88,7 @@ class SonarLaw:
         off = self.centres[..., None, :] - self.way[:-1]
         share = np.clip((off * along).sum(axis=-1) / (along**2).sum(axis=-1), 0, 1)
         self.beside = np.hypot(*np.moveaxis(off - share[..., None] * along, -1, 0)).min(axis=-1)
-        self.k, self.last, self.next = 0, np.zeros(2), dict[tuple[int, ...], tuple[int, ...]]()
+        self.edges, self.k, self.last = edges(self.centres), 0, np.zeros(2)
         self.movers, self.told = np.zeros((0, 5)), 0
 
     def __call__(self, x: Array, u: Array, p: Array) -> LawStep:
@@ -90,6 +99,7 @@ class SonarLaw:
         velocity, heading = own["velocity"][:2], float(own["turn"][0])
         here = own["position"][:2] + LAG * velocity
         self._listen(u, Pose(here, heading, velocity, float(own["turn"][1])))
+        self.here = here
         if self.k % EVERY == 0:
             self._plan()
         wanted = self.decide(here, velocity)
@@ -130,23 +140,29 @@ class SonarLaw:
         self.seen |= (off < self.array.half_angle) & (np.hypot(away[..., 0], away[..., 1]) < firing.reading)
 
     def _plan(self) -> None:
-        places, keep = self.map.surface(), self.hull + MARGIN
+        places, keep = self.map.surface(self.here), self.hull + MARGIN
         gap = np.minimum(self.centres, self.extent - self.centres).min(axis=-1)
         if len(places):
             gap = np.minimum(gap, np.hypot(*np.moveaxis(self.centres[:, :, None] - places, -1, 0)).min(axis=-1))
         weight = 1 + FROM_PATH * self.beside + UNKNOWN * ~self.seen + 100.0 * (gap < keep)
-        goal = tuple(np.clip((self.way[-1] / self.size).astype(int), 0, CELLS - 1))
-        self.next = to_go(self.centres, weight, goal)[1]
+        flat, (one, other, length) = weight.ravel(), self.edges
+        graph = csr_array((length * (flat[one] + flat[other]) / 2, (one, other)), shape=(CELLS**2, CELLS**2))
+        self.next = dijkstra(graph, indices=self._cell(self.way[-1]), return_predecessors=True)[1]
+
+    def _cell(self, place: Array) -> int:
+        i, j = np.clip((place / self.size).astype(int), 0, CELLS - 1)
+        return int(CELLS * i + j)
 
     def decide(self, here: Array, now: Array) -> Array:
         """Return the velocity (2,) in {E} [m/s] to command at a position (2,) [m] with the velocity `now` [m/s]."""
         goal = self.way[-1] - here
         course, left = goal, float(np.hypot(*goal))
         if left > NEAR_GOAL:
-            cell = target = tuple(np.clip((here / self.size).astype(int), 0, CELLS - 1))
-            while target in self.next and np.hypot(*(self.centres[target] - self.centres[cell])) < AHEAD:
+            centres = self.centres.reshape(-1, 2)
+            cell = target = self._cell(here)
+            while self.next[target] >= 0 and np.hypot(*(centres[target] - centres[cell])) < AHEAD:
                 target = self.next[target]
-            course = self.centres[target] - here
+            course = centres[target] - here
         ahead = course / max(float(np.hypot(*course)), 1e-6)
         normal, bound = self._bounds(here)
         most = min(self.cruise, 0.5 * left + 0.03)
@@ -163,7 +179,7 @@ class SonarLaw:
         # unit normals and the largest speeds along them: the nearest place in each of 36 sectors, and the walls
         walls = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
         clear = np.concatenate([self.extent - here, here]) - self.hull
-        away = self.map.surface() - here
+        away = self.map.surface(here) - here
         far = np.hypot(*away.T)
         away, far = away[far < 2.0], far[far < 2.0]
         order = np.argsort(far)
@@ -189,6 +205,19 @@ class SonarLaw:
         return worst
 
 
+def edges(centres: Array) -> tuple[NDArray[np.int_], NDArray[np.int_], Array]:
+    """Return the pairs of neighbouring cells by number, each in both directions, and their distances [m]."""
+    number, pairs = np.arange(CELLS**2).reshape(CELLS, CELLS), []
+    for one, other in (
+        (number[1:], number[:-1]), (number[:, 1:], number[:, :-1]),
+        (number[1:, 1:], number[:-1, :-1]), (number[1:, :-1], number[:-1, 1:]),
+    ):  # fmt: skip
+        pairs += [(one.ravel(), other.ravel()), (other.ravel(), one.ravel())]
+    first, second = (np.concatenate([pair[k] for pair in pairs]) for k in (0, 1))
+    flat = centres.reshape(-1, 2)
+    return first, second, np.hypot(*(flat[first] - flat[second]).T)
+
+
 def braked(velocity: Array, now: Array, normal: Array, bound: Array) -> Array:
     """Return the velocity (2,) that brakes harder where `now` exceeds a bound; see `stopping.braked`."""
     over = normal @ now - bound
@@ -210,7 +239,7 @@ def run(name: str, echoes: str, which: str, seed: int, *, limit: float | None = 
     law = build_law(
         default_law(vehicle), sonar=True, equipment=scenario.sensors.on(vehicle["radius"]), actuators=vehicle.actuators
     )
-    own = SonarLaw(scenario, vehicle, law, echoes) if which == "points" else None
+    own = SonarLaw(scenario, vehicle, law, echoes, which) if which in MAPS else None
     gains = load_gains("default")
     return simulate(scenario, vehicle, gains=gains, law=law, sensing="sonar", seed=seed, stepper=own), own
 
@@ -222,7 +251,7 @@ def reason(one: Run, own: SonarLaw | None) -> str:
     told = f"seed {one.seed}: {one.metrics.stopped_because} at {one.metrics.time_s:.1f} s, ({here[0]:.2f}, {here[1]:.2f}) m"
     told += f", speed {np.hypot(*rows.nu[-1, :2]):.2f} m/s, true clearance {rows.clearance[-1]:.3f} m"
     if own is not None:
-        believed = np.hypot(*(own.map.surface() - here).T).min(initial=np.inf) - own.hull
+        believed = np.hypot(*(own.map.surface(here) - here).T).min(initial=np.inf) - own.hull
         own_place = rows.law_state[-1][one.law.state.slice("own_position")][:2]
         told += f", map {believed:.3f} m, obstacles {float(distances(shapes, here)) - own.hull:.3f} m"
         told += f", error of the position {np.hypot(*(own_place - here)):.3f} m"

@@ -47,6 +47,9 @@ class Map(Protocol):
     def stops(self, here: Array, hull: float) -> Array:
         """Return the ways (directions,) [m] of a hull from `here` until the map stops it."""
 
+    def surface(self, here: Array) -> Array:
+        """Return the places (n, 2) [m] of the surfaces next to a position (2,) [m] that count."""
+
     def covers(self, place: Array) -> bool:
         """Return whether the map has a surface within 0.1 m of a place (2,) [m]."""
 
@@ -147,6 +150,10 @@ class Arcs:
         """Return the ways of the hull until it touches a point."""
         reach = np.full(len(self.places), hull)
         return np.asarray(stops_at(here, self.places, reach).min(axis=0, initial=np.inf))
+
+    def surface(self, here: Array) -> Array:
+        """Return the points (n, 2) [m]."""
+        return self.places
 
     def covers(self, place: Array) -> bool:
         """Return whether a point is within 0.1 m."""
@@ -252,6 +259,19 @@ class Elements:
         met = np.cumsum(weight, axis=1) * self.exists[:, None, None] >= self.risk
         return np.asarray(np.where(met, np.take_along_axis(ways, order, axis=1), np.inf).min(axis=(0, 1)))
 
+    def surface(self, here: Array) -> Array:
+        """Return the places (n, 2) [m] next to `here` of the hypotheses that count.
+
+        Those of each body that are left out are the least probable ones, and have together the probability `risk`.
+        """
+        order = np.argsort(self.weight, axis=1)
+        out = np.cumsum(np.take_along_axis(self.weight, order, axis=1), axis=1) * self.exists[:, None] < self.risk
+        counts = np.ones_like(out)
+        np.put_along_axis(counts, order, ~out, axis=1)
+        away = self.centre[counts] - here
+        far = np.maximum(np.hypot(*away.T), 1e-3)
+        return np.asarray(here + (1 - self.radius[counts] / far)[:, None] * away)
+
     def covers(self, place: Array) -> bool:
         """Return whether the surface of a body is within 0.1 m, with a probability above 0.3."""
         away = place - self.centre
@@ -267,6 +287,8 @@ class Points(Elements):
 
     COUNT, HYPOTHESES, RADII = 64, 40, (0.0,)
     LEAST = 0.05  # least probability of an echo for a point to explain it
+    DETECTED = 0.3  # less than for a body: silence from the same direction tells the same again
+    JITTER = 0.003  # m
     OTHER = 0.02  # probability that the echo comes from elsewhere
     WITHIN = float(np.radians(5))  # rad around the directions from which a place answered, where silence counts
     GAIN, BODY = 0.3, 0.12  # share of a difference by which a place follows, and m around it that follow with it
@@ -316,14 +338,6 @@ class Points(Elements):
         if not firing.blind:
             self.free.add(firing, firing.reading - 2 * SPREAD)
 
-    def surface(self) -> Array:
-        """Return the places (n, 2) [m] that count; those of each point left out have together the probability `risk`."""
-        order = np.argsort(self.weight, axis=1)
-        out = np.cumsum(np.take_along_axis(self.weight, order, axis=1), axis=1) * self.exists[:, None] < self.risk
-        counts = np.ones_like(out)
-        np.put_along_axis(counts, order, ~out, axis=1)
-        return self.centre[counts]
-
     def _follow(self, owner: int, move: Array) -> None:
         # the places follow the echo, and so does what belongs to the same body
         here, mean = self.weight[owner] @ self.centre[owner], self.weight[owner] @ move
@@ -335,7 +349,7 @@ class Points(Elements):
     def _resample(self, k: int, apex: Array) -> None:
         steps = (np.arange(self.HYPOTHESES) + self.rng.random()) / self.HYPOTHESES
         chosen = np.minimum(np.searchsorted(np.cumsum(self.weight[k]), steps), self.HYPOTHESES - 1)
-        self.centre[k] = self.centre[k, chosen] + 0.003 * self.rng.standard_normal((self.HYPOTHESES, 2))
+        self.centre[k] = self.centre[k, chosen] + self.JITTER * self.rng.standard_normal((self.HYPOTHESES, 2))
         self.middle[k], self.width[k] = self.middle[k, chosen], self.width[k, chosen]
         self.weight[k] = 1 / self.HYPOTHESES
 
@@ -368,7 +382,7 @@ class Surface(Points):
 
     def stops(self, here: Array, hull: float) -> Array:
         """Return the ways of the hull until it touches a place that counts."""
-        places = self.surface()
+        places = self.surface(here)
         return np.asarray(stops_at(here, places, np.full(len(places), hull)).min(axis=0, initial=np.inf))
 
 
