@@ -41,6 +41,7 @@ MAPS: dict[str, Callable[[SonarArray], Map]] = {
     "points": lambda array: Points(array, risk=RISK),
     "elements": lambda array: Elements(array, risk=RISK),
     "arcs": lambda array: Arcs(array, within=np.radians(5)),
+    "drifting": lambda array: Drifting(array),
 }
 LAWS = ("library", *MAPS)
 MODELS = ("ideal", "webots")
@@ -50,6 +51,8 @@ HEAD = (
 )
 RISK = 0.1  # probability of the places of a point that the map leaves out
 MARGIN = 0.03  # m between the hull and a place that counts, for drift, position and shape
+SPEED, AMPLITUDE = 0.015, 0.05  # m/s and m: drift of a surface
+NEAREST = 0.08  # m, range of a new arc within the blind range
 UNKNOWN = 1.0  # price of unknown water: share by which its way counts as longer
 FROM_PATH = 1.0  # 1/m, as in `to_go.py`
 EVERY = 10  # control steps between two costs-to-go
@@ -64,6 +67,30 @@ LAG = 0.1  # s, age of the position in the law's state
 
 _TURNS = 2 * np.pi * np.arange(COURSES) / COURSES
 _COURSES = np.stack([np.cos(_TURNS), np.sin(_TURNS)], axis=1)
+
+
+class Drifting(Arcs):
+    """The points of `arcs-5`, each nearer by what it may have drifted since an echo had its range.
+
+    The drift and `MARGIN` add as independent errors.
+    """
+
+    def __init__(self, array: SonarArray) -> None:
+        super().__init__(array, within=np.radians(5))
+        self.now = 0.0
+
+    def update(self, firing: Firing) -> None:
+        """Update the points; a new echo within the blind range is as near as the water at the start is free."""
+        self.now = firing.time
+        self.nearest = NEAREST
+        super().update(firing)
+
+    def surface(self, here: Array) -> Array:
+        """Return the points (n, 2) [m], moved towards `here` (2,) [m]."""
+        away = self.places - here
+        drift = np.minimum(SPEED * (self.now - self.rest[:, 4]), AMPLITUDE)
+        nearer = np.hypot(MARGIN, drift) - MARGIN
+        return np.asarray(here + (1 - nearer / np.maximum(np.hypot(*away.T), 0.01))[:, None] * away)
 
 
 class SonarLaw:
@@ -176,7 +203,8 @@ class SonarLaw:
         return braked(self.last, now, normal, bound)
 
     def _bounds(self, here: Array) -> tuple[Array, Array]:
-        # unit normals and the largest speeds along them: the nearest place in each of 36 sectors, and the walls
+        # unit normals and the largest speeds along them: the nearest place in each of 36 sectors, then the walls, which
+        # are at right angles, so that the last projections are exact
         walls = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])
         clear = np.concatenate([self.extent - here, here]) - self.hull
         away = self.map.surface(here) - here
@@ -185,8 +213,8 @@ class SonarLaw:
         order = np.argsort(far)
         sector = (np.arctan2(away[order, 1], away[order, 0]) / (2 * np.pi) * 36).round()
         chosen = order[np.unique(sector, return_index=True)[1]]
-        normal = np.concatenate([walls, away[chosen] / np.maximum(far[chosen], 1e-3)[:, None]])
-        clear = np.concatenate([clear, far[chosen] - self.hull]) - MARGIN
+        normal = np.concatenate([away[chosen] / np.maximum(far[chosen], 1e-3)[:, None], walls])
+        clear = np.concatenate([far[chosen] - self.hull, clear]) - MARGIN
         a = self.gain["brake"] * self.limit[:2].min() / self.mass[:2].max()
         late = self.gain["reaction"] * a
         room = np.maximum(clear, 0)
@@ -248,7 +276,9 @@ def reason(one: Run, own: SonarLaw | None) -> str:
     """Return where a run ended, and what the map knew of the nearest obstacle."""
     rows = one.record
     here, shapes = rows.eta[-1, :2], [body.shape for body in rows.obstacles[-1]]
-    told = f"seed {one.seed}: {one.metrics.stopped_because} at {one.metrics.time_s:.1f} s, ({here[0]:.2f}, {here[1]:.2f}) m"
+    k = int(np.argmin(rows.clearance))
+    told = f"least {rows.clearance[k]:.3f} m at {rows.time[k]:.1f} s; "
+    told += f"seed {one.seed}: {one.metrics.stopped_because} at {one.metrics.time_s:.1f} s, ({here[0]:.2f}, {here[1]:.2f}) m"
     told += f", speed {np.hypot(*rows.nu[-1, :2]):.2f} m/s, true clearance {rows.clearance[-1]:.3f} m"
     if own is not None:
         believed = np.hypot(*(own.map.surface(here) - here).T).min(initial=np.inf) - own.hull

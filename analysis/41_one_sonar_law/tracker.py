@@ -91,9 +91,11 @@ class Arcs:
 
     def __init__(self, array: SonarArray, *, within: float = np.pi) -> None:
         self.array, self.half, self.within = array, array.half_angle, within
+        self.nearest = array.blind  # m, range of a new arc that is within the blind range
         self.free = Free(self.half)
         self.places = np.zeros((0, 2))
-        self.rest = np.zeros((0, 4))  # score, time of the last echo, first and last direction towards the sonar
+        # score, time of the last echo, first and last direction towards the sonar, time of the last range
+        self.rest = np.zeros((0, 5))
 
     def update(self, firing: Firing) -> None:
         """Remove the points whose silence this firing shows, and move or add the points that explain its echo."""
@@ -102,7 +104,7 @@ class Arcs:
         off = np.abs(wrapped(bearing - firing.axis))
         if not firing.blind:
             free = firing.reading - self.SILENCE
-            middle, width = self.rest[:, 2:].mean(axis=1), np.diff(self.rest[:, 2:]).ravel()
+            middle, width = self.rest[:, 2:4].mean(axis=1), np.diff(self.rest[:, 2:4]).ravel()
             answers = np.abs(wrapped(bearing + np.pi - middle)) <= width / 2 + self.within
             self.rest[:, 0] -= (off < self.half - EDGE) & (far < free) & answers
         if not firing.silent and not firing.known:
@@ -132,18 +134,20 @@ class Arcs:
                 np.full(len(first), firing.time),
                 np.minimum(first, turned),
                 np.maximum(self.rest[fits, 3], turned),
+                self.rest[fits, 4] if firing.blind else np.full(len(first), firing.time),
             ],
             axis=1,
         )
 
     def _add(self, firing: Firing) -> None:
         bearing = firing.axis + np.linspace(-self.half, self.half, int(2 * self.half / self.STEP) + 1)
-        reach = self.array.blind if firing.blind else firing.reading
+        reach = self.nearest if firing.blind else firing.reading
         arc = firing.apex + reach * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         may = ~self.free.holds(arc, firing.time)
         may |= not may.any()  # an object has moved to where the water was free
         towards = wrapped(bearing[may] + np.pi)
-        rest = np.stack([np.ones(len(towards)), np.full(len(towards), firing.time), towards, towards], axis=1)
+        now = np.full(len(towards), firing.time)
+        rest = np.stack([np.ones(len(towards)), now, towards, towards, now], axis=1)
         self.places, self.rest = np.vstack([self.places, arc[may]]), np.vstack([self.rest, rest])
 
     def stops(self, here: Array, hull: float) -> Array:
