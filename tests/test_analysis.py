@@ -429,26 +429,29 @@ def test_the_trackers_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> No
     done = run(folder / "tracker.py", "--quick")
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [row for row in table(done.stdout) if row[1] == "ideal"]
-    assert [row[2] for row in rows] == ["present", "arcs", "arcs-5", "elements-10", "elements-50"]
+    assert [row[2] for row in rows] == [
+        "present", "arcs", "arcs-5", "elements-10", "elements-50", "points-10", "surface-10",
+    ]  # fmt: skip
     assert all(int(row[3]) > 0 and float(row[6]) <= float(row[4]) <= float(row[7]) for row in rows)
     monkeypatch.syspath_prepend(str(folder))
     study = runpy.run_path(str(folder / "tracker.py"))
     # a pole ahead of a robot that turns on the spot, all echoes exact
     pole, array, here = Disc((2.6, 2.0), 0.05), SonarArray(hull_radius=0.2), np.array([2.0, 2.0])
-    points = study["record"].__globals__["surface_points"](pole)
-    whole = np.arange(len(points))
+    front = study["record"].__globals__["surface_points"](pole)
+    whole = np.arange(len(front))
     recorded = study["Recorded"](
-        array, 0.2, np.array([4.0, 4.0]), 0.05, here[None], [], [[pole]], [points], 0 * whole, []
+        array, 0.2, np.array([4.0, 4.0]), 0.05, here[None], [], [[pole]], [front], 0 * whole, []
     )
     arcs, elements = study["Arcs"](array), study["Elements"](array, risk=0.5)
+    points = study["Points"](array, risk=0.5)
     for k in range(640):
         x, y, axis = array.apex(array.sensor_at(k), position=here, heading=0.01 * k)
         reading = nearest_in_cone(pole, (x, y), axis, half_angle=array.half_angle)
         firing = study["Firing"](
             0.025 * k, np.array([x, y]), axis, min(reading, 4.5), reading > 4.5, False, False, whole
         )
-        arcs.update(firing)
-        elements.update(firing)
+        for tracker in (arcs, elements, points):
+            tracker.update(firing)
     exact = study["stops_at"](here, np.array([pole.center]), np.array([0.25])).min(axis=0)
 
     def errors(stops: Any, *, heard: bool = True) -> tuple[list[float], int]:
@@ -464,6 +467,7 @@ def test_the_trackers_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> No
     assert errors(exact + 9, heard=False) == ([], blocked.sum())
     assert np.max(np.abs(errors(arcs.stops(here, 0.2))[0])) < 0.05
     assert np.max(np.abs(errors(elements.stops(here, 0.2))[0])) < 0.05
+    assert np.max(np.abs(errors(points.stops(here, 0.2))[0])) < 0.05
     for k in range(640, 840):  # the pole is taken away
         x, y, axis = array.apex(array.sensor_at(k), position=here, heading=0.01 * k)
         for tracker in (arcs, elements):

@@ -52,14 +52,12 @@ HEAD = (
 RISK = 0.1  # probability of the places of a point that the map leaves out
 MARGIN = 0.03  # m between the hull and a place that counts, for drift, position and shape
 SPEED, AMPLITUDE = 0.015, 0.05  # m/s and m: drift of a surface
-NEAREST = 0.08  # m, range of a new arc within the blind range
 UNKNOWN = 1.0  # price of unknown water: share by which its way counts as longer
 FROM_PATH = 1.0  # 1/m, as in `to_go.py`
 EVERY = 10  # control steps between two costs-to-go
 AHEAD = 0.5  # m along the descent to which the wanted course leads
 NEAR_GOAL = 0.4  # m from the goal within which the course leads straight to it
 COURSES, KEEPS = 72, 0.4  # number of courses, and weight of the last one beside the wanted one
-RETREAT = 0.05  # m/s, largest speed away from a place
 BRAKE, HARD = 4.0, 0.02  # as in `surctl.marine.control.stopping`
 HORIZON = 8.0  # s, prediction of movers
 PASSING = 0.1  # m from a mover
@@ -80,9 +78,8 @@ class Drifting(Arcs):
         self.now = 0.0
 
     def update(self, firing: Firing) -> None:
-        """Update the points; a new echo within the blind range is as near as the water at the start is free."""
+        """Update the points with one firing."""
         self.now = firing.time
-        self.nearest = NEAREST
         super().update(firing)
 
     def surface(self, here: Array) -> Array:
@@ -219,7 +216,7 @@ class SonarLaw:
         late = self.gain["reaction"] * a
         room = np.maximum(clear, 0)
         bound = np.sqrt(late**2 + 2 * a * room) - late
-        return normal, np.where(clear < 0, np.maximum(clear, -RETREAT), bound)
+        return normal, bound
 
     def _met(self, here: Array, velocity: Array) -> Array:
         # depth [m] by which a mover comes nearer than allowed within the horizon, for each velocity (n, 2)
@@ -278,7 +275,8 @@ def reason(one: Run, own: SonarLaw | None) -> str:
     here, shapes = rows.eta[-1, :2], [body.shape for body in rows.obstacles[-1]]
     k = int(np.argmin(rows.clearance))
     told = f"least {rows.clearance[k]:.3f} m at {rows.time[k]:.1f} s; "
-    told += f"seed {one.seed}: {one.metrics.stopped_because} at {one.metrics.time_s:.1f} s, ({here[0]:.2f}, {here[1]:.2f}) m"
+    told += f"seed {one.seed}: {one.metrics.stopped_because} at {one.metrics.time_s:.1f} s"
+    told += f", ({here[0]:.2f}, {here[1]:.2f}) m"
     told += f", speed {np.hypot(*rows.nu[-1, :2]):.2f} m/s, true clearance {rows.clearance[-1]:.3f} m"
     if own is not None:
         believed = np.hypot(*(own.map.surface(here) - here).T).min(initial=np.inf) - own.hull

@@ -108,7 +108,9 @@ class Ears:
         """Return the sonars that fired before control step `k`, and how long before it [s]."""
         return [(self.array.sensor_at(2 * k - n), n * self.array.firing_period) for n in (1, 0) if 2 * k >= n]
 
-    def heard(self, k: int, pose: Pose, readings: Array, fresh: NDArray[np.bool_], movers: list[Shape]) -> list[tuple[int, Firing]]:
+    def heard(
+        self, k: int, pose: Pose, readings: Array, fresh: NDArray[np.bool_], movers: list[Shape]
+    ) -> list[tuple[int, Firing]]:
         """Return the sonars and firings of control step `k`, without the true points that answered.
 
         Args:
@@ -132,7 +134,14 @@ class Ears:
             corrected = (reading - array.bias) / array.scale
             nothing = np.zeros(0, dtype=int)
             at = np.array(apex[:2])
-            found.append((sensor, Firing(array.firing_period * 2 * k - late, at, apex[2], corrected, silent, blind, explained, nothing)))
+            found.append(
+                (
+                    sensor,
+                    Firing(
+                        array.firing_period * 2 * k - late, at, apex[2], corrected, silent, blind, explained, nothing
+                    ),
+                )
+            )
         return found
 
 
@@ -209,7 +218,9 @@ def record(
         movers = [body.shape for body in rows.obstacles[k] if body.moving]
         late = dict(ears.late(k))
         firings = []
-        for sensor, firing in ears.heard(k, Pose(pose[k, :2], pose[k, 2], speed[k], turning[k]), readings[k], fresh[k], movers):
+        for sensor, firing in ears.heard(
+            k, Pose(pose[k, :2], pose[k, 2], speed[k], turning[k]), readings[k], fresh[k], movers
+        ):
             if not firing.silent and not firing.blind:
                 ago = late[sensor]
                 true = array.apex(

@@ -66,7 +66,9 @@ class Free:
         rows = np.vstack([self.rows, [*firing.apex, firing.axis, free, firing.time]])
         self.rows = rows[rows[:, 4] > firing.time - MEMORY]
 
-    def holds(self, points: Array, time: float, towards: Array | None = None, within: float = np.pi) -> NDArray[np.bool_]:
+    def holds(
+        self, points: Array, time: float, towards: Array | None = None, within: float = np.pi
+    ) -> NDArray[np.bool_]:
         """Return for each point (n, 2) [m] whether two firings show that no surface can have drifted there.
 
         Only firings within `within` [rad] of the directions `towards` (n,) [rad] count.
@@ -91,7 +93,6 @@ class Arcs:
 
     def __init__(self, array: SonarArray, *, within: float = np.pi) -> None:
         self.array, self.half, self.within = array, array.half_angle, within
-        self.nearest = array.blind  # m, range of a new arc that is within the blind range
         self.free = Free(self.half)
         self.places = np.zeros((0, 2))
         # score, time of the last echo, first and last direction towards the sonar, time of the last range
@@ -141,7 +142,7 @@ class Arcs:
 
     def _add(self, firing: Firing) -> None:
         bearing = firing.axis + np.linspace(-self.half, self.half, int(2 * self.half / self.STEP) + 1)
-        reach = self.nearest if firing.blind else firing.reading
+        reach = self.array.blind if firing.blind else firing.reading
         arc = firing.apex + reach * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         may = ~self.free.holds(arc, firing.time)
         may |= not may.any()  # an object has moved to where the water was free
@@ -284,9 +285,10 @@ class Elements:
 
 
 class Points(Elements):
-    """At most 64 surface points; the places of a point on its arc exclude each other, and silence counts as in `arcs-5`.
+    """At most 64 surface points; the places of a point on its arc exclude each other.
 
-    An echo is a likelihood for the places of the point that explains it; one that none explains adds a point.
+    Silence counts as in `arcs-5`. An echo is a likelihood for the places of the point that explains it; one that none
+    explains adds a point.
     """
 
     COUNT, HYPOTHESES, RADII = 64, 40, (0.0,)
@@ -407,10 +409,9 @@ MAPS: dict[str, Callable[[Recorded], Judge]] = {
     "arcs": lambda run: replay(run, Arcs(run.array)),
     "arcs-5": lambda run: replay(run, Arcs(run.array, within=np.radians(5))),
     "elements-10": lambda run: replay(run, Elements(run.array, risk=0.1)),
-    "points-10": lambda run: replay(run, Points(run.array, risk=0.1)),
-    "points-30": lambda run: replay(run, Points(run.array, risk=0.3)),
-    "surface-10": lambda run: replay(run, Surface(run.array, risk=0.1)),
     "elements-50": lambda run: replay(run, Elements(run.array, risk=0.5)),
+    "points-10": lambda run: replay(run, Points(run.array, risk=0.1)),
+    "surface-10": lambda run: replay(run, Surface(run.array, risk=0.1)),
 }
 
 
