@@ -430,7 +430,7 @@ def test_the_trackers_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> No
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [row for row in table(done.stdout) if row[1] == "ideal"]
     assert [row[2] for row in rows] == [
-        "present", "arcs", "arcs-5", "elements-10", "elements-50", "points-10", "surface-10",
+        "present", "arcs", "arcs-5", "elements-10", "elements-50", "points-10",
     ]  # fmt: skip
     assert all(int(row[3]) > 0 and float(row[6]) <= float(row[4]) <= float(row[7]) for row in rows)
     monkeypatch.syspath_prepend(str(folder))
@@ -473,6 +473,24 @@ def test_the_trackers_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> No
         for tracker in (arcs, elements):
             tracker.update(study["Firing"](0.025 * k, np.array([x, y]), axis, 4.5, True, False, False, whole))
     assert np.isinf(arcs.stops(here, 0.2)).all() and np.isinf(elements.stops(here, 0.2)).all()
+
+
+def test_the_closed_loop_of_one_law_by_sonar(monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = ANALYSIS / "41_one_sonar_law"
+    done = run(folder / "closed.py", "--quick", "--why")
+    assert done.returncode == 0, done.stdout + done.stderr
+    [row] = [row for row in table(done.stdout) if row[1] == "ideal"]
+    assert row[2:7] == ["drifting", "1", "0", "0", "1"] and float(row[10].strip(" |")) > 0
+    assert "time limit at 2.95 s" in done.stdout or "time limit at 3.0 s" in done.stdout
+    monkeypatch.syspath_prepend(str(folder))
+    study = runpy.run_path(str(folder / "closed.py"))
+    # between two places the velocity towards one of them is braked, and none is left beyond the bound of the other
+    normal, bound = np.array([[1.0, 0.0], [-1.0, 0.0]]), np.array([0.02, 0.0])
+    slower = study["braked"](np.array([0.02, 0.1]), np.array([0.06, 0.1]), normal, bound)
+    assert slower == pytest.approx([0.0, 0.1]), "brakes by at most the bound of the place behind"
+    first, second, length = study["edges"](np.stack(np.meshgrid(*[np.arange(24.0)] * 2, indexing="ij"), axis=-1))
+    assert len(first) == 2 * (2 * 24 * 23 + 2 * 23 * 23) == len(set(zip(first, second, strict=True)))
+    assert set(np.round(length, 9)) == {1.0, round(np.sqrt(2), 9)}
 
 
 def test_the_study_of_the_slope_rule() -> None:

@@ -38,10 +38,10 @@ from surctl.marine.world import Disc, site_walls
 
 SCENARIOS = ("pool-static", "tank-static", "tank-slalom", "pool-speed-020", "tank-speed-020")
 MAPS: dict[str, Callable[[SonarArray], Map]] = {
+    "drifting": lambda array: Drifting(array),
     "points": lambda array: Points(array, risk=RISK),
     "elements": lambda array: Elements(array, risk=RISK),
-    "arcs": lambda array: Arcs(array, within=np.radians(5)),
-    "drifting": lambda array: Drifting(array),
+    "arcs-5": lambda array: Arcs(array, within=np.radians(5)),
 }
 LAWS = ("library", *MAPS)
 MODELS = ("ideal", "webots")
@@ -118,6 +118,8 @@ class SonarLaw:
     def __call__(self, x: Array, u: Array, p: Array) -> LawStep:
         """Return the control step; see `surctl.marine.simulation.Stepper`."""
         inner, law = self.law.step(x, u, p), self.law
+        if inner.status < 0:
+            return inner  # an input is not finite
         after = inner.x_next.copy()
         own = {one: after[law.state.slice(f"own_{one}")] for one in ("position", "velocity", "turn")}
         velocity, heading = own["velocity"][:2], float(own["turn"][0])
@@ -139,7 +141,7 @@ class SonarLaw:
         told = inner.telemetry.copy()
         told[law.telemetry_slice("trapped")] = 0
         self.k += 1
-        return LawStep(tau, after, inner.status & 1, told)
+        return LawStep(tau, after, 0, told)
 
     def _listen(self, u: Array, pose: Pose) -> None:
         inputs = self.law.inputs
@@ -301,7 +303,7 @@ def main(words: list[str]) -> int:
     print(HEAD)
     for name in [options.scenario] if options.scenario else SCENARIOS[: 1 if options.quick else None]:
         for echoes in [options.echoes] if options.echoes else MODELS[: 1 if options.quick else None]:
-            for which in [options.law] if options.law else LAWS[1 if options.quick else 0 :]:
+            for which in [options.law] if options.law else LAWS[1 if options.quick else 0 : 2]:
                 seeds, limit = (1, 3.0) if options.quick else (options.seeds, None)
                 runs = [run(name, echoes, which, seed, limit=limit) for seed in range(seeds)]
                 ends = [one.metrics for one, _ in runs]

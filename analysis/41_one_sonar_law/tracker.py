@@ -10,6 +10,8 @@ obstacles. Prints Markdown. The exit status is 2 for a bad option.
 - `arcs` (`Arcs`): an echo that no point explains adds the points of its arc that recent firings did not show to be
   free. An echo moves the points of the body that explains it; silence removes the points that should have answered.
 - `arcs-5`: the same, but silence counts only from directions within 5 degrees of those from which a point answered.
+- `points-10` (`Points`): at most 64 points, each with 40 weighted hypotheses of its place on the arc of its first echo.
+  The map stops the hull where it meets a point with a probability of 10 %; silence counts as in `arcs-5`, and less.
 - `elements-R` (`Elements`): at most 16 bodies, each with 100 weighted hypotheses of its place, radius and velocity. The
   map stops the hull where it meets a body with probability R in per cent.
 """
@@ -383,15 +385,6 @@ def _share(z: Array) -> Array:
     return np.asarray(1 / (1 + np.exp(-1.7 * np.clip(z, -15, 15))))
 
 
-class Surface(Points):
-    """The points, of which each place counts that is not among the least probable ones of its arc."""
-
-    def stops(self, here: Array, hull: float) -> Array:
-        """Return the ways of the hull until it touches a place that counts."""
-        places = self.surface(here)
-        return np.asarray(stops_at(here, places, np.full(len(places), hull)).min(axis=0, initial=np.inf))
-
-
 def replay(run: Recorded, tracker: Map) -> Judge:
     """Return the errors of a tracker over a recorded run."""
     judge = Judge(run)
@@ -411,7 +404,6 @@ MAPS: dict[str, Callable[[Recorded], Judge]] = {
     "elements-10": lambda run: replay(run, Elements(run.array, risk=0.1)),
     "elements-50": lambda run: replay(run, Elements(run.array, risk=0.5)),
     "points-10": lambda run: replay(run, Points(run.array, risk=0.1)),
-    "surface-10": lambda run: replay(run, Surface(run.array, risk=0.1)),
 }
 
 
