@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from recorded import ECHOES, Array, Ears, Firing, Pose, distances, level_echo
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import KDTree
 from to_go import CELLS
 from tracker import Arcs, Elements, Map, Points, wrapped
 
@@ -169,7 +170,7 @@ class SonarLaw:
         places, keep = self.map.surface(self.here), self.hull + MARGIN
         gap = np.minimum(self.centres, self.extent - self.centres).min(axis=-1)
         if len(places):
-            gap = np.minimum(gap, np.hypot(*np.moveaxis(self.centres[:, :, None] - places, -1, 0)).min(axis=-1))
+            gap = np.minimum(gap, KDTree(places).query(self.centres)[0])
         weight = 1 + FROM_PATH * self.beside + UNKNOWN * ~self.seen + 100.0 * (gap < keep)
         flat, (one, other, length) = weight.ravel(), self.edges
         graph = csr_array((length * (flat[one] + flat[other]) / 2, (one, other)), shape=(CELLS**2, CELLS**2))
