@@ -260,11 +260,13 @@ class Elements:
 
     def stops(self, here: Array, hull: float) -> Array:
         """Return the ways of the hull until it meets a body with the probability `risk`."""
-        ways = stops_at(here, self.centre, hull + self.radius)
+        live = self.exists > 0
+        ways = stops_at(here, self.centre[live], hull + self.radius[live])
         order = np.argsort(ways, axis=1)
-        weight = np.take_along_axis(np.broadcast_to(self.weight[..., None], ways.shape), order, axis=1)
-        met = np.cumsum(weight, axis=1) * self.exists[:, None, None] >= self.risk
-        return np.asarray(np.where(met, np.take_along_axis(ways, order, axis=1), np.inf).min(axis=(0, 1)))
+        weight = np.take_along_axis(np.broadcast_to(self.weight[live][..., None], ways.shape), order, axis=1)
+        met = np.cumsum(weight, axis=1) * self.exists[live, None, None] >= self.risk
+        ways = np.where(met, np.take_along_axis(ways, order, axis=1), np.inf)
+        return np.asarray(ways.min(axis=(0, 1), initial=np.inf))
 
     def surface(self, here: Array) -> Array:
         """Return the places (n, 2) [m] next to `here` of the hypotheses that count.
