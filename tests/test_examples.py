@@ -44,9 +44,10 @@ def _others() -> Iterator[str]:
     for file in sorted(root.rglob("*.py")):
         module = ".".join(("surctl", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
         for node in ast.parse(text).body if ">>>" in (text := file.read_text(encoding="utf-8")) else []:
-            if isinstance(node, ast.FunctionDef | ast.ClassDef) and ">>>" in (ast.get_docstring(node) or ""):
-                if (module, node.name) not in known:
-                    yield f"{module}:{node.name}"
+            if not isinstance(node, ast.FunctionDef | ast.ClassDef) or (module, node.name) in known:
+                continue
+            if ">>>" in (ast.get_docstring(node) or ""):
+                yield f"{module}:{node.name}"
 
 
 OTHERS = tuple(_others())
@@ -108,8 +109,9 @@ def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_an_example_of_a_module_prints_what_it_says(name: str) -> None:
+def test_an_example_of_a_module_prints_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     need_compiler()
+    monkeypatch.chdir(tmp_path)
     module, _, thing = name.partition(":")
     prints_what_it_says(getattr(importlib.import_module(module), thing), name)
 
