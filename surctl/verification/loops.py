@@ -1,9 +1,9 @@
 """Frequency responses and margins of one loop of many systems at once; they are computed from eigenvalues.
 
 Let A_o be the system matrix with a loop open and A_c the matrix with this loop closed. The loop transfer function is
-l(s) = det(sI − A_c)/det(sI − A_o) − 1. Its frequency response is therefore a product over poles, and no linear system
-is solved at any frequency. A is first split into its decoupled diagonal blocks (surge; heave; sway with yaw), and each
-loop uses only the block that contains it.
+l(s) = det(sI − A_c)/det(sI − A_o) − 1, and the same in z for a sampled loop. Its frequency response is therefore a
+product over poles, and no linear system is solved at any frequency. A is first split into its decoupled diagonal blocks
+(surge; heave; sway with yaw), and each loop uses only the block that contains it.
 """
 
 from __future__ import annotations
@@ -40,21 +40,23 @@ class BrokenLoop:
     """One loop at n operating points; it is opened at one signal while all other loops are closed.
 
     Attributes:
-        closed: (n, k) poles [rad/s] of the system with this loop closed.
-        opened: (n, k) poles [rad/s] of the system with this loop open.
+        closed: (n, k) poles [rad/s] of the system with this loop closed; poles z of a sampled loop.
+        opened: (n, k) poles of the system with this loop open.
+        dt: control period [s] of a sampled loop; 0: continuous.
     """
 
     closed: NDArray[np.complex128]
     opened: NDArray[np.complex128]
+    dt: float = 0.0
 
     def response(self, omega: NDArray[np.float64], points: NDArray[np.intp] | slice) -> NDArray[np.complex128]:
-        """Return the frequency response L(jω) (p, …) of the p selected points.
+        """Return the frequency response L(jω), or L(e^(jω dt)), (p, …) of the p selected points.
 
         Args:
             omega: frequencies [rad/s] in an array of shape (p, …), or of a shape that broadcasts to (p, …).
             points: indices of the p points, or a slice.
         """
-        s = 1j * omega
+        s = np.exp(1j * self.dt * omega) if self.dt else 1j * omega
         closed, opened = self.closed[points], self.opened[points]
         shape = (len(closed), *(1,) * (omega.ndim - 1))
         product = np.ones(np.broadcast_shapes(shape, omega.shape), dtype=complex)
@@ -172,7 +174,8 @@ def shape_of(loop: BrokenLoop, *, highest: float) -> SensitivityShape:
 
 def _still(loop: BrokenLoop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the points with loop phase −180° at ω = 0, and their gain factors that put a closed-loop pole at s = 0."""
-    points = np.flatnonzero(np.all(np.abs(loop.opened) > _SPURIOUS * _LOWEST, axis=1))
+    steady, near = (1.0, _SPURIOUS * _LOWEST * loop.dt) if loop.dt else (0.0, _SPURIOUS * _LOWEST)
+    points = np.flatnonzero(np.all(np.abs(loop.opened - steady) > near, axis=1))
     value = loop.response(np.zeros(1), points).real
     return points[value < 0], -1 / value[value < 0]
 

@@ -98,7 +98,7 @@ def system_disk_margin(linear: LinearLoop, *openings: str) -> DiskMargin:
     if not _is_stable(linear):
         return DiskMargin.unstable(place)
     margin = disk_margin(_continuous(linear, *chosen), place)
-    return replace(margin, frequency_rad_s=float(2 * np.arctan(margin.frequency_rad_s) / linear.dt))
+    return replace(margin, frequency_rad_s=2.0 * margin.frequency_rad_s / linear.dt)
 
 
 def _is_stable(linear: LinearLoop) -> bool:
@@ -228,17 +228,11 @@ def _at_ends(A: Array, B: Array, C: Array, D: Array) -> Array:
 
 
 def _continuous(linear: LinearLoop, *openings: str) -> OpenLoop:
-    """Transform the open loop by z = (1 + s)/(1 - s), which maps the unit circle to the imaginary axis.
-
-    The transformation does not change the values of the frequency response, except by 1e-6 for a loop with a pole at z
-    = -1.
-    """
+    """Return the open loop in continuous form; a pole at z = -1 changes its frequency response by 1e-6."""
     A, B, C, D = linear.opened(*openings)
     if np.linalg.cond(A + np.eye(len(A))) > _SINGULAR:  # a pole at z = -1, which the transform maps to infinity
         A = A * (1 - _INWARDS)
-    whole = np.linalg.inv(A + np.eye(len(A)))
-    root = np.sqrt(2)
-    return OpenLoop(whole @ (A - np.eye(len(A))), root * whole @ B, root * C @ whole, D - C @ whole @ B)
+    return OpenLoop.of_sampled(A, B, C, D, 2.0)  # frequencies per period: the grid of a search fits any period
 
 
 # What is read from a sampled linear loop of any law or system: poles, margins, disk margin, the worst corner

@@ -29,7 +29,7 @@ from surctl.marine.report.signals import plot_force, spans
 from surctl.marine.simulation import Run, load_scenario, simulate
 from surctl.marine.tuning import SweepTable
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import build_cascade
+from surctl.marine.verification import cruise_loop
 from surctl.report import margin_slice, plot_counterexample, plot_replay, plot_slice, plot_sobol_indices
 from surctl.report.evidence import _sense
 from surctl.report.theme import BAD, printable
@@ -135,7 +135,7 @@ def test_what_the_font_lacks_is_replaced() -> None:
 
 
 def test_loop_responses_are_those_of_python_control() -> None:
-    cascade = build_cascade(vehicle(), GAINS.values, **ABOUT)
+    cascade = cruise_loop(vehicle(), GAINS.values, **ABOUT)
     loops = loop_responses(vehicle(), GAINS.values, **ABOUT)
     assert [loop.name for loop in loops] == [m.name for m in report().margins]
     for loop, broken in ((loops[1], cascade.at_thrust(1)), (loops[7], cascade.at_output(3))):

@@ -11,7 +11,7 @@ from surctl.marine.simulation import Case, load_scenario
 from surctl.marine.tuning import Goal, Request, conditions, gain_ranges
 from surctl.marine.tuning.start import lqr_start, starting_sets
 from surctl.marine.vehicle import load_vehicle
-from surctl.marine.verification import CASCADE_GAINS
+from surctl.marine.verification import LINEAR_GAINS
 from surctl.marine.verification.linear import corner_margin
 from surctl.verification.linear import LEAST_DISK_MARGIN
 
@@ -22,7 +22,7 @@ ABOUT = {"cruise": 0.15, "dt": 0.05}
 def test_the_start_is_stable_with_the_stated_disk_margin(name: str) -> None:
     vehicle = load_vehicle(name)
     gains = lqr_start(vehicle, **ABOUT)
-    assert tuple(gains) == CASCADE_GAINS
+    assert tuple(gains) == LINEAR_GAINS
     assert corner_margin(vehicle, gains, **ABOUT).margin >= LEAST_DISK_MARGIN
     load_gains("default").with_values(gains)
 

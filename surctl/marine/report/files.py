@@ -39,7 +39,7 @@ from surctl.marine.sensing import Replay, SensorCalibration, file_stems
 from surctl.marine.simulation import Run, priority_timeline
 from surctl.marine.tuning import SweepTable, Tuning
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import Locus, build_cascade, loop_margins
+from surctl.marine.verification import Locus, cruise_loop, loop_margins
 from surctl.marine.verification.linear import DISK_PLACES, open_loop
 from surctl.marine.verification.portrait import Portrait, planes_of, portrait
 from surctl.report.evidence import margin_slice, plot_cells, plot_counterexample, plot_open_boxes, plot_slice
@@ -212,8 +212,8 @@ def save_margins(
         figures[f"bode-{tightest[0].name}"] = plot_marked_bode(*tightest)
         least = min(m.disk_margin for _, m in group)
         figures[f"nyquist-{at}"] = plot_nyquist([loop for loop, _ in group], disk_margin=least).figure.figure
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
-    opened = [open_loop(cascade, place) for place in DISK_PLACES]
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt)
+    opened = [open_loop(loop, place) for place in DISK_PLACES]
     pairs = [(loop, stored_disk_margin(loop, place)) for loop, place in zip(opened, DISK_PLACES, strict=True)]
     figures["disk"] = plot_disk_margins(pairs, highest=np.pi / dt)
     figures["sensitivity"] = plot_s_and_t(sensitivities(vehicle, gains, cruise=speeds, dt=dt, places=DISK_PLACES[:2]))

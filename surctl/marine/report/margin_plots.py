@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from surctl.marine.vehicle import Vehicle
-from surctl.marine.verification import Locus, build_cascade
+from surctl.marine.verification import Locus, cruise_loop
 from surctl.marine.verification.linear import open_loop
 from surctl.report.theme import (
     AVOIDING,
@@ -99,21 +99,20 @@ def loop_responses(
         >>> omega.shape, omega[[0, -1]].round(2).tolist()
         ((400,), [0.01, 62.83])
     """
-    cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt)
     omega = np.geomspace(_SLOWEST, np.pi / dt, _POINTS)
-    broken = [(name, "thrust", cascade.at_thrust(k)) for k, name in enumerate(_THRUST)]
-    broken += [(name, "measurement", cascade.at_output(k)) for k, name in enumerate(_MEASURED)]
-    return tuple(LoopResponse(name, at, omega, _frequency_response(*loop, omega)) for name, at, loop in broken)
+    broken = [(name, "thrust", loop.at_thrust(k)) for k, name in enumerate(_THRUST)]
+    broken += [(name, "measurement", loop.at_output(k)) for k, name in enumerate(_MEASURED)]
+    z = np.exp(1j * dt * omega)
+    return tuple(LoopResponse(name, at, omega, _frequency_response(*each, z)) for name, at, each in broken)
 
 
 def _frequency_response(
-    A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], omega: NDArray[np.float64]
+    A: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], z: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    # c (jω − A)⁻¹ b, (k,)
-    pencils = 1j * omega[:, None, None] * np.eye(len(A)) - A
-    response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(omega), *b.shape))))[
-        :, 0, 0
-    ]
+    # c (z − A)⁻¹ b, (k,)
+    pencils = z[:, None, None] * np.eye(len(A)) - A
+    response: NDArray[np.complex128] = (c @ np.linalg.solve(pencils, np.broadcast_to(b, (len(z), *b.shape))))[:, 0, 0]
     return response
 
 
@@ -349,10 +348,10 @@ def sensitivities(
     """
     curves: list[Sensitivity] = []
     for speed in cruise:
-        cascade = build_cascade(vehicle, gains, cruise=speed, dt=dt)
+        loop = cruise_loop(vehicle, gains, cruise=speed, dt=dt)
         at = f" at {speed:g} m/s" if len(cruise) > 1 else ""
-        shown = places if cascade.stable else ()
-        curves += [sensitivity_of(open_loop(cascade, place), f"{place}{at}", highest=np.pi / dt) for place in shown]
+        shown = places if loop.stable else ()
+        curves += [sensitivity_of(open_loop(loop, place), f"{place}{at}", highest=np.pi / dt) for place in shown]
     return curves
 
 

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.marine.tuning.pool import Request
-from surctl.marine.vehicle import Vehicle, linearise, plant_parameters
-from surctl.marine.verification import CASCADE_GAINS, build_cascade, linear_table
-from surctl.marine.verification.cascade import build_cascades, has_cascade
+from surctl.marine.vehicle import Vehicle, linearise
+from surctl.marine.verification import LINEAR_GAINS, cruise_loop, linear_table
+from surctl.marine.verification.cruise_loop import has_cruise_loop
 from surctl.marine.verification.linear import slowest_mode
 from surctl.tuning.chunked import Progress
 from surctl.verification.linear import LEAST_DISK_MARGIN
@@ -31,7 +31,7 @@ def starting_sets(request: Request, *, progress: Progress = lambda _: None) -> l
     gains of `lqr_start`, and the start values of the request for all other gains.
     """
     sets = []
-    for case in {c.vehicle.name: c for c in request.cases if has_cascade(c.law, c.guidance)}.values():
+    for case in {c.vehicle.name: c for c in request.cases if has_cruise_loop(c.law, c.guidance)}.values():
         try:
             regulator = lqr_start(case.model or case.vehicle, cruise=case.scenario.cruise, dt=case.build().dt)
         except InputError as error:
@@ -45,13 +45,13 @@ def starting_sets(request: Request, *, progress: Progress = lambda _: None) -> l
 def lqr_start(
     vehicle: Vehicle, *, cruise: float, dt: float, q: ArrayLike | None = None, r: ArrayLike | None = None
 ) -> dict[str, float]:
-    """Return the `CASCADE_GAINS` nearest to an LQR of the vehicle with the least disk margin.
+    """Return the `LINEAR_GAINS` nearest to an LQR of the vehicle with the least disk margin.
 
     The regulator (python-control's `lqr`) neglects thrust lag and delay and feeds back every state to every thrust, but
-    the cascade has only six gains. The six gains are fitted by least squares in their logarithms. The fit compares the
-    thrust that the regulator commands with the thrust that the cascade commands, both as shares of the thrust limits,
-    for state deviations of the size that the weights q allow. Feedback paths that the cascade does not have (for
-    example from sway to surge) are not part of the fit. The weights are then changed until the cascade with lag and
+    the law has only six gains. The six gains are fitted by least squares in their logarithms. The fit compares the
+    thrust that the regulator commands with the thrust that the law commands, both as shares of the thrust limits,
+    for state deviations of the size that the weights q allow. Feedback paths that the law does not have (for
+    example from sway to surge) are not part of the fit. The weights are then changed until the loop with lag and
     delay has this disk margin: in each change, r is doubled, and the weights of position and heading are divided by √2,
     because slower inner loops require slower outer loops. k_i is not among the gains, because guidance already
     integrates position.
@@ -103,7 +103,7 @@ def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
 
     The error names the cruise speed or the control period if one of them alone is the reason.
     """
-    missing = f"no fitted cascade has a disk margin of {LEAST_DISK_MARGIN:g}"
+    missing = f"no fitted gains have a disk margin of {LEAST_DISK_MARGIN:g}"
     mode = slowest_mode(vehicle, gains, cruise=cruise, dt=dt)
     if not mode.stable:
         why = "" if mode.cause is None else f", because of the {mode.cause}"
@@ -118,28 +118,28 @@ def _no_start(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt
 def _fit(
     vehicle: Vehicle, K: NDArray[np.float64], q: NDArray[np.float64], *, cruise: float, dt: float
 ) -> dict[str, float]:
-    """Return the cascade gains whose feedback matrix is as near as possible to the LQR feedback matrix K (4, 8).
+    """Return the gains whose feedback matrix is as near as possible to the LQR feedback matrix K (4, 8).
 
     Both matrices are scaled by the thrust limits and the largest deviations.
     """
     from scipy.optimize import least_squares
 
     scale = 1 / np.sqrt(q)[None] / vehicle.thrust_limit[:, None]
-    flat, form = plant_parameters(vehicle)[None], vehicle.form
-    # entries of K that depend on some gain; the cascade cannot change the other entries
-    reachable = build_cascade(vehicle, dict.fromkeys(CASCADE_GAINS, 1.0), cruise=cruise, dt=dt).K != 0
+    # entries of K that depend on some gain; the law cannot change the other entries
+    reachable = _feedback(vehicle, dict.fromkeys(LINEAR_GAINS, 1.0), cruise=cruise, dt=dt) != 0
 
     def missed(logs: NDArray[np.float64]) -> NDArray[np.float64]:
-        gains: Mapping[str, NDArray[np.float64]] = {
-            n: np.exp(v)[None] for n, v in zip(CASCADE_GAINS, logs, strict=True)
-        }
-        gain_matrix = build_cascades(
-            flat, gains, cruise=np.array([cruise]), dt=dt, model=flat, form=form, model_form=form
-        ).K[0]
-        return np.asarray(((gain_matrix - K) * scale)[reachable], dtype=float)
+        gains = {name: float(np.exp(value)) for name, value in zip(LINEAR_GAINS, logs, strict=True)}
+        fed_back = _feedback(vehicle, gains, cruise=cruise, dt=dt)
+        return np.asarray(((fed_back - K) * scale)[reachable], dtype=float)
 
-    fitted = least_squares(missed, np.zeros(len(CASCADE_GAINS)), bounds=(np.log(1e-3), np.log(1e2)))
-    return {name: float(np.exp(v)) for name, v in zip(CASCADE_GAINS, fitted.x, strict=True)}
+    fitted = least_squares(missed, np.zeros(len(LINEAR_GAINS)), bounds=(np.log(1e-3), np.log(1e2)))
+    return {name: float(np.exp(v)) for name, v in zip(LINEAR_GAINS, fitted.x, strict=True)}
+
+
+def _feedback(vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float) -> NDArray[np.float64]:
+    # K (4, 8) of the thrust −K y
+    return -cruise_loop(vehicle, gains, cruise=cruise, dt=dt).law[3]
 
 
 def _weights(key: str, values: ArrayLike | None, default: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -13,9 +13,9 @@ from surctl.errors import InputError, nearest
 from surctl.marine.vehicle import Vehicle, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold
-from surctl.marine.verification.cascade import Cascade, build_cascade, build_cascades
-from surctl.marine.verification.linear.corners import Corners, corners
-from surctl.marine.verification.linear.sampled import SampledLimits, radii_of, sampled_limits
+from surctl.marine.verification.corners import Corners, corners
+from surctl.marine.verification.cruise_loop import TRACKING_LAW, CruiseLoop, cruise_loop, cruise_loops
+from surctl.marine.verification.linear.sampled import SampledLimits, sampled_limits
 from surctl.verification.linear import (
     LEAST_DISK_MARGIN,
     DiskMargin,
@@ -44,22 +44,22 @@ DISK_PLACES = ("thrust", "measurement", "both")
 _AXES = 4
 
 
-def open_loop(cascade: Cascade, place: str) -> OpenLoop:
-    """Open the loops of one or several cascades at `place`, one of `DISK_PLACES`; all other connections stay closed.
+def open_loop(loop: CruiseLoop, place: str) -> OpenLoop:
+    """Open one or several loops at `place`, one of `DISK_PLACES`; all other connections stay closed.
 
     Raises:
         InputError: `place` is not one of `DISK_PLACES`.
     """
-    A, B, C, K = cascade.A, cascade.B, cascade.C, cascade.K
+    A, B, C, K = loop.matrices
     thrust, pose = np.arange(K.shape[-2]) < _AXES, np.arange(K.shape[-1]) < _AXES
-    nothing = np.zeros((*K.shape[:-2], _AXES, _AXES))
+    nothing, dt = np.zeros((*K.shape[:-2], _AXES, _AXES)), float(np.max(loop.dt))
     if place == "thrust":
-        # the rows of K for the integral action stay closed
+        # the law's own states stay connected
         inner = A - B[..., ~thrust] @ K[..., ~thrust, :] @ C
-        return OpenLoop(inner, B[..., thrust], K[..., thrust, :] @ C, nothing)
+        return OpenLoop.of_sampled(inner, B[..., thrust], K[..., thrust, :] @ C, nothing, dt)
     if place == "measurement":
         inner = A - B @ K[..., ~pose] @ C[..., ~pose, :]
-        return OpenLoop(inner, B @ K[..., pose], C[..., pose, :], nothing)
+        return OpenLoop.of_sampled(inner, B @ K[..., pose], C[..., pose, :], nothing, dt)
     if place != "both":
         raise InputError("no such place", key="place", value=place, remedy=nearest(place, DISK_PLACES))
     # the second input u2 is the negative of the measured pose that the law receives
@@ -68,12 +68,12 @@ def open_loop(cascade: Cascade, place: str) -> OpenLoop:
     enter = np.concatenate([B[..., thrust], B[..., ~thrust] @ own[..., pose]], axis=-1)
     leave = np.concatenate([acting[..., ~pose] @ C[..., ~pose, :], C[..., pose, :]], axis=-2)
     through = np.block([[nothing, -acting[..., pose]], [nothing, nothing]])
-    return OpenLoop(inner, enter, leave, through)
+    return OpenLoop.of_sampled(inner, enter, leave, through, dt)
 
 
 @dataclass(frozen=True)
 class Pole:
-    """One pole s of the closed loop with delay; a complex pair is represented by the pole in the upper half-plane.
+    """One pole z of the sampled loop as s = ln(z)/dt; a complex pair is represented by the pole with imaginary > 0.
 
     Attributes:
         real, imaginary: real and imaginary part of s [rad/s].
@@ -96,7 +96,7 @@ class LinearSide:
             ranges.
         disks: disk margins with the loops opened at `DISK_PLACES`; for several corners, the least margin over the
             corners.
-        poles: closed-loop poles of the nominal vehicle, slowest first, including the poles of the approximated delay.
+        poles: closed-loop poles of the nominal vehicle, slowest first, including those of the delay.
         slowest_per_s: largest real part [1/s] of a pole over all corners.
         least_damping: least damping ratio of the poles, over all corners.
         sampled: limits of the sampled loop; for several corners, the least value of every limit and the largest radius.
@@ -124,10 +124,7 @@ class LinearSide:
 
     @property
     def stable(self) -> bool:
-        """Whether the loop is stable for all vehicles.
-
-        The loop must be stable in two models: continuous with approximated delay, and sampled with one period of delay.
-        """
+        """Whether the sampled loop, with one period of delay, is stable for all vehicles."""
         return all(d.stable for d in self.disks) and self.sampled.radius < 1
 
     def to_dict(self) -> dict[str, Any]:
@@ -163,27 +160,39 @@ class LinearSide:
 
 
 def linear_side(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+    vehicle: Vehicle,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
 ) -> LinearSide:
     """Return the linear analysis of one vehicle; for the arguments see `loop_margins`.
 
     Raises:
         InputError: a gain is missing or not positive, or the vehicle cannot hold the cruise speed.
     """
-    delayed, plain = (build_cascade(vehicle, gains, cruise=cruise, dt=dt, model=model, delay=d) for d in (None, 0.0))
-    poles = _poles(delayed.poles)
+    loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, model=model, law=law)
+    poles = _poles(loop.poles)
     return LinearSide(
         of=f"{vehicle.name}, nominal",
-        disks=tuple(stored_disk_margin(open_loop(delayed, place), place) for place in DISK_PLACES),
+        disks=tuple(stored_disk_margin(open_loop(loop, place), place) for place in DISK_PLACES),
         poles=poles,
-        slowest_per_s=float(delayed.poles[0].real),
+        slowest_per_s=float(loop.poles[0].real),
         least_damping=min(p.damping for p in poles),
-        sampled=sampled_limits(plain, dt),
+        sampled=sampled_limits(loop),
     )
 
 
 def worst_linear_side(
-    tried: Corners, gains: Mapping[str, float], *, cruise: float, dt: float, model: Vehicle | None = None
+    tried: Corners,
+    gains: Mapping[str, float],
+    *,
+    cruise: float,
+    dt: float,
+    model: Vehicle | None = None,
+    law: str = TRACKING_LAW,
 ) -> LinearSide:
     """Return the linear analysis with the worst results over several vehicles; `model` defaults to the first vehicle.
 
@@ -201,30 +210,31 @@ def worst_linear_side(
             "needs more thrust than any of the vehicles has", key="cruise", value=cruise, remedy="lower it"
         )
     groups = _alike_in_states(able)
-    delayed, plain = ([_built(g, gains, cruise, dt, believed, d) for g in groups] for d in (None, 0.0))
+    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=believed, law=law) for group in groups]
     disks, lowest = [], list[Vehicle]()
     for place in DISK_PLACES:
-        loops = [open_loop(group, place) for group in delayed]
+        loops = [open_loop(group, place) for group in built]
         peaks = [screened_peaks(loop) for loop in loops]
         worst = int(np.argmax([each.max() for each in peaks]))
         at = int(np.argmax(peaks[worst]))
         disks.append(stored_disk_margin(loops[worst][np.asarray(at)], place))
         lowest.append(groups[worst][at])
-    slowest = [group.poles[:, 0].real for group in delayed]
+    poles = [group.poles for group in built]
+    slowest = [each[:, 0].real for each in poles]
     fastest = int(np.argmax([each.max() for each in slowest]))
     if slowest[fastest].max() >= 0:
         bad = groups[fastest][int(np.argmax(slowest[fastest]))]
     else:
         bad = lowest[int(np.argmin([d.guaranteed for d in disks[:2]]))]
-    every = [_poles(poles) for group in delayed for poles in group.poles]
+    every = [_poles(each) for group in poles for each in group]
     beyond = f"; {unable} of them cannot hold {cruise:g} m/s with their thrust" if unable else ""
     return LinearSide(
         of=f"{believed.name}, worst of {tried.text}{beyond}",
         disks=tuple(disks),
         poles=every[0],
-        slowest_per_s=max(float(group.poles[:, 0].real.max()) for group in delayed),
-        least_damping=min(p.damping for poles in every for p in poles),
-        sampled=_least_sampled([sampled_limits(group, dt) for group in plain]),
+        slowest_per_s=max(float(each.max()) for each in slowest),
+        least_damping=min(p.damping for each in every for p in each),
+        sampled=_least_sampled([sampled_limits(group) for group in built]),
         corner=tried.label(bad) if len(tried.vehicles) > 1 else "",
         at=bad,
     )
@@ -235,28 +245,6 @@ def _alike_in_states(vehicles: Sequence[Vehicle]) -> list[list[Vehicle]]:
     lagged = vehicles[0]["thrust_lag"] > 0
     parts = [[v for v in vehicles if (v["thrust_lag"] > 0) is kind] for kind in (lagged, not lagged)]
     return [part for part in parts if part]
-
-
-def _built(
-    vehicles: Sequence[Vehicle],
-    gains: Mapping[str, float],
-    cruise: float,
-    dt: float,
-    model: Vehicle,
-    delay: float | None,
-) -> Cascade:
-    """Return the cascades of vehicles that have equal states."""
-    count = len(vehicles)
-    return build_cascades(
-        np.array([plant_parameters(v) for v in vehicles]),
-        {name: np.full(count, float(value)) for name, value in gains.items()},
-        cruise=np.full(count, cruise),
-        dt=dt,
-        model=np.tile(plant_parameters(model), (count, 1)),
-        delay=delay,
-        form=vehicles[0].form,
-        model_form=model.form,
-    )
 
 
 def _can_cruise(vehicles: Sequence[Vehicle], cruise: float) -> list[bool]:
@@ -369,11 +357,11 @@ def _peaks(
     for k, speed in enumerate(speeds):
         able = [v for v, can in zip(vehicles, _can_cruise(vehicles, speed), strict=True) if can]
         for group in _alike_in_states(able) if able else []:
-            cascades = _built(group, gains, speed, dt, model, None)
+            loops = cruise_loops(group, gains, cruise=speed, dt=dt, model=model)
             if least > 0:
-                values = np.max([screened_peaks(open_loop(cascades, place)) for place in DISK_PLACES[:2]], axis=0)
+                values = np.max([screened_peaks(open_loop(loops, place)) for place in DISK_PLACES[:2]], axis=0)
             else:
-                values = cascades.poles[:, 0].real + 1e-9
+                values = loops.poles[:, 0].real + 1e-9
             for vehicle, value in zip(group, values.tolist(), strict=True):
                 peaks[next(i for i, one in enumerate(vehicles) if one is vehicle), k] = value
     return peaks
@@ -397,6 +385,7 @@ def corner_margin(
     proved: bool = False,
     uncertainty: float | None = None,
     spread: float = 1.0,
+    law: str = TRACKING_LAW,
 ) -> CornerMargin:
     """Return the disk margin at the worst corner of the vehicle's ranges, or of `uncertainty` (see `corners`).
 
@@ -419,8 +408,8 @@ def corner_margin(
         problem = "needs more thrust than the vehicle has"
         raise InputError(problem, key="cruise", value=cruise, remedy="lower it")
     groups = _alike_in_states(able)
-    delayed, plain = ([_built(g, gains, cruise, dt, model or vehicle, d) for g in groups] for d in (None, 0.0))
-    margin, (group, at) = least_disk(delayed, plain, dt=dt, margin_of=_proved if proved else quick_disk_margin)
+    built = [cruise_loops(group, gains, cruise=cruise, dt=dt, model=model or vehicle, law=law) for group in groups]
+    margin, (group, at) = least_disk(built, margin_of=_proved if proved else quick_disk_margin)
     worst = groups[group][at]
     return CornerMargin(margin, worst, tried.label(worst))
 
@@ -430,32 +419,19 @@ def _proved(loop: OpenLoop) -> float:
 
 
 def least_disk(
-    delayed: Sequence[Cascade],
-    plain: Sequence[Cascade],
-    *,
-    dt: float,
-    margin_of: Callable[[OpenLoop], float] = quick_disk_margin,
+    groups: Sequence[CruiseLoop], *, margin_of: Callable[[OpenLoop], float] = quick_disk_margin
 ) -> tuple[float, tuple[int, int]]:
-    """Return the least disk margin of several vehicles, in groups of cascades with equal states, and where it is.
+    """Return the least disk margin of several vehicles, in groups (k, …) of loops with equal states, and where it is.
 
-    The second result is the index of the group and the index in it.
-
-    Args:
-        delayed: cascades (k, …) with the approximated delay.
-        plain: the same cascades built with `delay=0`.
-        dt: control period [s].
-        margin_of: returns the disk margin of one stable loop.
+    The second result is the index of the group and the index in it; `margin_of` returns the margin of a stable loop.
     """
-    for grown in (
-        [group.poles[:, 0].real + 1e-9 for group in delayed],
-        [radii_of(group, dt, 1) - 1 for group in plain],
-    ):
-        worst = int(np.argmax([each.max() for each in grown]))
-        if grown[worst].max() >= 0:
-            return 0.0, (worst, int(np.argmax(grown[worst])))
+    grown = [group.poles[:, 0].real + 1e-9 for group in groups]
+    worst = int(np.argmax([each.max() for each in grown]))
+    if grown[worst].max() >= 0:
+        return 0.0, (worst, int(np.argmax(grown[worst])))
     margins = []
     for place in DISK_PLACES[:2]:
-        loops = [open_loop(group, place) for group in delayed]
+        loops = [open_loop(group, place) for group in groups]
         peaks = [screened_peaks(loop) for loop in loops]
         worst = int(np.argmax([each.max() for each in peaks]))
         at = int(np.argmax(peaks[worst]))
