@@ -116,7 +116,7 @@ def _by_sonar(mission: Mission) -> tuple[list[str], list[dict[str, Any]]]:
 
 
 def speed_lines(
-    vehicle: Vehicle, gains: Mapping[str, float], *, cruise: float, cap: float, dt: float, uncertainty: float
+    vehicle: Vehicle, gains: Mapping[str, float], *, law: str, cruise: float, cap: float, dt: float, uncertainty: float
 ) -> tuple[list[str], dict[str, float]]:
     """Return the highest speeds at which all corners are stable, and have a disk margin: lines to print, numbers.
 
@@ -131,12 +131,12 @@ def speed_lines(
     tried = corners(vehicle, uncertainty or None)
 
     def searched() -> dict[str, float]:
-        nominal = bearable_speed(vehicle, gains, dt=dt)
-        stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0)
-        robust = margin_speed(tried, gains, dt=dt, highest=stable)
+        nominal = bearable_speed(vehicle, gains, dt=dt, law=law)
+        stable = margin_speed(tried, gains, dt=dt, highest=nominal, least=0.0, law=law)
+        robust = margin_speed(tried, gains, dt=dt, highest=stable, law=law)
         return {"nominal_stable": nominal, "stable": stable, "with_margin": robust, "disk_margin": LEAST_DISK_MARGIN}
 
-    key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt)
+    key = ([each.digest() for each in tried.vehicles], sorted(gains.items()), dt, law)
     numbers: dict[str, float] = stored_numbers(("surctl",), key, searched)  # the loop reads laws, gains and plant
     nominal, stable, robust = numbers["nominal_stable"], numbers["stable"], numbers["with_margin"]
     whom = "the nominal vehicle and the corners" if len(tried.vehicles) > 1 else "the nominal vehicle"

@@ -54,7 +54,9 @@ def caps(cases: Sequence[Case], gains: Mapping[str, float]) -> list[str]:
     from surctl.marine.verification.linear import cap_above_bearable
 
     distinct = {(c.vehicle.name, c.scenario.cap): c for c in cases if has_cruise_loop(c.law, c.guidance)}
-    texts = (cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt) for c in distinct.values())
+    texts = (
+        cap_above_bearable(c.vehicle, gains, cap=c.scenario.cap, dt=c.build().dt, law=c.law) for c in distinct.values()
+    )
     return [f"warning: {line}" for line in texts if line is not None]
 
 

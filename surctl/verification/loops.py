@@ -108,7 +108,7 @@ def state_blocks(A: NDArray[np.float64]) -> list[NDArray[np.intp]]:
     return blocks
 
 
-def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
+def crossings_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.float64] | None = None) -> Crossings:
     """Return the margins of one loop at n operating points; the closed loop must be stable at every point.
 
     The margins are defined as in python-control's `stability_margins` and `disk_margins`. Crossings are bracketed on a
@@ -117,9 +117,10 @@ def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
     Args:
         loop: the loop.
         highest: highest frequency of the grid [rad/s].
+        grid: ascending frequencies [rad/s] in place of that grid.
     """
     count = len(loop.closed)
-    grid = np.geomspace(_LOWEST, highest, _POINTS)
+    grid = np.geomspace(_LOWEST, highest, _POINTS) if grid is None else grid
     response = loop.response(grid[None], slice(None))
     gain_margin, lag, delay = (np.full(count, np.inf) for _ in range(3))
     crossover, least_gain = np.zeros(count), np.zeros(count)
@@ -133,8 +134,8 @@ def crossings_of(loop: BrokenLoop, *, highest: float) -> Crossings:
     left = response[:, :-1].real <= 0  # where the real part is positive, the real axis is crossed at 0°, not −180°
     points, omega = _zeros(loop, grid, response, at_phase, left)
     gain = 1 / np.abs(loop.response(omega, points))
-    still = _still(loop)
-    points, gain = np.append(points, still[0]), np.append(gain, still[1])
+    for ends, factors in _at_ends(loop):
+        points, gain = np.append(points, ends), np.append(gain, factors)
     more, less = (gain > 1) & (gain < 1 / _SPURIOUS), (gain < 1) & (gain > _SPURIOUS)
     np.minimum.at(gain_margin, points[more], gain[more])
     np.maximum.at(least_gain, points[less], gain[less])
@@ -172,12 +173,15 @@ def shape_of(loop: BrokenLoop, *, highest: float) -> SensitivityShape:
     return SensitivityShape(1 / _least(loop, grid, response, distance), rejection, crossover)
 
 
-def _still(loop: BrokenLoop) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the points with loop phase −180° at ω = 0, and their gain factors that put a closed-loop pole at s = 0."""
-    steady, near = (1.0, _SPURIOUS * _LOWEST * loop.dt) if loop.dt else (0.0, _SPURIOUS * _LOWEST)
-    points = np.flatnonzero(np.all(np.abs(loop.opened - steady) > near, axis=1))
-    value = loop.response(np.zeros(1), points).real
-    return points[value < 0], -1 / value[value < 0]
+def _at_ends(loop: BrokenLoop) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
+    """Return the points with phase −180° at ω = 0, and the gain factors that put a pole there; likewise at Nyquist."""
+    ends = []
+    for omega in (0.0, np.pi / loop.dt) if loop.dt else (0.0,):
+        steady, near = (np.cos(omega * loop.dt), loop.dt) if loop.dt else (0.0, 1.0)
+        points = np.flatnonzero(np.all(np.abs(loop.opened - steady) > _SPURIOUS * _LOWEST * near, axis=1))
+        value = loop.response(np.array([omega]), points).real
+        ends.append((points[value < 0], -1 / value[value < 0]))
+    return ends
 
 
 def _zeros(

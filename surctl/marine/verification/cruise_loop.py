@@ -96,10 +96,10 @@ class CruiseLoop:
     dt: float | Array
     delay: int = 1
 
-    def __getitem__(self, chosen: object) -> CruiseLoop:
+    def __getitem__(self, chosen: int | NDArray[np.intp] | NDArray[np.bool_] | None) -> CruiseLoop:
         """Return the loops at indices of the leading axis; None adds a leading axis."""
-        plant, law = (tuple(matrix[chosen] for matrix in part) for part in (self.plant, self.law))
-        return replace(self, plant=plant, law=law)
+        (A, B), (Az, By, Cz, D) = self.plant, self.law
+        return replace(self, plant=(A[chosen], B[chosen]), law=(Az[chosen], By[chosen], Cz[chosen], D[chosen]))
 
     def resampled(self, dt: float | Array, delay: int = 1) -> CruiseLoop:
         """Return the loop at another control period [s], over which the law's state changes in proportion."""
@@ -284,7 +284,7 @@ def cruise_loops(
 
 def _moving(A: Array, By: Array, D: Array, *, lagged: bool) -> list[int]:
     # places of the plant's states that belong to the loop
-    acting = (np.abs(D) > COUPLED).any(axis=(0, 2))
+    acting = np.abs(D).max(axis=(0, 2)) > COUPLED
     tilt = range(len(STATE_NAMES), A.shape[-1])
     # x, y and psi follow the surge, sway and yaw motion; the depth, and heave without coupling, stand alone
     coupled = bool((A[:, [4, 5, 7, *tilt], 6] != 0).any())
@@ -365,9 +365,9 @@ def _slopes(law: Law) -> Callable[[Array], list[Array]]:
 def in_loop(A: Array, B: Array, C: Array) -> list[int]:
     """Return the states of a law, or of any of several, that the measurements reach and that reach the thrust."""
     n = A.shape[-1]
-    links = (np.abs(A) > COUPLED).reshape(-1, n, n).any(axis=0)
-    reached = (np.abs(B) > COUPLED).any(axis=-1).reshape(-1, n).any(axis=0)
-    reaches = (np.abs(C) > COUPLED).any(axis=-2).reshape(-1, n).any(axis=0)
+    links = np.abs(A).reshape(-1, n, n).max(axis=0, initial=0.0) > COUPLED
+    reached = np.abs(B).reshape(-1, n, B.shape[-1]).max(axis=(0, 2), initial=0.0) > COUPLED
+    reaches = np.abs(C).reshape(-1, C.shape[-2], n).max(axis=(0, 1), initial=0.0) > COUPLED
     for _ in range(n):
         reached = reached | (links @ reached)
         reaches = reaches | (links.T @ reaches)

@@ -213,7 +213,9 @@ def bearable_speed(
     return low
 
 
-def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float) -> str | None:
+def cap_above_bearable(
+    vehicle: Vehicle, gains: Mapping[str, float], *, cap: float, dt: float, law: str = TRACKING_LAW
+) -> str | None:
     """Return a line of text if the linear loop becomes unstable below the speed cap `cap` [m/s]; otherwise None.
 
     The text gives the cap and the bearable speed, up to which the loop is stable (see `bearable_speed`).
@@ -232,7 +234,7 @@ def cap_above_bearable(vehicle: Vehicle, gains: Mapping[str, float], *, cap: flo
         'the cap of 0.47 m/s is above the bearable speed of ... m/s, up to which the linear loop ... is stable'
         >>> cap_above_bearable(load_vehicle("sur400"), gains, cap=0.22, dt=0.05)
     """
-    return cap_above(vehicle, bearable_speed(vehicle, gains, dt=dt), cap=cap)
+    return cap_above(vehicle, bearable_speed(vehicle, gains, dt=dt, law=law), cap=cap)
 
 
 def cap_above(vehicle: Vehicle, bearable: float, *, cap: float) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +41,8 @@ __all__ = [
 
 DISK_PLACES = ("thrust", "measurement", "both")
 """The places where all loops are opened at once: the four thrust commands, the measured x_e, y_e, z_e, ψ, or both."""
+
+Array = NDArray[np.float64]
 
 _AXES = 4
 
@@ -285,7 +288,13 @@ _STEPS, _HALVINGS = 12, 6
 
 
 def margin_speed(
-    tried: Corners, gains: Mapping[str, float], *, dt: float, highest: float, least: float = LEAST_DISK_MARGIN
+    tried: Corners,
+    gains: Mapping[str, float],
+    *,
+    dt: float,
+    highest: float,
+    least: float = LEAST_DISK_MARGIN,
+    law: str = TRACKING_LAW,
 ) -> float:
     """Return the largest cruise speed [m/s] up to which every vehicle keeps a disk margin of all loops; 0 if none.
 
@@ -299,6 +308,7 @@ def margin_speed(
         dt: control period [s].
         highest: largest speed that is tried [m/s].
         least: required disk margin, in (0, 2]; 0 requires stability alone.
+        law: a law that tracks, as in `loop_margins`.
 
     Example:
         >>> from surctl.marine.control import load_gains
@@ -308,46 +318,41 @@ def margin_speed(
         >>> [round(margin_speed(tried, gains, dt=0.05, highest=0.5, least=least), 2) for least in (0.0, 0.3)]
         [0.2, 0.17]
     """
-    model, speed, searched = tried.vehicles[0], highest, list[int]()
+    peaks = partial(_peaks, gains=gains, dt=dt, model=tried.vehicles[0], least=least, law=law)
+    level, speed, searched = 1 / least if least > 0 else 0.0, highest, list[int]()
     while speed > 0:
-        peaks = _peaks(tried.vehicles, gains, [speed], dt=dt, model=model, least=least)[:, 0]
-        worst = int(np.argmax(peaks))
-        if peaks[worst] <= _level(least) or worst in searched:
+        reached = peaks(tried.vehicles, [speed])[:, 0]
+        worst = int(np.argmax(reached))
+        if reached[worst] <= level or worst in searched:
             return speed
         searched.append(worst)
-        speed = _search(tried.vehicles[worst], gains, speed, dt=dt, model=model, least=least)
+        speed = _search(partial(peaks, [tried.vehicles[worst]]), speed, level)
     return 0.0
 
 
-def _level(least: float) -> float:
-    return 1 / least if least > 0 else 0.0
-
-
-def _search(
-    vehicle: Vehicle, gains: Mapping[str, float], highest: float, *, dt: float, model: Vehicle, least: float
-) -> float:
+def _search(peaks: Callable[[Sequence[float]], Array], highest: float, level: float) -> float:
     speeds = np.linspace(0.0, highest, _STEPS + 1)
-    good = _peaks([vehicle], gains, speeds[1:].tolist(), dt=dt, model=model, least=least)[0] <= _level(least)
+    good = peaks(speeds[1:].tolist())[0] <= level
     if good.all():
         return highest
     first = int(np.argmin(good))
     low, high = float(speeds[first]), float(speeds[first + 1])
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        enough = _peaks([vehicle], gains, [middle], dt=dt, model=model, least=least)[0, 0] <= _level(least)
-        low, high = (middle, high) if enough else (low, middle)
+        low, high = (middle, high) if peaks([middle])[0, 0] <= level else (low, middle)
     return low
 
 
 def _peaks(
     vehicles: Sequence[Vehicle],
-    gains: Mapping[str, float],
     speeds: Sequence[float],
     *,
+    gains: Mapping[str, float],
     dt: float,
     model: Vehicle,
     least: float,
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    law: str,
+) -> Array:
     """Return the peak (n, k) of the structured singular value over frequency for n vehicles at k speeds.
 
     The value is inf if the vehicle cannot hold the speed. If `least` is 0, the value is the real part of the slowest
@@ -357,7 +362,7 @@ def _peaks(
     for k, speed in enumerate(speeds):
         able = [v for v, can in zip(vehicles, _can_cruise(vehicles, speed), strict=True) if can]
         for group in _alike_in_states(able) if able else []:
-            loops = cruise_loops(group, gains, cruise=speed, dt=dt, model=model)
+            loops = cruise_loops(group, gains, cruise=speed, dt=dt, model=model, law=law)
             if least > 0:
                 values = np.max([screened_peaks(open_loop(loops, place)) for place in DISK_PLACES[:2]], axis=0)
             else:
