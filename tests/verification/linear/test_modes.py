@@ -44,11 +44,11 @@ def test_with_one_mass_there_is_no_munk_moment_and_the_thrust_bounds_the_speed()
 
 def test_participation_is_that_of_the_mode_s_residue() -> None:
     # p_k = dλ/da_kk: what the pole moves by when a state's own rate does
-    cascade = cruise_loop(WU, GAINS, cruise=0.2, dt=0.05)
+    loop = cruise_loop(WU, GAINS, cruise=0.2, dt=0.05)
     mode = slowest_mode(WU, GAINS, cruise=0.2, dt=0.05)
-    scale = abs(_moved(cascade.closed, 3)) / mode.participation["psi"]
+    scale = abs(_moved(loop.closed, 3)) / mode.participation["psi"]
     for name, k in (("v", 5), ("r", 7)):
-        assert abs(_moved(cascade.closed, k)) == pytest.approx(scale * mode.participation[name], rel=1e-3)
+        assert abs(_moved(loop.closed, k)) == pytest.approx(scale * mode.participation[name], rel=1e-3)
 
 
 def _moved(closed: np.ndarray, k: int) -> float:
