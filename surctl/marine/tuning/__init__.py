@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     )
     from surctl.marine.tuning.pool import TUNED, GainRange, Pool, Request, default_tuned, gain_ranges
     from surctl.marine.tuning.search import search
-    from surctl.marine.tuning.start import lqr_start
     from surctl.marine.tuning.sweep import SweepTable, SweptAxis, load_sweep, sweep
 
 
@@ -89,7 +88,6 @@ __all__ = [
     "judged_goals",
     "load_goals",
     "load_sweep",
-    "lqr_start",
     "misses",
     "scope",
     "search",
@@ -117,7 +115,6 @@ load_at_first_use(
         "outcome": "Miss advice goal_rows misses summary tuned_gains tuning_dict value_text",
         "pool": "GainRange Pool Request TUNED default_tuned gain_ranges",
         "search": "search",
-        "start": "lqr_start",
         "sweep": "SweepTable SweptAxis load_sweep sweep",
     },
 )
