@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -294,10 +294,7 @@ def _moving(A: Array, By: Array, D: Array, *, lagged: bool) -> list[int]:
 
 def _numbers(law: Law, model: Vehicle, gains: Mapping[str, Array], cruise: Array, believed: Array | None) -> Array:
     # (n, …) parameters of the law; a cruise far from everything depends on no gains but those in `gains`
-    one = {name: float(np.ravel(value)[0]) for name, value in gains.items()}
-    known = Gains("", {name: one.get(name, value) for name, value in load_gains("default").values.items()}, "")
-    layout, first = law.gains, float(cruise[0])
-    row = law_numbers(law, model, known.with_own(law_source(law.ref).gains), cruise=first)
+    layout, row = law.gains, law_numbers(law, model, _some_gains(law.ref), cruise=float(cruise[0]))
     numbers = np.tile(row, (len(cruise), 1))
     own = plant_parameters(model)
     rows = np.tile(own, (len(cruise), 1)) if believed is None else believed
@@ -318,6 +315,11 @@ def _numbers(law: Law, model: Vehicle, gains: Mapping[str, Array], cruise: Array
         place = numbers[:, layout.slice(name)]
         place[:] = value if value.ndim == 2 else np.broadcast_to(value, (len(cruise),))[:, None]
     return numbers
+
+
+@cache
+def _some_gains(law: str) -> Gains:
+    return load_gains("default", own=law_source(law).gains)
 
 
 def law_numbers(law: Law, model: Vehicle, gains: Gains, *, cruise: float) -> Array:
