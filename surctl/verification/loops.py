@@ -133,7 +133,8 @@ def crossings_of(loop: BrokenLoop, *, highest: float = np.inf, grid: NDArray[np.
 
     left = response[:, :-1].real <= 0  # where the real part is positive, the real axis is crossed at 0°, not −180°
     points, omega = _zeros(loop, grid, response, at_phase, left)
-    gain = 1 / np.abs(loop.response(omega, points))
+    with np.errstate(divide="ignore"):  # a loop that is 0 there has no margin there
+        gain = 1 / np.abs(loop.response(omega, points))
     for ends, factors in _at_ends(loop):
         points, gain = np.append(points, ends), np.append(gain, factors)
     more, less = (gain > 1) & (gain < 1 / _SPURIOUS), (gain < 1) & (gain > _SPURIOUS)

@@ -52,7 +52,7 @@ LOOP_NAMES = ("surge", "sway", "heave", "yaw", "along_track", "cross_track", "de
 
 LINEAR_GAINS = ("k1", "k2", "k_psi", "k_r", "k_v", "lookahead")
 
-TRACKING_LAW = "closed_form"
+TRACKING_LAW = "guarded"
 """A law whose loop about a straight cruise is that of every law for which `has_cruise_loop` holds."""
 
 FAR = 1e6  # [m]
