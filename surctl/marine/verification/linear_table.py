@@ -552,7 +552,7 @@ def sweep_locus(
         >>> gains = load_gains("default").values
         >>> locus = sweep_locus(load_vehicle("sur400"), gains, "k_psi", [0.2, 0.4, 0.8, 1.6, 3.2], cruise=0.15, dt=0.05)
         >>> locus.poles.shape, locus.poles.real.max(axis=1).round(2).tolist()
-        ((5, 24), [-0.22, -0.22, -0.22, -0.22, 0.12])
+        ((5, 16), [-0.22, -0.22, -0.22, -0.22, 0.12])
     """
     if parameter not in LINEAR_PARAMETERS:
         raise InputError("moves no pole", key="locus", value=parameter, remedy=nearest(parameter, LINEAR_PARAMETERS))

@@ -64,7 +64,7 @@ def flown(gains: dict[str, float], period: float, delay: int) -> float:
     steps = int(np.ceil(period / 0.04))
     h, x, sizes = period / steps, np.random.default_rng(1).normal(size=len(A)), []
     waiting, z = [np.zeros(4)] * delay, np.zeros(len(Az))
-    for _ in range(300):
+    for _ in range(600):
         waiting.append(D @ x[:8] + Cz @ z)
         held, z = waiting.pop(0), By @ x[:8] + Az @ z
         for _ in range(steps):
@@ -73,7 +73,7 @@ def flown(gains: dict[str, float], period: float, delay: int) -> float:
                 rates.append(A @ (x + share * h * rates[-1]) + B @ held)
             x = x + h / 6 * (rates[0] + 2 * rates[1] + 2 * rates[2] + rates[3])
         sizes.append(np.linalg.norm(x))
-    return float(max(sizes[275:]) / max(sizes[125:150]))
+    return float(max(sizes[575:]) / max(sizes[275:300]))
 
 
 def test_limits_of_corners_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
