@@ -27,13 +27,15 @@ if TYPE_CHECKING:
         judged_goals,
         scope,
     )
-    from surctl.marine.tuning.finals import CHECKED, Finals, check_finals
     from surctl.marine.tuning.goals import ASSESSED, Goal, goals_at, goals_from_tables, load_goals, with_floor
     from surctl.marine.tuning.measure import build_cases, check_column
     from surctl.marine.tuning.montecarlo import Counterexample, MonteCarlo
     from surctl.marine.tuning.outcome import (
+        CHECKED,
+        Finals,
         Miss,
         advice,
+        check_finals,
         goal_rows,
         misses,
         summary,
@@ -108,11 +110,11 @@ load_at_first_use(
         "derived": "Derivation default_cruise derive_gains derived_gains gains_for has_tuned shared_gains",
         "evaluation": "Condition Evaluation case_loop check_goals conditions corners evaluate figures "
         "judged_goals scope",
-        "finals": "CHECKED Finals check_finals",
         "goals": "ASSESSED Goal goals_at goals_from_tables load_goals with_floor",
         "measure": "build_cases check_column",
         "montecarlo": "Counterexample MonteCarlo",
-        "outcome": "Miss advice goal_rows misses summary tuned_gains tuning_dict value_text",
+        "outcome": "CHECKED Finals Miss advice check_finals goal_rows misses summary tuned_gains tuning_dict"
+        " value_text",
         "pool": "GainRange Pool Request TUNED default_tuned gain_ranges",
         "search": "search",
         "sweep": "SweepTable SweptAxis load_sweep sweep",

@@ -10,8 +10,8 @@ from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification import CruiseLoop, cruise_loop
 from surctl.marine.verification.linear import (
     corners,
-    sampled,
     sampled_limits,
+    side,
     worst_linear_side,
 )
 
@@ -85,9 +85,9 @@ def test_limits_of_corners_are_computed_once(tmp_path: Path, monkeypatch: pytest
     )
     pair = replace(one, plant=plant, law=law)
     first = sampled_limits(pair)
-    assert first == sampled._sampled_limits(pair)
+    assert first == side._sampled_limits(pair)
     longer = sampled_limits(pair.resampled(0.06))
-    monkeypatch.setattr(sampled, "_sampled_limits", None)  # what is called now ends the test
+    monkeypatch.setattr(side, "_sampled_limits", None)  # what is called now ends the test
     assert sampled_limits(pair) == first and sampled_limits(pair.resampled(0.06)) == longer != first
     for changed in ({"plant": (0.01 + plant[0], plant[1])}, {"law": (*law[:3], 0.01 + law[3])}):
         with pytest.raises(TypeError):

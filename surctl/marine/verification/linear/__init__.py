@@ -2,16 +2,17 @@
 
 from surctl.marine.verification.corners import Corners, corners
 from surctl.marine.verification.linear.modes import Mode, bearable_speed, cap_above, cap_above_bearable, slowest_mode
-from surctl.marine.verification.linear.sampled import SampledLimits, sampled_limits
 from surctl.marine.verification.linear.side import (
     DISK_PLACES,
     LinearSide,
     Pole,
+    SampledLimits,
     corner_margin,
     least_disk,
     linear_side,
     margin_speed,
     open_loop,
+    sampled_limits,
     worst_linear_side,
 )
 
