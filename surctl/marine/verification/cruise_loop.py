@@ -274,12 +274,12 @@ def cruise_loops(
     nu[:, 0] = speed
     A, B, _ = plant_jacobians(plant, nu, form=form)
     names = (*STATE_NAMES, *TILT_NAMES)
-    kept = _moving(A, By, D, lagged=bool(lag[0] > 0))
+    moving = _moving(A, By, D, lagged=bool(lag[0] > 0))
     own = in_loop(Az, By, Cz)
     inner = [port.name for port in built.state.ports for _ in range(port.size)]
-    states = (*(names[k] for k in kept), *(inner[k] for k in own))
+    states = (*(names[k] for k in moving), *(inner[k] for k in own))
     slopes = Az[:, own][:, :, own], By[:, own], Cz[:, :, own], D
-    return CruiseLoop((A[:, kept][:, :, kept], B[:, kept]), slopes, states, built.dt).resampled(dt)
+    return CruiseLoop((A[:, moving][:, :, moving], B[:, moving]), slopes, states, built.dt).resampled(dt)
 
 
 def _moving(A: Array, By: Array, D: Array, *, lagged: bool) -> list[int]:
