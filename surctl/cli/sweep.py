@@ -283,6 +283,7 @@ def _locus(
     import numpy as np
 
     from surctl.marine.verification import sweep_locus
+    from surctl.marine.verification.cruise_loop import TRACKING_LAW, has_cruise_loop
 
     first = cases[0]
     values = np.union1d(np.linspace(swept.min(), swept.max(), _LOCUS), [at[parameter]] if parameter in at else [])
@@ -296,6 +297,7 @@ def _locus(
         model=first.model,
         smooth=_SMOOTH,
         about=at,
+        law=first.law if has_cruise_loop(first.law, "los") else TRACKING_LAW,
     )
 
 

@@ -190,7 +190,7 @@ def verify(
     require_own_speeds(region_names, None if cruise is None else max(cruise), cap)
     check_regions(region_names, robot, tuned.gains, speeds)  # mistakes are reported before the linear analysis
     dt = build_law().dt
-    options = {"dt": dt, "uncertainty": uncertainty}
+    options: dict[str, Any] = {"dt": dt, "uncertainty": uncertainty, "law": chosen_law}
     cascaded = CASCADE in source.parts
     check_barrier(barrier, movers)
     scenarios = () if mission is None else (replace(mission, cruise=speeds[0], cap=speeds[1]),)
@@ -255,7 +255,9 @@ def verify(
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
-        result["pictures"] = _draw(verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt)
+        result["pictures"] = _draw(
+            verdicts, regions.claims, robot, values, out, cruise=margins_at, dt=dt, law=chosen_law
+        )
         lines.append(f"certificates: {len(certificates)}, pictures: {len(result['pictures'])}, in {out}")
     failures = [line.text for line in judged if line.rank == 0]
     failures += [f"{v.claim.name} is {v.verdict}, not {v.claim.expected}" for v in verdicts if not v.as_expected]
@@ -322,6 +324,7 @@ def _draw(
     *,
     cruise: Sequence[float] | None,
     dt: float,
+    law: str,
 ) -> list[str]:
     progress("pictures")
     proved = {region["claim"]: region["certificate"] for region in regions if region["certificate"]}
@@ -331,7 +334,7 @@ def _draw(
 
         pictures += save_verdicts(verdicts, out)
         pictures += save_regions(proved, out)
-        pictures += [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt)
+        pictures += [] if cruise is None else save_margins(vehicle, gains, out, cruise=cruise, dt=dt, law=law)
     return [str(path) for path in pictures]
 
 

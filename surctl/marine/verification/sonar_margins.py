@@ -27,7 +27,8 @@ from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.sensing import OwnState, OwnStateFilter
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters
 from surctl.marine.vehicle.linearise import check_cruise, dynamic_states
-from surctl.marine.verification.law_loop import delivered, law_numbers
+from surctl.marine.verification.cruise_loop import law_numbers
+from surctl.marine.verification.law_loop import delivered
 
 __all__ = ["SonarLoop", "SonarMargins", "sonar_loop", "sonar_margins"]
 
