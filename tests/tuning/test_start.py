@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import control
 import numpy as np
 import pytest
 
@@ -77,3 +78,25 @@ def test_a_search_starts_from_the_regulator_within_the_ranges() -> None:
     wanted = lqr_start(vehicle, cruise=scenario.cruise, dt=0.05)
     assert wanted["k_v"] > 1.0 > regulator["lookahead"]
     assert regulator == {"k_v": 1.0, "lookahead": wanted["lookahead"], "margin": poor["margin"]}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_weights_without_a_numerical_regulator_are_a_mistake_with_a_name(seed: int) -> None:
+    far = 10.0 ** np.random.default_rng(seed).uniform(12, 24)
+    with pytest.raises(InputError, match="no numerical solution"):
+        lqr_start(load_vehicle("sur400"), q=np.full(8, 1 / far), r=np.full(4, far), **ABOUT)
+
+
+def test_a_regulator_that_fails_at_milder_weights_leaves_the_reason_of_the_others(monkeypatch) -> None:
+    whole, calls = control.lqr, []
+
+    def lqr(*matrices: np.ndarray) -> tuple[np.ndarray, ...]:
+        calls.append(matrices)
+        if len(calls) > 1:
+            raise np.linalg.LinAlgError("ill-conditioned")
+        return whole(*matrices)
+
+    monkeypatch.setattr(control, "lqr", lqr)
+    with pytest.raises(InputError, match="no fitted cascade"):
+        lqr_start(load_vehicle("bluerov2-wu"), cruise=0.47, dt=0.05)
+    assert len(calls) == 2

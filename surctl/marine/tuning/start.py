@@ -87,7 +87,10 @@ def lqr_start(
     best: tuple[float, dict[str, float]] = 0.0, {}
     for doubling in range(_MOST):
         state = state_weights * _OUTER**doubling
-        K, _, _ = control.lqr(A, B, np.diag(state), np.diag(thrust * _MILDER**doubling))
+        try:
+            K, _, _ = control.lqr(A, B, np.diag(state), np.diag(thrust * _MILDER**doubling))
+        except ValueError:  # the Riccati equation is too ill-conditioned; milder weights make it worse
+            break
         gains = _fit(vehicle, np.asarray(K), state_weights, cruise=cruise, dt=dt)
         table = linear_table(vehicle, {}, base=gains, cruise=cruise, dt=dt, columns=["disk_margin"])
         margin = float(table["disk_margin"][0])
@@ -95,6 +98,9 @@ def lqr_start(
             return gains
         if margin > best[0] or not best[1]:
             best = margin, gains
+    if not best[1]:
+        problem = "the Riccati equation of the regulator has no numerical solution"
+        raise InputError(problem, key="q", remedy="give weights of more similar size, or start from a gain file")
     raise _no_start(vehicle, best[1], cruise=cruise, dt=dt)
 
 
