@@ -185,7 +185,9 @@ def study_system(
     controller = own.system.controller
     progress("comparing C with Python")
     bundle = build_bundle(controller, controller.gains.unpack(record.controller[2]))
-    files = write_bundle(bundle, out / "export")
+    files: Sequence[object] = ()
+    with saving("code"):
+        files = write_bundle(bundle, out / "export")
     with tempfile.TemporaryDirectory(prefix="surctl-sil-") as scratch:
         (sil,) = compare_runs(build_controller(controller, bundle, Path(scratch, bundle.name)), [record])
 
@@ -203,7 +205,8 @@ def study_system(
     swept = None
     if design is not None:
         progress(f"sweep of {len(design[0].points)} points")
-        swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
+        with saving("sweep"):
+            swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     best = {} if swept is None else best_points(swept)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
@@ -225,7 +228,8 @@ def study_system(
     lines = [f"study {own.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [end_text(own, record), *cost_lines(own.system, record.figures), *study.best]
-    lines += ["", f"code   {out / 'export'} ({len(files)} files)", *([f"report {report}"] if report else [])]
+    lines += ["", *([f"code   {out / 'export'} ({len(files)} files)"] if files else [])]
+    lines += [f"report {report}"] if report else []
     data: dict[str, Any] = {
         **own.names,
         "passed": passed,

@@ -269,7 +269,7 @@ class Dynamics:
         return np.asarray(jacobian(self.equilibrium, at))
 
     def rests(self) -> bool:
-        """Return whether the equilibrium is one for all parameters, up to rounding; each state counts by its own rates."""
+        """Return whether no state moves at the equilibrium: relative to its rates, up to rounding, for all parameters."""
         corners = self.corners()
         w = np.repeat(corners, _DRAWS, axis=1)
         unit = np.tile(np.random.default_rng(0).uniform(-1, 1, (len(self.states), _DRAWS)), corners.shape[1])
