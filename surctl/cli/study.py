@@ -210,7 +210,7 @@ def study_system(
     best = {} if swept is None else best_points(swept)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
-        title=f"Study of {own.title}", record=record, assessment=assessment,
+        title=f"Study of {own.system.title}", record=record, assessment=assessment,
         resting=resting(own.system, loop.nominal.at) if judged else {}, mode=mode_text(loop.nominal) if judged else "",
         swept=swept, best=[] if swept is None else [best_line(swept, name, row) for name, row in best.items()], sil=sil,
         commands={
@@ -225,7 +225,7 @@ def study_system(
     with saving("report"):
         report = write_file(out / "report.html", render_system_page(study))
     passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
-    lines = [f"study {own.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
+    lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
     lines += [end_text(own, record), *cost_lines(own.system, record.figures), *study.best]
     lines += ["", *([f"code   {out / 'export'} ({len(files)} files)"] if files else [])]

@@ -269,7 +269,7 @@ class Dynamics:
         return np.asarray(jacobian(self.equilibrium, at))
 
     def rests(self) -> bool:
-        """Return whether no state moves at the equilibrium: relative to its rates, up to rounding, for all parameters."""
+        """Return whether no state moves at the equilibrium, up to rounding and relative to its rates, for any w."""
         corners = self.corners()
         w = np.repeat(corners, _DRAWS, axis=1)
         unit = np.tile(np.random.default_rng(0).uniform(-1, 1, (len(self.states), _DRAWS)), corners.shape[1])

@@ -16,6 +16,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification import Locus, build_cascade
 from surctl.marine.verification.linear import open_loop
 from surctl.report.theme import (
@@ -49,7 +50,6 @@ __all__ = [
     "sensitivities",
 ]
 
-_THRUST = ("surge", "sway", "heave", "yaw")
 _MEASURED = ("along_track", "cross_track", "depth", "heading")
 _SLOWEST = 1e-2  # [rad/s]
 _POINTS = 400
@@ -101,7 +101,7 @@ def loop_responses(
     """
     cascade = build_cascade(vehicle, gains, cruise=cruise, dt=dt)
     omega = np.geomspace(_SLOWEST, np.pi / dt, _POINTS)
-    broken = [(name, "thrust", cascade.at_thrust(k)) for k, name in enumerate(_THRUST)]
+    broken = [(name, "thrust", cascade.at_thrust(k)) for k, name in enumerate(AXES[:4])]
     broken += [(name, "measurement", cascade.at_output(k)) for k, name in enumerate(_MEASURED)]
     return tuple(LoopResponse(name, at, omega, _frequency_response(*loop, omega)) for name, at, loop in broken)
 
