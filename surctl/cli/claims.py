@@ -38,7 +38,6 @@ __all__ = [
 ]
 
 
-
 def statement_lines(exact: Statement, certificate: Mapping[str, Any] | None) -> list[str]:
     """Return the statement as the checker reads it: from the certificate, if there is one."""
     from surctl.verification.formula import text_of
