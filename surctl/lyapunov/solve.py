@@ -340,7 +340,9 @@ def _solved(
         problem.dynamics, problem.initial, problem.unsafe, time_limit=time_limit, seed=seed, progress=progress
     )
     verdict: Literal["proved", "unknown"] = "proved" if barrier.verdict == "proved" else "unknown"
-    reason = "" if verdict == "proved" else f"no barrier was found ({', '.join(barrier.tried)})"
+    tried = ", ".join(barrier.tried) or "at the samples, no polynomial of degree 4 or lower meets the conditions"
+    limit = f"the time limit was {time_limit:g} s of processor time"
+    reason = "" if verdict == "proved" else f"no barrier was found: {tried}; {limit}"
     seconds = time.perf_counter() - began
     return Solution(problem, verdict, reason, barrier.decision, None, "linear program over samples", seconds)
 
