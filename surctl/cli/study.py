@@ -199,14 +199,16 @@ def study_system(
     subject = ClosedLoop(
         own.system, values, {**own.system.ranges, **uncertain}, record, region=None if problem is None else solved
     )
-    assessment = assess(subject).with_lines([export_line(sil)])
+    ran = [end_text(own, record), *cost_lines(own.system, record.figures)]
+    swept = None
+    with stoppable(f"the code is in {out / 'export'}; not finished: margins, region, sweep", ran, as_json=as_json):
+        assessment = assess(subject).with_lines([export_line(sil)])
+        if design is not None:
+            progress(f"sweep of {len(design[0].points)} points")
+            with saving("sweep"):
+                swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     loop, solution = assessment.sources["loop"], assessment.sources.get("region")
     judged = not isinstance(loop, InputError)
-    swept = None
-    if design is not None:
-        progress(f"sweep of {len(design[0].points)} points")
-        with saving("sweep"):
-            swept = sweep_system(own.system, design[0], duration, draws=design[1], values=values, threads=workers)
     best = {} if swept is None else best_points(swept)
     about = [word for word in others if not word.startswith("start.")]
     study = SystemStudy(
@@ -227,7 +229,7 @@ def study_system(
     passed = assessment.passed is not False and (solution is None or solution.verdict == "proved")
     lines = [f"study {own.system.title}: {'passed' if passed else 'NOT passed'}: {assessment.banner}"]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
-    lines += [end_text(own, record), *cost_lines(own.system, record.figures), *study.best]
+    lines += [*ran, *study.best]
     lines += ["", *([f"code   {out / 'export'} ({len(files)} files)"] if files else [])]
     lines += [f"report {report}"] if report else []
     data: dict[str, Any] = {
