@@ -336,7 +336,7 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     for word, problem in problems.items():
         with (
             timed(problem.dynamics.name, time_limit),
-            stoppable("the finished claims are above", lines, as_json=as_json),
+            stoppable("", lines, above="the finished claims are above", as_json=as_json),
         ):
             try:
                 solution = solve(problem, time_limit=time_limit, seed=seed, progress=progress)

@@ -362,8 +362,13 @@ class Stopped(click.Abort):
 
 
 @contextmanager
-def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False) -> Iterator[None]:
-    """Turn Ctrl-C inside the `with` statement into `Stopped`, after `lines` are printed (except with --json)."""
+def stoppable(
+    message: str, lines: Sequence[str] = (), *, above: str = "", as_json: bool = False
+) -> Iterator[None]:  # fmt: skip
+    """Turn Ctrl-C inside the `with` statement into `Stopped`, after `lines` are printed (except with --json).
+
+    The text `above` is about the printed lines: it is left out where there are none.
+    """
     try:
         yield
     except (Exception, KeyboardInterrupt) as error:
@@ -372,7 +377,9 @@ def stoppable(message: str, lines: Sequence[str] = (), *, as_json: bool = False)
         if lines and not as_json:
             sys.stdout.write("\n".join(lines) + "\n")
             sys.stdout.flush()
-        raise Stopped(message) from None
+        else:
+            above = ""
+        raise Stopped("; ".join(filter(None, (above, message))) or "no result was finished") from None
 
 
 def interrupted(error: BaseException | None) -> bool:
