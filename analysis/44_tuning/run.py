@@ -114,7 +114,8 @@ def tuned(vehicle: Vehicle, cruise: float, folder: Path, trials: int) -> Row:
         (folder / "mission.toml").write_text(toml_text(scenario_table(mission)))
         study = STUDY.format(vehicle=vehicle.name, deviation=round(0.5 * vehicle["radius"], 3))
         (folder / "study.toml").write_text(study)
-        command = [sys.executable, "-m", "surctl", "tune", "study.toml", "--trials", str(trials), *WORDS, "--out", "out"]
+        words = ("--trials", str(trials), *WORDS, "--out", "out")
+        command = [sys.executable, "-m", "surctl", "tune", "study.toml", *words]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, env=os.environ, check=False)
         if done.returncode not in (0, 1):
             fault = done.stderr.strip().splitlines()[-1]

@@ -372,7 +372,7 @@ def sweep_own_system(
     best = {name: row | {"assessment": loops[name].to_dict()} for name, row in best.items()}
     indices = None if sensitivity is None else sobol_indices(chosen, swept.mean(sensitivity), sensitivity)
     lost = [k for k, stopped in enumerate(runs.stopped) if stopped == LOST]
-    lines = [f"{own.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
+    lines = [f"{own.system.title}: {len(runs.time)} runs of {duration:g} s, control period {own.system.dt:g} s"]
     lines += _rows(swept) if indices is None else indices.lines()
     for name, row in best.items():
         lines += [best_line(swept, name, row), *(f"  {line.mark} {line.text}" for line in loops[name].lines)]

@@ -210,9 +210,9 @@ def verify(
     braked = prove_all([n for n in claims if is_braking(n)], vehicle=vehicle, gains=tuned.gains, cap=speeds[1], out=out)
     verdicts, files, lines = [], dict[str, Path](), list[str]()
     where = "" if out is None else f", certificates in {out}"
-    message = f"the finished claims are above{where}; for the other claims: surctl verify CLAIM"
+    above, message = f"the finished claims are above{where}", "for the other claims: surctl verify CLAIM"
     for claim in chosen:
-        with timed(claim.name), stoppable(message, lines, as_json=as_json):
+        with timed(claim.name), stoppable(message, lines, above=above, as_json=as_json):
             verdicts.append(decide(claim, seed=seed, time_limit=time_limit or _SHORT, progress=progress))
         files |= _write_certificates(verdicts[-1:], out)
         lines.append(claim_line(verdicts[-1]))

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir.cache import stored_numbers
+from surctl.verification.loops import golden_section
 
 __all__ = [
     "LEAST_DISK_MARGIN",
@@ -220,7 +221,6 @@ _SCREENED_TOGETHER = 16  # loops evaluated together, so that their responses fit
 _PEAKS = 3  # largest number of peaks of the grid that are refined
 _LOW_PEAK = 0.9  # lowest peak that is refined, as a share of the highest
 _SHRINKS = 24
-_GOLDEN = (np.sqrt(5) - 1) / 2
 _EXCESS = 2e-3  # the level for the proof exceeds the highest peak found by this share
 _SWEEPS = 12  # largest number of passes over the channels to balance a matrix
 _LITTLE = 1e-6  # the passes end if they change all squared scalings by at most this share
@@ -483,22 +483,18 @@ def _local_peaks(values: Array) -> list[int]:
 
 
 def _refined(closed: OpenLoop, grid: Array, at: list[int]) -> list[float]:
-    # golden-section search between the neighbours on the grid
+    # between the neighbours on the grid
     places = np.array(at)
     low, high = grid[np.maximum(places - 1, 0)], grid[np.minimum(places + 1, len(grid) - 1)]
 
-    def heights(omega: Array) -> Array:
-        return _balanced(_sensitivity(closed, omega.reshape(-1)))[1].reshape(omega.shape)
+    def depths(omega: Array) -> Array:
+        return -_balanced(_sensitivity(closed, omega.reshape(-1)))[1].reshape(omega.shape)
 
-    best, where = heights(grid[places]), grid[places]
-    for _ in range(_SHRINKS):
-        both = np.stack([high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)])
-        values = heights(both)
-        for height, omega in zip(values, both, strict=True):
-            higher = height > best
-            best, where = np.where(higher, height, best), np.where(higher, omega, where)
-        lower = values[0] > values[1]
-        low, high = np.where(lower, low, both[0]), np.where(lower, both[1], high)
+    best, where = depths(grid[places]), grid[places]
+    for both, values in golden_section(depths, low, high, shrinks=_SHRINKS):
+        for depth, omega in zip(values, both, strict=True):
+            deeper = depth < best
+            best, where = np.where(deeper, depth, best), np.where(deeper, omega, where)
     return [float(omega) for omega in where]
 
 

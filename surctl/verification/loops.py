@@ -8,7 +8,7 @@ product over poles, and no linear system is solved at any frequency. A is first 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -22,6 +22,7 @@ __all__ = [
     "LoopMargins",
     "SensitivityShape",
     "crossings_of",
+    "golden_section",
     "margins_from",
     "shape_of",
     "state_blocks",
@@ -224,16 +225,47 @@ def _least(
 ) -> NDArray[np.float64]:
     """Return the least value of `radius` over frequency at every point (n,), by golden-section search from the grid."""
     points, log = np.arange(len(response)), np.log(grid)
+
+    def radii(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.stack([radius(loop.response(np.exp(one), points)) for one in at])
+
     coarse = radius(response)
     nearest = np.argmin(coarse, axis=1)
     low, high = log[np.maximum(nearest - 1, 0)], log[np.minimum(nearest + 1, len(grid) - 1)]
     least: NDArray[np.float64] = coarse[points, nearest]
-    for _ in range(_SHRINKS):
-        one, other = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        first, second = (radius(loop.response(np.exp(at), points)) for at in (one, other))
-        least = np.minimum(least, np.minimum(first, second))
-        low, high = np.where(first < second, low, one), np.where(first < second, other, high)
+    for _, values in golden_section(radii, low, high, shrinks=_SHRINKS):
+        least = np.minimum(least, values.min(axis=0))
     return least
+
+
+def golden_section(
+    function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    *,
+    shrinks: int,
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Yield points (2, n) and the values there while n intervals shrink around least values of a function.
+
+    Args:
+        function: the values (2, n) at points (2, n).
+        low: lower ends (n,) of the intervals.
+        high: upper ends (n,).
+        shrinks: how often the intervals shrink, each time to 0.618 of their length.
+
+    Example:
+        >>> import numpy as np
+        >>> from surctl.verification.loops import golden_section
+        >>> *_, (points, values) = golden_section(lambda x: (x - 0.3) ** 2, np.zeros(1), np.ones(1), shrinks=30)
+        >>> points.round(5).ravel().tolist()
+        [0.3, 0.3]
+    """
+    for _ in range(shrinks):
+        both = np.stack([high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)])
+        values = function(both)
+        yield both, values
+        lower = values[0] < values[1]
+        low, high = np.where(lower, low, both[0]), np.where(lower, both[1], high)
 
 
 # Stability margins of one loop at a time.

@@ -16,6 +16,7 @@ from matplotlib.patches import Circle
 from numpy.typing import NDArray
 
 from surctl.marine.vehicle import Vehicle
+from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification import Locus, cruise_loop
 from surctl.marine.verification.cruise_loop import TRACKING_LAW
 from surctl.marine.verification.linear import open_loop
@@ -50,7 +51,6 @@ __all__ = [
     "sensitivities",
 ]
 
-_THRUST = ("surge", "sway", "heave", "yaw")
 _MEASURED = ("along_track", "cross_track", "depth", "heading")
 _SLOWEST = 1e-2  # [rad/s]
 _POINTS = 400
@@ -103,7 +103,7 @@ def loop_responses(
     """
     loop = cruise_loop(vehicle, gains, cruise=cruise, dt=dt, law=law)
     omega = np.geomspace(_SLOWEST, np.pi / dt, _POINTS)
-    broken = [(name, "thrust", loop.at_thrust(k)) for k, name in enumerate(_THRUST)]
+    broken = [(name, "thrust", loop.at_thrust(k)) for k, name in enumerate(AXES[:4])]
     broken += [(name, "measurement", loop.at_output(k)) for k, name in enumerate(_MEASURED)]
     z = np.exp(1j * dt * omega)
     return tuple(LoopResponse(name, at, omega, _frequency_response(*each, z)) for name, at, each in broken)

@@ -401,6 +401,7 @@ def _round(
     """
     left, verified = Screened(request, pool.gains(pool.best(pool.evaluation.normalised[0])), ()), None
     if runs:
+        progress(f"testing the best gain sets with {TRAINING * runs} training runs and {runs} fresh ones")
         left = screen(request, pool, runs=TRAINING * runs, progress=progress)
         conditions = fresh(request.cases, runs=runs, first=used + number * runs, tuning=request.seed)
         verified = monte_carlo(request.goals, conditions, left.gains, threads=request.threads)

@@ -26,6 +26,7 @@ from surctl.marine.control import Gains, Law, law_source
 from surctl.marine.simulation import Run, Scenario
 from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, plant_parameters, trim_thrust
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
+from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers
 from surctl.own_code import label
@@ -179,7 +180,6 @@ _REMEDY = "give a scenario with a longer straight part"
 
 
 _UNITS = {"x": "m", "y": "m", "z": "m", "psi": "rad", "u": "m/s", "v": "m/s", "w": "m/s", "r": "rad/s"}
-_AXES = ("surge", "sway", "heave", "yaw")
 _STEP = 1e-6  # of the central differences
 _KINK = 0.01  # relative difference of one-sided derivatives that is reported
 
@@ -328,7 +328,7 @@ def _linear(
     A, B = A[np.ix_(included, included)], B[np.ix_(included, driven)]
     own = in_loop(Az, By[:, moving], C)
     Az, By, C, D = Az[np.ix_(own, own)], By[np.ix_(own, moving)], C[np.ix_(driven, own)], D[np.ix_(driven, moving)]
-    names, axes = states[: len(moving)], [_AXES[k] for k in driven]
+    names, axes = states[: len(moving)], [AXES[k] for k in driven]
     # a state of the law may have several entries, so the loop names them by number
     inner = [f"law_{k}" for k in range(len(own))] + [f"late_{axis}" for axis in axes]
     zero, none = np.zeros((len(driven), len(driven))), np.zeros((len(driven), 0))
