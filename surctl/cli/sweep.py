@@ -237,7 +237,9 @@ def sweep(
         "sensitivity": None if sobol is None else sobol.to_dict(),
         "table": str(table.path),
     }
-    finish(data, lines, as_json=as_json, passed=picked is not None, then=then)
+    files = [*([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
+    brief = [where, *moved] if sobol is None else [*sobol.lines(), where, *moved]
+    finish(data, lines, as_json=as_json, passed=picked is not None, then=then, brief=brief, files=files)
 
 
 def _vehicles(cases: Sequence[Case], typed: Sequence[str]) -> list[str]:
@@ -401,7 +403,12 @@ def sweep_own_system(
         row = next(iter(best.values()))
         numbers = [f"{n}={v!r}" for n, v in (row["at"] | row["random"]).items()]
         then = [command_line("simulate", own, *numbers, "--seconds", f"{duration:g}")]
-    finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+    brief = [lines[0], *(best_line(swept, name, row) for name, row in best.items())]
+    brief += [f"{line.mark} {line.text}" for one in loops.values() for line in one.lines if line.rank == 0]
+    brief += [line for line in lines if " are not finite: " in line] if lost else []
+    brief += [] if indices is None else indices.lines()
+    where = [f"table {table or swept.path}"]
+    finish(data, lines, as_json=as_json, passed=bool(best), then=then, brief=brief, files=where)
 
 
 def choices_and_draws(

@@ -345,7 +345,16 @@ def tune(
         then = (
             [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else look(missed, str(gains_path), options)
         )
-    finish(result, lines, as_json=as_json, passed=not unmet, then=then)
+    brief = [headline, *([warning] if warning else []), *floor, *summary(tuning)[-2:], *doubtful, *over]
+    finish(
+        result,
+        lines,
+        as_json=as_json,
+        passed=not unmet,
+        then=then,
+        brief=brief,
+        files=[f"gains {gains_path}", f"all {everything}"],
+    )
 
 
 def _needs_page(scenario: str | None) -> str:
@@ -466,7 +475,11 @@ def tune_own_system(
         command_line("export", own, *numbers, "--seconds", f"{duration or 100 * own.system.dt:g}"),
     ]
     fine = all(map(math.isfinite, result.costs.values()))
-    finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
+    brief = [headline, *doubtful, *map(str.strip, result.lines(own.system))]
+    finish(
+        data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else (),
+        brief=brief, files=[f"gains {table}"] if table else [],
+    )  # fmt: skip
 
 
 def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:
