@@ -10,7 +10,6 @@ from pathlib import Path
 import click
 import pytest
 
-from surctl.cli.app import app
 from surctl.cli.output import as_json, finish
 from tests.cli.process import Outcome, surctl_here
 from tests.cli.test_commands import CLAIM
