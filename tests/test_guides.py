@@ -156,7 +156,12 @@ def run(command: str, folder: Path) -> str:
     if program in ("surctl", "python"):
         words = ["-m", "surctl", *words] if program == "surctl" else words
         often = {"SURCTL_CFLAGS": "-O1"} if "tune" in words else {}  # flying takes longer there than compiling
-        done = run_python(words, cwd=folder, environment={**os.environ, "MPLBACKEND": "agg", "SURCTL_VERBOSE": "", **often}, drawn=False)
+        done = run_python(
+            words,
+            cwd=folder,
+            environment={**os.environ, "MPLBACKEND": "agg", "SURCTL_VERBOSE": "", **often},
+            drawn=False,
+        )
     else:
         done = subprocess.run(
             [program, *words], cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False
