@@ -56,7 +56,11 @@ def check(
     lines = [f"{word} ({outcome.kind or 'unknown kind'}, {outcome.seconds:.2f} s)"]
     if outcome.accepted:
         lines += ([f"  proves: {outcome.proves}"] if outcome.proves else []) + _shown(outcome.claim)
-    brief = [lines[0], *([f"proves: {outcome.proves}"] if outcome.accepted and outcome.proves else [])]
+    brief = [lines[0]]
+    if outcome.accepted:
+        stated = {"claim": outcome.claim.get("name"), "proves": outcome.proves}
+        stated["excludes"] = "; ".join(map(str, outcome.claim.get("excludes", [])))
+        brief += [f"{key}: {text}" for key, text in stated.items() if text]
     said = len(lines)
     if gains_id is not None and bundle is None:
         raise click.UsageError("--gains-id needs --bundle")

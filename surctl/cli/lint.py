@@ -112,8 +112,7 @@ class _Linted(NamedTuple):
     def counts(self, file: str) -> str:
         """Return the file, and how many entries of each level it has."""
         levels = [finding["level"] for finding in self.data["findings"]]
-        names = {"error": "cannot work", "warning": "may not work", "info": "assumed or noted"}
-        counts = [f"{levels.count(level)} {name}" for level, name in names.items() if level in levels]
+        counts = [f"{levels.count(level)} x {level}" for level in dict.fromkeys(levels)]
         return f"{file}: {', '.join(counts) or 'nothing found'}"
 
 
