@@ -117,7 +117,6 @@ def simulate(
     as_json: bool,
 ) -> None:
     """Simulate scenarios, or a system of your own (surctl new system NAME).
-
     Exit status: 1 if a run collides or does not arrive; campaigns resume in DIR.
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """

@@ -71,7 +71,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--priority-mode",
     default="nsb",
     metavar="NAME",
-    help="Priorities: nsb (default), filter, projected or lexicographic.",
+    help="Mode: nsb (default), filter, projected, lexicographic.",
 )
 @click.option(
     "--guidance",

@@ -53,7 +53,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     type=float,
     default=0.0,
     metavar="X",
-    help="Relative error of mass and drag, e.g. 0.2 for ±20 % (default 0).",
+    help="Error of mass and drag, e.g. 0.2 for ±20 % (default 0).",
 )
 @click.option(
     "--cruise",
