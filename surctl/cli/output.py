@@ -391,8 +391,8 @@ def _summary(
         tail += commands.pop(0)
     body: list[str] = []
     for k, line in enumerate(decisive):
-        room = _MOST - len(tail) - len(body)
-        body += _folded(line, max(room - (k > 0) * (len(decisive) - k - 1), 1) if room else 0)
+        free = _MOST - len(tail) - len(body)
+        body += _folded(line, max(free - (k > 0) * (len(decisive) - k - 1), 1) if free else 0)
     while commands and len(body) + len(tail) + len(commands[0]) <= _MOST:
         tail += commands.pop(0)
     left = "(more: --verbose)"

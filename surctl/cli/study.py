@@ -179,12 +179,14 @@ def study_system(
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
+    from surctl.ir import find_compiler
     from surctl.lyapunov import solve
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
     from surctl.tuning import sweep_system
 
     own = load_system(words)
+    find_compiler()
     own.exported_name(reserved=reserved)
     axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
     others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)

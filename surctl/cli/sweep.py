@@ -339,6 +339,7 @@ def sweep_own_system(
     from surctl.assessment import ClosedLoop, assess
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
+    from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.system import LOST
     from surctl.tuning import parse_axis, sobol_indices, sweep_system
@@ -356,6 +357,8 @@ def sweep_own_system(
     if as_json and count > _MOST_JSON:
         problem = f"would print {count} runs"
         raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
+    if executor is None:
+        find_compiler()
     prepare_folder(out)
     with stoppable(f"the finished runs are in {out}; to continue: {same_command()}"):
         swept = sweep_system(

@@ -397,6 +397,7 @@ def tune_own_system(
     from surctl.assessment import ClosedLoop, Comparison, assess
     from surctl.errors import InputError
     from surctl.files import prepare_folder
+    from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.tuning.goals import load_system_goals, not_representative, step_goals
     from surctl.tuning.systems import check_tuning, tune_system
@@ -406,6 +407,8 @@ def tune_own_system(
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
     cases, space = _cases(own), gain_ranges_of(own, ranges)
     check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
+    if own.system.costs:  # its runs are compiled
+        find_compiler()
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
     file = out / _SO_FAR
