@@ -240,8 +240,8 @@ def sweep(
     files = [*([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
     feasible = table.column("feasible") > 0.5
     best = {} if picked is None else table.at(picked)
-    at = "; the best has " * bool(best) + ", ".join(f"{name} = {value:.4g}" for name, value in best.items())
-    brief = [f"{feasible.sum()} of {feasible.size} points are feasible{at}"]
+    values = "; the best has " * bool(best) + ", ".join(f"{name} = {value:.4g}" for name, value in best.items())
+    brief = [f"{feasible.sum()} of {feasible.size} points are feasible{values}"]
     brief = [*(sobol.lines() if sobol is not None else ()), *brief, *([where] if picked is None else ()), *moved]
     finish(data, lines, as_json=as_json, passed=picked is not None, then=then, brief=brief, files=files)
 
