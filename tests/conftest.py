@@ -1,5 +1,7 @@
 """Randomness has a seed: Hypothesis draws the same examples in every run, and no deadline on noisy machines.
 
+Commands print all their lines, not the summary alone; the tests of summaries and of pages ask for these.
+
 Blocks are compiled sooner than with -O2, to the same bytes; the tests of those name their own -O.
 """
 
@@ -21,6 +23,8 @@ from tests import processes
 gc.disable()  # while the tests are collected: a quarter of that time
 settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=50)  # study 40: 100
 settings.load_profile("repeatable")
+
+os.environ["SURCTL_VERBOSE"] = "1"
 
 HERE = Path(__file__).parent
 SPENT = "processor time [s]"

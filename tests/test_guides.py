@@ -156,7 +156,12 @@ def run(command: str, folder: Path) -> str:
     if program in ("surctl", "python"):
         words = ["-m", "surctl", *words] if program == "surctl" else words
         often = {"SURCTL_CFLAGS": "-O1"} if "tune" in words else {}  # flying takes longer there than compiling
-        done = run_python(words, cwd=folder, environment={**os.environ, "MPLBACKEND": "agg", **often}, drawn=False)
+        done = run_python(
+            words,
+            cwd=folder,
+            environment={**os.environ, "MPLBACKEND": "agg", "SURCTL_VERBOSE": "", **often},
+            drawn=False,
+        )
     else:
         done = subprocess.run(
             [program, *words], cwd=folder, capture_output=True, text=True, timeout=PATIENCE, check=False
@@ -223,7 +228,7 @@ def test_the_figures_of_the_readme_stand_on_the_page_that_their_row_names() -> N
 def test_the_readme_is_short_and_has_the_two_commands() -> None:
     lines = README.read_text(encoding="utf-8").splitlines()
     assert len(lines) <= 200
-    indented = [line.strip() for line in lines if line.startswith("    ")]
+    indented = re.findall(r"^    (.*\S)", BLOCK.sub("", "\n".join(lines)), re.MULTILINE)
     assert indented == ["pip install . && surctl study", 'pip install -e ".[dev]" && pytest']
 
 

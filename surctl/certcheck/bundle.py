@@ -32,6 +32,7 @@ __all__ = ["Listed", "Manifest", "Port", "manifest_seal", "numbers_sha256", "rea
            "stated_sha256"]  # fmt: skip
 
 MANIFEST, LAW = "manifest.json", "law.txt"
+FORMAT_VERSION = 1  # of the manifest and of what it lists
 _LARGEST = 32_000_000  # [bytes] of one file
 _MOST = 2000  # files and folders
 _DEEPEST = 6  # folders inside one another
@@ -135,9 +136,10 @@ def read_bundle(folder: Path) -> Manifest:
         document = json.loads(raw.decode(), parse_constant=_refused, parse_float=_decimal, object_pairs_hook=_unique)
     except (UnicodeDecodeError, ValueError, RecursionError) as error:
         raise InputError(f"is not JSON: {error}", file=path, remedy=_REMEDY) from None
-    if isinstance(document, dict) and "gains" in document and not {"seal", "lists"} <= document.keys():
-        remedy = "export the controller again"
-        raise InputError("is of an older version, without the law's instruction list", file=path, remedy=remedy)
+    if isinstance(document, dict) and "gains" in document and document.get("format_version") != FORMAT_VERSION:
+        stated = str(document.get("format_version", "none"))[:20]
+        problem = f"this version of surctl reads format version {FORMAT_VERSION} of a bundle only"
+        raise InputError(problem, file=path, key="format_version", value=stated, remedy="export the controller again")
     try:
         if document["seal"] != manifest_seal(document):
             wrong.append("the manifest was altered: its seal does not match")

@@ -55,7 +55,8 @@ def calibrate(file: str, out: Path | None, as_json: bool) -> None:
             pictures = save_calibrations(results, out)
         lines += [f"sonar {path}" for path in fragments] + [f"rows  {rows}"] + [f"plot  {path}" for path in pictures]
         data["files"] = [str(path) for path in (*fragments, rows, *pictures)]
-    finish(data, lines[:-1] if not lines[-1] else lines, as_json=as_json, passed=True)
+    where = [] if out is None else [f"files {out}"]
+    finish(data, lines[:-1] if not lines[-1] else lines, as_json=as_json, passed=True, files=where)
 
 
 def _lines(one: SensorCalibration) -> list[str]:

@@ -56,10 +56,16 @@ def check(
     lines = [f"{word} ({outcome.kind or 'unknown kind'}, {outcome.seconds:.2f} s)"]
     if outcome.accepted:
         lines += ([f"  proves: {outcome.proves}"] if outcome.proves else []) + _shown(outcome.claim)
+    brief = [lines[0]]
+    if outcome.accepted:
+        stated = {"claim": outcome.claim.get("name"), "proves": outcome.proves}
+        stated["excludes"] = "; ".join(map(str, outcome.claim.get("excludes", [])))
+        brief += [f"{key}: {text}" for key, text in stated.items() if text]
+    said = len(lines)
     if gains_id is not None and bundle is None:
         raise click.UsageError("--gains-id needs --bundle")
     if bundle is None:
-        finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted)
+        finish(outcome.to_dict(), printable(lines), as_json=as_json, passed=outcome.accepted, brief=printable(brief))
         return
     manifest = read_bundle(bundle)
     nothing: dict[str, Any] = {"belongs": False, "differs": [], "unbound": [], "excludes": []}
@@ -81,7 +87,9 @@ def check(
             else [f"  not bound: {text}, which nothing of the bundle states" for text in comparison.unbound]
         )
         lines += [f"  not covered: {text}" for text in comparison.excludes]
-    finish(result, printable(lines), as_json=as_json, passed=bool(result["bundle"]["belongs"]))
+    brief[1:1] = map(str.strip, lines[said:])
+    passed = bool(result["bundle"]["belongs"])
+    finish(result, printable(lines), as_json=as_json, passed=passed, brief=printable(brief))
 
 
 def _shown(claim: Mapping[str, Any]) -> list[str]:

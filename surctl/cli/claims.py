@@ -311,7 +311,7 @@ def are_problems(words: Sequence[str], *, only: Sequence[str]) -> bool:
     context = click.get_current_context()
     for option in context.command.params:
         typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
-        if isinstance(option, click.Option) and typed and option.name not in only:
+        if isinstance(option, click.Option) and option.expose_value and typed and option.name not in only:
             raise InputError("does not apply to a claim about dynamics", key=option.opts[0], remedy="drop it")
     return True
 
@@ -358,7 +358,8 @@ def verify_motion(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
     if out is None and any(claim["verdict"] == "proved" for claim in claims):
         then = [shlex.join(["surctl", "verify", *words, "--out", "proofs"])]
     result = {"claims": claims} | ({"failures": failures} if failures else {})
-    finish(result, lines, as_json=as_json, passed=not failures, then=then)
+    where = [f"certificates, plots {out}"] if files else []
+    finish(result, lines, as_json=as_json, passed=not failures, then=then, files=where)
 
 
 def write_solution(solution: Solution, out: Path) -> list[Path]:

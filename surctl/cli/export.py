@@ -142,7 +142,7 @@ class Compared(NamedTuple):
 )
 @click.option("--guidance", default="los", metavar="NAME", help="Path guidance: los (default), ilos or alos.")
 @priority_options
-@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law uses it), or truth (inputs).")
+@click.option("--sensing", metavar="NAME", help="Obstacles: sonar (default if the law has it) or truth.")
 @sensor_options
 @click.option("--name", metavar="TEXT", help="Prefix of files and C symbols (default: the law's name).")
 @click.option("--target", default="c99", metavar="NAME", help="Output: c99 (default), fmu (FMI 2), fmu3 or mjcf.")
@@ -326,6 +326,8 @@ def export(
     ]
     lines += [] if failed is None else [f"warning: the replayed run failed: {failed}; see: {_again(started[1])}"]
     lines += compared.summaries(proof)
+    brief = [_sil_line(compared.sil), *([] if failed is None else [f"FAIL the replayed run: {failed}"])]
+    brief += [line for line in compared.summaries(proof) if line] + [replay_text + f"{metrics.time_s:.2f} s"]
     belong = [shlex.join(["surctl", "check", str(file), "--bundle", str(options.out)]) for file in certificates[:1]]
     finish(
         result,
@@ -333,7 +335,17 @@ def export(
         as_json=as_json,
         passed=failed is None and compared.sil.conclusive and compared.passed(proof),
         then=[*belong, *(() if mission.path.fed and options.real != "float64" else started)],
+        brief=brief,
+        files=[f"code {options.out} ({len(files)} files)"],
     )
+
+
+def _sil_line(sil: SilReport) -> str:
+    import numpy as np
+
+    largest = np.max([sil.tau.mixed, sil.state.mixed, sil.telemetry.mixed])
+    head, _, _ = sil.summary().partition("\n")
+    return f"{head}: C and Python differ by at most {largest:.1e}"
 
 
 _RUN_OPTIONS = (
@@ -443,7 +455,10 @@ def export_system(
     }
     passed = sil.exact and record.stopped != LOST and compared.passed(proof)
     then = [f"make -C {shlex.quote(str(options.out))} check"]
-    finish(data, lines, as_json=as_json, passed=passed, then=then)
+    brief = [_sil_line(sil), *(line for line in compared.summaries(proof) if line)]
+    brief += [f"replayed: {end_text(own, record)}", *(f"{line.mark} {line.text}" for line in assessment.lines)]
+    where = [f"code {options.out} ({len(files)} files)"]
+    finish(data, lines, as_json=as_json, passed=passed, then=then, brief=brief, files=where)
 
 
 _APPLY = ("scenario", "vehicle", "target", "out", "as_json")
@@ -464,7 +479,7 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
     context = click.get_current_context()
     for parameter in context.command.params:
         typed = context.get_parameter_source(str(parameter.name)) != ParameterSource.DEFAULT
-        if typed and parameter.name not in _APPLY:
+        if typed and parameter.expose_value and parameter.name not in _APPLY:
             remedy = "drop it: the model holds the scenario and the vehicle, without a controller"
             raise InputError("does not apply to --target mjcf", key=parameter.opts[0], remedy=remedy)
     mission = load_scenario(scenario)
@@ -476,4 +491,4 @@ def export_scene(scenario: str, vehicle: str | None, *, out: Path, as_json: bool
     lines = [choice.line(robot.name), f"{mission.name}, {dof} degrees of freedom"]
     lines += [f"{hashes[file.name][:12]}  {file}" for file in files]
     result = {"files": [str(file) for file in files], "sha256": hashes, "dof": dof, "vehicle_from": choice.origin}
-    finish(result, lines, as_json=as_json, passed=True)
+    finish(result, lines, as_json=as_json, passed=True, brief=[lines[1]], files=[f"model {out}"])

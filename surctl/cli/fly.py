@@ -149,7 +149,9 @@ def fly(
         result = _rehearsed(bridge, LinkQuality(loss=loss, delay=delay), script, out=out, seed=seed)
         files = [] if out is None else sorted(str(path) for path in out.glob(f"{_stem(mission, seed)}.*"))
         lines += [f"{at:8.2f} s  {text}" for at, text in result.texts] + [_summary(result), *files]
-        finish(_data(result) | {"files": files}, lines, as_json=as_json, passed=result.arrived and not result.touched)
+        passed, brief = result.arrived and not result.touched, [_summary(result), *(text for _, text in result.texts)]
+        data, where = _data(result) | {"files": files}, [] if out is None else [f"record {out}"]
+        finish(data, lines, as_json=as_json, passed=passed, brief=brief, files=where)
     assert out is not None and address is not None
     for line in lines:
         progress(line)

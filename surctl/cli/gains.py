@@ -74,6 +74,7 @@ def derive(
     if isinstance(contact, SafetyClaim) and not contact.holds:
         at = f"at up to {contact['speed cap']:.3g} m/s in still water"
         lines.append(f"  no contact with obstacles {at} does not hold: {contact.shortfall}")
+    brief = [line.strip() for line in lines if not line.startswith("  ") or "no contact" in line]
     lines += [f"  {name:<10} {value:8.4g} {derivation.gains.specs[name].unit}" for name, value in derivation.shown()]
     then = []
     if not derivation.reached and derivation.bearable > 0:
@@ -86,7 +87,10 @@ def derive(
         words = ["surctl", "verify", "--vehicle", vehicle, "--gains", str(target)]
         then.append(shlex.join([*words, "--cruise", f"{derivation.cruise:g}"]))
     data = derivation.to_dict() | {"file": None if out is None else str(out)}
-    finish(data, lines, as_json=as_json, passed=derivation.reached, then=then)
+    finish(
+        data, lines, as_json=as_json, passed=derivation.reached, then=then, brief=brief,
+        files=[] if out is None else [f"gains {out}"],
+    )  # fmt: skip
 
 
 def _contact(vehicle: Vehicle, derivation: Derivation) -> SafetyClaim | Inapplicable | None:

@@ -109,6 +109,12 @@ class _Linted(NamedTuple):
     works: bool
     then: list[str]
 
+    def counts(self, file: str) -> str:
+        """Return the file, and how many entries of each level it has."""
+        levels = [finding["level"] for finding in self.data["findings"]]
+        counts = [f"{levels.count(level)} x {level}" for level in dict.fromkeys(levels)]
+        return f"{file}: {', '.join(counts) or 'nothing found'}"
+
 
 @click.command
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
@@ -122,11 +128,15 @@ def lint(files: tuple[str, ...], vehicle: str | None, as_json: bool) -> None:
     done = [_linted(file, vehicle) for file in files]
     if len(done) == 1:
         one = done[0]
-        finish(one.data, one.lines, as_json=as_json, passed=one.works, then=one.then)
+        brief = [one.counts(files[0]), *one.lines]
+        finish(one.data, one.lines, as_json=as_json, passed=one.works, then=one.then, brief=brief)
     lines = [
         line for file, one in zip(files, done, strict=True) for line in (f"{file}:", *(f"  {s}" for s in one.lines))
     ]
-    finish({"files": [one.data for one in done]}, lines, as_json=as_json, passed=all(one.works for one in done))
+    finish(
+        {"files": [one.data for one in done]}, lines, as_json=as_json, passed=all(one.works for one in done),
+        brief=[one.counts(file) for file, one in sorted(zip(files, done, strict=True), key=lambda one: one[1].works)],
+    )  # fmt: skip
 
 
 def _linted(file: str, vehicle: str | None) -> _Linted:

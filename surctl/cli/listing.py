@@ -54,4 +54,5 @@ def listing(show: str | None, as_json: bool) -> None:
     for kind, group in names.items():
         text = f"{kind}: {', '.join(group)}"
         lines += wrap(text, 100, subsequent_indent="  ", break_on_hyphens=False)
-    finish(names, lines, as_json=as_json, passed=True)
+    brief = [f"{kind} ({len(group)}): {', '.join(group)}" for kind, group in names.items() if len(group) > 1]
+    finish(names, lines, as_json=as_json, passed=True, brief=brief)

@@ -81,4 +81,6 @@ def from_plan(
         as_json=as_json,
         passed=True,
         then=[f"surctl lint {shown}", f"surctl simulate {shown}"],
+        brief=[lines[0], *(f"note: {note}" for note in notes)],
+        files=[f"wrote {target}"],
     )

@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from functools import wraps
 from pathlib import Path
+from textwrap import wrap
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar, cast
 
@@ -240,6 +241,7 @@ def signs_of_life(patience: float = 10.0) -> Iterator[None]:
 
 C = TypeVar("C", bound=Callable[..., Any])
 
+_WIDTH, _MOST = 100, 5  # of a summary: columns, lines
 _LOST_FILES = "surctl.lost_files"  # key of the command's context
 
 
@@ -286,7 +288,25 @@ def collected(**kinds: type[Any]) -> Callable[[Callable[..., None]], Callable[..
     return decorate
 
 
-as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout.")
+_VERBOSE = "surctl.verbose"  # key of the command's context
+
+
+def _set_verbose(context: click.Context, option: click.Parameter, value: bool) -> None:
+    context.meta[_VERBOSE] = value
+
+
+as_json = together(
+    click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout."),
+    click.option(
+        *("--verbose", "-v"),
+        is_flag=True,
+        expose_value=False,
+        envvar="SURCTL_VERBOSE",
+        callback=_set_verbose,
+        help=f"Print all lines, not only {_MOST} that summarise them.",
+    ),
+)
+"""A decorator that adds the options of the output, `--json` and `--verbose`, to a command that ends with `finish`."""
 out_folder = click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Folder for plots and files (default: no files)."
 )
@@ -314,17 +334,92 @@ def printable(lines: Sequence[str]) -> list[str]:
 
 
 def finish(
-    result: Mapping[str, Any], lines: Sequence[str], *, as_json: bool, passed: bool, then: Sequence[str] = ()
+    result: Mapping[str, Any],
+    lines: Sequence[str],
+    *,
+    as_json: bool,
+    passed: bool,
+    then: Sequence[str] = (),
+    brief: Sequence[str] | None = None,
+    files: Sequence[str] = (),
+    whole: bool = False,
 ) -> None:
-    """Print the result and the suggested next commands, and exit with status 0 if `passed`, otherwise 1."""
-    shown = [*lines, "next", *(f"  {command}" for command in then)] if then else lines
-    data = {**result, "next": list(then)} if then else result
-    lines = printable([json.dumps(finite(data), ensure_ascii=not is_utf8())]) if as_json else shown
-    text = "\n".join(lines)
+    """Print the result and the suggested next commands, and exit with status 0 if `passed`, otherwise 1.
+
+    Without --verbose, a summary of at most five lines is printed: what decides, where the files are, what is next.
+
+    Args:
+        result: data for --json.
+        lines: all lines.
+        as_json: print `result` in place of the lines.
+        passed: whether the result is as expected.
+        then: commands to suggest next, the most useful one first.
+        brief: what decides, most important first; None: the lines that are not indented.
+        files: what was written where.
+        whole: print all lines in any case, as for the text of a file.
+    """
+    context = click.get_current_context()
+    everything = "\n".join([*lines, *(["next", *(f"  {command}" for command in then)] if then else ())])
+    if as_json:
+        data = {**result, "next": list(then)} if then else result
+        (text,) = printable([json.dumps(finite(data), ensure_ascii=not is_utf8())])
+    elif whole or context.meta.get(_VERBOSE):
+        text = everything
+    else:
+        text = "\n".join(_summary(everything.split("\n"), lines if brief is None else brief, files, then))
     sys.stdout.write((text if as_json or not _has_colours() else _coloured(text)) + "\n")
     sys.stdout.flush()
-    context = click.get_current_context()
     context.exit(1 if not passed else LOST if context.meta.get(_LOST_FILES) else 0)
+
+
+def _summary(
+    everything: Sequence[str], brief: Sequence[str], files: Sequence[str], then: Sequence[str]
+) -> Sequence[str]:
+    """Return at most `_MOST` lines of at most `_WIDTH` columns; all lines if they are as few and as short."""
+    if len(everything) <= _MOST and all(len(line) <= _WIDTH for line in everything):
+        return everything
+    decisive = [line for line in "\n".join(brief).split("\n") if line and not line.startswith(" ")]
+    decisive = [*decisive[:1], *sorted(decisive[1:], key=lambda line: not line.startswith(_FAILS))]
+    tail = _folded(", ".join(files), 1) if files else []
+    commands = [_command_lines(command, first=not k) for k, command in enumerate(then)]
+    if commands and len(commands[0]) <= _MOST - 2 - len(tail):
+        tail += commands.pop(0)
+    body: list[str] = []
+    for k, line in enumerate(decisive):
+        free = _MOST - len(tail) - len(body)
+        body += _folded(line, max(free - (k > 0) * (len(decisive) - k - 1), 1) if free else 0)
+    while commands and len(body) + len(tail) + len(commands[0]) <= _MOST:
+        tail += commands.pop(0)
+    left = "(more: --verbose)"
+    if len(body) + len(tail) < _MOST:
+        return [*body, left, *tail]
+    return [*body[:-1], _shortened(body[-1], _WIDTH - len(left) - 1) + f" {left}", *tail]
+
+
+_FAILS = ("FAIL", "WORSE", "HARD GOALS", "warning", "error", "open", "n/a", "exit status")
+
+
+def _folded(text: str, most: int) -> list[str]:
+    """Return the text as lines of at most `_WIDTH` columns; the last of `most` lines ends with … if words are left."""
+    lines = wrap(text, _WIDTH, subsequent_indent="     ", break_on_hyphens=False, break_long_words=False)
+    if len(lines) > most > 0:
+        lines[most - 1] = " ".join([lines[most - 1], *map(str.strip, lines[most:])])
+    return [_shortened(line, _WIDTH) for line in lines[:most]]
+
+
+def _shortened(line: str, width: int) -> str:
+    return line if len(line) <= width else line[: width - 1].rpartition(" ")[0] + " …"
+
+
+def _command_lines(command: str, *, first: bool) -> list[str]:
+    """Return a command as lines that a shell reads as one."""
+    lines = ["next " if first else "     "]
+    for word in re.findall(r"(?:'[^']*'|\S)+", command):  # a quoted word may contain spaces
+        if len(lines[-1]) + len(word) > _WIDTH - 3:
+            lines[-1] += " \\"
+            lines.append("       ")
+        lines[-1] += f" {word}"
+    return lines
 
 
 def _has_colours() -> bool:

@@ -61,7 +61,8 @@ def reproduce(
         )
     lines += [f"FAIL {name}: the row is missing" for name in done.missing]
     good = sum(row.as_expected for row in done.rows)
-    lines.append(f"{good} of {len(done.rows)} rows as expected, {sum(row.seconds for row in done.rows):.1f} s")
+    total = f"{good} of {len(done.rows)} rows as expected, {sum(row.seconds for row in done.rows):.1f} s"
+    lines.append(total)
     result = done.to_dict()
     if out is not None:
         words = [
@@ -78,7 +79,9 @@ def reproduce(
             page = write_reproduction(done, out / "reproduction.html", command=" ".join([*words, f"--out {out}"]))
             lines.append(f"page {page}")
             result["page"] = str(page)
-    finish(result, lines, as_json=as_json, passed=done.passed)
+    brief = [total, *(line for line in lines if line.startswith("FAIL"))]
+    files = [f"page {result['page']}"] if "page" in result else []
+    finish(result, lines, as_json=as_json, passed=done.passed, brief=brief, files=files)
 
 
 def row_lines(row: Row) -> list[str]:

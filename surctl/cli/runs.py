@@ -31,6 +31,7 @@ __all__ = [
     "run_line",
     "series_lines",
     "simulate_again",
+    "where",
 ]
 
 _ROUNDING = 1e-9  # [N/s], [N m/s] variation of a thrust below which it is that of rounding
@@ -70,6 +71,11 @@ def activity_line(run: Run) -> str:
         f"yaw); worst axis: {m.axis_sign_changes_per_s:.2g} sign changes/s, saturated {m.axis_saturated_share:.0%} of "
         f"the time; wasted {m.wasted_impulse_n_s:.0f} N s ({m.wasted_share:.0%})"
     )
+
+
+def where(out: Path | None) -> list[str]:
+    """Return where the files of runs are, for a summary."""
+    return [] if out is None else [f"files {out}"]
 
 
 def failure(run: Run) -> str | None:
@@ -359,7 +365,7 @@ class CampaignOptions:
         folder = None if out is None else CampaignFolder(out, tuple(plans))
         if folder is not None:
             folder.prepare(fresh=self.fresh)
-        reports, lines, good = [], list(first), True
+        reports, lines, brief, good = [], list(first), list[str](), True
         nothing = "the runs are not saved; with --out DIR the same command would continue"
         message = nothing if out is None else f"the finished runs are in {out}; to continue: {same_command()}"
         for plan in plans:
@@ -376,6 +382,11 @@ class CampaignOptions:
             reports[-1]["vehicle_from"] = choice.origin
             reports[-1]["linear"], warning = _linear(plan.case)
             lines += [choice.line(plan.case.vehicle.name), *_lines(campaign, files, worst), *warning]
+            counts = campaign.summary.stopped
+            ends = [f"{one.count} {name}" for name, one in counts.items() if one.count]
+            collided = f"collisions with 95 % confidence at most {counts['collision'].at_most():.3%}"
+            brief.append(f"{_head(campaign)} {', '.join(ends)}; {collided}")
+            brief += [f"warning: {line.strip(' :')}" for line in warning[:1]]
             good = good and campaign.summary.stopped["reached"].count == runs
         if out is not None:
             import json
@@ -383,7 +394,7 @@ class CampaignOptions:
             from surctl.cli.output import finite
 
             write_file(out / "summary.json", json.dumps(finite({"campaigns": reports}), indent=1) + "\n")
-        finish({"campaigns": reports}, lines, as_json=as_json, passed=good)
+        finish({"campaigns": reports}, lines, as_json=as_json, passed=good, brief=brief, files=where(out))
 
 
 def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]:
@@ -447,13 +458,20 @@ def _claim(case: Case) -> SafetyClaim | Inapplicable:
         return Inapplicable.of("no contact", reason)
 
 
+def _head(campaign: Campaign) -> str:
+    from surctl.own_code import label
+
+    case = campaign.plan.case
+    about = f"law {label(case.law)}, {case.sensing}, {len(campaign.table)} runs:"
+    return f"{campaign.plan.name} by {case.vehicle.name}, {about}"
+
+
 def _lines(campaign: Campaign, files: list[Path], worst: int) -> list[str]:
     from surctl.marine.control import BARRIER, law_source
-    from surctl.own_code import label
     from surctl.verification import Inapplicable
 
     case, table = campaign.plan.case, campaign.table
-    lines = [f"{campaign.plan.name} by {case.vehicle.name}, law {label(case.law)}, {case.sensing}, {len(table)} runs:"]
+    lines = [_head(campaign)]
     claim = BARRIER in law_source(case.law).parts
     lines += campaign.summary.lines(claim=claim)
     if claim and campaign.summary.violated:

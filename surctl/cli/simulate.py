@@ -40,6 +40,7 @@ from surctl.cli.runs import (
     run_line,
     series_lines,
     simulate_again,
+    where,
 )
 from surctl.cli.sensor_options import SensorOptions, sensor_data, sensor_options, simulated_echoes, split_faults
 from surctl.cli.subject import (
@@ -116,7 +117,6 @@ def simulate(
     as_json: bool,
 ) -> None:
     """Simulate scenarios, or a system of your own (surctl new system NAME).
-
     Exit status: 1 if a run collides or does not arrive; campaigns resume in DIR.
     Example: surctl simulate tank-static --runs 9 --monte-carlo
     """
@@ -167,6 +167,7 @@ def simulate(
     # built after the other checks, because it takes a second
     laws = [robot.build(law, scenario, vehicle) for scenario, vehicle in zip(missions, vehicles, strict=True)]
     results: list[dict[str, Any]] = []
+    brief: list[str] = []
     one = runs * len(missions) == 1
     message = "the run was not finished" if one else "--seed N starts at another seed"
     above = "" if one else "the runs above are finished" + (f", files in {out}" if out else "")
@@ -178,7 +179,7 @@ def simulate(
             p = law_numbers(scenario, gains_used, simulated)
             positions: Sensing = "sonar" if robot.sensing == "sonar" else "truth"
             case = Case(scenario, simulated, gains_used, law, mode=built.mode, sensing=positions, **robot.forms)
-            start, first = len(lines), len(results)
+            start, first, said = len(lines), len(results), len(brief)
             with link.opened(built, p, scenario, simulated) as line:
                 stepper = partial(link.linked, built, p, line, scenario, simulated)
                 seeds = range(seed, seed + runs)
@@ -195,13 +196,17 @@ def simulate(
                     if as_json:
                         progress(lines[-2])
                     lines += physics.output(run, engine, results[-1])
-                    lines += loop_lines_of_run(run, results[-1])
+                    weak = loop_lines_of_run(run, results[-1])
+                    lines += weak
+                    brief += [run_line(run), *(f"warning: {line.strip(' :')}" for line in weak[:1])]
                     if run.metrics.stopped_because in ("standstill", "dead end", "fault"):
                         results[-1]["stop_reason"] = stop_reason(run)
-                        lines.append(f"  {run.metrics.stopped_because}: {results[-1]['stop_reason']}")
+                        brief.append(f"{run.metrics.stopped_because}: {results[-1]['stop_reason']}")
+                        lines.append(f"  {brief[-1]}")
                     if run.metrics.stopped_because == "time limit" and (why := time_limit_reason(run)):
                         results[-1]["stop_reason"] = why
-                        lines.append(f"  time limit: {why}")
+                        brief.append(f"time limit: {why}")
+                        lines.append(f"  {brief[-1]}")
                     if save is not None and out is not None:
                         with saving("record"):
                             results[-1]["file"] = str(save_record(run, out, kind=save, frame=frame or "enu"))
@@ -209,14 +214,17 @@ def simulate(
                     lines += further_output(run, results[-1], explained=explained, out=out, animate=animate)
                     if report is not None:
                         results[-1]["link"] = report.to_dict()
-                        lines.append(f"  {report.line()}")
+                        brief.append(report.line())
+                        lines.append(f"  {brief[-1]}")
                         if report.gone_s is not None:
                             break
                     elif runs > 1 and out is None and not explained:
                         lines[start:] = series_lines(results[first:])
+            if len(results) - first > 1:
+                brief[said:] = [line.strip() for line in series_lines(results[first:])]
     good = all(r["reached"] and r["min_clearance_m"] > 0 for r in results)  # as `failure` says of one run
     good = good and not any("link" in r and r["link"]["differing"] for r in results)
-    finish({"runs": results}, lines, as_json=as_json, passed=good)
+    finish({"runs": results}, lines, as_json=as_json, passed=good, brief=brief, files=where(out))
 
 
 def _check_fallback(fallback: str, *, mode: str, explained: bool, campaign: bool) -> None:
@@ -280,7 +288,9 @@ def simulate_own_system(
     }
     fine = record.stopped != LOST
     then = [command_line("verify", own, *own.settings), _sweep(own, duration)] if fine else []
-    finish(data, lines, as_json=as_json, passed=fine, then=[command for command in then if command])
+    brief = [lines[0], *(" ".join(line.split()) for line in cost_lines(own.system, record.figures))]
+    steps = [command for command in then if command]
+    finish(data, lines, as_json=as_json, passed=fine, then=steps, brief=brief, files=where(out))
 
 
 def _write(own: OwnSystem, record: Record, out: Path, kind: str) -> list[Path]:

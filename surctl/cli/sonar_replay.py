@@ -120,7 +120,10 @@ def sonar_replay(
         "notes": recording.notes,
         "files": [str(path) for path in files],
     }
-    finish(data, lines, as_json=as_json, passed=True)
+    poor = min(summaries, key=lambda one: one.healthy)
+    brief = [lines[0], f"least healthy: sensor {poor.sensor}, {poor.healthy:.1%} of the steps"]
+    brief += [f"note: {text}" for text in recording.notes]
+    finish(data, lines, as_json=as_json, passed=True, brief=brief, files=[f"files {out}"])
 
 
 def _bound(metres: float) -> str:

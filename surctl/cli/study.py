@@ -29,6 +29,7 @@ from surctl.cli.subject import (
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from surctl.assessment import Assessment, Line
     from surctl.lyapunov import Solution
     from surctl.tuning.design import Design
     from surctl.verification import LoopMargins
@@ -118,7 +119,20 @@ def study(
     # a search about missions that the study has made for the vehicle has no study file
     then = [shlex.join(words) for words in ((tuning,) if not plan.unheard else ())]
     then.append(shlex.join(_examined(plan.law, about)))
-    finish(result.to_dict(), lines, as_json=as_json, passed=result.passed, then=then)
+    brief = [lines[0], *(f"{line.mark} {line.text}" for line in _weakest(result.assessment))]
+    finish(
+        result.to_dict(), lines,
+        as_json=as_json, passed=result.passed, then=then, brief=brief, files=_files(result.report, out),
+    )  # fmt: skip
+
+
+def _weakest(assessment: Assessment) -> Sequence[Line]:
+    """Return the weakest lines behind the banner, which itself is about the worst line unless all holds."""
+    return assessment.weakest(3)[assessment.passed is not True :]
+
+
+def _files(report: Path | None, out: Path) -> list[str]:
+    return [*([f"report {report}"] if report else []), f"code {out / 'export'}"]
 
 
 def _margin_line(margin: LoopMargins) -> str:
@@ -165,12 +179,14 @@ def study_system(
     from surctl.export.process import build_controller
     from surctl.export.sil import compare_runs
     from surctl.files import prepare_folder, write_file
+    from surctl.ir import find_compiler
     from surctl.lyapunov import solve
     from surctl.report.system_page import SystemStudy, export_line, render_system_page
     from surctl.system import run_system
     from surctl.tuning import sweep_system
 
     own = load_system(words)
+    find_compiler()
     own.exported_name(reserved=reserved)
     axes = stated = [word for word in own.settings if ".." in word and word.partition("..")[2].count(":")]
     others, region, uncertain = region_words([word for word in own.settings if word not in stated], own.system)
@@ -248,7 +264,10 @@ def study_system(
     if best:
         at = next(iter(best.values()))["at"]
         then = [command_line("verify", own, *about, *(f"{name}={value!r}" for name, value in at.items()))]
-    finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
+    finish(
+        data, lines, as_json=as_json, passed=passed, then=then if passed else (),
+        brief=[lines[0], *(f"{line.mark} {line.text}" for line in _weakest(assessment))], files=_files(report, out),
+    )  # fmt: skip
 
 
 def _default_axes(own: OwnSystem, values: Mapping[str, object]) -> list[str]:

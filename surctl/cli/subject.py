@@ -156,7 +156,7 @@ def is_system(words: Sequence[str], *allowed: str) -> bool:
         return False
     for option in context.command.params:
         typed = context.get_parameter_source(option.name or "") != ParameterSource.DEFAULT
-        if isinstance(option, click.Option) and typed and option.name not in allowed:
+        if isinstance(option, click.Option) and option.expose_value and typed and option.name not in allowed:
             raise InputError("does not apply to a system of your own", key=option.opts[0], remedy="drop it")
     return True
 

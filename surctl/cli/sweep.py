@@ -71,7 +71,7 @@ _EXPLAINED = ("deviation_m", "path_error_m")  # columns whose meaning is printed
     "--priority-mode",
     default="nsb",
     metavar="NAME",
-    help="Priorities: nsb (default), filter, projected or lexicographic.",
+    help="Mode: nsb (default), filter, projected, lexicographic.",
 )
 @click.option(
     "--guidance",
@@ -237,7 +237,13 @@ def sweep(
         "sensitivity": None if sobol is None else sobol.to_dict(),
         "table": str(table.path),
     }
-    finish(data, lines, as_json=as_json, passed=picked is not None, then=then)
+    files = [*([] if gains_path is None else [f"gains {gains_path}"]), f"table {table.path}"]
+    feasible = table.column("feasible") > 0.5
+    best = {} if picked is None else table.at(picked)
+    values = "; the best has " * bool(best) + ", ".join(f"{name} = {value:.4g}" for name, value in best.items())
+    brief = [f"{feasible.sum()} of {feasible.size} points are feasible{values}"]
+    brief = [*(sobol.lines() if sobol is not None else ()), *brief, *([where] if picked is None else ()), *moved]
+    finish(data, lines, as_json=as_json, passed=picked is not None, then=then, brief=brief, files=files)
 
 
 def _vehicles(cases: Sequence[Case], typed: Sequence[str]) -> list[str]:
@@ -339,6 +345,7 @@ def sweep_own_system(
     from surctl.assessment import ClosedLoop, assess
     from surctl.errors import InputError, nearest
     from surctl.files import prepare_folder
+    from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.system import LOST
     from surctl.tuning import parse_axis, sobol_indices, sweep_system
@@ -356,6 +363,8 @@ def sweep_own_system(
     if as_json and count > _MOST_JSON:
         problem = f"would print {count} runs"
         raise InputError(problem, key="--json", remedy="drop this option and read sweep.csv")
+    if executor is None:
+        find_compiler()
     prepare_folder(out)
     with stoppable(f"the finished runs are in {out}; to continue: {same_command()}"):
         swept = sweep_system(
@@ -403,7 +412,12 @@ def sweep_own_system(
         row = next(iter(best.values()))
         numbers = [f"{n}={v!r}" for n, v in (row["at"] | row["random"]).items()]
         then = [command_line("simulate", own, *numbers, "--seconds", f"{duration:g}")]
-    finish(data, lines, as_json=as_json, passed=bool(best), then=then)
+    brief = [lines[0], *(best_line(swept, name, row) for name, row in best.items())]
+    brief += [f"{line.mark} {line.text}" for one in loops.values() for line in one.lines if line.rank == 0]
+    brief += [line for line in lines if " are not finite: " in line] if lost else []
+    brief += [] if indices is None else indices.lines()
+    where = [f"table {table or swept.path}"]
+    finish(data, lines, as_json=as_json, passed=bool(best), then=then, brief=brief, files=where)
 
 
 def choices_and_draws(

@@ -347,7 +347,16 @@ def tune(
         then = (
             [same_command(trials=2 * trials, rounds=rounds + 2)] if longer else look(missed, str(gains_path), options)
         )
-    finish(result, lines, as_json=as_json, passed=not unmet, then=then)
+    brief = [headline, *([warning] if warning else []), *floor, *summary(tuning)[-2:], *doubtful, *over]
+    finish(
+        result,
+        lines,
+        as_json=as_json,
+        passed=not unmet,
+        then=then,
+        brief=brief,
+        files=[f"gains {gains_path}", f"all {everything}"],
+    )
 
 
 def _needs_page(scenario: str | None) -> str:
@@ -390,6 +399,7 @@ def tune_own_system(
     from surctl.assessment import ClosedLoop, Comparison, assess
     from surctl.errors import InputError
     from surctl.files import prepare_folder
+    from surctl.ir import find_compiler
     from surctl.recorded_write import write_csv
     from surctl.tuning.goals import load_system_goals, not_representative, step_goals
     from surctl.tuning.systems import check_tuning, tune_system
@@ -399,6 +409,8 @@ def tune_own_system(
     duration = own.seconds(seconds) if own.system.costs or seconds is not None else 0.0
     cases, space = _cases(own), gain_ranges_of(own, ranges)
     check_tuning(own.system, space, cases, goals=(*about_loop, *about_runs))
+    if own.system.costs:  # its runs are compiled
+        find_compiler()
     prepare_folder(out)
     progress(f"up to {trials} gain sets")
     file = out / _SO_FAR
@@ -468,7 +480,11 @@ def tune_own_system(
         command_line("export", own, *numbers, "--seconds", f"{duration or 100 * own.system.dt:g}"),
     ]
     fine = all(map(math.isfinite, result.costs.values()))
-    finish(data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else ())
+    brief = [headline, *doubtful, *map(str.strip, result.lines(own.system))]
+    finish(
+        data, lines, as_json=as_json, passed=fine and not result.unmet, then=then if fine else (),
+        brief=brief, files=[f"gains {table}"] if table else [],
+    )  # fmt: skip
 
 
 def _cases(own: OwnSystem) -> dict[str, NDArray[np.float64]]:

@@ -402,7 +402,8 @@ def from_log(
     if fit.refusal:
         draw()
         refused = [*lines, f"not written: {fit.refusal}"]
-        finish(result | {"refusal": fit.refusal}, refused, as_json=as_json, passed=False)
+        brief = [refused[-1], lines[0]]
+        finish(result | {"refusal": fit.refusal}, refused, as_json=as_json, passed=False, brief=brief)
     _write(fit.vehicle, out, force, lines, result, as_json=as_json, plot=draw)
 
 
@@ -489,4 +490,11 @@ def _write(
     plot()
     shown = shlex.quote(str(target))
     then = [f"surctl lint {shown}", f"surctl tune --vehicle {shown} --out tuned"]
-    finish({**result, "file": str(target)}, [*lines, f"wrote {target}"], as_json=as_json, passed=True, then=then)
+    finish(
+        {**result, "file": str(target)}, [*lines, f"wrote {target}"],
+        as_json=as_json, passed=True, then=then, files=[f"wrote {target}"],
+        brief=[lines[0], *(line.strip() for line in lines[1:] if line.startswith(_NOTED))],
+    )  # fmt: skip
+
+
+_NOTED = ("  note: ", "  not determined: ", "  no held-out", "  held-out")

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = ["verify", "verify_system"]
 
 _SHORT, _LONG = 20.0, 60.0  # s
+_MOST_CLAIMS = 3  # in a summary; more are counted
 _GAIN_FILE = "gains.toml"  # in the printed commands, if the gains are derived
 _SPEED = FiniteRange(min=0, max=100, min_open=True)
 
@@ -52,7 +53,7 @@ _SPEED = FiniteRange(min=0, max=100, min_open=True)
     type=float,
     default=0.0,
     metavar="X",
-    help="Relative error of mass and drag, e.g. 0.2 for ±20 % (default 0).",
+    help="Error of mass and drag, e.g. 0.2 for ±20 % (default 0).",
 )
 @click.option(
     "--cruise",
@@ -178,7 +179,7 @@ def verify(
             remedy = "drop it; a braking claim is fixed by its vehicle and law"
             raise InputError("has no claim file", key="claim", value=braking, remedy=remedy)
         lines = [*texts.values(), *(refusal_line(one) for one in refused)]
-        finish({"claims": texts}, ["\n".join(lines)], as_json=as_json, passed=not refused)
+        finish({"claims": texts}, lines, as_json=as_json, passed=not refused, whole=True)
         return
     check_held(cruise or (), robot, cap=speeds[1], key="--cruise")
     if out is not None:
@@ -249,9 +250,11 @@ def verify(
     else:
         result["assessment"] = assessed[-1].to_dict()
         lines.append(f"not assessed: {', '.join(assessed[-1].omitted)} (surctl study assesses all)")
+    conditions_lines = list[str]()
     for name, stack in conditions.items():
-        lines += stack.lines()
+        conditions_lines += stack.lines()
         result.setdefault("stacks", {})[name] = stack.to_dict()
+    lines += conditions_lines
     certificates = [*files.values(), *regions.files, *braked.files]
     if out is not None:
         margins_at = None if linear.stable is None or not cascaded else cruise or speeds[:1]
@@ -286,7 +289,17 @@ def verify(
     if regions.instead:
         words = ["surctl", "verify", regions.instead, *("--vehicle", vehicle), *(("--gains", gains) if gains else ())]
         then.insert(0, shlex.join([*words, "--cruise", f"{speeds[0]:g}", "--cap", f"{speeds[1]:g}"]))
-    finish(result, lines, as_json=as_json, passed=not failures, then=then)
+    about_claims = [*map(claim_line, verdicts), *(refusal_line(one) for one in refused), *regions.lines, *braked.lines]
+    about_claims = [line for line in about_claims if not line.startswith(" ")]
+    if len(about_claims) > _MOST_CLAIMS:
+        good = sum(line.startswith("ok") for line in about_claims)
+        about_claims = [f"ok   {good} of {len(about_claims)} claims as expected"]
+    brief = [f"FAIL {text}" for text in failures] + about_claims
+    brief += [f"{line.mark} {line.text}" for line in judged if line.rank] + conditions_lines
+    finish(
+        result, lines, as_json=as_json, passed=not failures, then=then, brief=brief,
+        files=[] if out is None else [f"certificates {out}"],
+    )  # fmt: skip
 
 
 def _is_claim_file(word: str) -> bool:
@@ -445,9 +458,14 @@ def verify_system(words: Sequence[str], *, seed: int, time_limit: float, out: Pa
             lines += [f"  {path}" for path in written]
             certificates = written[:1]
     lines += [f"{line.mark} {line.text}" for line in assessment.lines]
+    decisive = sorted(assessment.lines, key=lambda line: (line.rank, line.about != "region"))
     passed = assessment.passed is True
     data = {**own.names, **data, "assessment": assessment.to_dict()}
     settings = [word for word in others if not word.startswith("start.")]
     then = [command_line("export", own, *settings, "--seconds", f"{100 * own.system.dt:g}", "--out", "firmware")]
     then += [shlex.join(["surctl", "check", path, "--bundle", "firmware"]) for path in certificates]
-    finish(data, lines, as_json=as_json, passed=passed, then=then if passed else ())
+    finish(
+        data, lines, as_json=as_json, passed=passed, then=then if passed else (),
+        brief=[f"{line.mark} {line.text}" for line in decisive],
+        files=[] if out is None else [f"certificate, plot {out}"],
+    )  # fmt: skip

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.certcheck.bundle import manifest_seal, numbers_sha256
+from surctl.certcheck.bundle import FORMAT_VERSION, manifest_seal, numbers_sha256
 from surctl.errors import InputError, cannot_write
 from surctl.export.contract import DATA, FILES, Exportable, checked_name, commands, is_robot_law
 from surctl.export.envelope import Envelope, anywhere, self_test_vectors
@@ -224,7 +224,7 @@ def manifest_with(
     """Return the text of the manifest `table`, with the hashes of all files, the outcome of the proof and a seal."""
     hashes = {file: _sha256(text) for file, text in files.items()}
     hashes |= {file: hashlib.sha256(data).hexdigest() for file, data in (binaries or {}).items()}
-    full = {**table, "proof": proof, "sha256": hashes}
+    full = {"format_version": FORMAT_VERSION, **table, "proof": proof, "sha256": hashes}
     return json.dumps({**full, "seal": manifest_seal(full)}, indent=2, sort_keys=True) + "\n"
 
 

@@ -265,7 +265,8 @@ def render_sections(
     folds = any(section.folded for section in sections)
     scripts = [name for name, needed in (("fold.js", folds), ("player.js", plays)) if needed]
     script = "".join((_TEMPLATES / name).read_text(encoding="utf-8") for name in scripts)
-    lines = _linked(summary, sections)
+    # a line that the first line quotes whole, and that leads nowhere, is not said twice
+    lines = [line for line in _linked(summary, sections) if line.anchor or not outcome[1].endswith(f": {line.text}")]
     hidden = [line for line in lines if folds and line.good is not False and not line.open]
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     page = environment.get_template("page.html")

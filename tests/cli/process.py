@@ -44,7 +44,7 @@ def surctl(*words, cwd, drawn=False, **environment) -> Outcome:
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
-def surctl_here(*words, cwd) -> Outcome:
+def surctl_here(*words, cwd, **environment) -> Outcome:
     """The command in this process: for mistakes, which end before anything is computed."""
     raw, err = io.BytesIO(), io.StringIO()
     out = io.TextIOWrapper(raw, encoding="utf-8")
@@ -54,6 +54,8 @@ def surctl_here(*words, cwd) -> Outcome:
         patch.setattr("sys.stdout", out)
         patch.setenv("OPENBLAS_NUM_THREADS", os.environ.get("OPENBLAS_NUM_THREADS", "1"))  # `main` sets it
         patch.setenv("MPLBACKEND", "agg")  # likewise
+        for name, value in environment.items():
+            patch.setenv(name, value)
         with pytest.raises(SystemExit) as end:
             main()
     return Outcome(end.value.code, raw.getvalue().decode(), err.getvalue())

@@ -1,6 +1,7 @@
 """A user's mistake: one line with file, key, value and remedy; exit status 2; never a traceback."""
 
 import re
+import sys
 
 import pytest
 
@@ -220,13 +221,34 @@ def test_an_unknown_stack_is_refused_before_claims_are_decided(tmp_path, monkeyp
     assert "stack = 'calm': is not a shipped stack; known: guarded, paper" in done.complaint
 
 
-def test_no_compiler(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("study", "export", "export --target fmu", "simulate pool-behind --controller c"),
+        *("study mine.py:build", "export mine.py:build", "sweep mine.py:build k_p=4..20:3", "tune mine.py:build"),
+    ],
+)
+def test_without_a_compiler_a_command_that_needs_one_says_so_before_it_begins(tmp_path, monkeypatch, words):
+    surctl_here("new", "system", "mine", cwd=tmp_path)
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setitem(sys.modules, "ziglang", None)
+    done = surctl_here(*words.split(), cwd=tmp_path)
+    assert done.status == 2 and "no C compiler found" in done.complaint and "surctl[compiler]" in done.complaint
+    assert [path.name for path in tmp_path.iterdir() if path.name != "__pycache__"] == ["mine.py"]
+
+
+@pytest.mark.filterwarnings("default:no C compiler")
+def test_without_a_compiler_runs_of_a_system_take_longer_and_say_so(tmp_path, monkeypatch):
+    surctl_here("new", "system", "mine", cwd=tmp_path)
+    monkeypatch.setenv("PATH", "")
     monkeypatch.setenv("CC", "no-such-compiler")
-    for words in (["study"], ["export"]):
-        done = surctl_here(*words, cwd=tmp_path)
-        assert done.status == 2
-        assert "no-such-compiler" in done.complaint and not list(tmp_path.iterdir())
-        assert "CC" in done.complaint
+    done = surctl_here("study", "mine.py:build", cwd=tmp_path)
+    assert done.status == 2 and done.complaint.startswith("surctl: CC = 'no-such-compiler': names no program")
+    monkeypatch.delenv("CC")
+    monkeypatch.setitem(sys.modules, "ziglang", None)
+    done = surctl_here("simulate", "mine.py:build", "--seconds", "0.05", cwd=tmp_path)
+    assert done.status == 0 and "no C compiler found" in done.complaint and "until then" in done.complaint
 
 
 def test_folder_that_cannot_be_written(tmp_path):

@@ -369,3 +369,10 @@ def test_the_linear_side_stands_beside_the_margins(page: str) -> None:
         assert f"{disk.guaranteed:.3g}" in text and f"{disk.phase_deg:.3g}" in text
     assert f"{side.sampled.largest_period_s[1]:.3g}" in text
     assert "Disk margins" not in render_page(bare(margins=report().margins))
+
+
+def test_what_the_first_line_quotes_is_not_said_twice() -> None:
+    kind = {"title": "Hull", "subject": "", "version": "1", "command": "", "sections": []}
+    lines = [Check(None, "no region", open=True), Check(True, "margins")]
+    for banner, times in (("Nothing fails; open: no region", 1), ("Nothing fails; open: no region (and 1 more)", 2)):
+        assert render_sections(outcome=("note", banner), summary=lines, **kind).count("no region") == times

@@ -34,7 +34,8 @@
     for (let y = data.grid; y < width - 1e-9; y += data.grid) grid += `M0 ${y}H${length}`;
     draw(world, "path", "grid", { d: grid });
     const beams = data.beams.map(() => draw(world, "path", "beam", {}));
-    const outer = `M${-rim} ${-rim}H${length + rim}V${width + rim}H${-rim}Z`;
+    const far = 20 * Math.max(length, width);  // the ground hides beams beyond the walls, also beside the view
+    const outer = `M${-far} ${-far}H${length + far}V${width + far}H${-far}Z`;
     draw(world, "path", "ground", { d: `${outer}M0 0H${length}V${width}H0Z`, "fill-rule": "evenodd" });
     draw(world, "rect", "edge", { x: 0, y: 0, width: length, height: width });
     draw(world, "polyline", "route", { points: points(data.path) });
