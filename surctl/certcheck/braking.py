@@ -258,20 +258,27 @@ class Distance:
         travelled = f"max({closing}*{period} + {ahead}*{_text(claim.period**2 / 2)}, 0)"
         return f"{travelled} + {self.length(f'min({closing} + {rise}, {_text(most)})', mass, most)}"
 
+    def needed(self, speed: Fraction) -> Fraction:
+        """Return the clearance [m] that suffices for one period without braking, from a measured speed on.
+
+        While the vehicle moves backward faster than the obstacle approaches, drag accelerates it towards the obstacle.
+        """
+        gain = upper(self.gain(_text(speed), _text(thrust_ahead(self.claim))))
+        rise = _text(gain * self.claim.period)
+        return max(upper(self.after(_text(speed), rise, m)) for m in self.claim.mass)
+
     def figures(self, speed: Fraction) -> tuple[Fraction, Fraction, Fraction]:
         """Return closed-form braking distance, braking distance with drag, and needed range [m], rounded up to 0.1 mm.
 
-        The needed range suffices for one period without braking, if no speed since the last echo was higher. While the
-        vehicle moves backward faster than the obstacle approaches, drag accelerates it towards the obstacle.
+        The needed range suffices if no speed since the last echo was higher.
         """
         claim, closing, left = self.claim, speed + self.obstacle, left_at(self.claim, self.obstacle)
-        own, rise = _text(speed), _text(upper(self.gain(_text(speed), _text(thrust_ahead(claim)))) * claim.period)
-        found = (
+        exact = (
             max(claim.ratio * m * (closing + self.swing / m) ** 2 / (2 * left) for m in claim.mass),
             max(upper(self.length(_text(closing), m, closing)) for m in claim.mass),
-            self.stale(speed) + max(upper(self.after(own, rise, m)) for m in claim.mass),
+            self.stale(speed) + self.needed(speed),
         )
-        closed, distance, needed = (Fraction(-(-x.numerator * _FIGURE // x.denominator), _FIGURE) for x in found)
+        closed, distance, needed = (Fraction(-(-x.numerator * _FIGURE // x.denominator), _FIGURE) for x in exact)
         return closed, distance, needed
 
     def obligations(self) -> list[Obligation]:
@@ -306,10 +313,10 @@ class Distance:
             needed.append(
                 Obligation(("r",), [_span(Fraction(0), widest)], f"{_text(claim.ratio)}*{slope}*({over})", "r")
             )
-        return needed if claim.law is None else [*needed, *self._of_law(claim.law)]
+        return needed if claim.law is None else [*needed, self._of_law(claim.law)]
 
-    def _of_law(self, law: GuardedLaw) -> list[Obligation]:
-        """Return inequality 4 for both ends of the range of masses; all ranges in it are that of the bound b."""
+    def _of_law(self, law: GuardedLaw) -> Obligation:
+        """Return inequality 4, for both ends of the range of masses."""
         claim = self.claim
         if claim.brake > law.limit:
             raise Rejected("the law's thrust limit is below brake_n, the guaranteed braking force")
@@ -330,10 +337,9 @@ class Distance:
         box = [_span(low, claim.fastest), _span(-claim.fastest, claim.fastest)]
         clear = bound_distance(law, self.obstacle, claim.period)
         clear = f"max({clear} + {_text(law.margin - self.stale(claim.fastest))}, 0)"  # the clearance is never negative
-        return [
-            Obligation(("b", "v"), box, self.after("v", rise, m), clear, [f"-({command}) - {_text(claim.brake)}"])
-            for m in sorted(set(claim.mass))
-        ]
+        lengths = [self.after("v", rise, m) for m in sorted(set(claim.mass))]
+        longest = lengths[0] if len(lengths) == 1 else f"max({', '.join(lengths)})"
+        return Obligation(("b", "v"), box, longest, clear, [f"-({command}) - {_text(claim.brake)}"])
 
 
 def _polynomial(y: str, factors: Sequence[Fraction]) -> str:

@@ -146,8 +146,10 @@ def read_claim(claim: Any) -> BrakingClaim:
             those of this kind of claim.
     """
     top = record(claim, _TOP, "claim")
-    if top["system"] != "braking" or top["assumes"] != list(ASSUMES):
-        raise Rejected("claim.system or claim.assumes differs from the text that this checker expects")
+    if top["system"] != "braking":
+        raise Rejected(f"claim.system {top['system']!r} is not known; known: braking")
+    if top["assumes"] != list(ASSUMES):
+        raise Rejected("claim.assumes differs from the text that this checker expects")
     for key in ("sha256_vehicle", "sha256_law"):
         if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
             raise Rejected(f"claim.{key} is not a SHA-256")

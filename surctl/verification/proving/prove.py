@@ -184,7 +184,8 @@ def prove_by_boxes(statement: Statement, *, time_limit: float) -> Cases:
     box, (left, right, *rows) = (statement.lower, statement.upper), substituted(statement)
     case = Case("", left - right, tuple(rows))
     tapes = (build_tape(statement.names, parts) for parts in ([case.margin], rows, [left, right, *rows]))
-    result = search(BoxTask(*tapes, box, 0.0), deadline=time.process_time() + time_limit)
+    with np.errstate(all="ignore"):  # ranges that are not known yet
+        result = search(BoxTask(*tapes, box, 0.0), deadline=time.process_time() + time_limit)
     shown = _Shown(as_written(case), result, 0.0)
     if not result.closed:
         return _left_open(statement, build_tape(statement.names, [left, right, *rows]), case, shown, result.boxes)
