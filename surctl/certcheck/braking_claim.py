@@ -47,11 +47,15 @@ _VEHICLE = (
 _ENCOUNTER = (
     "obstacles_m_per_s", "current_m_per_s", "disturbance_n", "sideways_m_per_s", "turn_rad_per_s", "fastest_m_per_s",
 )  # fmt: skip
+_NAMES = (
+    "current", "disturbance", "sideways", "turn", "fastest", "period", "age", "range_error", "speed_error",
+)  # fmt: skip
 _WATCH = ("period_s", "age_s", "range_error_m", "speed_error_m_per_s")
 _LAW = (
     "barrier", "margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "k_i_per_s2", "gain", "cap_m_per_s",
     "mass_kg", "linear_drag", "quadratic_drag", "stopping",
 )  # fmt: skip
+_SCALARS = ("margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "gain", "cap_m_per_s")
 _STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
 _POSITIVE = {
     "mass_kg", "brake_n", "most_n", "fastest_m_per_s", "period_s", "reaction_s", "brake", "limit_n", "k_v_per_s",
@@ -168,22 +172,23 @@ def read_claim(claim: Any) -> BrakingClaim:
             raise Rejected(f"claim.table.{key} must have one row for each speed and one column for each obstacle")
         return rows
 
+    named: dict[str, Any] = {key.rpartition("_")[0]: _one(vehicle, key) for key in _VEHICLE[5:]}
+    named |= dict(zip(_NAMES, [*(_one(met, key) for key in _ENCOUNTER[1:]), *(_one(watch, key) for key in _WATCH)],
+                      strict=True))  # fmt: skip
     return BrakingClaim(
-        _pair(vehicle, "mass_kg"),
-        number(vehicle["mass_ratio"], "claim: mass_ratio", least=1),
-        _pair(vehicle, "linear_drag"),
-        _pair(vehicle, "quadratic_drag"),
-        vehicle["drag"],
-        *(_one(vehicle, key) for key in _VEHICLE[5:]),
-        obstacles,
-        *(_one(met, key) for key in _ENCOUNTER[1:]),
-        *(_one(watch, key) for key in _WATCH),
-        None if top["law"] is None else _law(top["law"]),
-        speeds,
-        grid("closed_m"),
-        grid("distance_m"),
-        grid("needed_m"),
-        _one(top, "limit_obstacle_m_per_s"),
+        mass=_pair(vehicle, "mass_kg"),
+        ratio=number(vehicle["mass_ratio"], "claim: mass_ratio", least=1),
+        linear=_pair(vehicle, "linear_drag"),
+        quadratic=_pair(vehicle, "quadratic_drag"),
+        drag=vehicle["drag"],
+        obstacles=obstacles,
+        law=None if top["law"] is None else _law(top["law"]),
+        speeds=speeds,
+        closed=grid("closed_m"),
+        distance=grid("distance_m"),
+        needed=grid("needed_m"),
+        limit=_one(top, "limit_obstacle_m_per_s"),
+        **named,
     )
 
 
@@ -197,10 +202,10 @@ def _law(value: Any) -> GuardedLaw:
     believed = tuple(_one(stopping, key) for key in _STOPPING)
     if believed[0] > believed[1]:
         raise Rejected("claim.law.stopping: lightest_kg exceeds heaviest_kg")
-    numbers = (_one(law, key) for key in ("margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "gain",
-                                          "cap_m_per_s"))  # fmt: skip
-    pairs = (_row(law, key, 2) for key in ("mass_kg", "linear_drag", "quadratic_drag"))
-    return GuardedLaw(law["barrier"], *numbers, *pairs, believed)  # type: ignore[arg-type]
+    named: dict[str, Any] = {key.partition("_")[0]: _row(law, key, 2) for key in _LAW[9:12]}
+    for name, key in zip(("margin", "reaction", "brake", "limit", "k_v", "gain", "cap"), _SCALARS, strict=True):
+        named[name] = _one(law, key)
+    return GuardedLaw(barrier=law["barrier"], stopping=believed, **named)
 
 
 def _one(part: Mapping[str, Any], key: str) -> Fraction:

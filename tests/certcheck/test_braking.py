@@ -310,13 +310,10 @@ def test_with_large_figures_it_is_accepted() -> None:
     assert reason(document("braking-rule-20")) == ""
 
 
-def test_a_distance_that_is_short_between_its_ends_alone_is_rejected() -> None:
+def test_a_distance_that_is_too_short_is_rejected() -> None:
     whole = document("braking-rule-20")
-    ways, vehicle = whole["distances"][0], whole["claim"]["vehicle"]
-    z = np.linspace(1e-6, ways["knots"][-1], 500)
-    line = [1.001 * float(z[-1] / (vehicle["brake_n"] + encounters.drag(whole, z[-1:])[0])) / float(z[-1])]
-    assert slope({"knots": ways["knots"], "factors": [line]}, z[-1:])[0] > z[-1] / (vehicle["brake_n"] + 30)
-    assert "inequality 2" in reason(whole, factors=[line])
+    scale(whole, 0.95)
+    assert "inequality 2" in reason(whole)
 
 
 def test_a_distance_that_is_not_convex_is_rejected_though_it_is_long_enough() -> None:

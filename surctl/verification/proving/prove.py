@@ -183,12 +183,12 @@ def prove_by_boxes(statement: Statement, *, time_limit: float) -> Cases:
     """Try to prove a statement as it is written, by interval boxes alone: fast for expressions with many branches."""
     box, (left, right, *rows) = (statement.lower, statement.upper), substituted(statement)
     case = Case("", left - right, tuple(rows))
-    tapes = (build_tape(statement.names, parts) for parts in ([case.margin], rows, [left, right, *rows]))
+    bound, limits, written = (build_tape(statement.names, p) for p in ([case.margin], rows, [left, right, *rows]))
     with np.errstate(all="ignore"):  # ranges that are not known yet
-        result = search(BoxTask(*tapes, box, 0.0), deadline=time.process_time() + time_limit)
+        result = search(BoxTask(bound, limits, written, box, 0.0), deadline=time.process_time() + time_limit)
     shown = _Shown(as_written(case), result, 0.0)
     if not result.closed:
-        return _left_open(statement, build_tape(statement.names, [left, right, *rows]), case, shown, result.boxes)
+        return _left_open(statement, written, case, shown, result.boxes)
     return Cases((_written(case, shown) | {"numerator": None},), 0.0, "", (), result.boxes)
 
 

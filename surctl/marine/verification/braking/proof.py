@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -25,7 +24,7 @@ from surctl.verification.proving import Statement, prove_by_boxes
 
 __all__ = ["BrakingProof", "distance_of", "prove_braking", "stated"]
 
-_FACTORS, _POINTS = 5, 150
+_FACTORS, _POINTS = 6, 150
 _DIGITS = 9
 _LIFT = 3e-3  # by which the polynomial exceeds what is needed, relative to it
 _FIGURES = 10**4  # a distance is rounded up to 0.1 mm
@@ -210,7 +209,7 @@ def _attempt(claim: BrakingClaim, began: float) -> BrakingProof:
     )
 
 
-def _certificate(claim: BrakingClaim) -> Mapping[str, Any]:
+def _certificate(claim: BrakingClaim) -> dict[str, Any]:
     own = stated(claim)
     limit = largest_obstacle(own)
     if max(claim.obstacles) >= limit:
@@ -221,7 +220,7 @@ def _certificate(claim: BrakingClaim) -> Mapping[str, Any]:
         raise Rejected(reason)
     distances = [distance_of(own, obstacle) for obstacle in own.obstacles]
     figures = [[d.figures(speed) for d in distances] for speed in own.speeds]
-    table = {"speeds_m_per_s": list(claim.speeds)}
+    table: dict[str, Any] = {"speeds_m_per_s": list(claim.speeds)}
     for k, name in enumerate(("closed_m", "distance_m", "needed_m")):
         table[name] = [[float(entry[k]) for entry in row] for row in figures]
     proofs = [
