@@ -26,7 +26,7 @@ __all__ = ["BrakingProof", "distance_of", "prove_braking", "stated"]
 
 _FACTORS, _POINTS = 6, 150
 _DIGITS = 9
-_LIFT = 3e-3  # by which the polynomial exceeds what is needed, relative to it
+_LIFT = 1e-3  # by which the polynomial exceeds what is needed, relative to it
 _FIGURES = 10**4  # a distance is rounded up to 0.1 mm
 _SECONDS, _GRID = 10.0, 60  # limit of the processor time for an inequality; points of each variable
 _FAILS = 1e-6  # excess at a point that is no rounding
