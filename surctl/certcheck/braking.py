@@ -1,74 +1,148 @@
 """Check of a braking certificate, which claims that a vehicle with inertia and thrust lag never touches an obstacle.
 
-The claim states that, under its assumptions, the inequality clearance ≥ m G(z) ≥ 0 holds at all later instants if it
-holds at one instant. Here m is the vehicle's mass, m G(z) is its braking distance, z = s + q/m, s is the closing speed,
-and q is the impulse that the thrust lag still delivers. The vehicle can start to brake only at sampled instants.
-`surctl.marine.guidance.braking` explains the proof. This module checks each inequality of the proof for the numbers of
-the certificate, in exact rational arithmetic, with every number rounded to the safe side:
+Under the assumptions of the claim, clearance ≥ ρ m G(z) ≥ 0 holds at all later instants if it holds at one instant.
+Here m is the mass of the lighter axis, ρ the ratio of the masses, z = s + q/m, s = v + v_o the closing speed of a
+vehicle with the speed v and an obstacle with the speed v_o, and q the impulse towards the obstacle that the thrust
+still delivers because of its lag. G' is a polynomial between knots and constant beyond the last one. The certificate
+states it and proves inequalities, which this module derives from the claim and `surctl.certcheck.inequality` checks:
 
-- for every obstacle of the claim, the table of G is convex and satisfies the differential inequality of the braking
-  distance, also while the vehicle moves backward;
-- the range in the claim's table is sufficient for every own speed in the table;
-- if the claim contains a control law, the available range is sufficient in every state in which the law's speed bound
-  does not command the guaranteed braking force.
+1. G'(z) (F_b − f + D(z − v_o − c)) ≥ z with the guaranteed thrust F_b, the largest disturbance f, the speed c of the
+   current, and the least drag D for motion ahead, the largest one for motion astern;
+2. G'' ≥ 0;
+3. ρ G'(q/m − r) (D(v_o + c + r) + f − F_b) ≤ r for all speeds r of a retreat, if G is to count there (`retreats`);
+4. for a law: travelled + ρ m G(z⁺) ≤ clearance, for all values b of the law's speed bound and all speeds at which the
+   velocity loop commands less than F_b, where z⁺ is the largest z after a control period.
+
+Lemma: while the vehicle brakes, ż ≤ −(F_b − f + D)/(ρ m), so that (ρ m G(z))˙ ≤ −z ≤ −s by 1., and the clearance l
+satisfies l̇ ≥ −s: l − ρ m G(z) does not fall. It does not fall during a retreat either, by 3.; without 3., G counts as
+that at s = 0, while l rises and q falls. By 2., ρ m G(s + q/m) is convex in m, so that the ends of the range of masses
+decide. Speeds are at most V, so that G' may be constant beyond V + v_o. After a period without braking, the range that
+the rule needs, or 4., leaves l ≥ ρ m G(z).
+
+In 4., z rises by what the loop commands, u ≤ U with U ≥ −F_b, and by the thrust across if the hull turns. If the masses
+differ, m ≤ μ ≤ ρ m, a thrust F < 0 counts as F/μ to v̇, but as F/m to z. So let Z = s + τ (max(F, min(U, 0)) + F_b)/m,
+which is at least z, and at first at most s + q/m. Where F ≥ 0, m Ż ≤ u + f + D; where U ≤ F < 0, m Ż ≤ u − F +
+max(f + D + F, 0), with u − F ≤ 0; where F < min(U, 0), Z changes with s only. So z never exceeds s + q/m +
+T max(U + f + D, 0)/m in a period T. Where b ≥ V, the command is at most that for b = V.
+`surctl.marine.guidance.braking` derives f, q and the largest thrust.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
 from fractions import Fraction
+from functools import lru_cache
+from itertools import pairwise
+from math import nextafter
 from typing import Any
 
-from surctl.certcheck.braking_claim import BrakingClaim, GuardedLaw, read_claim
-from surctl.certcheck.braking_distance import (
-    HALF_ROOT2,
-    ROOT2,
-    ROOT27,
-    BrakingDistance,
-    Forces,
-    across,
-    drag,
-    forces,
-    largest_disturbance,
-    read_distance,
-    rounded,
-    thrust_ahead,
-)
+from surctl.certcheck.braking_claim import MOST_NUMBERS, BrakingClaim, GuardedLaw, read_claim
 from surctl.certcheck.document import Rejected, record
-from surctl.certcheck.patience import go_on
+from surctl.certcheck.enclosure import Undefined, enclose
+from surctl.certcheck.expressions import ExpressionTable
+from surctl.certcheck.identity import Exact
+from surctl.certcheck.inequality import listed
+from surctl.certcheck.motion import Obligation, check_all
+from surctl.certcheck.region_claim import number
 
-__all__ = ["check"]
+__all__ = [
+    "Distance", "bound_distance", "check", "disturbance", "drag_ranges", "left_at", "read_distance", "thrust_ahead",
+    "upper",
+]  # fmt: skip
 
-_FIGURE = 10**4  # distances of the table are rounded up to 0.1 mm
-_PARTS, _BISECTIONS = 4, 14
-_FIRST, _FINEST = Fraction(1, 100), Fraction(1, 2000)  # [m/s] first and least width of a cell in the bound b
+Pair = tuple[Fraction, Fraction]
+
+_FIGURE, _DIGITS = 10**4, 10**12  # distances of the table are rounded up to 0.1 mm, other numbers to 12 decimals
 
 
-def check(document: Mapping[str, Any]) -> None:
-    """Check a braking certificate whose format and hash are verified.
+def _text(x: Fraction) -> str:
+    decimal = format(Decimal(x.numerator) / x.denominator, "f")
+    return f"({decimal if Fraction(decimal) == x else x})"
 
-    Raises:
-        Rejected: the certificate does not prove its claim; the message names the first failure.
+
+@lru_cache(1024)
+def upper(text: str) -> Fraction:
+    """Return an upper bound with 12 decimals of an expression without variables."""
+    table = ExpressionTable(())
+    sign, man, exp, _ = enclose(table, [table.read(text)], [])[0].value[1]
+    value = (-1) ** sign * Fraction(int(man)) * Fraction(2) ** int(exp)
+    return Fraction(-(-value.numerator * _DIGITS // value.denominator), _DIGITS)
+
+
+def drag_ranges(claim: BrakingClaim) -> tuple[Pair, Pair]:
+    """Return the ranges of the drag coefficients for one mass μ along n; unequal masses weight the axes differently.
+
+    With n = (c, s) in axes of the hull, the light one first, and N = ρ c² + s², the force along n is that of an equal
+    mass μ = ρ m/N whose light axis has ρ/N times its force, and the other 1/N times; 1 ≤ N ≤ ρ.
     """
-    record(document, ("format", "version", "kind", "claim", "proof", "sha256"), "the certificate")
-    claim = read_claim(document.get("claim"))
-    tables = record(document.get("proof"), ("distances",), "proof")["distances"]
-    if not isinstance(tables, list) or len(tables) != len(claim.obstacles):
-        raise Rejected("proof.distances must have one table for each obstacle")
-    _check_steady(claim)
-    _check_limit(claim)
-    for column, obstacle in enumerate(claim.obstacles):
-        at = forces(claim, obstacle)
-        distance = read_distance(claim, at, tables[column])
-        _check_figures(claim, at, distance, column)
-        if claim.law is not None:
-            _check_law(claim, claim.law, at, distance)
+    ratio = claim.ratio if claim.drag == "axes" else 1
+    linear, quadratic = ((low / ratio, high * ratio) for low, high in (claim.linear, claim.quadratic))
+    return linear, quadratic
 
 
-def _check_steady(claim: BrakingClaim) -> None:
-    """Check that the period is short enough for the needed range to rise with the speed at the start of the period."""
-    if claim.period * _steepest(claim) > claim.mass[0]:
-        raise Rejected("the control period is too long for the mass and drag of the vehicle")
+def thrust_ahead(claim: BrakingClaim) -> Fraction:
+    """Return F⁺, the largest thrust towards the obstacle [N]: most_n, or less if the law's velocity loop commands less.
+
+    The loop commands M k_v (v_d − v) + D(v_d). While it does not brake, |v_d| ≤ cap and |v| ≤ fastest. While it begins
+    to brake, v_d tends to the vector s that has the true speed across and no larger speed along the direction of the
+    obstacle, where M k_v (s − v) does not push; and D is convex in |v_d|.
+    """
+    law = claim.law
+    if law is None:
+        return claim.most
+    error, x, y = law.cap + claim.fastest + claim.speed_error, max(law.linear), max(law.quadratic)
+    ahead, square = max(law.mass) * law.k_v * error + x * law.cap + y * law.cap**2, law.cap**2 + claim.sideways**2
+    return min(claim.most, upper(f"max({ahead}, {_text(x)}*sqrt({square}) + {_text(y * square)})"))
+
+
+def _across(claim: BrakingClaim) -> Fraction:
+    """Return the largest thrust across n [N]: side_n, or what was commanded before braking and still lags."""
+    return max(claim.side, thrust_ahead(claim)) if claim.turn or claim.ratio > 1 else claim.side
+
+
+def _drag(claim: BrakingClaim, astern: str) -> str:
+    """Return the largest drag D(v) [N] at a speed v ≥ 0 [m/s]."""
+    (_, linear), (_, quadratic) = drag_ranges(claim)
+    return f"({_text(linear)}*({astern}) + {_text(quadratic)}*({astern})^2)"
+
+
+def disturbance(claim: BrakingClaim, astern: str, own: str = "") -> str:
+    """Return the largest disturbance f [N] for a vehicle that moves astern through the water at up to `astern` [m/s].
+
+    `own` is a lower bound of its own speed astern [m/s]; what it leaves of the largest speed may be sideways.
+
+    f includes the drag that a sideways speed causes in addition to D(astern), and the braking force that is lost
+    because the hull turns. If the masses differ, f also includes the thrust and the drag across n and the Coriolis
+    force: κ = (ρ − 1)/(2√ρ) is the largest share of a force across n that acts along n. For a hull that turns at r,
+    the Coriolis force at v along n and w across n is r m (ρ − 1)((ρ + 1) c s v + (ρ c² − s²) w)/N.
+    """
+    (low, high), (low2, high2) = drag_ranges(claim)
+    ratio, turned, w = claim.ratio, claim.turn * claim.lag, _text(min(claim.sideways, claim.fastest))
+    if own:
+        w = f"min({_text(claim.sideways)}, sqrt(max({_text(claim.fastest**2)} - ({own})^2, 0)))"
+    fast = f"max({astern}, {_text(claim.fastest)})"
+    share = _text(upper(f"({ratio - 1})/(2*sqrt({_text(ratio)}))"))
+    if claim.drag == "along":  # (X + X2 √(a² + w²)) a exceeds D(a) by at most X2 a w and X2 w²/2
+        total = f"{_text(high2)}*min(({astern})*{w}, {w}^2/2)"
+        if ratio > 1:
+            total += f" + {share}*{w}*({_text(high)} + {_text(high2)}*({fast} + {w}))"
+    else:
+        total = f"{_text((high - low) / 2)}*{w} + {_text(high2)}*sqrt(2)*({astern})*{w}"
+        total += f" + {_text(2 * high2 - low2)}*{w}^2*sqrt(1/27)"
+    lost = claim.disturbance + ratio * turned**2 * max(thrust_ahead(claim), claim.brake)
+    if ratio > 1:
+        total += f" + ({share} + {_text(ratio * turned)})*{_text(_across(claim))}"
+        fast = f"{fast}*{_text(upper(f'{_text(ratio + 1)}/(2*sqrt({_text(ratio)}))'))} + {w}"
+        total += f" + {_text(claim.turn * claim.mass[1] * (ratio - 1))}*({fast})"
+    return f"({total} + {_text(lost)})"
+
+
+def left_at(claim: BrakingClaim, obstacle: Fraction) -> Fraction:
+    """Return a lower bound of the braking force at closing speed 0 [N]."""
+    through = _text(obstacle + claim.current)
+    return claim.brake - upper(f"{disturbance(claim, through)} + {_drag(claim, through)}")
 
 
 def _steepest(claim: BrakingClaim) -> Fraction:
@@ -78,233 +152,291 @@ def _steepest(claim: BrakingClaim) -> Fraction:
     return claim.ratio * steepest + claim.turn * claim.mass[1] * (claim.ratio**2 - 1)
 
 
-def _check_limit(claim: BrakingClaim) -> None:
-    """Check that disturbance and drag equal the braking force at the claimed limit of obstacle speed, to 0.1 mm/s."""
-
-    def left(obstacle: Fraction) -> Fraction:
-        through = obstacle + claim.current
-        return claim.brake - largest_disturbance(claim, through) - drag(claim, through)
-
-    if not left(claim.limit + Fraction(1, _FIGURE)) < 0 <= left(claim.limit):
-        raise Rejected("claim.limit_obstacle_m_per_s is not the obstacle speed that uses up the braking force")
+# ---- the braking distance
 
 
-def needed(
-    claim: BrakingClaim, at: Forces, distance: BrakingDistance, low: Fraction, high: Fraction, since: Fraction
-) -> Fraction:
-    """Return a range [m] that suffices for one period without braking, at any measured speed from low to high [m/s].
+@dataclass(frozen=True)
+class Distance:
+    """The braking distance ρ m G(z) before one obstacle, and the inequalities that prove it.
 
-    `since` is the largest speed measured since the last echo of the sonar [m/s].
+    Attributes:
+        claim: the claim.
+        obstacle: approach speed v_o of the obstacle [m/s].
+        knots: ends of the pieces of G' [m/s]: the first one is 0, and beyond the last one G' is constant.
+        factors: coefficients of the polynomial Q of each piece, that of y^0 first.
+        retreats: whether G counts at closing speeds below 0; if not, it is that at 0.
 
-    While the vehicle moves backward faster than the obstacle approaches, drag accelerates the vehicle towards the
-    obstacle. The returned range takes this increase of speed into account.
+    Raises:
+        Rejected: drag and disturbance are as large as the braking force, or the claim is not covered.
     """
-    closing, gain = high + claim.speed_error + at.obstacle, _gain(claim, at, low, thrust_ahead(claim))
-    later = min(closing + gain * claim.period, claim.fastest + at.obstacle)
-    after = distance.worst(claim, at, later, at.swing)
-    return _stale(claim, at, since) + _travelled(claim, closing, gain) + after
 
+    claim: BrakingClaim
+    obstacle: Fraction
+    knots: tuple[Fraction, ...]
+    factors: tuple[tuple[Fraction, ...], ...]
+    retreats: bool
 
-def _gain(claim: BrakingClaim, at: Forces, low: Fraction, thrust: Fraction) -> Fraction:
-    """Return the largest acceleration towards the obstacle [m/s²] at a thrust and a measured speed ≥ `low`."""
-    astern = max(at.through, claim.current + min(claim.speed_error - low, claim.fastest))
-    return (thrust + largest_disturbance(claim, astern) + drag(claim, astern)) / claim.mass[0]
+    def __post_init__(self) -> None:
+        claim = self.claim
+        if claim.ratio > 1 and claim.current:
+            raise Rejected("a current together with unequal masses is not covered")
+        if left_at(claim, self.obstacle) <= 0:
+            raise Rejected(
+                f"braking guarantees nothing for an obstacle that approaches at {float(self.obstacle):g} m/s"
+            )
+        if self.knots[0] or any(b <= a for a, b in pairwise(self.knots)) or len(self.factors) != len(self.knots) - 1:
+            raise Rejected(
+                "the knots of the braking distance must start at 0 and rise, with a polynomial for each piece"
+            )
+        if self.knots[-1] < claim.fastest + self.obstacle:
+            raise Rejected("the braking distance ends at too low a speed")
+        if claim.turn and not self.retreats:
+            raise Rejected("the braking distance of a hull that turns must count during a retreat")
 
+    @property
+    def through(self) -> Fraction:
+        """The speed of the vehicle astern through the water at which the closing speed is 0, v_o + c [m/s]."""
+        return self.obstacle + self.claim.current
 
-def _travelled(claim: BrakingClaim, closing: Fraction, gain: Fraction) -> Fraction:
-    return max(closing * claim.period + gain * claim.period**2 / 2, Fraction(0))
+    @property
+    def swing(self) -> Fraction:
+        """The largest impulse q towards the obstacle that the thrust still delivers because of its lag [N s]."""
+        claim = self.claim
+        swing = claim.lag * (thrust_ahead(claim) + claim.brake)
+        return swing + claim.turn * claim.lag**2 * _across(claim)
 
+    def _pieces(self) -> list[tuple[Fraction, Fraction, tuple[Fraction, ...], Fraction]]:
+        """Return start, width and factors of each piece, and by how much G' rises in it."""
+        pieces = []
+        for (start, end), factors in zip(pairwise(self.knots), self.factors, strict=True):
+            rise = sum((x * (end - start) ** (k + 1) for k, x in enumerate(factors)), Fraction(0))
+            pieces.append((start, end - start, factors, rise))
+        return pieces
 
-def _sufficient(
-    claim: BrakingClaim,
-    law: GuardedLaw,
-    at: Forces,
-    distance: BrakingDistance,
-    bounds: tuple[Fraction, Fraction],
-    *,
-    short: bool,
-) -> Iterator[Fraction]:
-    """Yield ranges [m] each of which suffices for a period without braking while the bound is in `bounds`, dearer last.
+    def slope(self, z: str) -> str:
+        """Return G'(z) for z ≥ 0 [1/N · m/s]."""
+        terms = []
+        for start, width, factors, _ in self._pieces():
+            y = f"min(max({z} - {_text(start)}, 0), {_text(width)})"
+            terms.append(f"{y}*{_polynomial(y, factors)}")
+        return f"({' + '.join(terms)})"
 
-    `short` is whether the period is short enough for the range that follows from the loop's own thrust.
-    """
-    low, high = bounds
-    first = tuple(_first_excess(claim, law, bound) for bound in bounds)
-    yield needed(claim, at, distance, low + first[0], min(high + first[1], claim.fastest), claim.fastest)
-    slow, fast = (_excess(claim, law, bound) for bound in bounds)
-    if high + fast < -claim.fastest:  # the vehicle is never slower, so the law brakes at such a bound
-        yield Fraction(0)
-    yield needed(claim, at, distance, low + slow, min(high + fast, claim.fastest), claim.fastest)
-    if short:
-        yield _needed_by_loop(claim, law, at, distance, bounds, fast)
+    def length(self, closing: str, mass: Fraction, most: Fraction) -> str:
+        """Return ρ m G(s + q/m) [m] at a closing speed s, which is at most `most`."""
+        closing = closing if self.retreats else f"max({closing}, 0)"
+        z, most = f"max({closing} + {_text(upper(_text(self.swing / mass)))}, 0)", most + self.swing / mass
+        terms = []
+        for start, width, factors, rise in self._pieces():
+            if most > start:
+                y = z if not start else f"max({z} - {_text(start)}, 0)"
+                if most > start + width:
+                    terms.append(f"max({z} - {_text(start + width)}, 0)*{_text(upper(_text(rise)))}")
+                    y = f"min({y}, {_text(width)})"
+                terms.append(f"{y}^2*{_polynomial(y, [x / (k + 2) for k, x in enumerate(factors)])}")
+        return f"{_text(self.claim.ratio * mass)}*({' + '.join(terms) or '0'})"
 
+    def gain(self, speed: str, thrust: str) -> str:
+        """Return the largest acceleration towards the obstacle [m/s²] at a thrust, from a measured speed on."""
+        claim = self.claim
+        astern = f"max({_text(self.through)}, {_text(claim.current)} + min({_text(claim.speed_error)} - ({speed}), "
+        astern += f"{_text(claim.fastest)}))"
+        return f"({thrust} + {disturbance(claim, astern)} + {_drag(claim, astern)})/{_text(claim.mass[0])}"
 
-def _needed_by_loop(
-    claim: BrakingClaim,
-    law: GuardedLaw,
-    at: Forces,
-    distance: BrakingDistance,
-    bounds: tuple[Fraction, Fraction],
-    spread: Fraction,
-) -> Fraction:
-    """Return a range [m] that suffices for one period in which the law does not brake, its bound being within `bounds`.
+    def stale(self, since: Fraction) -> Fraction:
+        """Return by how much a measured range can exceed the true clearance [m] because of its error and its age."""
+        claim = self.claim
+        return claim.range_error + max(since + claim.speed_error + self.obstacle, Fraction(0)) * claim.age
 
-    `spread` is x at the higher bound.
+    def after(self, speed: str, rise: str, mass: Fraction) -> str:
+        """Return what a period without braking takes [m], and the braking distance after it.
 
-    Without braking, z rises by what the loop commands: m ż ≤ U + f + D for a command u ≤ U, U ≥ −F_b, and by the thrust
-    across if the hull turns. If the masses differ, m ≤ μ ≤ ρ m, a thrust F < 0 counts as F/μ to v̇, but as F/m to z. So
-    let Z = s + τ (max(F, min(U, 0)) + F_b)/m ≥ z, which begins at s + q/m at most. Where F ≥ 0, m Ż ≤ u + f + D; where
-    U ≤ F < 0, m Ż ≤ u − F + max(f + D + F, 0), with u − F ≤ 0; where F < min(U, 0), Z changes with s only. So Z, and
-    with it z, never exceeds s + q/m + T max(U + f + D, 0)/m in a period T.
+        `speed` is the measured speed at its start, and `rise` by how much z rises [m/s].
+        """
+        claim, period = self.claim, _text(self.claim.period)
+        closing, most = f"({speed} + {_text(claim.speed_error + self.obstacle)})", claim.fastest + self.obstacle
+        ahead = self.gain(speed, _text(thrust_ahead(claim)))
+        travelled = f"max({closing}*{period} + {ahead}*{_text(claim.period**2 / 2)}, 0)"
+        return f"{travelled} + {self.length(f'min({closing} + {rise}, {_text(most)})', mass, most)}"
 
-    At a speed v > b the loop commands less and less, at v < b at most k_v m (b − v) more, so that z rises with v there,
-    if the period is short enough. So the speeds from b to b + x suffice; they are divided into parts.
-    """
-    (low, high), most = bounds, Fraction(0)
-    aside = claim.ratio * claim.turn * claim.lag * across(claim)
-    turned = claim.turn * claim.period  # the command is held in axes of the hull, which turns during the period
-    aside += turned * claim.most / 2 + turned**2 * claim.brake / 6
-    for part in range(_PARTS):
-        slow, fast = (spread * k / _PARTS for k in (part, part + 1))
-        speed = min(high + fast, claim.fastest)
-        slowest = max(low + slow, -claim.fastest)
-        if high + fast < -claim.fastest:
-            continue
-        thrust = max(_forward(claim, law, high - law.gain * slow) - min(law.mass) * law.k_v * (1 + law.gain) * slow,
-                     -claim.brake) + aside  # fmt: skip
-        rise = max(_gain(claim, at, slowest, thrust) * claim.period, Fraction(0))
-        closing = speed + claim.speed_error + at.obstacle
-        after = distance.worst(claim, at, closing, at.swing + rise * claim.mass[0])
-        most = max(most, _travelled(claim, closing, _gain(claim, at, slowest, thrust_ahead(claim))) + after)
-    return _stale(claim, at, claim.fastest) + most
+    def needed(self, speed: Fraction) -> Fraction:
+        """Return the clearance [m] that suffices for one period without braking, from a measured speed on.
 
+        While the vehicle moves backward faster than the obstacle approaches, drag accelerates it towards the obstacle.
+        """
+        gain = upper(self.gain(_text(speed), _text(thrust_ahead(self.claim))))
+        rise = _text(gain * self.claim.period)
+        return max(upper(self.after(_text(speed), rise, m)) for m in self.claim.mass)
 
-def _stale(claim: BrakingClaim, at: Forces, since: Fraction) -> Fraction:
-    """Return by how much a measured range can exceed the true clearance [m] because of its error and its age."""
-    return claim.range_error + max(since + claim.speed_error + at.obstacle, Fraction(0)) * claim.age
+    def figures(self, speed: Fraction) -> tuple[Fraction, Fraction, Fraction]:
+        """Return closed-form braking distance, braking distance with drag, and needed range [m], rounded up to 0.1 mm.
 
-
-def _check_figures(claim: BrakingClaim, at: Forces, distance: BrakingDistance, column: int) -> None:
-    """Check the claim's table: closed-form braking distance without drag, braking distance with drag, needed range."""
-    left = claim.brake - at.disturbance - drag(claim, at.through)
-    for row, speed in enumerate(claim.speeds):
-        closing = speed + at.obstacle
-        closed = max(claim.ratio * m * (closing + at.swing / m) ** 2 / (2 * left) for m in claim.mass)
-        for name, stated, computed in (
-            ("closed_m", claim.closed, closed),
-            ("distance_m", claim.distance, distance.worst(claim, at, closing, at.swing)),
-            ("needed_m", claim.needed, needed(claim, at, distance, speed, speed, speed)),
-        ):
-            up = Fraction(-(-computed.numerator * _FIGURE // computed.denominator), _FIGURE)
-            if stated[row][column] != up:
-                raise Rejected(
-                    f"table.{name} at {float(speed):g} m/s towards an obstacle of {float(at.obstacle):g} m/s must be "
-                    f"{float(up):g} m, not {float(stated[row][column]):g} m"
-                )
-
-
-def _check_law(claim: BrakingClaim, law: GuardedLaw, at: Forces, distance: BrakingDistance) -> None:
-    """Check margin + K(b) ≥ needed range at speed b + x(b), for every value b of the law's speed bound.
-
-    At the distance K(b) from the obstacle, the law's speed bound is b. If the speed exceeds the bound by x(b), the
-    velocity loop commands the guaranteed braking force F_b. As long as the law does not brake with F_b, the speed is at
-    most b + x(b). K, x and the needed range rise with b. So the inequality is checked on intervals of b, which are
-    halved where necessary. The first interval starts at a value of b that corresponds to a negative clearance.
-    """
-    if claim.brake > law.limit:
-        raise Rejected("the law's thrust limit is below brake_n, the guaranteed braking force")
-    top = claim.fastest  # the vehicle is never faster, so it never exceeds a higher bound
-    start = _no_clearance(law, at, claim)
-    cells, least = [(start, start + _FIRST)], _stale(claim, at, claim.fastest)
-    short = claim.period * (_steepest(claim) + max(law.mass) * law.k_v) <= claim.mass[0]
-    while cells:
-        go_on()
-        low, high = cells.pop()
-        held = max(law.margin + bound_distance(law, at, claim.period, low), least)  # the clearance is never negative
-        enough = next(
-            (enough for enough in _sufficient(claim, law, at, distance, (low, high), short=short) if enough <= held),
-            None,
+        The needed range suffices if no speed since the last echo was higher.
+        """
+        claim, closing, left = self.claim, speed + self.obstacle, left_at(self.claim, self.obstacle)
+        exact = (
+            max(claim.ratio * m * (closing + self.swing / m) ** 2 / (2 * left) for m in claim.mass),
+            max(upper(self.length(_text(closing), m, closing)) for m in claim.mass),
+            self.stale(speed) + self.needed(speed),
         )
-        if enough is None:
-            if high - low < _FINEST:
-                enough = min(_sufficient(claim, law, at, distance, (low, high), short=short))
-                raise Rejected(
-                    f"the law's margin is too small: at a speed bound of {float(low):.4f} m/s towards an obstacle of "
-                    f"{float(at.obstacle):g} m/s it keeps {float(held):.4f} m, "
-                    f"{1000 * float(enough - held):.2g} mm less than needed"
-                )
-            middle = (low + high) / 2
-            cells += [(middle, high), (low, middle)]
-            continue
-        if not cells and high < top:
-            cells.append((high, high + _FIRST))
+        closed, distance, needed = (Fraction(-(-x.numerator * _FIGURE // x.denominator), _FIGURE) for x in exact)
+        return closed, distance, needed
+
+    def obligations(self) -> list[Obligation]:
+        """Return the inequalities 1 to 4 of the module."""
+        claim, swing = self.claim, self.swing
+        (low, high), (low2, high2) = drag_ranges(claim)
+        through, f = _text(self.through), upper(disturbance(claim, _text(self.through)))
+        least = low2 if claim.drag == "along" else low2 * Fraction(70710678, 10**8)  # at 45° to the axes of the hull
+        needed, before = list[Obligation](), Fraction(0)
+        for start, width, factors, rise in self._pieces():
+            box, ahead = [_span(Fraction(0), width)], start >= self.through
+            if not ahead and start + width > self.through:
+                raise Rejected("the speed through the water changes sign inside a piece: put a knot there")
+            x, y = (low, least) if ahead else (high, -high2)
+            force = f"({_text(claim.brake - f)} + (y + {_text(start)} - {through})*({_text(x)} + "
+            force += f"{_text(y)}*(y + {_text(start)} - {through})))"
+            own = _polynomial("y", factors)
+            enough = (
+                ("1", f"{own}*{force}")
+                if not start
+                else (f"y + {_text(start)}", f"({_text(before)} + y*{own})*{force}")
+            )
+            growth = _polynomial("y", [x * (k + 1) for k, x in enumerate(factors)])
+            needed += [Obligation(("y",), box, "0", growth), Obligation(("y",), box, *enough)]
+            before += rise
+        if self.retreats:
+            most = upper(_text(swing / claim.mass[0]))
+            widest = max(min(most, claim.fastest - self.obstacle), Fraction(0))
+            astern, own = f"{through} + r", f"{_text(self.obstacle)} + r"
+            over = f"{_drag(claim, astern)} + {disturbance(claim, astern, own)} - {_text(claim.brake)}"
+            slope = self.slope(f"({_text(most)} - r)")
+            needed.append(
+                Obligation(("r",), [_span(Fraction(0), widest)], f"{_text(claim.ratio)}*{slope}*({over})", "r")
+            )
+        return needed if claim.law is None else [*needed, self._of_law(claim.law)]
+
+    def _of_law(self, law: GuardedLaw) -> Obligation:
+        """Return inequality 4, for both ends of the range of masses."""
+        claim = self.claim
+        if claim.brake > law.limit:
+            raise Rejected("the law's thrust limit is below brake_n, the guaranteed braking force")
+        if claim.fastest < law.cap:
+            raise Rejected("the law wants a higher speed than fastest_m_per_s")
+        loop = min(law.mass) * law.k_v * (1 + law.gain)
+        over = "max(v - b, 0)"
+        command = f"{_forward(claim, law, f'b - {_text(law.gain)}*{over}')} - {_text(loop)}*{over}"
+        command = f"({command} + {_text(max(law.mass) * law.k_v)}*({over} - v + b))"
+        aside = claim.ratio * claim.turn * claim.lag * _across(claim)
+        turned = claim.turn * claim.period  # the command is held in axes of the hull, which turns during the period
+        aside += turned * claim.most / 2 + turned**2 * claim.brake / 6
+        short = claim.period * (_steepest(claim) + max(law.mass) * law.k_v) <= claim.mass[0]
+        thrust = f"max({command}, {_text(-claim.brake)}) + {_text(aside)}" if short else _text(thrust_ahead(claim))
+        rise = f"max({self.gain('v', thrust)}*{_text(claim.period)}, 0)"
+        # at a lower bound, the law brakes at every speed
+        low = -claim.fastest - (claim.brake + upper(_forward(claim, law, _text(claim.fastest)))) / loop
+        box = [_span(low, claim.fastest), _span(-claim.fastest, claim.fastest)]
+        clear = bound_distance(law, self.obstacle, claim.period)
+        clear = f"max({clear} + {_text(law.margin - self.stale(claim.fastest))}, 0)"  # the clearance is never negative
+        lengths = [self.after("v", rise, m) for m in sorted(set(claim.mass))]
+        longest = lengths[0] if len(lengths) == 1 else f"max({', '.join(lengths)})"
+        return Obligation(("b", "v"), box, longest, clear, [f"-({command}) - {_text(claim.brake)}"])
 
 
-def _first_excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
-    """Return x [m/s]: if the speed exceeds the bound b by x, the velocity loop commands the braking force F_b.
-
-    At the speed v, the loop commands the force drag(v_d) + m k_v (v_d − v) for a desired speed v_d ≤ b − gain x. This x
-    suffices even with the drag at v_d = b.
-    """
-    loop = min(law.mass) * law.k_v * (1 + law.gain)
-    return rounded(max((claim.brake + _forward(claim, law, bound)) / loop, Fraction(0)))
+def _polynomial(y: str, factors: Sequence[Fraction]) -> str:
+    total = _text(factors[-1])
+    for factor in factors[-2::-1]:
+        total = f"({_text(factor)} + {y}*{total})"
+    return total
 
 
-def _excess(claim: BrakingClaim, law: GuardedLaw, bound: Fraction) -> Fraction:
-    """Return a smaller x with the drag at v_d = b − gain x, which falls with x; so bisection finds it."""
-    loop, low, high = min(law.mass) * law.k_v * (1 + law.gain), Fraction(0), _first_excess(claim, law, bound)
-    for _ in range(_BISECTIONS):
-        middle = rounded((low + high) / 2)
-        if claim.brake + _forward(claim, law, bound - law.gain * middle) <= loop * middle:
-            high = middle
-        else:
-            low = middle
-    return high
+def _span(low: Fraction, high: Fraction) -> tuple[float, float]:
+    """Return doubles whose decimals enclose a range; both are the same number if its ends are."""
+    if low == high and Fraction(repr(float(low))) == low:
+        return float(low), float(high)
+    down, up = float(low), float(high)
+    return (
+        down if Fraction(repr(down)) <= low else nextafter(down, -1e300),
+        up if Fraction(repr(up)) >= high else nextafter(up, 1e300),
+    )
 
 
-def _forward(claim: BrakingClaim, law: GuardedLaw, desired: Fraction) -> Fraction:
+def _forward(claim: BrakingClaim, law: GuardedLaw, desired: str) -> str:
     """Return the largest force along n [N] of the loop's drag model at a desired speed along n, and of errors across n.
 
     The law's drag model computes the drag of each axis separately and includes the sideways speed; at a speed astern it
     brakes. If the masses of the law's model differ, an error of up to 2 w across adds a force along.
     """
-    v, a, w = max(desired, Fraction(0)), max(-desired, Fraction(0)), claim.sideways
     (low, high), (low2, high2), (light, heavy) = (sorted(pair) for pair in (law.linear, law.quadratic, law.mass))
-    aside = (high - low) * w / 2 + (2 * high2 - low2) * w**2 * ROOT27
-    if low == high and low2 == high2 and not a:
-        forward = high * v + high2 * (v**2 + Fraction(385, 1000) * v * w + Fraction(7072, 10**4) * w**2)
-    else:
-        forward = high * v + high2 * v**2 + ROOT2[1] * high2 * v * w + aside - low * a - HALF_ROOT2 * low2 * a**2
-    return forward + (heavy - light) * law.k_v * w
+    w, v = claim.sideways, f"max({desired}, 0)"
+    side = f"{_text(high2 * w)}*sqrt(2)*{v} + {_text((2 * high2 - low2) * w**2)}*sqrt(1/27)"
+    if low == high and low2 == high2:
+        side = f"min({side}, {_text(high2 * w)}*({v}*0.385 + {_text(w)}*0.7072))"
+    aside = _text((high - low) * w / 2 + (heavy - light) * law.k_v * w)
+    along = f"{_text(high)}*{v} + {_text(high2)}*{v}^2 + {side} + {aside}"
+    return f"({along} - {_text(low)}*({v} - ({desired})) - {_text(low2)}*sqrt(1/2)*({v} - ({desired}))^2)"
 
 
-def bound_distance(law: GuardedLaw, at: Forces, period: Fraction, bound: Fraction) -> Fraction:
+def bound_distance(law: GuardedLaw, obstacle: Fraction, period: Fraction) -> str:
     """Return K(b) [m], the distance at which the law's speed bound is b; for b far below 0, K is linear in b."""
     force = law.brake * law.limit
     if law.barrier == "simple":
-        c, t = bound + at.obstacle, law.reaction
-        return c * t + max(c, Fraction(0)) ** 2 * max(law.mass) / (2 * force) + t * at.obstacle
+        c, t = f"(b + {_text(obstacle)})", law.reaction
+        return f"({c}*{_text(t)} + max({c}, 0)^2*{_text(max(law.mass) / (2 * force))} + {_text(t * obstacle)})"
     lightest, heaviest, most, lag, linear, quadratic = law.stopping
-    dragged = linear * at.obstacle + quadratic * at.obstacle**2
+    dragged = linear * obstacle + quadratic * obstacle**2
     left = force - dragged
     if left * 50 < force:
         raise Rejected("the law's speed bound assumes too little braking force at the speed of the obstacle")
     gain, swing = (most + dragged) / lightest, lag * (most + force)
-    c = bound + at.obstacle + gain * period
-    distances = []
+    c, distances = f"(b + {_text(obstacle + gain * period)})", []
     for m in (lightest, heaviest):
         k, lost = m / (2 * left), swing / m
         distances.append(
-            k * max(c, Fraction(0)) ** 2 + (period + 2 * k * lost) * c + k * lost**2 - gain * period**2 / 2
+            f"{_text(k)}*max({c}, 0)^2 + {_text(period + 2 * k * lost)}*{c} + "
+            f"{_text(k * lost**2 - gain * period**2 / 2)}"
         )
-    return max(distances)
+    return f"max({', '.join(distances)})"
 
 
-def _no_clearance(law: GuardedLaw, at: Forces, claim: BrakingClaim) -> Fraction:
-    """Return a speed [m/s] below the law's speed bound at every measured range: margin + K(speed) ≤ −range error."""
-    bound = -at.obstacle
-    for _ in range(10_000):
-        if law.margin + bound_distance(law, at, claim.period, bound) <= -claim.range_error:
-            return bound
-        bound -= Fraction(1, 1000)
-    raise Rejected("the law's speed bound stays too high where the clearance is 0")
+def check(document: Mapping[str, Any]) -> None:
+    """Check a braking certificate whose format and hash are verified.
+
+    Raises:
+        Rejected: the certificate does not prove its claim; the message names the first failure.
+    """
+    record(document, ("format", "version", "kind", "claim", "distances", "proofs", "sha256"), "the certificate")
+    claim, obligations = read_claim(document["claim"]), list[Obligation]()
+    if claim.period * _steepest(claim) > claim.mass[0]:  # else the needed range rises with the speed
+        raise Rejected("the control period is too long for the mass and drag of the vehicle")
+    if not left_at(claim, claim.limit + Fraction(1, _FIGURE)) < 0 <= left_at(claim, claim.limit):
+        raise Rejected("claim.limit_obstacle_m_per_s is not the obstacle speed that uses up the braking force")
+    stated = listed(document["distances"])
+    if len(stated) != len(claim.obstacles):
+        raise Rejected("there must be one braking distance for each obstacle")
+    for column, obstacle in enumerate(claim.obstacles):
+        distance = read_distance(claim, obstacle, stated[column])
+        for row, speed in enumerate(claim.speeds):
+            named = {"closed_m": claim.closed, "distance_m": claim.distance, "needed_m": claim.needed}
+            for (name, rows), figure in zip(named.items(), distance.figures(speed), strict=True):
+                if rows[row][column] < figure:
+                    raise Rejected(
+                        f"table.{name} at {float(speed):g} m/s towards an obstacle of {float(obstacle):g} m/s must be "
+                        f"at least {float(figure):g} m, not {float(rows[row][column]):g} m"
+                    )
+        obligations += distance.obligations()
+    try:
+        check_all(obligations, document["proofs"], Exact(ExpressionTable(("y",))))
+    except Undefined as reason:
+        raise Rejected(f"an expression is not defined where it must be: {reason}") from None
+
+
+def read_distance(claim: BrakingClaim, obstacle: Fraction, stated: Any) -> Distance:
+    """Return the braking distance before one obstacle from its entry in the certificate."""
+    entry = record(stated, ("knots", "factors", "retreats"), "distances")
+    rows = [entry["knots"], *listed(entry["factors"])]
+    if any(not isinstance(row, list) or not 1 <= len(row) <= MOST_NUMBERS for row in rows) or len(rows) < 2:
+        raise Rejected(f"distances: knots and factors must be lists of 1 to {MOST_NUMBERS} numbers")
+    if type(entry["retreats"]) is not bool:
+        raise Rejected("distances: 'retreats' must be true or false")
+    knots, *factors = (tuple(number(x, "distances", least=-(10**9)) for x in row) for row in rows)
+    return Distance(claim, obstacle, knots, tuple(factors), entry["retreats"])

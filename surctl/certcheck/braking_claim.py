@@ -9,9 +9,10 @@ from fractions import Fraction
 from typing import Any
 
 from surctl.certcheck.document import Rejected, record
+from surctl.certcheck.inequality import listed
 from surctl.certcheck.region_claim import number
 
-__all__ = ["ASSUMES", "DRAGS", "LEMMAS", "BrakingClaim", "GuardedLaw", "read_claim"]
+__all__ = ["ASSUMES", "MOST_NUMBERS", "BrakingClaim", "GuardedLaw", "read_claim"]
 
 ASSUMES = (
     "there is one obstacle or wall at a time; it is convex, does not rotate and never approaches faster than stated",
@@ -33,27 +34,35 @@ ASSUMES = (
 )
 """Assumptions of the claim; a certificate repeats the assumptions word for word."""
 
-LEMMAS = (
-    "distance: G' >= z/(F_b - f + D(z - v_o)) and G' rises; so clearance - m G(z) does not fall while the vehicle "
-    "brakes; beyond the largest closing speed, G' may stay as it is",
-    "retreat: the same holds while the vehicle retreats faster than the obstacle approaches; or G is then that at the "
-    "closing speed 0, while the clearance grows and the lagging thrust falls",
-    "mass: m G(s + q/m) is convex in m, so that one end of the mass range is the worst case; for unequal masses, m is "
-    "the lighter one and the distance is mass_ratio times as large",
-    "push: thrust towards the obstacle is at most most_n, and that of a velocity loop at most k_v m (cap + fastest) + "
-    "drag(cap) of the law's model, in any direction; the lag averages commands, so it never delivers more",
-    "period: with any such thrust during one period, or with the one that the loop commands at the speed that it has, "
-    "the range needed is enough for the period and the braking distance after it",
-    "law: wherever the law does not brake with brake_n, the clearance is at least the range needed",
-    "plane: the distance to a convex body is convex in the position, so that it is enough to consider the latched "
-    "direction",
-)
-"""Lemmas from which the claim follows; a certificate repeats them. Proofs: `surctl.marine.guidance.braking`."""
-
-DRAGS = ("along", "axes")
-_BARRIERS = ("inertia", "simple")
-
 Pair = tuple[Fraction, Fraction]
+Rows = tuple[tuple[Fraction, ...], ...]
+
+_TOP = (
+    "system", "assumes", "vehicle", "encounter", "watch", "law", "table", "limit_obstacle_m_per_s", "sha256_vehicle",
+    "sha256_law",
+)  # fmt: skip
+_VEHICLE = (
+    "mass_kg", "mass_ratio", "linear_drag", "quadratic_drag", "drag", "brake_n", "most_n", "side_n", "lag_s",
+)  # fmt: skip
+_ENCOUNTER = (
+    "obstacles_m_per_s", "current_m_per_s", "disturbance_n", "sideways_m_per_s", "turn_rad_per_s", "fastest_m_per_s",
+)  # fmt: skip
+_NAMES = (
+    "current", "disturbance", "sideways", "turn", "fastest", "period", "age", "range_error", "speed_error",
+)  # fmt: skip
+_WATCH = ("period_s", "age_s", "range_error_m", "speed_error_m_per_s")
+_LAW = (
+    "barrier", "margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "k_i_per_s2", "gain", "cap_m_per_s",
+    "mass_kg", "linear_drag", "quadratic_drag", "stopping",
+)  # fmt: skip
+_SCALARS = ("margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "gain", "cap_m_per_s")
+_STOPPING = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
+_POSITIVE = {
+    "mass_kg", "brake_n", "most_n", "fastest_m_per_s", "period_s", "reaction_s", "brake", "limit_n", "k_v_per_s",
+    "cap_m_per_s", "lightest_kg", "heaviest_kg",
+}  # fmt: skip
+MOST_NUMBERS = 12
+"""Largest length of a row of the table."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +71,14 @@ class GuardedLaw:
 
     Attributes:
         barrier: `inertia` or `simple`.
-        margin, reaction: the law's gains `margin` [m] and `reaction` [s].
-        brake, limit: limit is the thrust limit [N]; brake is the share of this limit that the speed bound uses for
-            braking.
-        k_v, gain: k_v is the bandwidth of the velocity loop [1/s]; the law subtracts gain times the excess of the speed
-            over the bound from the commanded velocity.
+        margin, reaction: the law's gains of these names [m], [s].
+        brake, limit: share of the thrust limit that the speed bound uses for braking; thrust limit [N].
+        k_v, gain: bandwidth of the velocity loop [1/s]; the commanded velocity is reduced by gain times the excess of
+            the speed over the bound.
         cap: largest speed that the law wants [m/s].
         mass, linear, quadratic: mass, and linear and quadratic drag, of (surge, sway) in the law's model.
-        stopping: parameters of the speed bound `inertia`: least mass, largest mass, largest thrust, lag, linear drag,
-            quadratic drag.
+        stopping: numbers of the bound `inertia`: least mass, largest mass, largest thrust, lag, linear and quadratic
+            drag.
     """
 
     barrier: str
@@ -92,22 +100,18 @@ class BrakingClaim:
     """A claim about braking; SI units, pairs are (least, largest).
 
     Attributes:
-        mass, linear, quadratic: true mass, that of the lighter axis; and linear drag and quadratic drag of both axes.
-        ratio: largest ratio of the masses in surge and sway, the heavier one over the lighter one.
-        drag: `along` if the drag depends on the speed and acts against the velocity, `axes` if each body axis has a
-            drag of its own.
-        brake, most, side: brake is the guaranteed braking force F_b; most is the largest thrust towards the obstacle;
-            side is the largest thrust perpendicular to the direction of the obstacle.
+        mass, ratio, linear, quadratic: mass of the lighter axis, largest ratio of the masses, drag of both axes.
+        drag: `along` if drag acts against the velocity, `axes` if each body axis has a drag of its own.
+        brake, most, side: guaranteed braking force F_b; largest thrust towards the obstacle, and across.
         lag: largest time constant τ of the thrust.
-        obstacles: approach speeds v_o of the obstacles, in increasing order.
+        obstacles: approach speeds v_o, which rise.
         current, disturbance: largest speed of the current towards the obstacle, and largest other force towards it.
-        sideways, turn, fastest: largest sideways speed, largest yaw rate while braking, largest own speed.
-        period, age, range_error, speed_error: control period, largest age of a measured range, largest error of the
-            range, and largest error of the measured own speed.
-        law: the control law; None if the claim is about the rule alone (brake unless the needed range is available).
+        sideways, turn, fastest: largest sideways speed, largest yaw rate while braking, largest own speed V.
+        period, age, range_error, speed_error: control period, and age and errors of the measurements.
+        law: the control law; None if the claim is about the rule alone: brake unless the needed range is available.
         speeds: own speeds for which the table has entries.
-        closed, distance, needed: table entries [m] for each own speed and obstacle: the closed-form braking distance,
-            the braking distance with drag, and the needed range.
+        closed, distance, needed: braking distance without drag, braking distance, and needed range [m], for each own
+            speed and obstacle.
         limit: largest obstacle speed at which the braking force still exceeds drag and disturbance.
     """
 
@@ -132,9 +136,9 @@ class BrakingClaim:
     speed_error: Fraction
     law: GuardedLaw | None
     speeds: tuple[Fraction, ...]
-    closed: tuple[tuple[Fraction, ...], ...]
-    distance: tuple[tuple[Fraction, ...], ...]
-    needed: tuple[tuple[Fraction, ...], ...]
+    closed: Rows
+    distance: Rows
+    needed: Rows
     limit: Fraction
 
 
@@ -142,134 +146,81 @@ def read_claim(claim: Any) -> BrakingClaim:
     """Return the claim of a certificate.
 
     Raises:
-        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated assumptions or lemmas
-            are not those of this kind of claim.
+        Rejected: a key is missing or unknown, a number has the wrong type or sign, or the stated assumptions are not
+            those of this kind of claim.
     """
-    keys = ("system", "assumes", "lemmas", "vehicle", "encounter", "watch", "law", "table", "limit_obstacle_m_per_s",
-            "sha256_vehicle", "sha256_law")  # fmt: skip
-    top = record(claim, keys, "claim")
+    top = record(claim, _TOP, "claim")
     if top["system"] != "braking":
         raise Rejected(f"claim.system {top['system']!r} is not known; known: braking")
-    if top["assumes"] != list(ASSUMES) or top["lemmas"] != list(LEMMAS):
-        raise Rejected("claim.assumes or claim.lemmas differs from the text that this checker expects")
+    if top["assumes"] != list(ASSUMES):
+        raise Rejected("claim.assumes differs from the text that this checker expects")
     for key in ("sha256_vehicle", "sha256_law"):
         if not isinstance(top[key], str) or not re.fullmatch("[0-9a-f]{64}", top[key]):
             raise Rejected(f"claim.{key} is not a SHA-256")
-    names = ("mass_kg", "mass_ratio", "linear_drag", "quadratic_drag", "drag", "brake_n", "most_n", "side_n", "lag_s")
-    vehicle = record(top["vehicle"], names, "claim.vehicle")
-    if vehicle["drag"] not in DRAGS:
-        raise Rejected(f"claim.vehicle.drag must be one of {', '.join(DRAGS)}")
-    met = record(
-        top["encounter"],
-        (
-            "obstacles_m_per_s",
-            "current_m_per_s",
-            "disturbance_n",
-            "sideways_m_per_s",
-            "turn_rad_per_s",
-            "fastest_m_per_s",
-        ),
-        "claim.encounter",
-    )
-    watch = record(top["watch"], ("period_s", "age_s", "range_error_m", "speed_error_m_per_s"), "claim.watch")
+    vehicle = record(top["vehicle"], _VEHICLE, "claim.vehicle")
+    met, watch = record(top["encounter"], _ENCOUNTER, "claim.encounter"), record(top["watch"], _WATCH, "claim.watch")
     table = record(top["table"], ("speeds_m_per_s", "closed_m", "distance_m", "needed_m"), "claim.table")
-    obstacles, speeds = _row(met["obstacles_m_per_s"], "obstacles"), _row(table["speeds_m_per_s"], "speeds")
+    if vehicle["drag"] not in ("along", "axes"):
+        raise Rejected("claim.vehicle.drag must be along or axes")
+    obstacles, speeds = _row(met, "obstacles_m_per_s"), _row(table, "speeds_m_per_s")
     if list(obstacles) != sorted(set(obstacles)):
         raise Rejected("claim.encounter.obstacles_m_per_s must rise")
 
-    def grid(name: str) -> tuple[tuple[Fraction, ...], ...]:
-        rows = table[name]
-        if not isinstance(rows, list) or len(rows) != len(speeds):
-            raise Rejected(f"claim.table.{name} must have one row for each speed")
-        values = tuple(_row(row, name) for row in rows)
-        if any(len(row) != len(obstacles) for row in values):
-            raise Rejected(f"claim.table.{name} must have one column for each obstacle")
-        return values
+    def grid(key: str) -> Rows:
+        rows = tuple(_row({key: row}, key) for row in listed(table[key]))
+        if len(rows) != len(speeds) or any(len(row) != len(obstacles) for row in rows):
+            raise Rejected(f"claim.table.{key} must have one row for each speed and one column for each obstacle")
+        return rows
 
-    def plain(part: Mapping[str, Any], name: str, *, above: bool = False) -> Fraction:
-        return number(part[name], f"claim: {name}", above=above)
-
+    named: dict[str, Any] = {key.rpartition("_")[0]: _one(vehicle, key) for key in _VEHICLE[5:]}
+    named |= dict(zip(_NAMES, [*(_one(met, key) for key in _ENCOUNTER[1:]), *(_one(watch, key) for key in _WATCH)],
+                      strict=True))  # fmt: skip
     return BrakingClaim(
-        mass=_pair(vehicle["mass_kg"], "mass_kg", above=True),
+        mass=_pair(vehicle, "mass_kg"),
         ratio=number(vehicle["mass_ratio"], "claim: mass_ratio", least=1),
-        linear=_pair(vehicle["linear_drag"], "linear_drag"),
-        quadratic=_pair(vehicle["quadratic_drag"], "quadratic_drag"),
+        linear=_pair(vehicle, "linear_drag"),
+        quadratic=_pair(vehicle, "quadratic_drag"),
         drag=vehicle["drag"],
-        brake=plain(vehicle, "brake_n", above=True),
-        most=plain(vehicle, "most_n", above=True),
-        side=plain(vehicle, "side_n"),
-        lag=plain(vehicle, "lag_s"),
         obstacles=obstacles,
-        current=plain(met, "current_m_per_s"),
-        disturbance=plain(met, "disturbance_n"),
-        sideways=plain(met, "sideways_m_per_s"),
-        turn=plain(met, "turn_rad_per_s"),
-        fastest=plain(met, "fastest_m_per_s", above=True),
-        period=plain(watch, "period_s", above=True),
-        age=plain(watch, "age_s"),
-        range_error=plain(watch, "range_error_m"),
-        speed_error=plain(watch, "speed_error_m_per_s"),
         law=None if top["law"] is None else _law(top["law"]),
         speeds=speeds,
         closed=grid("closed_m"),
         distance=grid("distance_m"),
         needed=grid("needed_m"),
-        limit=plain(top, "limit_obstacle_m_per_s"),
+        limit=_one(top, "limit_obstacle_m_per_s"),
+        **named,
     )
 
 
 def _law(value: Any) -> GuardedLaw:
-    law = record(
-        value,
-        ("barrier", "margin_m", "reaction_s", "brake", "limit_n", "k_v_per_s", "k_i_per_s2", "gain",
-         "cap_m_per_s", "mass_kg", "linear_drag", "quadratic_drag", "stopping"),
-        "claim.law",
-    )  # fmt: skip
-    if number(law["k_i_per_s2"], "claim.law.k_i_per_s2"):
+    law = record(value, _LAW, "claim.law")
+    stopping = record(law["stopping"], _STOPPING, "claim.law.stopping")
+    if _one(law, "k_i_per_s2"):
         raise Rejected("claim.law.k_i_per_s2 must be 0: the certified loop has no integral action")
-    if law["barrier"] not in _BARRIERS:
-        raise Rejected(f"claim.law.barrier must be one of {', '.join(_BARRIERS)}")
-    names = ("lightest_kg", "heaviest_kg", "most_n", "lag_s", "linear_drag", "quadratic_drag")
-    stopping = record(law["stopping"], names, "claim.law.stopping")
-
-    def positive(name: str) -> Fraction:
-        return number(law[name], f"claim.law.{name}", above=True)
-
-    def axes(name: str, *, above: bool = False) -> Pair:
-        if not isinstance(law[name], list) or len(law[name]) != 2:
-            raise Rejected(f"claim.law.{name} must be [surge, sway]")
-        surge, sway = (number(entry, f"claim.law.{name}", above=above) for entry in law[name])
-        return surge, sway
-
-    bound = tuple(number(stopping[n], f"claim.law.stopping.{n}", above=n.endswith("_kg")) for n in names)
-    if bound[0] > bound[1]:
+    if law["barrier"] not in ("inertia", "simple"):
+        raise Rejected("claim.law.barrier must be inertia or simple")
+    believed = tuple(_one(stopping, key) for key in _STOPPING)
+    if believed[0] > believed[1]:
         raise Rejected("claim.law.stopping: lightest_kg exceeds heaviest_kg")
-    return GuardedLaw(
-        law["barrier"],
-        number(law["margin_m"], "claim.law.margin_m"),
-        positive("reaction_s"),
-        positive("brake"),
-        positive("limit_n"),
-        positive("k_v_per_s"),
-        number(law["gain"], "claim.law.gain"),
-        positive("cap_m_per_s"),
-        axes("mass_kg", above=True),
-        axes("linear_drag"),
-        axes("quadratic_drag"),
-        bound,
-    )
+    named: dict[str, Any] = {key.partition("_")[0]: _row(law, key, 2) for key in _LAW[9:12]}
+    for name, key in zip(("margin", "reaction", "brake", "limit", "k_v", "gain", "cap"), _SCALARS, strict=True):
+        named[name] = _one(law, key)
+    return GuardedLaw(barrier=law["barrier"], stopping=believed, **named)
 
 
-def _row(value: Any, where: str) -> tuple[Fraction, ...]:
-    if not isinstance(value, list) or not 1 <= len(value) <= 12:
-        raise Rejected(f"claim: {where} must be a list of 1 to 12 numbers")
-    return tuple(number(entry, f"claim: {where}") for entry in value)
+def _one(part: Mapping[str, Any], key: str) -> Fraction:
+    return number(part[key], f"claim: {key}", above=key in _POSITIVE)
 
 
-def _pair(value: Any, where: str, *, above: bool = False) -> Pair:
-    if not isinstance(value, list) or len(value) != 2:
-        raise Rejected(f"claim: {where} must be [least, largest]")
-    low, high = (number(entry, f"claim: {where}", above=above) for entry in value)
+def _row(part: Mapping[str, Any], key: str, size: int = 0) -> tuple[Fraction, ...]:
+    value = part[key]
+    if not isinstance(value, list) or not 1 <= len(value) <= MOST_NUMBERS or (size and len(value) != size):
+        raise Rejected(f"claim: {key} must be a list of {size or f'1 to {MOST_NUMBERS}'} numbers")
+    return tuple(_one({key: entry}, key) for entry in value)
+
+
+def _pair(part: Mapping[str, Any], key: str) -> Pair:
+    low, high = _row(part, key, 2)
     if low > high:
-        raise Rejected(f"claim: {where}: the least value exceeds the largest")
+        raise Rejected(f"claim: {key}: the least value exceeds the largest")
     return low, high

@@ -3,7 +3,8 @@
 The proof distinguishes cases and divides the box of each case. A case has these entries:
 
 - `choice`: which of its two expressions each abs, max, min and select takes;
-- `numerator`, `denominators`, `multipliers`: left − right = numerator / Π denominators + Σ multiplier · constraint;
+- `numerator`, `denominators`, `multipliers`: left − right = numerator / Π denominators + Σ multiplier · constraint; a
+  numerator of null is left − right;
 - `tree`: the division of the box, in preorder. A capital letter or digit halves the box in the variable that it names
   (at 0 if 0 lies inside); a small letter names the rule that proves the inequality on the box;
 - `points`: the points of contact of the tangents, for the rule `c`;
@@ -142,7 +143,8 @@ class _Case:
         chosen, conditions = self._chosen(picked)
         self.margin = self.expressions.put("sub", chosen[0], chosen[1])
         self.constraints = [*chosen[2:], *conditions]
-        self.numerator = self.expressions.read(case["numerator"])
+        stated = case["numerator"]
+        self.numerator = self.margin if stated is None else self.expressions.read(stated)
         self.denominators = [self.expressions.read(t) for t in listed(case["denominators"])]
         self.multipliers = [self.expressions.read(t) for t in listed(case["multipliers"])]
         self.case = case

@@ -156,7 +156,7 @@ def commanded(document: Document, bound: float, over: float) -> float:
     aside = (high - low) * w / 2 + (2 * high2 - low2) * w**2 / sqrt(27)
     fed = high * v + high2 * (v**2 + sqrt(2) * v * w) + aside - low * a - low2 * a**2 / sqrt(2)
     if low == high and low2 == high2 and not a:
-        fed = high * v + high2 * (v**2 + 0.385 * v * w + 0.7071 * w**2)
+        fed = min(fed, high * v + high2 * (v**2 + 0.385 * v * w + 0.7071 * w**2))
     fed += (max(law["mass_kg"]) - min(law["mass_kg"])) * law["k_v_per_s"] * w
     return float(fed - min(law["mass_kg"]) * law["k_v_per_s"] * (1 + law["gain"]) * over)
 

@@ -66,7 +66,7 @@ def braking(name: str, change: Callable[[dict[str, Any]], None] = lambda _: None
     if claim["law"] is not None:
         claim["sha256_law"] = {"inertia": INERTIA, "simple": LAW}[claim["law"]["barrier"]].block.digest()
     change(claim)
-    return seal("braking", claim, {"proof": document["proof"]})
+    return seal("braking", claim, {key: document[key] for key in ("distances", "proofs")})
 
 
 @cache

@@ -9,15 +9,17 @@ its worst limit; the others use random mass, lag, drag, braking force, errors an
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from math import inf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from surctl.certcheck.braking import disturbance, thrust_ahead, upper
 from surctl.marine.guidance.braking import Brakes, Watch
 from surctl.marine.verification.braking.claim import BrakingClaim, LawNumbers
-from surctl.marine.verification.braking.proof import DistanceTable, distance_table, encounter, figures_needed
+from surctl.marine.verification.braking.proof import distance_of, stated
 
 __all__ = ["Episodes", "Rule", "rule_of", "run_episodes"]
 
@@ -53,18 +55,19 @@ class Episodes:
     fastest: float
 
 
-def rule_of(claim: BrakingClaim, *, obstacle: float, table: DistanceTable | None = None) -> Rule:
+def rule_of(claim: BrakingClaim, *, obstacle: float, share: float = 1.0) -> Rule:
     """Return the rule by which the claim's vehicle brakes before an obstacle that approaches at `obstacle` [m/s].
 
     If the claim has no law, the vehicle brakes unless the measured range is at least the range needed; this rule uses
-    the braking distance in `table`, by default the table of the proof. If the claim has a law, the vehicle brakes when
+    the braking distance of the proof, times `share`. If the claim has a law, the vehicle brakes when
     its speed exceeds the law's speed bound so far that the velocity loop commands the guaranteed braking force.
     """
     if claim.law is not None:
         return _law_rule(claim, claim.law, obstacle)
-    distances = distance_table(claim, obstacle) if table is None else table
-    grid = np.linspace(-1.0, claim.fastest + claim.watch.speed_error, 2001)
-    still = np.array([figures_needed(claim, distances, float(v), since=-np.inf) for v in grid])
+    distance = distance_of(stated(claim), Fraction(repr(obstacle)))
+    scaled = tuple(tuple(Fraction(repr(share)) * x for x in row) for row in distance.factors)
+    distance, grid = replace(distance, factors=scaled), np.linspace(-1.0, claim.fastest + claim.watch.speed_error, 121)
+    still = claim.watch.range_error + np.array([float(distance.needed(Fraction(repr(float(v))))) for v in grid])
 
     def brakes(read: Vector, speed: Vector, since: Vector) -> NDArray[np.bool_]:
         late = np.maximum(np.maximum(since, speed) + claim.watch.speed_error + obstacle, 0.0) * claim.watch.age
@@ -178,7 +181,9 @@ class _World:
         self.past: list[tuple[Vector, Vector]] = []
         self.command, self.came = np.zeros(shape), np.zeros(shape)
         self.sign = np.ones((2, runs))
-        self.pushed = encounter(claim, obstacle).disturbance
+        own = stated(claim)
+        self.pushed = float(upper(disturbance(own, f"({own.current + Fraction(repr(obstacle))})")))
+        self.ahead = float(thrust_ahead(own))
         if claim.ratio > 1:
             heavier = self.mass * np.where(worst, claim.ratio, rng.uniform(1.0, claim.ratio, runs))
             pair, swapped = np.column_stack([self.mass, heavier]), rng.uniform(size=runs) < 0.5
@@ -232,7 +237,7 @@ class _World:
         claim, period = self.claim, self.claim.watch.period
         # what the thrust still adds counts too: without it, light vehicles with a lag exceed the claim's speed
         stored = towards + self.lag * np.sum(self.thrust * self.latched, axis=1) / self.mass
-        return np.asarray(np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, claim.thrust_ahead))
+        return np.asarray(np.clip((claim.fastest - stored) * self.mass / period - self.pushed, 0.0, self.ahead))
 
     def _aside(self, across: Vector) -> Vector:
         """Return the thrust across the latched direction while a vehicle with unequal masses brakes."""

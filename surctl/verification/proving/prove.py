@@ -30,7 +30,7 @@ from surctl.verification.proving.squares import prove_by_squares
 from surctl.verification.proving.tape import Tape, build_tape
 from surctl.verification.proving.touching import excluded, touches
 
-__all__ = ["Cases", "Proof", "certain_excess", "prove", "prove_cases"]
+__all__ = ["Cases", "Proof", "certain_excess", "prove", "prove_by_boxes", "prove_cases"]
 
 _ROUNDS = ((100, 0.0), (400, 1e-4), (2_000, 1.0), (20_000, 1.0), (10_000_000, 1.0))
 """The rounds of the search: for each round, the largest number of boxes and the share of the slack that it may use. The
@@ -177,6 +177,19 @@ def prove_cases(
         if simply or not any("squares" in case for case in shown) or _holds(statement, whole):
             return whole
     raise AssertionError("a proof without sums of squares needs no second attempt")
+
+
+def prove_by_boxes(statement: Statement, *, time_limit: float) -> Cases:
+    """Try to prove a statement as it is written, by interval boxes alone: fast for expressions with many branches."""
+    box, (left, right, *rows) = (statement.lower, statement.upper), substituted(statement)
+    case = Case("", left - right, tuple(rows))
+    bound, limits, written = (build_tape(statement.names, p) for p in ([case.margin], rows, [left, right, *rows]))
+    with np.errstate(all="ignore"):  # ranges that are not known yet
+        result = search(BoxTask(bound, limits, written, box, 0.0), deadline=time.process_time() + time_limit)
+    shown = _Shown(as_written(case), result, 0.0)
+    if not result.closed:
+        return _left_open(statement, written, case, shown, result.boxes)
+    return Cases((_written(case, shown) | {"numerator": None},), 0.0, "", (), result.boxes)
 
 
 def _holds(statement: Statement, shown: Cases) -> bool:

@@ -5,7 +5,6 @@ import pytest
 from surctl.marine.control import load_gains
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.verification.braking import BrakingClaim, braking_claim_named
-from surctl.marine.verification.braking.proof import distance_table
 from tests.oracles.braking_episodes import rule_of, run_episodes
 
 
@@ -23,8 +22,7 @@ def test_nothing_is_touched_inside_the_assumptions(name: str) -> None:
 
 def test_a_shorter_way_hits() -> None:
     claim, obstacle = claimed("braking-rule-20"), 0.1
-    table = distance_table(claim, obstacle)
-    short = rule_of(claim, obstacle=obstacle, table=replace(table, slopes=0.85 * table.slopes))
+    short = rule_of(claim, obstacle=obstacle, share=0.85)
     assert run_episodes(claim, obstacle=obstacle, runs=300, seconds=12.0, rule=short).hits > 0
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil, hypot, sqrt
+from math import ceil, sqrt
 from typing import Any, Literal
 
-from surctl.certcheck.braking_claim import ASSUMES, LEMMAS
+from surctl.certcheck.braking_claim import ASSUMES
 from surctl.marine.control import Barrier, Gains
 from surctl.marine.control.stopping import BRAKE
 from surctl.marine.guidance.braking import Brakes, Watch, brakes_of
@@ -16,8 +16,6 @@ from surctl.marine.verification.assumptions import check_no_integral
 __all__ = ["BrakingClaim", "LawNumbers", "law_numbers"]
 
 Pair = tuple[float, float]
-
-_ROOT = 3e-9  # by which the checker's roots may exceed the true ones
 
 
 @dataclass(frozen=True)
@@ -133,23 +131,6 @@ class BrakingClaim:
     digests: tuple[str, str] = ("0" * 64, "0" * 64)
     ratio: float = 1.0
 
-    @property
-    def thrust_ahead(self) -> float:
-        """The largest thrust towards the obstacle [N]: that of the vehicle, or less if the law's loop commands less."""
-        if self.law is None:
-            return self.brakes.most
-        law, cap = self.law, self.law.cap
-        most = max(law.linear), max(law.quadratic)
-        error = cap + self.fastest + self.watch.speed_error
-        ahead = max(law.mass) * law.k_v * error + most[0] * cap + most[1] * cap**2
-        aside = most[0] * (hypot(cap, self.sideways) + _ROOT) + most[1] * (cap**2 + self.sideways**2)
-        return min(self.brakes.most, ceil(max(ahead, aside) * 1e9) / 1e9)
-
-    @property
-    def across(self) -> float:
-        """The largest thrust across [N]: `side`, or what was commanded before braking and still lags."""
-        return max(self.side, self.thrust_ahead) if self.turn or self.ratio > 1 else self.side
-
     def braking_with(self, least: float) -> BrakingClaim:
         """Return the claim with another guaranteed braking force [N]; less of it ends sooner after a decision to brake.
 
@@ -165,7 +146,6 @@ class BrakingClaim:
         return {
             "system": "braking",
             "assumes": list(ASSUMES),
-            "lemmas": list(LEMMAS),
             "vehicle": {
                 "mass_kg": _pair(b.masses),
                 "mass_ratio": _plain(self.ratio),
