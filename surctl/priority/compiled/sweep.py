@@ -1,10 +1,5 @@
 """The NSB law, equation (16) of the paper, as compiled projections, and a check that all inputs are finite.
 
-At the minimiser v of ½‖J v − x‖² subject to the constraint rows, the negative gradient Jᵀ(x − J v) is a combination of
-the normals of the active rows. So its projection on the directions in which v may move is 0, and the Lagrange
-multipliers of this projection are the multipliers of the least-squares problem. A nonzero projection measures how far v
-is from optimal. In the code, the negative gradient is called the pull.
-
 `nsb_symbolic` returns the law for goals alone as one CasADi expression.
 """
 
@@ -15,27 +10,12 @@ from collections.abc import Sequence
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Call, Loop, Program, Routine, Step, lower
+from surctl.ir import Call, Loop, Program, Step, lower
 from surctl.priority.compiled.decomposition import StackShape, SymbolicLevel, decompose
-from surctl.priority.settings import ZERO_ROW, Settings
-from surctl.priority.solver.dual_step import OPTIMAL, Space
-from surctl.priority.solver.elimination import FLOAT64, LONGEST, Precision
-from surctl.priority.solver.kernel import kernel, row_by_row
+from surctl.priority.settings import Settings
+from surctl.priority.solver.elimination import LONGEST
 
-__all__ = [
-    "HUGE",
-    "gate",
-    "holding",
-    "into",
-    "largest",
-    "longer_row",
-    "merged",
-    "nsb_symbolic",
-    "opened_row",
-    "projection",
-    "sweep",
-    "swept",
-]
+__all__ = ["HUGE", "gate", "into", "nsb_symbolic", "projection", "sweep", "swept"]
 
 _DEPENDENT = 1e-12
 """A row of J is dependent if its squared distance from the rows above is below this fraction of its squared length."""
@@ -204,115 +184,3 @@ def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
         inside = ca.if_else(above <= high[i], above, high[i])
         moved.append(ca.if_else(ca.fabs(inside) <= HUGE, inside, 0))
     return ca.vertcat(*moved)
-
-
-def opened_row(n: int) -> Program:
-    """Return a program that scales a row to length 1, moves its bounds outwards if soft, and makes the row hard.
-
-    The program takes the row, the amount `opening` by which soft bounds move, and a velocity v. It also widens the
-    bounds so that v satisfies the row exactly.
-    """
-    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
-    length = ca.sqrt(ca.sumsqr(row[:n]))
-    a = row[: n + 2] * (1 / ca.if_else(length <= ZERO_ROW, 1, length))
-    value, widening = ca.dot(a[:n], v), row[n + 2] * opening
-    low, high = a[n] - widening, a[n + 1] + widening
-    low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
-    return lower(ca.Function("opened_row", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
-
-
-def longer_row(n: int, more: int) -> Program:
-    """Return a program that appends `more` variables with coefficient 0 to a constraint row."""
-    row = ca.SX.sym("row", n + 3)
-    return lower(ca.Function("longer_row", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(more), row[n:]))]))
-
-
-def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
-    """Return the routine that finds the constraint rows which limit a task at the velocity v, and their multipliers.
-
-    Inputs: rows (m·(n + 3),), the constraint rows; opening (1,), the amount by which the bounds of soft rows are moved
-    outwards; v (n,); pull (n,), the negative gradient of the task at v; Z (n·n,), projector on the free directions.
-    Outputs: numbers (n,), signed numbers, from 1, of the rows that limit the task (+ at the upper bound, 0 for an
-    unused entry); multipliers (n,), for rows of length 1; rest (n,), the part of the pull in the range of Z that is not
-    a combination of the normals; count (1,), number of iterations.
-    """
-    space = Space(n, n, precision=precision)
-    steps = (
-        Call(_unit_pull(n, precision), ("pull",), ("base", "size", "go")),
-        Loop(_touching(n, precision), m, (), ("cone",), sliced=("rows",), fixed=("opening", "v")),
-        Call(
-            row_by_row(kernel(space, m), m, precision),
-            ("cone", "base", "go", "Z"),
-            ("point", "active", "weights", "end", "count"),
-        ),
-        Call(
-            _scaled(n),
-            ("point", "active", "weights", "end", "size", "pull"),
-            ("numbers", "multipliers", "rest"),
-        ),
-    )
-    inputs = (("rows", m * (n + 3)), ("opening", 1), ("v", n), ("pull", n), ("Z", n * n))
-    return Routine("holding", inputs, steps, ("numbers", "multipliers", "rest", "count"))
-
-
-def largest(vector: ca.SX) -> ca.SX:
-    """Return the largest absolute entry of the vector."""
-    size = ca.SX(0)
-    for i in range(vector.numel()):
-        size = ca.fmax(size, ca.fabs(vector[i]))
-    return size
-
-
-def _unit_pull(n: int, precision: Precision) -> Program:
-    pull = ca.SX.sym("pull", n)
-    size = largest(pull)
-    none = ca.logic_not(size > precision.priced)
-    unit = pull * ca.if_else(none, 0, 1 / ca.if_else(none, 1, size))
-    return lower(ca.Function("unit_pull", [pull], [ca.vertcat(unit, 0), ca.if_else(none, 0, size), none]))
-
-
-def _touching(n: int, precision: Precision) -> Program:
-    """Return a program for a row's bounds on a direction of motion from v: 0 if v is at the bound, else infinite."""
-    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
-    length = ca.sqrt(ca.sumsqr(row[:n]))
-    inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
-    value, margin = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - precision.feasibility * (1 + largest(v))
-    below = ca.if_else(value <= row[n] * inverse - margin, 0, -HUGE)
-    above = ca.if_else(value >= row[n + 1] * inverse + margin, 0, HUGE)
-    return lower(ca.Function("touching", [row, opening, v], [ca.vertcat(row[:n] * inverse, below, above, 0)]))
-
-
-def _scaled(n: int) -> Program:
-    # if the solver failed, the rest is the whole pull
-    point, active, weights = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("weights", n)
-    end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
-    good = ca.eq(end, OPTIMAL)
-    outputs = [
-        ca.if_else(good, active, 0),
-        ca.if_else(good, weights * size, 0),
-        ca.if_else(good, point[:n] * size, pull),
-    ]
-    return lower(
-        ca.Function("scaled_weights", [point, active, weights, end, size, pull], list(map(ca.densify, outputs)))
-    )
-
-
-def merged(n: int) -> Program:
-    """Return a program that joins two lists of active constraint rows, with numbers (n,) and multipliers (n,) each.
-
-    A constraint row of the second list is left out if the first list contains this row or has no unused entry.
-    """
-    numbers, multipliers = ca.SX.sym("numbers", n), ca.SX.sym("multipliers", n)
-    more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)
-    slots, amounts = ca.vertsplit(numbers), ca.vertsplit(multipliers)
-    for k in range(n):
-        waits = more[k] != 0
-        for j in range(n):
-            waits = ca.logic_and(waits, ca.fabs(numbers[j]) != ca.fabs(more[k]))
-        for j in range(n):
-            takes = ca.logic_and(waits, ca.eq(slots[j], 0))
-            waits = ca.logic_and(waits, ca.logic_not(takes))
-            slots[j], amounts[j] = ca.if_else(takes, more[k], slots[j]), ca.if_else(takes, further[k], amounts[j])
-    return lower(
-        ca.Function("merged", [numbers, multipliers, more, further], [ca.vertcat(*slots), ca.vertcat(*amounts)])
-    )

@@ -21,11 +21,16 @@ The functions are the source of a `Procedure`; `hierarchy` returns it.
 
 from __future__ import annotations
 
-from surctl.ir.procedure import Procedure, fabs, within
+import ast
+from collections.abc import Callable
+from typing import Any
+
+from surctl.ir.procedure import Procedure, fabs, source_of, within
 from surctl.priority.compiled.decomposition import StackShape
 from surctl.priority.hierarchy import factors, search
 from surctl.priority.hierarchy.factors import Memory, optimum
 from surctl.priority.hierarchy.search import at_once, descend, judge, prepare, restore
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 
 __all__ = ["hierarchy"]
 
@@ -106,8 +111,9 @@ _FUNCTIONS = (
 )  # fmt: skip
 
 
-def hierarchy(shape: StackShape, rows: int) -> Procedure:
+def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> Procedure:
     """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`."""
+    functions = [_in_float(function) if precision == FLOAT32 else function for function in _FUNCTIONS]
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
     r = k + x
@@ -118,7 +124,7 @@ def hierarchy(shape: StackShape, rows: int) -> Procedure:
         arranged += [f"    s.level_of[{row}] = {level}" for row in range(starts[level], starts[level + 1])]
     return Procedure.of(
         "hierarchy",
-        ["\n".join(arranged), *_FUNCTIONS],
+        ["\n".join(arranged), *functions],
         inputs=(*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),
         outputs=(
             ("velocity", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1),
@@ -142,6 +148,22 @@ def hierarchy(shape: StackShape, rows: int) -> Procedure:
             ),
         },
     )  # fmt: skip
+
+
+_FLOAT = {
+    **{1e-16: 1e-16, 1e-15: 1e-7, 1e-14: 1e-6, 1e-13: 1e-6, 1e-12: 1e-5, 1e-11: 1e-5, 1e-10: 3e-5, 3e-10: 1e-4},
+    **{1e-9: 1e-4, 1e-7: 1e-2, 1e-6: 1e-2, 1e30: 1e30, 1e140: 1e15, 1e150: 1e15, 1e299: 1e29, 1e300: 1e30},
+}
+"""The tolerances of the kernel for float, by those for double."""
+
+
+def _in_float(function: Callable[..., Any]) -> str:
+    """Return the source of a function with the tolerances for float."""
+    tree = ast.parse(source_of(function))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and type(node.value) is float and not 1e-4 <= abs(node.value) <= 10.0:
+            node.value = _FLOAT[node.value] if node.value else 0.0
+    return ast.unparse(tree)
 
 
 def _padded(size: int) -> int:

@@ -73,13 +73,13 @@ def prepare(s: Memory) -> None:
         length = sqrt(square)
         if not length <= 1e150:
             s.bad = 1
-        inverse = 1.0 / length if length > 1e-12 else 0.0
+        inverse = 1.0 / length if length > 1e-16 else 0.0
         value = 0.0
         for j in range(s.n):
             e = s.rows[i * (s.n + 3) + j] * inverse
             s.At[j * s.m + i] = e
             value += e * s.v[j]
-        inverse = inverse if length > 1e-12 else 1.0
+        inverse = inverse if length > 1e-16 else 1.0
         s.lo[i] = s.rows[i * (s.n + 3) + s.n] * inverse
         s.up[i] = s.rows[i * (s.n + 3) + s.n + 1] * inverse
         if not s.lo[i] <= 1e299 or not s.up[i] >= -1e299:
@@ -364,7 +364,8 @@ def release(s: Memory) -> int:
                         from_set = 1
                     else:
                         s.lock_set[row] = 1 if e > 1e-11 * s.size else 0
-        if which < 0 and (not largest > 1e-12 * s.size or (s.w == 0 and level <= 2)):
+        unit = s.scale[level] if s.scale[level] > 1.0 else 1.0
+        if which < 0 and (not largest > 1e-12 * s.size * unit or (s.w == 0 and level <= 2)):
             return 0
     else:
         for j in within(0, s.w + s.start[s.p], s.x):
