@@ -43,7 +43,7 @@ def sound(s: Memory) -> int:
     """Return whether the numbers of the levels are finite and their bounds in order."""
     good = 1
     for level in within(2, s.p, s.p):
-        for row in within(s.first[level] - 2, s.first[level + 1] - 2, s.k):
+        for row in within(s.first[level] - 2, s.first[level + 1] - 2, s.b):
             for j in range(s.n):
                 if not fabs(s.J[row * s.n + j]) <= 1e140:
                     good = 0
@@ -116,7 +116,7 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
     functions = [_in_float(function) if precision == FLOAT32 else function for function in _FUNCTIONS]
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
-    r = k + x
+    r, largest = k + x, max(level.rows for level in shape.levels)
     arranged = ["def arrange(s):"]
     arranged += [f"    s.first[{level}] = {start}" for level, start in enumerate(starts)]
     for level in range(p):
@@ -130,7 +130,10 @@ def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> P
             ("velocity", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1),
             ("target", n),
         ),
-        sizes={"n": n, "x": x, "quarter": x // 4, "m": rows, "k": k, "p": p, "r": r, "cap": 2 * (n + rows) + p},
+        sizes={
+            "n": n, "x": x, "quarter": x // 4, "m": rows, "k": k, "b": largest, "p": p, "r": r,
+            "cap": 2 * (n + rows) + p,
+        },
         reals={
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
             "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "other": r, "y": x, "z": x, "g": x, "QR": k * x,

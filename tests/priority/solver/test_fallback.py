@@ -73,15 +73,6 @@ def has(trials: Trials, name: str) -> NDArray[np.bool_]:
     return trials.features[:, FAMILIES.index(name)]
 
 
-def attained(trials: Trials, v: Array) -> NDArray[np.bool_]:
-    """Where v meets the task, and no row of the task is so short that it may count as 0."""
-    J = trials.J.reshape(len(v), P, N)
-    length = np.linalg.norm(J, axis=2)
-    missed = np.abs(np.einsum("kij,kj->ki", J, v) - trials.x) / np.where(length > 0, length, 1.0)
-    met = (missed <= 1e-9 * (1 + np.abs(v).max(axis=1, keepdims=True))).all(axis=1)
-    return np.asarray(met & (length.min(axis=1) >= 1e-8 * length.max(axis=1)))
-
-
 def nearest(trials: Trials, k: int, unit: tuple[Array, Array, Array]) -> Array | None:
     """DAQP's point for rung 1, if it finds one that holds."""
     A, lower, upper = unit
@@ -122,7 +113,7 @@ def test_every_tick_has_a_finite_answer_inside_the_hard_rows(flown: Flown) -> No
 
 
 def test_met_is_the_nearest_point_by_its_optimality_conditions(flown: Flown) -> None:
-    met = (flown.status == MET) & attained(flown.trials, flown.v)
+    met = (flown.status == MET) & flown.trials.attained(flown.v)
     assert met.sum() > 400
     verdict = judge(flown.trials[met], flown.v[met], flown.active[met], multipliers=flown.multipliers[met])
     assert verdict.worst().max() <= 1e-9
@@ -130,7 +121,7 @@ def test_met_is_the_nearest_point_by_its_optimality_conditions(flown: Flown) -> 
 
 
 def test_the_referee_sees_a_wrong_answer(flown: Flown) -> None:
-    met = (flown.status == MET) & attained(flown.trials, flown.v) & (flown.active != 0).any(axis=1)
+    met = (flown.status == MET) & flown.trials.attained(flown.v) & (flown.active != 0).any(axis=1)
     met = np.flatnonzero(met & ~has(flown.trials, "far"))[:50]
     trials = flown.trials[met]
     for change in (1e-6, -1e-6):
@@ -144,7 +135,7 @@ def test_daqp_agrees_and_nothing_feasible_is_given_up(flown: Flown) -> None:
     compared, unit = 0, flown.trials.unit()[:3]
     for k in range(500):
         want = nearest(flown.trials, k, unit)
-        if want is None or not attained(flown.trials[np.array([k])], want[None])[0]:
+        if want is None or not flown.trials[np.array([k])].attained(want[None])[0]:
             continue
         assert flown.status[k] == MET, k
         gap = np.abs(want - flown.v[k]).max() / (1 + np.abs(flown.trials.target[k]).max())
