@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
 from surctl.ir import Call, Loop, Program, Routine, Step, compile_block, lower, lower_named, replay, warn_slower
-from surctl.priority.compiled.decomposition import LevelShape, StackShape
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.problem import PriorityProblem
 from surctl.priority.settings import ZERO_ROW, Fallback, Mode, Settings, check_fallback
+from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.elimination import FLOAT64, Precision
 from surctl.priority.solver.fallback import CLAMPED, MET, Sizes, limited_step
 

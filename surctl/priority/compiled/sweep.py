@@ -6,16 +6,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Step, lower
-from surctl.priority.compiled.decomposition import StackShape, SymbolicLevel, decompose
-from surctl.priority.settings import Settings
+from surctl.priority.settings import CUTOFF, ZERO_ROW, Settings
+from surctl.priority.shapes import StackShape, SymbolicLevel
 from surctl.priority.solver.elimination import LONGEST
 
-__all__ = ["HUGE", "gate", "into", "nsb_symbolic", "projection", "sweep", "swept"]
+__all__ = ["HUGE", "Decomposition", "decompose", "gate", "into", "nsb_symbolic", "projection", "sweep", "swept"]
 
 _DEPENDENT = 1e-12
 """A row of J is dependent if its squared distance from the rows above is below this fraction of its squared length."""
@@ -121,6 +122,107 @@ def _check(levels: Sequence[tuple[ca.SX, ca.SX]], damping: float) -> None:
 
 HUGE = 1e300
 """Numbers larger than this count as infinite."""
+
+
+class Decomposition(NamedTuple):
+    """Complete orthogonal decomposition scale·J = P T Q of a Jacobian J (k, n).
+
+    Attributes:
+        Q: k columns (n, 1), orthonormal basis of the row space of J; column i is zero if row i of J depends on the rows
+            above (Golub and Van Loan 2013, 5.4.7).
+        P: k orthonormal columns (k, 1); column i is zero if column i of Q is zero.
+        T: rows of an upper triangular matrix (k, k); row i and column i are zero if column i of Q is zero.
+        inverse: reciprocals of the k diagonal entries of T; 0 for a diagonal entry of 0.
+        scale: 1/‖J‖, where ‖J‖ is the length of the longest row of J; 0 for a zero J (inactive task).
+    """
+
+    Q: list[ca.SX]
+    P: list[ca.SX]
+    T: list[list[ca.SX]]
+    inverse: list[ca.SX]
+    scale: ca.SX
+
+    def turned(self, x: ca.SX) -> ca.SX:
+        """Return b = Pᵀ·scale·x (k, 1), for which ‖J y − x‖ and ‖T Q y − b‖ have the same minimisers y."""
+        rest, entries = x * self.scale, []
+        for p in self.P:
+            entries.append(ca.dot(p, rest))
+            rest = rest - entries[-1] * p
+        return ca.vertcat(*entries)
+
+    def coordinates(self, x: ca.SX) -> ca.SX:
+        """Return c (k, 1), where Qᵀc is the shortest y that minimises ‖J y − x‖."""
+        c = ca.vertsplit(self.turned(x))
+        for j in reversed(range(len(c))):
+            for i in range(j + 1, len(c)):
+                c[j] = c[j] - self.T[j][i] * c[i]
+            c[j] = c[j] * self.inverse[j]
+        return ca.vertcat(*c)
+
+    def directions(self) -> ca.SX:
+        """Return Q as a matrix (k, n), with one direction in each row."""
+        return ca.horzcat(*self.Q).T
+
+
+def decompose(J: ca.SX) -> Decomposition:
+    """Return the decomposition of J (k, n).
+
+    A row of J counts as linearly dependent if its part orthogonal to the rows above is shorter than `CUTOFF`·‖J‖.
+    """
+    k = J.shape[0]
+    longest = ca.SX(0)
+    for i in range(k):
+        longest = ca.fmax(longest, ca.sqrt(ca.sumsqr(J[i, :])))
+    alive = longest > ZERO_ROW
+    scale = ca.if_else(alive, 1 / ca.if_else(alive, longest, 1), 0)
+    rows = [(scale * J[i, :]).T for i in range(k)]
+    Q: list[ca.SX] = []
+    for row in rows:
+        Q.append(_direction(row, Q))
+    # row i depends on directions 1 … i only; rounding errors in the other entries are dropped
+    left = [[ca.dot(rows[i], Q[j]) if j <= i else ca.SX(0) for j in range(k)] for i in range(k)]
+    P, T, inverse = _orthonormal_columns(left)
+    return Decomposition(Q, P, T, inverse, scale)
+
+
+def _direction(row: ca.SX, Q: list[ca.SX]) -> ca.SX:
+    """Return the unit vector along the part of a row that is orthogonal to the directions Q, or 0 if this part is 0."""
+    # two orthogonalisation passes suffice (Parlett 1998, 6.9)
+    q = _outside(row, Q)
+    length = ca.sqrt(ca.sumsqr(q))
+    alive = length > CUTOFF
+    q = q * ca.if_else(alive, 1 / ca.if_else(alive, length, 1), 0)
+    if not Q:
+        return q
+    q = _outside(q, Q)
+    again = ca.sqrt(ca.sumsqr(q))
+    return q * ca.if_else(alive, 1 / ca.if_else(alive, again, 1), 0)
+
+
+def _outside(vector: ca.SX, Q: list[ca.SX]) -> ca.SX:
+    for q in Q:
+        vector = vector - ca.dot(q, vector) * q
+    return vector
+
+
+def _orthonormal_columns(left: list[list[ca.SX]]) -> tuple[list[ca.SX], list[list[ca.SX]], list[ca.SX]]:
+    """Factor a k × k matrix into P T by modified Gram–Schmidt, with two passes per column; return P, T, 1/diag T."""
+    k = len(left)
+    P: list[ca.SX] = []
+    T: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]
+    inverse: list[ca.SX] = []
+    for j in range(k):
+        p = ca.vertcat(*(left[i][j] for i in range(k)))
+        for _ in range(2 if j else 0):
+            for i, earlier in enumerate(P):
+                part = ca.dot(earlier, p)
+                T[i][j] = T[i][j] + part
+                p = p - part * earlier
+        T[j][j] = ca.sqrt(ca.sumsqr(p))
+        alive = T[j][j] > 0
+        inverse.append(ca.if_else(alive, 1 / ca.if_else(alive, T[j][j], 1), 0))
+        P.append(p * inverse[j])
+    return P, T, inverse
 
 
 def _project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:

@@ -26,10 +26,10 @@ from collections.abc import Callable
 from typing import Any
 
 from surctl.ir.procedure import Procedure, fabs, source_of, within
-from surctl.priority.compiled.decomposition import StackShape
 from surctl.priority.hierarchy import factors, search
 from surctl.priority.hierarchy.factors import Memory, optimum
 from surctl.priority.hierarchy.search import at_once, descend, judge, prepare, restore
+from surctl.priority.shapes import StackShape
 from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 
 __all__ = ["hierarchy"]
@@ -55,6 +55,34 @@ def sound(s: Memory) -> int:
     return good
 
 
+def retreat(s: Memory) -> float:
+    """Move v back towards the first v until the hard limits hold; return the largest violation of a soft limit."""
+    share = 1.0
+    for j in range(s.n):
+        e = 0.0
+        e = s.box[j] if e < s.box[j] else e
+        s.goal[j] = s.box[s.n + j] if e > s.box[s.n + j] else e
+    for turn in range(2):
+        wide = 0.0
+        for i in range(s.m):
+            start = 0.0
+            value = 0.0
+            for j in range(s.n):
+                start += s.At[j * s.m + i] * s.goal[j]
+                value += s.At[j * s.m + i] * s.v[j]
+            above = value - s.up[i] if value > start else s.lo[i] - value
+            path = fabs(value - start)
+            if s.rows[i * (s.n + 3) + s.n + 2] > 0.0:
+                above = value - s.up[i] if value - s.up[i] > s.lo[i] - value else s.lo[i] - value
+                wide = above if above > wide else wide
+            elif above > 1e-10 * (1.0 + s.size) and above > (1.0 - share) * path:
+                share = 1.0 - above / path if above < path else 0.0
+        if turn == 0:
+            for j in range(s.n):
+                s.v[j] = s.goal[j] + share * (s.v[j] - s.goal[j])
+    return wide
+
+
 def solution(s: Memory) -> None:
     """Solve the problem and write the outputs."""
     arrange(s)
@@ -77,6 +105,8 @@ def solution(s: Memory) -> None:
         outcome = judge(s)
         far = s.v[s.hard] if s.hard >= 0 else 0.0
         wide = s.v[s.soft] if s.soft >= 0 else 0.0
+        if outcome == 0 or outcome == 2:
+            wide = retreat(s)
         s.opening[0] = wide if wide > 1e-12 * s.size else 0.0
         s.status[0] = 3.0 if s.opening[0] > 0.0 else 2.0 if outcome >= 2 else 1.0
         if outcome == 0 or outcome == 2:
@@ -107,7 +137,7 @@ _FUNCTIONS = (
     factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
     factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
     search.at_once, search.ratio, search.move_limits, search.advance, search.release, search.descend, search.restore,
-    search.jacobian, search.bound_loss, search.remember, search.judge, sound, solution,
+    search.jacobian, search.bound_loss, search.remember, search.judge, retreat, sound, solution,
 )  # fmt: skip
 
 

@@ -32,9 +32,9 @@ import casadi as ca
 
 from surctl.errors import InputError
 from surctl.ir import Call, Loop, Program, Routine, Step, lower, lower_named
-from surctl.priority.compiled.decomposition import LevelShape, StackShape
 from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.settings import ZERO_ROW, Fallback
+from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.dual_step import OPTIMAL, SKIPPED, dot
 from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix, reflect
 from surctl.priority.solver.kernel import certificate, into, lanes_of, nearest_point, unit_rows
@@ -151,14 +151,14 @@ def _nearest(sizes: Sizes) -> tuple[Step, ...]:
     n, m, level = sizes.n, sizes.m, sizes.level
     cap = None if sizes.fallback == "exact" else CAP
     free = nearest_point(n, n, m, precision=sizes.precision, cap=cap)
-    found = ("v", "active", "multipliers", "end", "count", "shown")
+    outcome = ("v", "active", "multipliers", "end", "count", "shown")
     if level is None or sizes.damping:
         zero = lower_named("zero", {}, {"none": ca.SX.zeros(1)})
-        return (Call(zero, (), ("none",)), Call(free, ("unit", "target", "none"), found))
-    begun, once = (tuple(f"{name}_{tag}" for name in found) for tag in ("begun", "once"))
-    state, table = tuple(zip(found, (n, n, n, 1, 1, 1), strict=True)), ("unit", sizes.rows)
+        return (Call(zero, (), ("none",)), Call(free, ("unit", "target", "none"), outcome))
+    begun, once = (tuple(f"{name}_{tag}" for name in outcome) for tag in ("begun", "once"))
+    state, table = tuple(zip(outcome, (n, n, n, 1, 1, 1), strict=True)), ("unit", sizes.rows)
     alone = level.rows == 1 or cap is None  # the bounded fallback does not look at inactive tasks of several rows
-    first = once if level.rows < n else found
+    first = once if level.rows < n else outcome
     steps: tuple[Step, ...] = (Call(_without_search(sizes), ("J", "lower"), (*(begun if alone else first), "wait")),)
     if alone:
         search = _search(state, (table, ("target", n)), (Call(free, ("unit", "target", "over"), _SEARCHED),))
@@ -177,7 +177,7 @@ def _nearest(sizes: Sizes) -> tuple[Step, ...]:
         *steps,
         Call(_reflected(sizes), ("target", "J", "lower", "upper", "v_once"), ("origin", "start", "Z", "idle")),
         Loop(
-            _search(state, (table, *arrays), body), 1, (*once, "idle"), (*found, "over"),
+            _search(state, (table, *arrays), body), 1, (*once, "idle"), (*outcome, "over"),
             fixed=("unit", "origin", "start", "Z"), until=6,
         ),
     )  # fmt: skip
@@ -278,7 +278,7 @@ def _strict(sizes: Sizes) -> Routine:
     names = tuple(name for name, _ in sizes.task)
     levels = (*([sizes.level] if sizes.level else []), LevelShape(n))
     shape = StackShape(n, (LevelShape(n + k),) if sizes.damping else levels)
-    arrays, found = ("J_all", "low_all", "high_all"), (*(f"{name}_next" for name in SOLUTION), "origin")
+    arrays, outcome = ("J_all", "low_all", "high_all"), (*(f"{name}_next" for name in SOLUTION), "origin")
     near: tuple[Step, ...] = ()
     if sizes.damping and sizes.level and sizes.level.is_set:
         alone = Sizes(n, sizes.m, precision=sizes.precision)
@@ -288,14 +288,14 @@ def _strict(sizes: Sizes) -> Routine:
             Call(
                 kernel,
                 (*(f"{name}_near" for name in arrays), "rows", "box"),
-                ("near", *(f"{k}_near" for k in found[1:])),
+                ("near", *(f"{k}_near" for k in outcome[1:])),
             ),
         )
     steps = (
         *near,
         Call(_levels(sizes), ("target", *names, *(["near"] if near else [])), arrays),
-        Call(hierarchy(shape, sizes.m, sizes.precision), (*arrays, "rows", "box"), found),
-        Call(_outcome(sizes), (*SOLUTION, "fits", *found[:-1]), tuple(f"{name}_all" for name in SOLUTION)),
+        Call(hierarchy(shape, sizes.m, sizes.precision), (*arrays, "rows", "box"), outcome),
+        Call(_outcome(sizes), (*SOLUTION, "fits", *outcome[:-1]), tuple(f"{name}_all" for name in SOLUTION)),
     )
     fixed = (("fits", 1), ("target", n), *sizes.task, ("rows", sizes.rows), ("box", 2 * n))
     return Routine("strict", (*sizes.solution, *fixed), steps, tuple(f"{name}_all" for name in SOLUTION))

@@ -12,10 +12,10 @@ from scipy.optimize import linprog
 from surctl.errors import InputError, SolverError, ToolMissing
 from surctl.ir import SlowerEngine, compile_block, replay, to_casadi
 from surctl.priority import Level, Mode, PriorityProblem, Row, Settings, build_problem, solve
-from surctl.priority.compiled.decomposition import LevelShape
 from surctl.priority.compiled.step import OUTPUTS, PriorityStep, priority_step
 from surctl.priority.optimality import is_optimal
 from surctl.priority.reference import polyhedron_of
+from surctl.priority.shapes import LevelShape
 from tests.oracles.priority_references import daqp_hierarchy, printed_law, svd_cascade
 from tests.oracles.shape_draws import draw_of_shape
 from tests.tools import need_compiler

@@ -104,7 +104,7 @@ def test_every_tick_has_a_finite_answer_inside_the_hard_rows(flown: Flown) -> No
     missed = np.maximum(value - upper, lower - value)
     assert missed[~soft].max() <= 1e-9
     shown = flown.status != UNCONFIRMED
-    assert shown.mean() > 0.98 and (np.where(soft, missed, -1).max(axis=1) <= flown.opening + 1e-9)[shown].all()
+    assert shown.mean() > 0.98 and (np.where(soft, missed, -1).max(axis=1) <= flown.opening + 1e-9).all()
     box = flown.trials.box
     assert ((box[:, :N] <= flown.v) & (flown.v <= box[:, N:])).all()
     assert not (flown.status == CLAMPED).any()
@@ -232,9 +232,8 @@ def test_in_float_it_is_as_safe_and_nearly_as_good(flown: Flown) -> None:
     assert ((rounded[4][:, :N] <= v) & (v <= rounded[4][:, N:])).all()
     A, lower, upper, soft = Trials(*(a.astype(np.float64) for a in rounded), flown.trials.features).unit()
     value = np.einsum("kij,kj->ki", A, v.astype(np.float64))
-    missed = np.where(soft, -1.0, np.maximum(value - upper, lower - value)).max(axis=1)
-    shown = status != UNCONFIRMED
-    assert missed[shown].max() <= 1e-4 and missed.max() <= 1e-3 and shown.mean() > 0.95
+    assert np.where(soft, -1.0, np.maximum(value - upper, lower - value)).max() <= 1e-4
+    assert (status != UNCONFIRMED).mean() > 0.95
     both = (status == MET) & (flown.status == MET)
     gap = np.abs(v - flown.v).max(axis=1) / (1 + np.abs(flown.trials.target).max(axis=1))
     assert both.sum() > 500 and np.quantile(gap[both], 0.9) <= 1e-6
