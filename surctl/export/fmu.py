@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl import __version__
-from surctl.errors import InputError
+from surctl.errors import InputError, cannot_write
 from surctl.export.bundle import Bundle, ExportedFile
 from surctl.export.contract import DATA, MISSION_FILES, Exportable, commands, is_robot_law, status_table
 from surctl.export.envelope import Envelope, anywhere
@@ -161,13 +161,7 @@ def _component_units(text: str, count: int) -> list[str]:
 
 
 def _unit_exponents(text: str) -> dict[str, int] | None:
-    """Return the exponents of the SI base units of a unit such as "N s^2/m^2", or None if it has others.
-
-    Example:
-        >>> from surctl.export.fmu import unit_exponents
-        >>> unit_exponents("N s/m"), unit_exponents("bananas")
-        ({'kg': 1, 's': -1}, None)
-    """
+    """Return the exponents of the SI base units of a unit such as "N s^2/m^2", or None if it has others."""
     powers: dict[str, int] = {}
     for sign, part in zip(itertools.chain([1], itertools.repeat(-1)), text.split("/"), strict=False):
         for factor in part.strip("()").split():
@@ -435,9 +429,7 @@ def _write(folder: Path, name: str, members: dict[str, bytes]) -> ExportedFile:
         digest = hashlib.sha256(staged.read_bytes()).hexdigest()
         staged.replace(target)
     except OSError as error:
-        raise InputError(
-            f"cannot be written ({error.strerror})", file=target, remedy="choose a folder that you may write to"
-        ) from None
+        raise cannot_write(target, error) from None
     finally:
         with contextlib.suppress(OSError):
             staged.unlink()
