@@ -214,9 +214,11 @@ def referee(trials: Trials, outputs: list[Array]) -> dict[str, float]:
         )  # fmt: skip
         status = outputs[4][k, 0]
         ours = status == MET
-        valid = flag == 1 and max((G @ y - b).max(), (a - G @ y).max()) <= 1e-10 * (1 + np.abs(y).max())
-        if not valid or not trials[np.array([k])].attained(y[None])[0]:
+        if flag != 1 or max((G @ y - b).max(), (a - G @ y).max()) > 1e-10 * (1 + np.abs(y).max()):
+            ours = ours and trials[np.array([k])].attained(outputs[0][[k]])[0]
             refused += ours
+        elif not trials[np.array([k])].attained(y[None])[0]:
+            continue
         elif ours:
             gap = max(gap, float(np.abs(y - outputs[0][k]).max() / (1 + np.abs(goal).max())))
         else:
