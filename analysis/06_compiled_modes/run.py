@@ -27,10 +27,10 @@ from surctl.ir import compiler_version
 from surctl.ir.cache import find_compiler
 from surctl.priority import Mode, Settings, build_problem, solve
 from surctl.priority.compiled.assemble import assemble
-from surctl.priority.compiled.decomposition import LevelShape
 from surctl.priority.compiled.step import PriorityStep
 from surctl.priority.optimality import is_optimal
 from surctl.priority.problem import Level, PriorityProblem, Row
+from surctl.priority.shapes import LevelShape
 from surctl.tasks import (
     HalfPlane,
     Stack,

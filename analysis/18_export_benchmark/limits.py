@@ -96,7 +96,7 @@ def laws(*, quick: bool, ladder: Fallback = "exact") -> Told:
 def ticks(*, quick: bool, ladder: Fallback = "exact") -> Told:
     """Measure the step of that mode alone: 24 rows, a task of 2 rows and two of 1, on numerically hard problems."""
     levels = (LevelShape(2), LevelShape(1), LevelShape(1))
-    tick = priority_step("projected", n=4, levels=levels, rows=_ROWS, precision=FLOAT32, named=False, fallback=ladder)
+    tick = priority_step("projected", n=4, levels=levels, rows=_ROWS, precision=FLOAT32, fallback=ladder)
     arrays = _inputs(draw_trials(300 if quick else 4_000, n=4, p=2, m=_ROWS, seed=0))
     outputs, counts = counted(tick, arrays)
     first = [array[:100].astype(np.float32) for array in arrays]

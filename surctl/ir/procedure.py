@@ -40,6 +40,7 @@ __all__ = [
     "Procedure",
     "back",
     "fabs",
+    "source_of",
     "sqrt",
     "within",
 ]
@@ -182,7 +183,7 @@ class Procedure:
         wholes: Mapping[str, int],
     ) -> Procedure:
         """Return the procedure that Python functions define; `reals` and `wholes` are the memory, 0 for a variable."""
-        texts = [function if isinstance(function, str) else _text_of(function) for function in functions]
+        texts = [function if isinstance(function, str) else source_of(function) for function in functions]
         memory = [(key, "real", size) for key, size in reals.items()]
         memory += [(key, "whole", size) for key, size in wholes.items()]
         own = tuple(sizes.items())
@@ -285,7 +286,8 @@ class _Memory:
         self.__dict__.update(space)
 
 
-def _text_of(function: Callable[..., Any]) -> str:
+def source_of(function: Callable[..., Any]) -> str:
+    """Return the source of a function in the language of procedures, as `Procedure.source` holds it."""
     import inspect
 
     assert isinstance(function, FunctionType)

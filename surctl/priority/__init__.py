@@ -15,8 +15,8 @@ The status of a solution, in `solve` (and the name of the stage in a compiled st
 Every solution that limits affect is checked after the solver. It is optimal if the residual r of each strict level is
 at most 1e-7·(s + r) above the smallest that the limits and the levels above allow, with s = max(1, largest |entry of
 J|), and if the same holds, with s = 1, for the distance to the target and for the least relaxation of the limits. The
-bound includes what rounding errors of the problem may change. See modules `optimality`,
-`compiled.confirmation` and `hierarchy.search`.
+bound includes what rounding errors of the problem may change. See modules `optimality`, `solver.kernel` and
+`hierarchy.search`.
 
 Limits that cross are handled by one rule, in `build_problem`, `assemble` and compiled steps:
 
@@ -35,13 +35,13 @@ from __future__ import annotations
 
 from surctl.priority.backends import BACKENDS, Backend, LeastDistance, solve_least_distance
 from surctl.priority.compiled.assemble import AssembledStep, Assembly, assemble
-from surctl.priority.compiled.decomposition import LevelShape
 from surctl.priority.compiled.step import PriorityStep, priority_step
 from surctl.priority.compiled.sweep import nsb_symbolic
 from surctl.priority.optimality import nsb
 from surctl.priority.problem import Level, PriorityProblem, Row, build_problem
 from surctl.priority.reference import nsb_sweep
 from surctl.priority.settings import Fallback, Mode, Settings, check_fallback
+from surctl.priority.shapes import LevelShape
 from surctl.priority.solver.fallback import safe_step
 from surctl.priority.solving import PrioritySolution, PriorityTimeline, solve
 

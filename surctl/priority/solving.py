@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.priority.backends import Backend
-from surctl.priority.compiled.step import LEAST_DAMPING, PriorityStep, Stage, level_shapes
+from surctl.priority.compiled.step import PriorityStep, Stage, level_shapes
 from surctl.priority.optimality import LOSS, conflicting, is_least, is_optimal, restrictions
 from surctl.priority.problem import Level, PriorityProblem
 from surctl.priority.reference import nsb_sweep, polyhedron_of, reference_solution, without_rows
@@ -334,7 +334,7 @@ def solve(
         sweeps, damping: see `Settings`.
         backend: None for the compiled step. Otherwise the reference solver in NumPy (module `reference`) is used, with
             this QP solver: "daqp", "osqp", another name in `BACKENDS`, or a `Kernel`. It also solves, with DAQP, what
-            the step does not take: a set-based level with several rows, and mode projected with damping below 1e-3.
+            the step does not take: a set-based level with several rows.
 
     Raises:
         InputError: the mode or the backend is unknown, or a setting is out of range.
@@ -352,7 +352,7 @@ def solve(
     except TypeError:  # not hashable, so not a valid setting either
         settings = Settings(mode, sweeps, damping)
     shape = tuple([(level.lower.size, level.upper is None or level.is_goal) for level in problem.levels])
-    if backend is None and _takes(shape, settings):
+    if backend is None and all(is_goal or rows == 1 for rows, is_goal in shape):
         return _by_step(problem, settings, shape)
     return _by_reference(problem, settings, "daqp" if backend is None else backend)
 
@@ -367,11 +367,6 @@ def explained(problem: PriorityProblem, v: Array, stage: Stage, *, mode: Mode) -
     if mode != "lexicographic":
         target = nsb_sweep(problem.levels[1:] if mode == "projected" else problem.levels, start=target)
     return PrioritySolution(problem, settings, v, target, _OUTCOMES[get_args(Stage).index(stage)], 0)
-
-
-def _takes(shape: tuple[tuple[int, bool], ...], settings: Settings) -> bool:
-    small = settings.mode == "projected" and 0.0 < settings.damping < LEAST_DAMPING
-    return not small and all(is_goal or rows == 1 for rows, is_goal in shape)
 
 
 def _by_step(problem: PriorityProblem, settings: Settings, shape: tuple[tuple[int, bool], ...]) -> PrioritySolution:

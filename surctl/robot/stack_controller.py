@@ -26,10 +26,8 @@ from surctl.export import (
 from surctl.export.bundle import build_bundle
 from surctl.ir import Block, Call, Layout, Port, Routine, lower, lower_named, without_libm
 from surctl.priority import Assembly, Mode, PrioritySolution, assemble, priority_step
-from surctl.priority.compiled.confirmation import UNCONFIRMED
 from surctl.priority.compiled.step import Stage
-from surctl.priority.solver.fallback import CLAMPED
-from surctl.priority.solver.stages import RELAXED
+from surctl.priority.solver.fallback import CLAMPED, RELAXED, UNCONFIRMED
 from surctl.priority.solving import explained
 from surctl.robot.kinematics import Kinematics
 from surctl.robot.limits import JointLimits, SelfCollision

@@ -55,6 +55,14 @@ class Trials:
         length = np.where(length > 0, length, 1.0)
         return A / length[..., None], rows[..., n] / length, rows[..., n + 1] / length, rows[..., n + 2] > 0
 
+    def attained(self, v: Array) -> NDArray[np.bool_]:
+        """Return where v (N, n) meets the task, and no row of the task is so short that it may count as 0."""
+        J = self.J.reshape(len(v), -1, v.shape[1])
+        length = np.linalg.norm(J, axis=2)
+        missed = np.abs(np.einsum("kij,kj->ki", J, v) - self.x) / np.where(length > 0, length, 1.0)
+        met = (missed <= 1e-9 * (1 + np.abs(v).max(axis=1, keepdims=True))).all(axis=1)
+        return np.asarray(met & (length.min(axis=1) >= 1e-8 * length.max(axis=1)))
+
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> Trials:
         """Return only the chosen problems."""
         return Trials(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from surctl.priority.compiled.decomposition import LevelShape
 from surctl.priority.problem import Level, PriorityProblem, build_problem
+from surctl.priority.shapes import LevelShape
 from tests.oracles.priority_draws import draw_levels, draw_problem
 
 __all__ = ["draw_of_shape"]

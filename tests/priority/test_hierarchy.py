@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 
 from surctl.ir import compile_block, replay
 from surctl.priority import Level, LevelShape, PriorityProblem, Row, build_problem
-from surctl.priority.compiled.confirmation import UNCONFIRMED
-from surctl.priority.compiled.decomposition import StackShape
 from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.optimality import is_least
 from surctl.priority.settings import Settings
-from surctl.priority.solver.fallback import CLAMPED, MET, RELAXED
+from surctl.priority.shapes import StackShape
+from surctl.priority.solver.fallback import CLAMPED, MET, RELAXED, UNCONFIRMED
 from tests.priority.test_optimum import drawn
 from tests.tools import need_compiler
 

@@ -346,7 +346,7 @@ class _Builder:
         table = ca.vertcat(*flat)
         outputs: dict[str, ca.SX] = {"rows": table, "start": start, "skip": ca.SX(0)}
         arrays = tuple(f"{result}_{key}" for key in outputs)
-        space = Space(d, d, mapped=False, precision=self.precision)
+        space = Space(d, self.precision)
         rest = tuple(f"{result}_{key}" for key in ("numbers", "multipliers", "status", "count"))
         prepare = Call(_program(name, inputs, outputs), arguments, arrays)
         return [prepare, Call(search(space, padded), arrays, (result, *rest))]

@@ -183,10 +183,7 @@ def limited(
 ) -> Block:
     """Return the routine that runs `pre`, the priority solver with tolerances for number type `real`, and `post`."""
     shapes = tuple(LevelShape(count) for _, count, _ in levels)
-    # the law does not report which limit rows limit task 1, so `named` is off
-    step = priority_step(
-        mode, n=4, levels=shapes, rows=rows, precision=PRECISIONS[real], named=False, confirm=False, fallback=fallback
-    )
+    step = priority_step(mode, n=4, levels=shapes, rows=rows, precision=PRECISIONS[real], fallback=fallback)
     solution = tuple(f"step_{name}" for name, _ in step.outputs)
     results = tuple(name for name, _ in post.outputs)
     steps = (
@@ -226,8 +223,8 @@ def in_real(law: Law, real: Real) -> Law:
     """Return the law with the solver tolerances, and the polynomials for sin, cos and atan2, of number type `real`.
 
     With the tolerances for double, the solver would never stop in float, because the rounding errors of float exceed
-    these tolerances. Without allocation to thrusters, a law in mode nsb or lexicographic is returned unchanged, because
-    it uses no solver tolerances.
+    these tolerances. Without allocation to thrusters, a law in mode nsb is returned unchanged, because it uses no
+    solver tolerances.
 
     Example:
         >>> import numpy as np
@@ -251,7 +248,7 @@ def in_real(law: Law, real: Real) -> Law:
         if base.mode == "nsb" and base.perception is None:
             base = replace(base, block=without_libm(base.stages.closed, real))
         return with_allocation(base, law.actuators, real=real)
-    if law.mode not in ("filter", "projected"):
+    if law.mode == "nsb":
         return law
     block = limited(
         law.mode,

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.ir import Call, Program, Routine, lower, lower_named
-from surctl.priority.compiled.decomposition import LevelShape
 from surctl.priority.compiled.step import PriorityStep, bound, priority_step
 from surctl.priority.problem import CROSSING, Level, PriorityProblem, Row, build_problem
 from surctl.priority.settings import Fallback, Mode
-from surctl.priority.solver.stages import RELAXED
+from surctl.priority.shapes import LevelShape
+from surctl.priority.solver.fallback import RELAXED
 from surctl.tasks import Kind, Limit, LimitRow, SetTask, Stack
 
 __all__ = ["AssembledStep", "Assembly", "assemble"]

@@ -3,7 +3,8 @@
 nsb: the NSB law, equation (16) of the paper, as projections from the lowest level to level 1, without limits.
 filter: the velocity that satisfies the limits and is nearest to the velocity of nsb.
 projected: the projections of nsb from the lowest level to level 2, then the projection on level 1 within the limits.
-lexicographic: strict priority within the limits, by the kernel in package `hierarchy`.
+lexicographic: strict priority within the limits, by the kernel in package `hierarchy`, which also completes the steps
+of filter and projected that the search of package `solver` does not.
 
 `PriorityStep` runs it in Python: one compiled call per control period, with named arrays for inputs and outputs.
 """
@@ -11,8 +12,7 @@ lexicographic: strict priority within the limits, by the kernel in package `hier
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import replace
 from typing import Literal, TypeAlias, cast, get_args
 
 import casadi as ca
@@ -20,20 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, ToolMissing
-from surctl.ir import Call, Loop, Program, Routine, Step, compile_block, lower, replay, warn_slower
-from surctl.priority.compiled.confirmation import confirmation
-from surctl.priority.compiled.decomposition import LevelShape, StackShape
-from surctl.priority.compiled.last_projection import last_projection
+from surctl.ir import Call, Loop, Program, Routine, Step, compile_block, lower, lower_named, replay, warn_slower
 from surctl.priority.compiled.sweep import HUGE, gate, into, sweep, swept
 from surctl.priority.hierarchy.kernel import hierarchy
 from surctl.priority.problem import PriorityProblem
 from surctl.priority.settings import ZERO_ROW, Fallback, Mode, Settings, check_fallback
+from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.elimination import FLOAT64, Precision
-from surctl.priority.solver.fallback import CLAMPED, MET, safe_step
+from surctl.priority.solver.fallback import CLAMPED, MET, Sizes, limited_step
 
-__all__ = ["LEAST_DAMPING", "OUTPUTS", "PriorityStep", "Stage", "bound", "idle_row", "level_shapes", "priority_step"]
-
-LEAST_DAMPING = 1e-3  # of the last projection: its rows shrink with λ/‖J‖; the kernel must not call them parallel
+__all__ = ["OUTPUTS", "PriorityStep", "Stage", "bound", "idle_row", "level_shapes", "priority_step"]
 
 OUTPUTS = ("v", "active", "multipliers", "opening", "status", "count", "target")
 """Names of the outputs of a step, in order."""
@@ -51,8 +47,6 @@ def priority_step(
     sweeps: int = 1,
     damping: float = 0.0,
     precision: Precision = FLOAT64,
-    named: bool = True,
-    confirm: bool = True,
     fallback: Fallback = "exact",
 ) -> Routine:
     """Return the routine that computes the velocity v of one control period for a priority mode.
@@ -79,12 +73,12 @@ def priority_step(
 
     UNCONFIRMED replaces MET, LIMITED and RELAXED if v satisfies the limits but was not shown to be optimal: the
     residual of a strict level, the distance to the target, or the opening may be more than `optimality.LOSS`·(1 +
-    value) above the least possible. This check runs after the solver and uses only its result (module `confirmation`);
-    the kernel of mode lexicographic has its own (module `hierarchy.search`).
+    value) above the least possible. The check is part of the kernel (module `hierarchy.search`); a step that the search
+    of package `solver` completes is checked there. Mode nsb has no such check.
 
     With damping λ, every projection of a velocity w on a level minimises λ²‖z − w‖² + ‖J z − x‖² over z; in mode
     projected this includes the last projection, within the limits. The result is exact while ‖J‖ of the first level is
-    below 5e4·λ; for a larger ‖J‖, rounding errors exceed the terms with λ.
+    below 1e6·λ; for a larger ‖J‖, rounding errors may exceed the terms with λ.
 
     The status is CLAMPED, with v = 0 clipped to the box, if J, lower or upper contains a NaN or a number above 1e300
     (J: above 1e140), if lower ≠ upper for a level with one desired value, or, in all modes but nsb, if a constraint row
@@ -98,15 +92,10 @@ def priority_step(
         sweeps: number of sweeps over all levels; each sweep starts from the velocity of the previous sweep. 1 in mode
             lexicographic.
         damping: λ [unit of J]; 0 in mode lexicographic.
-        precision: tolerances of the solver in modes filter and projected, for the number type with which the routine
-            runs; the other modes use the tolerances for double.
-        named: if False, mode projected does not list in `active` the constraint rows that limit task 1, which saves
-            time.
-        confirm: if False, the status is never UNCONFIRMED in modes filter and projected, which saves time. The bounded
-            fallback, tolerances for float and mode nsb have no such check; mode lexicographic always has it.
+        precision: tolerances of the solver for the number type with which the routine runs.
         fallback: "exact", or "bounded" for modes filter and projected without damping. If limits and task 1 are
             incompatible, or need more than 4 iterations, "bounded" computes a velocity that is not optimal, at constant
-            cost; see module `solver.bounded`.
+            cost; see module `solver.fallback`.
 
     Raises:
         InputError: the mode is unknown, or n, `rows`, a level or a setting is out of range; the message names the
@@ -122,77 +111,52 @@ def priority_step(
         >>> v.round(3).tolist(), active.tolist()  # held back by row 1 at its upper bound
         ([0.1, 0.4], [1.0, 0.0])
     """
-    shape, settings = (
-        StackShape(n, levels),
-        _Settings(mode, sweeps, damping, precision=precision, named=named, fallback=fallback),
-    )
-    if mode == "projected" and 0.0 < damping < LEAST_DAMPING:
-        raise InputError(
-            "is too small for a compiled projection",
-            key="damping",
-            value=damping,
-            remedy=f"give 0, or {LEAST_DAMPING:g} and more",
-        )
+    shape, settings = StackShape(n, levels), Settings(mode, sweeps, damping)
+    check_fallback(fallback, mode=mode, damping=damping)
     if not isinstance(rows, int | np.integer) or rows < 1:
         raise InputError("must be a whole number of at least 1", key="rows", value=rows, remedy="give 1 or more")
     inputs = (*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n))
     if mode == "lexicographic":
-        kernel = hierarchy(shape, rows)
+        kernel = hierarchy(shape, rows, precision)
         return Routine(f"{mode}_step", inputs, (Call(kernel, tuple(name for name, _ in inputs), OUTPUTS),), OUTPUTS)
-    steps = _MODES[mode](shape, rows, settings)
+    sizes = Sizes(n, rows, precision=precision, fallback=fallback)
     start = Call(gate(shape), _STACK, ("sound", "zero", "none"))
-    finish = _finish(n, boxed=mode != "nsb")
-    if mode == "nsb" or not confirm or fallback != "exact" or precision != FLOAT64:
-        end: tuple[Step, ...] = (Call(finish, (*_RAW, "sound", "box"), OUTPUTS),)
+    if mode == "projected":
+        steps = _projected(shape, replace(sizes, level=shape.levels[0], damping=damping), settings)
     else:
-        last = confirmation(
-            shape, rows, strict=int(mode == "projected"), damping=damping if mode == "projected" else 0.0
-        )
-        raw = tuple("status_found" if name == "status" else name for name in OUTPUTS)
-        checked = (*_STACK, "rows", "v", "opening", "status_found", "target")
-        end = (Call(finish, (*_RAW, "sound", "box"), raw), Call(last, checked, ("status",)))
-    return Routine(f"{mode}_step", inputs, (start, *steps, *end), OUTPUTS)
+        last = Call(_unlimited(n), ("swept",), _RAW)
+        if mode == "filter":
+            last = Call(limited_step(sizes), ("swept", "rows", "box"), _RAW[:-1])
+        steps = (*swept(shape, settings), last)
+    raw = _RAW if mode != "filter" else (*_RAW[:-1], "swept")
+    finish = Call(_finish(n, boxed=mode != "nsb"), (*raw, "sound", "box"), OUTPUTS)
+    return Routine(f"{mode}_step", inputs, (start, *steps, finish), OUTPUTS)
 
 
-@dataclass(frozen=True)
-class _Settings(Settings):
-    precision: Precision = FLOAT64
-    named: bool = True
-    fallback: Fallback = "exact"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_fallback(self.fallback, mode=self.mode, damping=self.damping)
-
-
-def _nsb(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
-    return (*swept(shape, settings), Call(_unlimited(shape.n), ("swept",), _RAW))
-
-
-def _filter(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
-    inputs = ("swept", "zero", "none", "rows", "box")
-    last = Call(_with_target(shape.n), ("swept",), (_RAW[-1],))
-    return (
-        *swept(shape, settings),
-        Call(safe_step(shape.n, 1, rows, precision=settings.precision, fallback=settings.fallback), inputs, _RAW[:-1]),
-        last,
-    )
-
-
-def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step, ...]:
+def _projected(shape: StackShape, sizes: Sizes, settings: Settings) -> tuple[Step, ...]:
     """Return the steps of mode projected: each sweep projects v on the levels from the lowest to 2, then on level 1."""
-    n, damping, fixed = shape.n, settings.damping, (*_STACK, "rows", "box")
-    carried = (("v", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1), ("target", n))
+    n, fixed = shape.n, (*_STACK, "rows", "box")
+    carried = (*sizes.solution, ("target", n))
     after = tuple(f"{name}_next" for name in OUTPUTS)
-    last = last_projection(
-        shape, rows, damping=damping, precision=settings.precision, named=settings.named, fallback=settings.fallback
+    flat, levels = shape.symbols()
+    first = lower_named(
+        "level_1",
+        dict(zip(_STACK, flat, strict=True)),
+        {"J_1": ca.vec(levels[0].J.T), "lower_1": levels[0].lower, "upper_1": levels[0].upper},
     )
+    count, spent = ca.SX.sym("count"), ca.SX.sym("spent")
     turn = Routine(
         "sweep_within",
-        (*carried, *shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),
+        (*carried, *shape.inputs, ("rows", sizes.rows), ("box", 2 * n)),
         (
-            Call(sweep(shape, damping=damping, highest=1), ("v", *_STACK), (after[-1],)),
-            Call(last, (after[-1], "count", *fixed), after[:-1]),
+            Call(sweep(shape, damping=settings.damping, highest=1), ("v", *_STACK), (after[-1],)),
+            Call(first, _STACK, ("J_1", "lower_1", "upper_1")),
+            Call(limited_step(sizes), (after[-1], "J_1", "lower_1", "upper_1", "rows", "box"), (*after[:5], "spent")),
+            Call(
+                lower_named("sum", {"count": count, "spent": spent}, {"s": count + spent}),
+                ("count", "spent"),
+                after[5:6],
+            ),
         ),
         after,
     )
@@ -200,16 +164,6 @@ def _projected(shape: StackShape, rows: int, settings: _Settings) -> tuple[Step,
     if settings.sweeps == 1:
         return (Call(turn, (*state, *fixed), _RAW),)
     return (Loop(turn, settings.sweeps, state, _RAW, fixed=fixed),)
-
-
-_MODES: Mapping[Mode, Callable[[StackShape, int, _Settings], tuple[Step, ...]]] = MappingProxyType(
-    {"nsb": _nsb, "filter": _filter, "projected": _projected}
-)
-
-
-def _with_target(n: int) -> Program:
-    target = ca.SX.sym("target", n)
-    return lower(ca.Function("copy", [target], [target]))
 
 
 def _unlimited(n: int) -> Program:

@@ -1,41 +1,22 @@
 """The NSB law, equation (16) of the paper, as compiled projections, and a check that all inputs are finite.
 
-At the minimiser v of ½‖J v − x‖² subject to the constraint rows, the negative gradient Jᵀ(x − J v) is a combination of
-the normals of the active rows. So its projection on the directions in which v may move is 0, and the Lagrange
-multipliers of this projection are the multipliers of the least-squares problem. A nonzero projection measures how far v
-is from optimal. In the code, the negative gradient is called the pull.
-
 `nsb_symbolic` returns the law for goals alone as one CasADi expression.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import casadi as ca
 
 from surctl.errors import InputError
-from surctl.ir import Call, Loop, Program, Routine, Step, lower
-from surctl.priority.compiled.decomposition import StackShape, SymbolicLevel, decompose
-from surctl.priority.settings import ZERO_ROW, Settings
-from surctl.priority.solver.dual_step import OPTIMAL, Space
-from surctl.priority.solver.elimination import FLOAT64, LONGEST, Precision
-from surctl.priority.solver.kernel import kernel, row_by_row
+from surctl.ir import Call, Loop, Program, Step, lower
+from surctl.priority.settings import CUTOFF, ZERO_ROW, Settings
+from surctl.priority.shapes import StackShape, SymbolicLevel
+from surctl.priority.solver.elimination import LONGEST
 
-__all__ = [
-    "HUGE",
-    "gate",
-    "holding",
-    "into",
-    "largest",
-    "longer_row",
-    "merged",
-    "nsb_symbolic",
-    "opened_row",
-    "projection",
-    "sweep",
-    "swept",
-]
+__all__ = ["HUGE", "Decomposition", "decompose", "gate", "into", "nsb_symbolic", "projection", "sweep", "swept"]
 
 _DEPENDENT = 1e-12
 """A row of J is dependent if its squared distance from the rows above is below this fraction of its squared length."""
@@ -143,6 +124,107 @@ HUGE = 1e300
 """Numbers larger than this count as infinite."""
 
 
+class Decomposition(NamedTuple):
+    """Complete orthogonal decomposition scale·J = P T Q of a Jacobian J (k, n).
+
+    Attributes:
+        Q: k columns (n, 1), orthonormal basis of the row space of J; column i is zero if row i of J depends on the rows
+            above (Golub and Van Loan 2013, 5.4.7).
+        P: k orthonormal columns (k, 1); column i is zero if column i of Q is zero.
+        T: rows of an upper triangular matrix (k, k); row i and column i are zero if column i of Q is zero.
+        inverse: reciprocals of the k diagonal entries of T; 0 for a diagonal entry of 0.
+        scale: 1/‖J‖, where ‖J‖ is the length of the longest row of J; 0 for a zero J (inactive task).
+    """
+
+    Q: list[ca.SX]
+    P: list[ca.SX]
+    T: list[list[ca.SX]]
+    inverse: list[ca.SX]
+    scale: ca.SX
+
+    def turned(self, x: ca.SX) -> ca.SX:
+        """Return b = Pᵀ·scale·x (k, 1), for which ‖J y − x‖ and ‖T Q y − b‖ have the same minimisers y."""
+        rest, entries = x * self.scale, []
+        for p in self.P:
+            entries.append(ca.dot(p, rest))
+            rest = rest - entries[-1] * p
+        return ca.vertcat(*entries)
+
+    def coordinates(self, x: ca.SX) -> ca.SX:
+        """Return c (k, 1), where Qᵀc is the shortest y that minimises ‖J y − x‖."""
+        c = ca.vertsplit(self.turned(x))
+        for j in reversed(range(len(c))):
+            for i in range(j + 1, len(c)):
+                c[j] = c[j] - self.T[j][i] * c[i]
+            c[j] = c[j] * self.inverse[j]
+        return ca.vertcat(*c)
+
+    def directions(self) -> ca.SX:
+        """Return Q as a matrix (k, n), with one direction in each row."""
+        return ca.horzcat(*self.Q).T
+
+
+def decompose(J: ca.SX) -> Decomposition:
+    """Return the decomposition of J (k, n).
+
+    A row of J counts as linearly dependent if its part orthogonal to the rows above is shorter than `CUTOFF`·‖J‖.
+    """
+    k = J.shape[0]
+    longest = ca.SX(0)
+    for i in range(k):
+        longest = ca.fmax(longest, ca.sqrt(ca.sumsqr(J[i, :])))
+    alive = longest > ZERO_ROW
+    scale = ca.if_else(alive, 1 / ca.if_else(alive, longest, 1), 0)
+    rows = [(scale * J[i, :]).T for i in range(k)]
+    Q: list[ca.SX] = []
+    for row in rows:
+        Q.append(_direction(row, Q))
+    # row i depends on directions 1 … i only; rounding errors in the other entries are dropped
+    left = [[ca.dot(rows[i], Q[j]) if j <= i else ca.SX(0) for j in range(k)] for i in range(k)]
+    P, T, inverse = _orthonormal_columns(left)
+    return Decomposition(Q, P, T, inverse, scale)
+
+
+def _direction(row: ca.SX, Q: list[ca.SX]) -> ca.SX:
+    """Return the unit vector along the part of a row that is orthogonal to the directions Q, or 0 if this part is 0."""
+    # two orthogonalisation passes suffice (Parlett 1998, 6.9)
+    q = _outside(row, Q)
+    length = ca.sqrt(ca.sumsqr(q))
+    alive = length > CUTOFF
+    q = q * ca.if_else(alive, 1 / ca.if_else(alive, length, 1), 0)
+    if not Q:
+        return q
+    q = _outside(q, Q)
+    again = ca.sqrt(ca.sumsqr(q))
+    return q * ca.if_else(alive, 1 / ca.if_else(alive, again, 1), 0)
+
+
+def _outside(vector: ca.SX, Q: list[ca.SX]) -> ca.SX:
+    for q in Q:
+        vector = vector - ca.dot(q, vector) * q
+    return vector
+
+
+def _orthonormal_columns(left: list[list[ca.SX]]) -> tuple[list[ca.SX], list[list[ca.SX]], list[ca.SX]]:
+    """Factor a k × k matrix into P T by modified Gram–Schmidt, with two passes per column; return P, T, 1/diag T."""
+    k = len(left)
+    P: list[ca.SX] = []
+    T: list[list[ca.SX]] = [[ca.SX(0)] * k for _ in range(k)]
+    inverse: list[ca.SX] = []
+    for j in range(k):
+        p = ca.vertcat(*(left[i][j] for i in range(k)))
+        for _ in range(2 if j else 0):
+            for i, earlier in enumerate(P):
+                part = ca.dot(earlier, p)
+                T[i][j] = T[i][j] + part
+                p = p - part * earlier
+        T[j][j] = ca.sqrt(ca.sumsqr(p))
+        alive = T[j][j] > 0
+        inverse.append(ca.if_else(alive, 1 / ca.if_else(alive, T[j][j], 1), 0))
+        P.append(p * inverse[j])
+    return P, T, inverse
+
+
 def _project(w: ca.SX, level: SymbolicLevel, *, damping: float) -> ca.SX:
     """Return the velocity nearest to w (n, 1) among those that meet the level best; w itself if w meets the level.
 
@@ -204,115 +286,3 @@ def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
         inside = ca.if_else(above <= high[i], above, high[i])
         moved.append(ca.if_else(ca.fabs(inside) <= HUGE, inside, 0))
     return ca.vertcat(*moved)
-
-
-def opened_row(n: int) -> Program:
-    """Return a program that scales a row to length 1, moves its bounds outwards if soft, and makes the row hard.
-
-    The program takes the row, the amount `opening` by which soft bounds move, and a velocity v. It also widens the
-    bounds so that v satisfies the row exactly.
-    """
-    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
-    length = ca.sqrt(ca.sumsqr(row[:n]))
-    a = row[: n + 2] * (1 / ca.if_else(length <= ZERO_ROW, 1, length))
-    value, widening = ca.dot(a[:n], v), row[n + 2] * opening
-    low, high = a[n] - widening, a[n + 1] + widening
-    low, high = ca.if_else(low <= value, low, value), ca.if_else(high >= value, high, value)
-    return lower(ca.Function("opened_row", [row, opening, v], [ca.vertcat(a[:n], low, high, 0)]))
-
-
-def longer_row(n: int, more: int) -> Program:
-    """Return a program that appends `more` variables with coefficient 0 to a constraint row."""
-    row = ca.SX.sym("row", n + 3)
-    return lower(ca.Function("longer_row", [row], [ca.densify(ca.vertcat(row[:n], ca.SX.zeros(more), row[n:]))]))
-
-
-def holding(n: int, m: int, precision: Precision = FLOAT64) -> Routine:
-    """Return the routine that finds the constraint rows which limit a task at the velocity v, and their multipliers.
-
-    Inputs: rows (m·(n + 3),), the constraint rows; opening (1,), the amount by which the bounds of soft rows are moved
-    outwards; v (n,); pull (n,), the negative gradient of the task at v; Z (n·n,), projector on the free directions.
-    Outputs: numbers (n,), signed numbers, from 1, of the rows that limit the task (+ at the upper bound, 0 for an
-    unused entry); multipliers (n,), for rows of length 1; rest (n,), the part of the pull in the range of Z that is not
-    a combination of the normals; count (1,), number of iterations.
-    """
-    space = Space(n, n, precision=precision)
-    steps = (
-        Call(_unit_pull(n, precision), ("pull",), ("base", "size", "go")),
-        Loop(_touching(n, precision), m, (), ("cone",), sliced=("rows",), fixed=("opening", "v")),
-        Call(
-            row_by_row(kernel(space, m), m, precision),
-            ("cone", "base", "go", "Z"),
-            ("point", "active", "weights", "end", "count"),
-        ),
-        Call(
-            _scaled(n),
-            ("point", "active", "weights", "end", "size", "pull"),
-            ("numbers", "multipliers", "rest"),
-        ),
-    )
-    inputs = (("rows", m * (n + 3)), ("opening", 1), ("v", n), ("pull", n), ("Z", n * n))
-    return Routine("holding", inputs, steps, ("numbers", "multipliers", "rest", "count"))
-
-
-def largest(vector: ca.SX) -> ca.SX:
-    """Return the largest absolute entry of the vector."""
-    size = ca.SX(0)
-    for i in range(vector.numel()):
-        size = ca.fmax(size, ca.fabs(vector[i]))
-    return size
-
-
-def _unit_pull(n: int, precision: Precision) -> Program:
-    pull = ca.SX.sym("pull", n)
-    size = largest(pull)
-    none = ca.logic_not(size > precision.priced)
-    unit = pull * ca.if_else(none, 0, 1 / ca.if_else(none, 1, size))
-    return lower(ca.Function("unit_pull", [pull], [ca.vertcat(unit, 0), ca.if_else(none, 0, size), none]))
-
-
-def _touching(n: int, precision: Precision) -> Program:
-    """Return a program for a row's bounds on a direction of motion from v: 0 if v is at the bound, else infinite."""
-    row, opening, v = ca.SX.sym("row", n + 3), ca.SX.sym("opening"), ca.SX.sym("v", n)
-    length = ca.sqrt(ca.sumsqr(row[:n]))
-    inverse = 1 / ca.if_else(length <= ZERO_ROW, 1, length)
-    value, margin = ca.dot(row[:n], v) * inverse, row[n + 2] * opening - precision.feasibility * (1 + largest(v))
-    below = ca.if_else(value <= row[n] * inverse - margin, 0, -HUGE)
-    above = ca.if_else(value >= row[n + 1] * inverse + margin, 0, HUGE)
-    return lower(ca.Function("touching", [row, opening, v], [ca.vertcat(row[:n] * inverse, below, above, 0)]))
-
-
-def _scaled(n: int) -> Program:
-    # if the solver failed, the rest is the whole pull
-    point, active, weights = ca.SX.sym("point", n + 1), ca.SX.sym("active", n), ca.SX.sym("weights", n)
-    end, size, pull = ca.SX.sym("end"), ca.SX.sym("size"), ca.SX.sym("pull", n)
-    good = ca.eq(end, OPTIMAL)
-    outputs = [
-        ca.if_else(good, active, 0),
-        ca.if_else(good, weights * size, 0),
-        ca.if_else(good, point[:n] * size, pull),
-    ]
-    return lower(
-        ca.Function("scaled_weights", [point, active, weights, end, size, pull], list(map(ca.densify, outputs)))
-    )
-
-
-def merged(n: int) -> Program:
-    """Return a program that joins two lists of active constraint rows, with numbers (n,) and multipliers (n,) each.
-
-    A constraint row of the second list is left out if the first list contains this row or has no unused entry.
-    """
-    numbers, multipliers = ca.SX.sym("numbers", n), ca.SX.sym("multipliers", n)
-    more, further = ca.SX.sym("more", n), ca.SX.sym("further", n)
-    slots, amounts = ca.vertsplit(numbers), ca.vertsplit(multipliers)
-    for k in range(n):
-        waits = more[k] != 0
-        for j in range(n):
-            waits = ca.logic_and(waits, ca.fabs(numbers[j]) != ca.fabs(more[k]))
-        for j in range(n):
-            takes = ca.logic_and(waits, ca.eq(slots[j], 0))
-            waits = ca.logic_and(waits, ca.logic_not(takes))
-            slots[j], amounts[j] = ca.if_else(takes, more[k], slots[j]), ca.if_else(takes, further[k], amounts[j])
-    return lower(
-        ca.Function("merged", [numbers, multipliers, more, further], [ca.vertcat(*slots), ca.vertcat(*amounts)])
-    )

@@ -34,6 +34,7 @@ class Memory:
     m: int  # limits
     k: int  # rows of all levels, with the two of the openings, padded to a multiple of 4
     p: int  # levels, with the two of the openings
+    b: int  # rows of the largest level
     r: int  # rows of the table T
     cap: int  # iterations
     J: list[float]
@@ -249,14 +250,14 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
     base = s.first[level]
     cnt = s.many[level]
     least = 1e30
-    for i in within(0, cnt, s.k):
+    for i in within(0, cnt, s.b):
         row = s.pivot[base + i]
         s.side_d[i] = s.rest[row]
         for j in within(0, cols, s.x):
             s.QR[(base + i) * s.x + j] = s.B[(s.start[level] + j) * s.k + row]
     for j in within(0, cols, s.x):
         square = 0.0
-        for i in within(j, cnt, s.k):
+        for i in within(j, cnt, s.b):
             e = s.QR[(base + i) * s.x + j]
             square += e * e
         length = sqrt(square)
@@ -271,7 +272,7 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
         total = 0.0
         for q in within(j + 1, cols, s.x):
             s.sums[q] = 0.0
-        for i in within(j, cnt, s.k):
+        for i in within(j, cnt, s.b):
             e = s.QR[(base + i) * s.x + j]
             total += e * s.side_d[i]
             for q in within(j + 1, cols, s.x):
@@ -279,7 +280,7 @@ def eliminate_left(s: Memory, level: int, cols: int) -> float:
         for q in within(j + 1, cols, s.x):
             s.sums[q] = s.sums[q] * t
         total = total * t
-        for i in within(j, cnt, s.k):
+        for i in within(j, cnt, s.b):
             e = s.QR[(base + i) * s.x + j]
             s.side_d[i] -= total * e
             for q in within(j + 1, cols, s.x):
@@ -311,21 +312,21 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
     """Eliminate the rows of a level from the right, longest remaining row first."""
     base = s.first[level]
     cnt = s.many[level]
-    for row in within(base, s.first[level + 1], s.k):
+    for row in within(base, s.first[level + 1], s.b):
         s.sums[row] = 0.0
     for j in within(s.start[level], free, s.x):
-        for row in within(base, s.first[level + 1], s.k):
+        for row in within(base, s.first[level + 1], s.b):
             s.sums[row] += s.B[j * s.k + row] * s.B[j * s.k + row]
-    for i in within(0, cnt, s.k):
+    for i in within(0, cnt, s.b):
         s.norms[i] = s.sums[s.pivot[base + i]]
     cut = 1e-10 * s.scale[level]
     number = s.used[level]
     column = s.start[level]
-    for done in within(0, cnt, s.k):
+    for done in within(0, cnt, s.b):
         if column >= free:
             break
         best = done
-        for i in within(done + 1, cnt, s.k):
+        for i in within(done + 1, cnt, s.b):
             if s.norms[i] > s.norms[best]:
                 best = i
         row = s.pivot[base + best]
@@ -335,13 +336,13 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
             square += s.h[j] * s.h[j]
         if square < s.norms[best] * 1e-4 and square < 1e-6 * s.scale[level] * s.scale[level]:
             # cancellation: the lengths are computed anew
-            for i in within(done, cnt, s.k):
+            for i in within(done, cnt, s.b):
                 s.norms[i] = 0.0
                 for j in within(column, free, s.x):
                     e = s.B[j * s.k + s.pivot[base + i]]
                     s.norms[i] += e * e
             best = done
-            for i in within(done + 1, cnt, s.k):
+            for i in within(done + 1, cnt, s.b):
                 if s.norms[i] > s.norms[best]:
                     best = i
             row = s.pivot[base + best]
@@ -361,7 +362,7 @@ def pivots(s: Memory, level: int, free: int, end: int) -> None:
         s.B[column * s.k + row] = to
         for j in within(column + 1, free, s.x):
             s.B[j * s.k + row] = 0.0
-        for i in within(done + 1, cnt, s.k):
+        for i in within(done + 1, cnt, s.b):
             e = s.B[column * s.k + s.pivot[base + i]]
             s.norms[i] -= e * e
         number += 1
@@ -375,7 +376,7 @@ def solve_level(s: Memory, level: int, end: int) -> None:
     base = s.first[level]
     free = s.N - s.w
     cnt = 0
-    for row in within(base, s.first[level + 1], s.k):
+    for row in within(base, s.first[level + 1], s.b):
         if s.on[row] != 0:
             s.pivot[base + cnt] = row
             cnt += 1
@@ -487,13 +488,13 @@ def multipliers(s: Memory, level: int) -> None:
     if level < s.p:
         for j in within(0, s.w, s.x):
             e = 0.0
-            for row in within(s.first[level], s.first[level + 1], s.k):
+            for row in within(s.first[level], s.first[level + 1], s.b):
                 if s.on[row] != 0:
                     e += s.T[j * s.r + row] * s.rest[row]
             s.g[j] = e
         for j in within(0, above, s.x):
             e = 0.0
-            for row in within(s.first[level], s.first[level + 1], s.k):
+            for row in within(s.first[level], s.first[level + 1], s.b):
                 if s.on[row] != 0:
                     e += s.B[j * s.k + row] * s.rest[row]
             s.g[s.w + j] = e
@@ -505,7 +506,7 @@ def multipliers(s: Memory, level: int) -> None:
         cnt = s.many[a]
         rank = s.rank[a]
         at = s.w + s.start[a]
-        for row in within(base, s.first[a + 1], s.k):
+        for row in within(base, s.first[a + 1], s.b):
             s.mu[row] = 0.0
         if rank == 0:
             continue
@@ -522,25 +523,25 @@ def multipliers(s: Memory, level: int) -> None:
                     e -= s.QR[(base + q) * s.x + j] * s.side_d[q]
                 to = s.diagonal[a * s.x + j]
                 s.side_d[j] = e / to if fabs(to) > 0.0 else 0.0
-            for i in within(rank, cnt, s.k):
+            for i in within(rank, cnt, s.b):
                 s.side_d[i] = 0.0
             for j in back(0, rank, s.x):
                 e = 0.0
-                for i in within(j, cnt, s.k):
+                for i in within(j, cnt, s.b):
                     e += s.QR[(base + i) * s.x + j] * s.side_d[i]
                 e = e * s.weight[a * s.x + j]
-                for i in within(j, cnt, s.k):
+                for i in within(j, cnt, s.b):
                     s.side_d[i] -= e * s.QR[(base + i) * s.x + j]
-            for i in within(0, cnt, s.k):
+            for i in within(0, cnt, s.b):
                 s.mu[s.pivot[base + i]] = s.side_d[i]
         for j in within(0, s.w, s.x):
             e = 0.0
-            for i in within(0, cnt, s.k):
+            for i in within(0, cnt, s.b):
                 e += s.T[j * s.r + s.pivot[base + i]] * s.mu[s.pivot[base + i]]
             s.g[j] -= e
         for j in within(0, s.start[a], s.x):
             e = 0.0
-            for i in within(0, cnt, s.k):
+            for i in within(0, cnt, s.b):
                 e += s.B[j * s.k + s.pivot[base + i]] * s.mu[s.pivot[base + i]]
             s.g[s.w + j] -= e
     for c in back(0, s.w, s.x):

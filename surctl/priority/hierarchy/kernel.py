@@ -21,11 +21,16 @@ The functions are the source of a `Procedure`; `hierarchy` returns it.
 
 from __future__ import annotations
 
-from surctl.ir.procedure import Procedure, fabs, within
-from surctl.priority.compiled.decomposition import StackShape
+import ast
+from collections.abc import Callable
+from typing import Any
+
+from surctl.ir.procedure import Procedure, fabs, source_of, within
 from surctl.priority.hierarchy import factors, search
 from surctl.priority.hierarchy.factors import Memory, optimum
 from surctl.priority.hierarchy.search import at_once, descend, judge, prepare, restore
+from surctl.priority.shapes import StackShape
+from surctl.priority.solver.elimination import FLOAT32, FLOAT64, Precision
 
 __all__ = ["hierarchy"]
 
@@ -38,7 +43,7 @@ def sound(s: Memory) -> int:
     """Return whether the numbers of the levels are finite and their bounds in order."""
     good = 1
     for level in within(2, s.p, s.p):
-        for row in within(s.first[level] - 2, s.first[level + 1] - 2, s.k):
+        for row in within(s.first[level] - 2, s.first[level + 1] - 2, s.b):
             for j in range(s.n):
                 if not fabs(s.J[row * s.n + j]) <= 1e140:
                     good = 0
@@ -48,6 +53,34 @@ def sound(s: Memory) -> int:
             elif not fabs(s.lower[row]) <= 1e300 or s.lower[row] != s.upper[row]:
                 good = 0
     return good
+
+
+def retreat(s: Memory) -> float:
+    """Move v back towards the first v until the hard limits hold; return the largest violation of a soft limit."""
+    share = 1.0
+    for j in range(s.n):
+        e = 0.0
+        e = s.box[j] if e < s.box[j] else e
+        s.goal[j] = s.box[s.n + j] if e > s.box[s.n + j] else e
+    for turn in range(2):
+        wide = 0.0
+        for i in range(s.m):
+            start = 0.0
+            value = 0.0
+            for j in range(s.n):
+                start += s.At[j * s.m + i] * s.goal[j]
+                value += s.At[j * s.m + i] * s.v[j]
+            above = value - s.up[i] if value > start else s.lo[i] - value
+            path = fabs(value - start)
+            if s.rows[i * (s.n + 3) + s.n + 2] > 0.0:
+                above = value - s.up[i] if value - s.up[i] > s.lo[i] - value else s.lo[i] - value
+                wide = above if above > wide else wide
+            elif above > 1e-10 * (1.0 + s.size) and above > (1.0 - share) * path:
+                share = 1.0 - above / path if above < path else 0.0
+        if turn == 0:
+            for j in range(s.n):
+                s.v[j] = s.goal[j] + share * (s.v[j] - s.goal[j])
+    return wide
 
 
 def solution(s: Memory) -> None:
@@ -72,6 +105,8 @@ def solution(s: Memory) -> None:
         outcome = judge(s)
         far = s.v[s.hard] if s.hard >= 0 else 0.0
         wide = s.v[s.soft] if s.soft >= 0 else 0.0
+        if outcome == 0 or outcome == 2:
+            wide = retreat(s)
         s.opening[0] = wide if wide > 1e-12 * s.size else 0.0
         s.status[0] = 3.0 if s.opening[0] > 0.0 else 2.0 if outcome >= 2 else 1.0
         if outcome == 0 or outcome == 2:
@@ -102,15 +137,16 @@ _FUNCTIONS = (
     factors.eliminate_left, factors.solve_left, factors.take_off, factors.pivots, factors.solve_level,
     factors.optimum, factors.multipliers, search.at_goal, search.at_v, search.prepare, search.switch_set,
     search.at_once, search.ratio, search.move_limits, search.advance, search.release, search.descend, search.restore,
-    search.jacobian, search.bound_loss, search.remember, search.judge, sound, solution,
+    search.jacobian, search.bound_loss, search.remember, search.judge, retreat, sound, solution,
 )  # fmt: skip
 
 
-def hierarchy(shape: StackShape, rows: int) -> Procedure:
+def hierarchy(shape: StackShape, rows: int, precision: Precision = FLOAT64) -> Procedure:
     """Return the kernel for levels of these shapes and a number of limits, with the ports of `priority_step`."""
+    functions = [_in_float(function) if precision == FLOAT32 else function for function in _FUNCTIONS]
     n, starts = shape.n, (0, 1, *(2 + start for start in shape.starts), 2 + shape.rows)
     p, x, k = len(shape.levels) + 2, _padded(n + 2), _padded(2 + shape.rows)
-    r = k + x
+    r, largest = k + x, max(level.rows for level in shape.levels)
     arranged = ["def arrange(s):"]
     arranged += [f"    s.first[{level}] = {start}" for level, start in enumerate(starts)]
     for level in range(p):
@@ -118,13 +154,16 @@ def hierarchy(shape: StackShape, rows: int) -> Procedure:
         arranged += [f"    s.level_of[{row}] = {level}" for row in range(starts[level], starts[level + 1])]
     return Procedure.of(
         "hierarchy",
-        ["\n".join(arranged), *_FUNCTIONS],
+        ["\n".join(arranged), *functions],
         inputs=(*shape.inputs, ("rows", rows * (n + 3)), ("box", 2 * n)),
         outputs=(
             ("velocity", n), ("active", n), ("multipliers", n), ("opening", 1), ("status", 1), ("count", 1),
             ("target", n),
         ),
-        sizes={"n": n, "x": x, "quarter": x // 4, "m": rows, "k": k, "p": p, "r": r, "cap": 2 * (n + rows) + p},
+        sizes={
+            "n": n, "x": x, "quarter": x // 4, "m": rows, "k": k, "b": largest, "p": p, "r": r,
+            "cap": 2 * (n + rows) + p,
+        },
         reals={
             "At": n * rows, "lo": rows, "up": rows, "lo_true": rows, "up_true": rows, "T": x * r, "B": x * k,
             "L": x * x, "V": x * x, "tau": x, "h": x, "sums": r, "other": r, "y": x, "z": x, "g": x, "QR": k * x,
@@ -142,6 +181,22 @@ def hierarchy(shape: StackShape, rows: int) -> Procedure:
             ),
         },
     )  # fmt: skip
+
+
+_FLOAT = {
+    **{1e-16: 1e-16, 1e-15: 1e-7, 1e-14: 1e-6, 1e-13: 1e-6, 1e-12: 1e-5, 1e-11: 1e-5, 1e-10: 3e-5, 3e-10: 1e-4},
+    **{1e-9: 1e-4, 1e-7: 1e-2, 1e-6: 1e-2, 1e30: 1e30, 1e140: 1e15, 1e150: 1e15, 1e299: 1e29, 1e300: 1e30},
+}
+"""The tolerances of the kernel for float, by those for double."""
+
+
+def _in_float(function: Callable[..., Any]) -> str:
+    """Return the source of a function with the tolerances for float."""
+    tree = ast.parse(source_of(function))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and type(node.value) is float and not 1e-4 <= abs(node.value) <= 10.0:
+            node.value = _FLOAT[node.value] if node.value else 0.0
+    return ast.unparse(tree)
 
 
 def _padded(size: int) -> int:

@@ -73,13 +73,13 @@ def prepare(s: Memory) -> None:
         length = sqrt(square)
         if not length <= 1e150:
             s.bad = 1
-        inverse = 1.0 / length if length > 1e-12 else 0.0
+        inverse = 1.0 / length if length > 1e-16 else 0.0
         value = 0.0
         for j in range(s.n):
             e = s.rows[i * (s.n + 3) + j] * inverse
             s.At[j * s.m + i] = e
             value += e * s.v[j]
-        inverse = inverse if length > 1e-12 else 1.0
+        inverse = inverse if length > 1e-16 else 1.0
         s.lo[i] = s.rows[i * (s.n + 3) + s.n] * inverse
         s.up[i] = s.rows[i * (s.n + 3) + s.n + 1] * inverse
         if not s.lo[i] <= 1e299 or not s.up[i] >= -1e299:
@@ -126,7 +126,7 @@ def prepare(s: Memory) -> None:
     for level in range(s.p):
         s.scale[level] = 1.0
         largest = 0.0
-        for row in within(s.first[level], s.first[level + 1], s.k):
+        for row in within(s.first[level], s.first[level + 1], s.b):
             if row >= 2:
                 square = 0.0
                 for j in range(s.n):
@@ -148,7 +148,7 @@ def prepare(s: Memory) -> None:
 def switch_set(s: Memory, level: int) -> int:
     """Choose which rows of a set-based level are at a bound; return 0 if v is inside all of them."""
     any_on = 0
-    for row in within(s.first[level], s.first[level + 1], s.k):
+    for row in within(s.first[level], s.first[level + 1], s.b):
         value = at_v(s, row)
         now = -1 if value < s.lower[row - 2] else 1 if value > s.upper[row - 2] else 0
         if now != 0:
@@ -178,7 +178,7 @@ def at_once(s: Memory) -> int:
             over = 1
     for level in within(2, s.p, s.p):
         if s.is_set[level] != 0:
-            for row in within(s.first[level], s.first[level + 1], s.k):
+            for row in within(s.first[level], s.first[level + 1], s.b):
                 value = at_goal(s, row)
                 if not value <= s.upper[row - 2] or not value >= s.lower[row - 2]:
                     over = 1
@@ -237,7 +237,7 @@ def ratio(s: Memory, limit: int) -> float:
     for level in within(2, limit, s.p):
         if s.is_set[level] == 0:
             continue
-        for row in within(s.first[level], s.first[level + 1], s.k):
+        for row in within(s.first[level], s.first[level + 1], s.b):
             s.toward_set[row] = 0
             if s.on[row] != 0:
                 continue
@@ -273,7 +273,7 @@ def ratio(s: Memory, limit: int) -> float:
     for level in within(2, limit, s.p):
         if s.is_set[level] == 0:
             continue
-        for row in within(s.first[level], s.first[level + 1], s.k):
+        for row in within(s.first[level], s.first[level + 1], s.b):
             if s.toward_set[row] == 0 or not s.speed_set[row] > fastest:
                 continue
             if s.slack_set[row] <= nearest * s.speed_set[row] and s.slack_set[row] < s.speed_set[row]:
@@ -350,12 +350,12 @@ def release(s: Memory) -> int:
     largest = 0.0
     if level < s.p:
         square = 0.0
-        for row in within(s.first[level], s.first[level + 1], s.k):
+        for row in within(s.first[level], s.first[level + 1], s.b):
             if s.on[row] != 0:
                 square += s.rest[row] * s.rest[row]
         largest = sqrt(square)
         if s.is_set[level] != 0:
-            for row in within(s.first[level], s.first[level + 1], s.k):
+            for row in within(s.first[level], s.first[level + 1], s.b):
                 if s.on[row] != 0:
                     e = -s.rest[row] * s.on[row]
                     if e < -1e-12 * s.size and e < worst:
@@ -364,7 +364,8 @@ def release(s: Memory) -> int:
                         from_set = 1
                     else:
                         s.lock_set[row] = 1 if e > 1e-11 * s.size else 0
-        if which < 0 and (not largest > 1e-12 * s.size or (s.w == 0 and level <= 2)):
+        unit = s.scale[level] if s.scale[level] > 1.0 else 1.0
+        if which < 0 and (not largest > 1e-12 * s.size * unit or (s.w == 0 and level <= 2)):
             return 0
     else:
         for j in within(0, s.w + s.start[s.p], s.x):
@@ -385,7 +386,7 @@ def release(s: Memory) -> int:
                     which = i
         for a in within(2, level, s.p):
             if s.is_set[a] != 0:
-                for row in within(s.first[a], s.first[a + 1], s.k):
+                for row in within(s.first[a], s.first[a + 1], s.b):
                     if s.on[row] != 0 and s.lock_set[row] == 0:
                         e = s.mu[row] * s.on[row]
                         if e < -limit and e < worst:
@@ -398,7 +399,7 @@ def release(s: Memory) -> int:
                     s.lock[s.W[i]] = 1
             for a in within(2, level, s.p):
                 if s.is_set[a] != 0:
-                    for row in within(s.first[a], s.first[a + 1], s.k):
+                    for row in within(s.first[a], s.first[a + 1], s.b):
                         if s.on[row] != 0 and s.mu[row] * s.on[row] > limit:
                             s.lock_set[row] = 1
             return 0
@@ -464,7 +465,7 @@ def bound_loss(s: Memory, level: int, radius: float) -> float:
         s.d[j] = 0.0
     total = 0.0
     if level < s.p:
-        for row in within(s.first[level], s.first[level + 1], s.k):
+        for row in within(s.first[level], s.first[level + 1], s.b):
             if s.on[row] != 0:
                 e = s.rest[row]
                 total += fabs(e) * s.scale[level]
@@ -475,7 +476,7 @@ def bound_loss(s: Memory, level: int, radius: float) -> float:
             s.d[j] = -s.v[j]
     loss = 0.0
     for a in within(0, level, s.p):
-        for row in within(s.first[a], s.first[a + 1], s.k):
+        for row in within(s.first[a], s.first[a + 1], s.b):
             e = s.mu[row]
             if s.on[row] == 0 or e == 0.0:
                 continue
@@ -547,7 +548,7 @@ def judge(s: Memory) -> int:
     for level in within(0, s.p + 1, s.p + 1):
         square = 0.0
         if level < s.p:
-            for row in within(s.first[level], s.first[level + 1], s.k):
+            for row in within(s.first[level], s.first[level + 1], s.b):
                 if s.on[row] != 0:
                     square += s.rest[row] * s.rest[row]
         else:

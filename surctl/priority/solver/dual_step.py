@@ -1,16 +1,11 @@
 """One iteration of the dual active-set method of Goldfarb and Idnani (1983) for min ‖y‖ subject to linear constraints.
 
-The constraint rows, with normals g, apply to a point that depends on the unknown y (d,):
-
-    lower ≤ g·point ≤ upper,   point = start + M y
-
-The opening t is the amount by which the bounds of soft rows are moved outwards. If t is an unknown too, the constraint
-is lower − soft·t ≤ a·v ≤ upper + soft·t with point = (v, t). The violations are evaluated at the point itself, so the
-last evaluation also checks the returned point. Up to d active rows are stored in a list; each entry, called a slot,
-consists of normal, multiplier and signed row number (+ at the upper bound, − at the lower bound, 0 if the slot is
-empty). Empty slots are at the end. Every iteration orthogonalises the normals again (modified Gram–Schmidt), so errors
-do not accumulate as they would in an updated factorisation. A violated row that needs several steps to become active is
-called pending between these steps.
+The constraint rows are lower ≤ g·(start + y) ≤ upper with normals g (d,). The violations are evaluated at the point
+start + y itself, so the last evaluation also checks the returned point. Up to d active rows are stored in a list;
+each entry, called a slot, consists of normal, multiplier and signed row number (+ at the upper bound, − at the lower
+bound, 0 if the slot is empty). Empty slots are at the end. Every iteration orthogonalises the normals again (modified
+Gram–Schmidt), so errors do not accumulate as they would in an updated factorisation. A violated row that needs
+several steps to become active is called pending between these steps.
 """
 
 from __future__ import annotations
@@ -22,7 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from surctl.ir import Block, Call, Gather, Loop, Program, Routine, lower
-from surctl.priority.solver.elimination import FLOAT64, LOOPED, Precision, as_matrix
+from surctl.priority.solver.elimination import FLOAT64, LOOPED, Precision
 
 __all__ = [
     "OPTIMAL",
@@ -168,34 +163,15 @@ OPTIMAL, STUCK, SKIPPED = 1, 2, 3
 
 @dataclass(frozen=True)
 class Space:
-    """Numbers of unknowns of the active-set search, and which variables are unknown.
+    """Number of unknowns d of the active-set search, and its tolerances."""
 
-    Attributes:
-        n: number of velocities v, that is, entries of the point without the opening t of the soft rows.
-        d: number of unknowns y, at least 1.
-        opening: whether the opening t is unknown too; the point then has n + 1 entries, and d = n + 1.
-        mapped: whether the matrix M in point = start + M y is an input; otherwise M is the identity.
-        precision: tolerances.
-    """
-
-    n: int
     d: int
-    opening: bool = False
-    mapped: bool = True
     precision: Precision = FLOAT64
 
     @property
     def row(self) -> int:
-        """Return the number of entries that store a constraint row: normal, lower, upper, soft.
-
-        The entry soft is absent if M is the identity and the opening t is fixed.
-        """
-        return self.n + 3 if self.opening or self.mapped else self.n + 2
-
-    @property
-    def point(self) -> int:
-        """Return the number of entries of the point: n, or n + 1 with the opening."""
-        return self.n + self.opening
+        """Return the number of entries that store a constraint row: normal, lower, upper."""
+        return self.d + 2
 
 
 def pricing(space: Space) -> Program:
@@ -207,24 +183,20 @@ def pricing(space: Space) -> Program:
     Of equally violated rows the first is chosen; a row with a NaN is never chosen.
     """
     turn, best = ca.SX.sym("turn"), ca.SX.sym("best", 2)
-    row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.point)
+    row, point = ca.SX.sym("row", space.row), ca.SX.sym("point", space.d)
     above, below = misses(space, row, point)
     at_lower = above < below
     missed = ca.if_else(at_lower, below, above)
     number = ca.if_else(at_lower, -(turn + 1), turn + 1)
     better = best[0] < missed
     result = ca.vertcat(ca.if_else(better, missed, best[0]), ca.if_else(better, number, best[1]))
-    return lower(ca.Function("price_open" if space.opening else "price", [turn, best, row, point], [result]))
+    return lower(ca.Function("price", [turn, best, row, point], [result]))
 
 
 def misses(space: Space, row: ca.SX, point: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the amounts by which a row at the point is above its upper and below its lower bound (negative if not)."""
-    n = space.n
-    value = _sum([row[i] * point[i] for i in range(n)])
-    if not space.opening:
-        return value - row[n + 1], row[n] - value
-    widening = row[n + 2] * point[n]
-    return value - (row[n + 1] + widening), (row[n] - widening) - value
+    value = dot(row[: space.d], point)
+    return value - row[space.d + 1], row[space.d] - value
 
 
 def _sum(terms: list[ca.SX]) -> ca.SX:
@@ -241,8 +213,8 @@ def dot(a: ca.SX, b: ca.SX) -> ca.SX:
 
 def threshold(space: Space) -> Program:
     """Return a program for the start of the search for the most violated row: the smallest violation that counts."""
-    point = ca.SX.sym("point", space.point)
-    least = space.precision.priced * _size(point[: space.n])
+    point = ca.SX.sym("point", space.d)
+    least = space.precision.priced * _size(point)
     return lower(ca.Function("threshold", [point], [ca.densify(ca.vertcat(least, 0))]))
 
 
@@ -336,17 +308,14 @@ class _Entering:
     """The violated row that enters the active set, with the sign that makes its violated bound an upper bound."""
 
     number: ca.SX  # signed row number
-    normal: ca.SX  # with respect to y
+    normal: ca.SX
     missed: ca.SX  # violation
 
     @staticmethod
-    def of(space: Space, row: ca.SX, number: ca.SX, *, point: ca.SX, M: ca.SX | None) -> _Entering:
+    def of(space: Space, row: ca.SX, number: ca.SX, point: ca.SX) -> _Entering:
         above, below = misses(space, row, point)
         at_lower = number < 0
-        a = ca.if_else(at_lower, -row[: space.n], row[: space.n])
-        if M is not None:
-            a = ca.vertcat(*(dot(M[:, j], a) for j in range(space.d)))
-        normal = ca.vertcat(a, -row[space.n + 2]) if space.opening else a
+        normal = ca.if_else(at_lower, -row[: space.d], row[: space.d])
         return _Entering(number, normal, ca.if_else(at_lower, below, above))
 
 
@@ -418,39 +387,36 @@ class _Step:
 def iteration(space: Space) -> Block:
     """Return the program or routine for one iteration, which updates the first seven of its inputs.
 
-    The inputs are point, normals, multipliers, numbers, pending, status, count, number, row and, if `mapped`, M.
+    The inputs are point, normals, multipliers, numbers, pending, status, count, number and row.
 
     normals: (d·d,), normals of the active rows, one after another. multipliers: (d,), their Lagrange multipliers.
     numbers: (d,), their signed row numbers, 0 for an unused entry. pending: (2,), signed number (0: none) and
     multiplier of the row that is about to become active. status: status of the search. count: number of iterations.
-    number: signed number of the row to process. row: the entries of this row. M: (n·d,), stored row by row.
+    number: signed number of the row to process. row: the entries of this row.
     """
-    n, d = space.n, space.d
-    point, normals, u = ca.SX.sym("point", space.point), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
+    d = space.d
+    point, normals, u = ca.SX.sym("point", d), ca.SX.sym("normals", d * d), ca.SX.sym("multipliers", d)
     numbers, pending, status = ca.SX.sym("numbers", d), ca.SX.sym("pending", 2), ca.SX.sym("status")
     count, number, row = ca.SX.sym("count"), ca.SX.sym("number"), ca.SX.sym("row", space.row)
-    M = ca.SX.sym("M", n * d) if space.mapped else None
-    map_ = None if M is None else as_matrix(M, d)
 
     slots = _Slots([normals[d * j : d * (j + 1)] for j in range(d)], ca.vertsplit(u), ca.vertsplit(numbers))
-    entering = _Entering.of(space, row, number, point=point, M=map_)
-    inputs = [point, normals, u, numbers, pending, status, count, number, row, *([] if M is None else [M])]
+    entering = _Entering.of(space, row, number, point)
+    inputs = [point, normals, u, numbers, pending, status, count, number, row]
     if d < LOOPED:
         place = _Place.of(slots, entering, space.precision)
     else:
-        begin = ca.Function(f"enter_{d}", [number, row, *inputs[9:]], [entering.normal])
+        begin = ca.Function(f"enter_{d}", [number, row], [entering.normal])
         normal, rest, r_entries = ca.SX.sym("normal", d), ca.SX.sym("rest", d), ca.SX.sym("r", d)
         entering = replace(entering, normal=normal)
         place = _Place.by(slots, entering, rest, r=ca.vertsplit(r_entries), precision=space.precision)
         inputs += [normal, rest, r_entries]
-    step = _Step.of(slots, entering, place, _size(point[:n]), space.precision)
-    r, displacement = place.r, step.displacement
-    lifted = displacement if map_ is None else ca.vertcat(*(dot(map_[i, :], displacement) for i in range(n)))
+    step = _Step.of(slots, entering, place, _size(point), space.precision)
+    r = place.r
     multiplier = pending[1] + step.length
     after = _exchange(slots, step, r, entering, multiplier)
     stays = ca.logic_and(ca.eq(step.status, 0), ca.logic_not(step.full))
     outputs = [
-        point - lifted,
+        point - step.displacement,
         ca.vertcat(*after.normals),
         ca.vertcat(*after.multipliers),
         ca.vertcat(*after.numbers),
@@ -461,8 +427,8 @@ def iteration(space: Space) -> Block:
     end = lower(ca.Function(f"iterate_{d}", inputs, outputs), reciprocals=True)
     if d < LOOPED:
         return end
-    keys = ("point", "normals", "multipliers", "numbers", "pending", "status", "count", "number", "row", "M")
-    ports = tuple((key, size) for key, (_, size) in zip(keys, end.inputs[:-3], strict=False))
+    keys = ("point", "normals", "multipliers", "numbers", "pending", "status", "count", "number", "row")
+    ports = tuple((key, size) for key, (_, size) in zip(keys, end.inputs[:-3], strict=True))
     names, results = tuple(key for key, _ in ports), tuple(f"{key}_next" for key in keys[:7])
     steps = (
         Call(lower(begin), names[7:], ("normal",)),

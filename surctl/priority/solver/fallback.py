@@ -1,24 +1,21 @@
-"""The safe step: a velocity nearest to a target within constraints, with fallback stages so that one always exists.
+"""The safe step: the velocity nearest to a target that meets a first task within limits, and what replaces it.
 
-1. Stage 1 finds the velocity nearest to the target that meets the task J v = x and satisfies every constraint row.
-2. If stage 1 has no solution, stage 2 meets the task as well as the constraint rows allow. Of all velocities that do
-   so, it finds the one nearest to the target.
-3. If the constraint rows contradict each other, stage 3 moves the bounds of the soft rows outwards by the smallest
-   sufficient amount, called the opening, and repeats stage 2.
-4. If the hard constraint rows contradict each other, the velocity is the target clipped to the box.
+1. The active-set search of module `kernel` finds the velocity nearest to the target that meets the task J v = x and
+   satisfies every constraint row. Most steps of a controller end here, a few times faster than with stage 2.
+2. If there is none, if it is not shown to be the nearest, or if the rows of J are nearly dependent, the kernel in
+   package `hierarchy` solves the two levels J v = x and v = target. So soft rows are relaxed by the least amount, then
+   the task is met as well as possible, then the target is approached.
+3. If the hard constraint rows contradict each other, the velocity is the target clipped to the box.
 
-The velocity of every stage is clipped to the box and checked. Module `stages` describes how stages 1 to 3 are solved.
+The velocity of every stage is clipped to the box and checked.
 
-With the bounded fallback, stage 1 runs for a few iterations only. If stage 1 fails, a method of constant computing cost
-replaces the other stages; see module `bounded`.
-
-This fallback runs after stage 1 of module `fallback`, the search for a velocity that meets the task, has failed or
-needs too many iterations. It first determines a safe point: the target clipped to the box, or v = 0, whichever
-satisfies the hard constraint rows and violates the soft rows less. Then it starts from the velocity at which stage 1
-stopped and projects on one violated row after another, in a few sweeps over all constraint rows (Agmon 1954; Motzkin
-and Schoenberg 1954). The last sweep makes shorter steps, because constraint rows may contradict each other. Finally v
-moves from the safe point towards the projected velocity. This move ends before v violates a hard row, or a soft row by
-more than the safe point does.
+With the bounded fallback, stage 1 runs for a few iterations only. If it fails, a method of constant computing cost
+replaces stage 2. It first determines a safe point: the target clipped to the box, or v = 0, whichever satisfies the
+hard constraint rows and violates the soft rows less. Then it starts from the velocity at which stage 1 stopped and
+projects on one violated row after another, in a few sweeps over all constraint rows (Agmon 1954; Motzkin and Schoenberg
+1954). The last sweep makes shorter steps, because constraint rows may contradict each other. Finally v moves from the
+safe point towards the projected velocity. This move ends before v violates a hard row, or a soft row by more than the
+safe point does.
 
 So v violates the constraint rows no more than the safe point does, but v is not optimal: the fallback may miss a
 velocity that satisfies all rows, and it does not reduce the task residual.
@@ -28,24 +25,316 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import casadi as ca
 
-from surctl.ir import Call, Loop, Program, Routine, Step, lower
-from surctl.priority.settings import Fallback
+from surctl.errors import InputError
+from surctl.ir import Call, Loop, Program, Routine, Step, lower, lower_named
+from surctl.priority.hierarchy.kernel import hierarchy
+from surctl.priority.settings import ZERO_ROW, Fallback
+from surctl.priority.shapes import LevelShape, StackShape
 from surctl.priority.solver.dual_step import OPTIMAL, SKIPPED, dot
-from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix
-from surctl.priority.solver.kernel import Sizes, into, unit_rows
-from surctl.priority.solver.stages import LIMITED, RELAXED, exact_stage, lower_stages
+from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix, reflect
+from surctl.priority.solver.kernel import certificate, into, lanes_of, nearest_point, unit_rows
 
-__all__ = ["BOUNDED", "CAP", "CLAMPED", "LIMITED", "MET", "RELAXED", "eased", "safe_step"]
+__all__ = [
+    "BOUNDED",
+    "CAP",
+    "CLAMPED",
+    "LIMITED",
+    "MET",
+    "RELAXED",
+    "UNCONFIRMED",
+    "Sizes",
+    "limited_step",
+    "safe_step",
+]
+
+MET, LIMITED, RELAXED, CLAMPED, BOUNDED, UNCONFIRMED = 1, 2, 3, 4, 5, 6
+"""Status of a velocity. MET: the task is met. LIMITED: it is met as well as the constraint rows allow. RELAXED: soft
+rows are relaxed. CLAMPED: v is only clipped to the box. BOUNDED: the bounded fallback was used; the opening is then an
+upper bound on the violation of any soft row. UNCONFIRMED: v was not shown to be optimal."""
 
 CAP = 4
 """Largest number of iterations of stage 1 with the bounded fallback."""
 
-BOUNDED = 5
-"""Status of the bounded fallback; the opening is then an upper bound on the violation of any soft row."""
+SOLUTION = ("v", "active", "multipliers", "opening", "status", "count")
+"""Names of the outputs of a safe step."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What a safe step is compiled for.
+
+    Attributes:
+        n: number of velocities. m: number of constraint rows.
+        level: the task: number of its rows, and whether it is set-based; None for no task.
+        precision: tolerances for the number type. fallback: what replaces stage 1; see the module docstring.
+        damping: λ; if it is not 0, the velocity v minimises λ²‖v − target‖² + ‖J v − x‖² within the limits.
+    """
+
+    n: int
+    m: int
+    level: LevelShape | None = None
+    precision: Precision = FLOAT64
+    fallback: Fallback = "exact"
+    damping: float = 0.0
+
+    @property
+    def rows(self) -> int:
+        """Return the number of entries of the constraint rows."""
+        return self.m * (self.n + 3)
+
+    @property
+    def lanes(self) -> int:
+        """Return the number of constraint rows in a block."""
+        return lanes_of(self.m, self.precision)
+
+    @property
+    def task(self) -> tuple[tuple[str, int], ...]:
+        """Return the inputs of the task."""
+        k = self.level.rows if self.level else 0
+        return (("J", k * self.n), ("lower", k), ("upper", k)) if self.level else ()
+
+    @property
+    def solution(self) -> tuple[tuple[str, int], ...]:
+        """Return names and sizes of the outputs."""
+        return tuple(zip(SOLUTION, (self.n, self.n, self.n, 1, 1, 1), strict=True))
+
+    def symbols(self) -> dict[str, ca.SX]:
+        """Return symbols for target and task."""
+        return {name: ca.SX.sym(name, size) for name, size in (("target", self.n), *self.task)}
+
+
+def limited_step(sizes: Sizes) -> Routine:
+    """Return the routine of a safe step.
+
+    Inputs: target (n,); J (k·n,), lower and upper (k,) of the task, if there is one; rows (m·(n + 3),) and box (2n,) as
+    in `safe_step`. Outputs, always finite: those of `safe_step`, but `active` first lists the rows that limit the task,
+    with multipliers of min ½‖J v − x‖², and a set-based task at its bound has the number m + 1.
+    """
+    task, fixed = tuple(name for name, _ in sizes.task), (*(name for name, _ in sizes.task), "rows", "box")
+    inputs = (("target", sizes.n), *sizes.task, ("rows", sizes.rows), ("box", 2 * sizes.n))
+    begun = (*SOLUTION[:4], "met", SOLUTION[5])
+    first: tuple[Step, ...] = (
+        *unit_rows(sizes.n, sizes.m, sizes.precision),
+        *_nearest(sizes),
+        Call(certificate(sizes.n, sizes.m, sizes.precision), ("unit", "v"), ("feasible",)),
+        Call(_judge(sizes), ("target", *task, "v", "end", "shown", "feasible"), ("met", "opening", "fits")),
+    )
+    if sizes.damping and not (sizes.level and sizes.level.is_set):
+        nothing = {name: ca.SX.zeros(size) for name, size in (*sizes.solution, ("fits", 1))}
+        first = (Call(lower_named("nothing", {}, nothing), (), (*begun, "fits")),)
+    if sizes.fallback == "exact":
+        last = Loop(
+            _strict(sizes), 1, begun, tuple(f"{k}_last" for k in SOLUTION), fixed=("fits", "target", *fixed), until=4
+        )
+    else:
+        state = (*begun, "end")
+        results = tuple(f"{name}_last" for name in (*SOLUTION, "end"))
+        last = Loop(_eased(sizes), 1, state, results, fixed=("unit", "target", "box"), until=4)
+    finish = Call(
+        _finish(sizes),
+        ("target", *task, "box", *(f"{name}_last" for name in SOLUTION)),
+        tuple(f"{k}_out" for k in SOLUTION),
+    )
+    return Routine("safe_step", inputs, (*first, last, finish), tuple(f"{name}_out" for name in SOLUTION))
+
+
+def _nearest(sizes: Sizes) -> tuple[Step, ...]:
+    """Return the steps of stage 1: a search without the task, if it is inactive or set-based, then one with the task.
+
+    A set-based task that the first search does not meet is met at the nearest bound in the second.
+    """
+    n, m, level = sizes.n, sizes.m, sizes.level
+    cap = None if sizes.fallback == "exact" else CAP
+    free = nearest_point(n, n, m, precision=sizes.precision, cap=cap)
+    outcome = ("v", "active", "multipliers", "end", "count", "shown")
+    if level is None or sizes.damping:
+        zero = lower_named("zero", {}, {"none": ca.SX.zeros(1)})
+        return (Call(zero, (), ("none",)), Call(free, ("unit", "target", "none"), outcome))
+    begun, once = (tuple(f"{name}_{tag}" for name in outcome) for tag in ("begun", "once"))
+    state, table = tuple(zip(outcome, (n, n, n, 1, 1, 1), strict=True)), ("unit", sizes.rows)
+    alone = level.rows == 1 or cap is None  # the bounded fallback does not look at inactive tasks of several rows
+    first = once if level.rows < n else outcome
+    steps: tuple[Step, ...] = (Call(_without_search(sizes), ("J", "lower"), (*(begun if alone else first), "wait")),)
+    if alone:
+        search = _search(state, (table, ("target", n)), (Call(free, ("unit", "target", "over"), _SEARCHED),))
+        steps += (Loop(search, 1, (*begun, "wait"), (*first, "free"), fixed=("unit", "target"), until=6),)
+    if level.rows >= n:
+        return steps
+    d = n - level.rows
+    few = nearest_point(n, d, m, precision=sizes.precision, cap=cap)
+    narrow = ("v_next", "active_few", "multipliers_few", *_SEARCHED[3:])
+    arrays = (("origin", n), ("start", d), ("Z", n * d))
+    body = (
+        Call(few, ("unit", "origin", "start", "over", "Z"), narrow),
+        Call(_padded(n, d), narrow[1:3], _SEARCHED[1:3]),
+    )
+    return (
+        *steps,
+        Call(_reflected(sizes), ("target", "J", "lower", "upper", "v_once"), ("origin", "start", "Z", "idle")),
+        Loop(
+            _search(state, (table, *arrays), body), 1, (*once, "idle"), (*outcome, "over"),
+            fixed=("unit", "origin", "start", "Z"), until=6,
+        ),
+    )  # fmt: skip
+
+
+_SEARCHED = ("v_next", "active_next", "multipliers_next", "end_next", "spent", "shown_next")
+
+
+def _search(
+    state: tuple[tuple[str, int], ...], fixed: tuple[tuple[str, int], ...], search: tuple[Step, ...]
+) -> Routine:
+    """Return the body of a loop that runs a search once, and adds the iterations up."""
+    one, count, spent = ca.SX.sym("over"), ca.SX.sym("count"), ca.SX.sym("spent")
+    add = lower_named("searched", {"over": one, "count": count, "spent": spent}, {"yes": 1.0, "total": count + spent})
+    steps = (*search, Call(add, ("over", "count", "spent"), ("yes", "total")))
+    results = (*_SEARCHED[:4], "total", _SEARCHED[5], "yes")
+    return Routine("search_once", (*state, ("over", 1), *fixed), steps, results)
+
+
+def _without_search(sizes: Sizes) -> Program:
+    """Return a program for the initial result of stage 1, and whether to skip the search without the task.
+
+    If the task has as many rows as there are velocities, v meets the first rows; otherwise no search was made.
+    """
+    n, level, J, x = (
+        sizes.n,
+        sizes.level,
+        ca.SX.sym("J", dict(sizes.task)["J"]),
+        ca.SX.sym("x", dict(sizes.task)["lower"]),
+    )
+    nothing: dict[str, ca.SX | float] = {name: ca.SX.zeros(n) for name in ("v", "active", "multipliers")}
+    end, full, wait = ca.SX(SKIPPED), ca.SX(0), ca.SX(0)
+    if level is not None and not level.is_set:
+        wait = _largest(J) > ZERO_ROW
+        if level.rows >= n:
+            left = reflect(as_matrix(J, n)[:n, :], x[:n], ca.SX.zeros(n), sizes.precision)
+            full = left.full
+            nothing["v"], end = ca.if_else(full, left.origin, 0), ca.if_else(full, OPTIMAL, SKIPPED)
+    outputs = {**nothing, "end": end, "count": 0.0, "shown": full, "wait": wait}
+    return lower_named("without_search", {"J": J, "x": x}, outputs)
+
+
+def _reflected(sizes: Sizes) -> Program:
+    """Return a program for the inputs of the search with the task, and whether to skip it."""
+    n, level, inputs = sizes.n, sizes.level, sizes.symbols() | {"v": ca.SX.sym("v", sizes.n)}
+    J, x = inputs["J"], inputs["lower"]
+    inactive = ca.logic_not(_largest(J) > ZERO_ROW)
+    if level is not None and level.is_set:
+        value = as_matrix(J, n) @ inputs["v"]
+        x = ca.fmin(ca.fmax(value, inputs["lower"]), inputs["upper"])
+        size = _largest(J) * ca.fmax(1, _largest(inputs["v"]))
+        inactive = ca.logic_or(inactive, ca.fabs(value - x) <= sizes.precision.priced * size)
+    left = reflect(as_matrix(J, n), x, inputs["target"], sizes.precision)
+    idle = ca.logic_or(inactive, ca.logic_not(left.full))
+    outputs = {"origin": left.origin, "start": left.start, "Z": ca.vec(ca.densify(left.free).T), "idle": idle}
+    return lower_named("reflected", inputs, outputs)
+
+
+def _padded(n: int, d: int) -> Program:
+    pair = [ca.SX.sym("active", d), ca.SX.sym("multipliers", d)]
+    wide = [ca.densify(ca.vertcat(a, ca.SX.zeros(n - d, 1))) for a in pair]
+    return lower(ca.Function("padded", pair, wide))
+
+
+def _largest(vector: ca.SX) -> ca.SX:
+    size = ca.SX(0)
+    for i in range(vector.numel()):
+        size = ca.fmax(size, ca.fabs(vector[i]))
+    return size
+
+
+def _judge(sizes: Sizes) -> Program:
+    """Return a program for the status MET if the v of stage 1 is shown to be the nearest, else 0; and if it fits.
+
+    It fits if it satisfies the constraint rows and meets the task to rounding.
+    """
+    task, precision = sizes.symbols(), sizes.precision
+    v, end, shown, feasible = ca.SX.sym("v", sizes.n), ca.SX.sym("end"), ca.SX.sym("shown"), ca.SX.sym("feasible")
+    good, size = ca.logic_and(ca.eq(end, OPTIMAL), feasible), ca.fmax(1, _largest(v))
+    if sizes.level is not None:
+        matrix = as_matrix(task["J"], sizes.n)
+        for k in range(sizes.level.rows):
+            square, value = ca.sumsqr(matrix[k, :]), ca.dot(matrix[k, :].T, v)
+            miss = ca.fmax(ca.fmax(value - task["upper"][k], task["lower"][k] - value), 0)
+            met = miss**2 <= (precision.feasibility * size) ** 2 * square
+            good = ca.logic_and(good, ca.logic_or(met, square <= ZERO_ROW**2))
+    inputs = {**task, "v": v, "end": end, "shown": shown, "feasible": feasible}
+    met = ca.if_else(ca.logic_and(good, shown), MET, 0)
+    return lower_named("judge", inputs, {"met": met, "opening": ca.SX.zeros(1), "fits": good})
+
+
+def _strict(sizes: Sizes) -> Routine:
+    """Return the body of a loop that runs once if stage 1 failed: strict priority of task over target (stage 2).
+
+    If the result is not shown to be optimal either, the velocity of stage 1 is returned if it fits.
+    """
+    n, k = sizes.n, sizes.level.rows if sizes.level else 0
+    names = tuple(name for name, _ in sizes.task)
+    levels = (*([sizes.level] if sizes.level else []), LevelShape(n))
+    shape = StackShape(n, (LevelShape(n + k),) if sizes.damping else levels)
+    arrays, outcome = ("J_all", "low_all", "high_all"), (*(f"{name}_next" for name in SOLUTION), "origin")
+    near: tuple[Step, ...] = ()
+    if sizes.damping and sizes.level and sizes.level.is_set:
+        alone = Sizes(n, sizes.m, precision=sizes.precision)
+        kernel = hierarchy(StackShape(n, (LevelShape(n),)), sizes.m, sizes.precision)
+        near = (
+            Call(_levels(alone), ("target",), tuple(f"{name}_near" for name in arrays)),
+            Call(
+                kernel,
+                (*(f"{name}_near" for name in arrays), "rows", "box"),
+                ("near", *(f"{k}_near" for k in outcome[1:])),
+            ),
+        )
+    steps = (
+        *near,
+        Call(_levels(sizes), ("target", *names, *(["near"] if near else [])), arrays),
+        Call(hierarchy(shape, sizes.m, sizes.precision), (*arrays, "rows", "box"), outcome),
+        Call(_outcome(sizes), (*SOLUTION, "fits", *outcome[:-1]), tuple(f"{name}_all" for name in SOLUTION)),
+    )
+    fixed = (("fits", 1), ("target", n), *sizes.task, ("rows", sizes.rows), ("box", 2 * n))
+    return Routine("strict", (*sizes.solution, *fixed), steps, tuple(f"{name}_all" for name in SOLUTION))
+
+
+def _levels(sizes: Sizes) -> Program:
+    """Return a program for the levels of stage 2, from target and task.
+
+    With damping, a set-based task becomes the equality with its bound that is nearest to the velocity `near`, which
+    satisfies the limits and is nearest to the target; no equality if `near` is inside the bounds.
+    """
+    n, v, eye = sizes.n, sizes.symbols(), ca.SX.eye(sizes.n)
+    weight = sizes.damping or 1.0
+    J, low, high = [weight * eye], [weight * v["target"]], [weight * v["target"]]
+    if sizes.level is not None:
+        active, matrix = _largest(v["J"]) > ZERO_ROW, as_matrix(v["J"], n)
+        lower_, upper = v["lower"], v["upper"]
+        if sizes.damping and sizes.level.is_set:
+            v["near"] = ca.SX.sym("near", n)
+            value = matrix @ v["near"]
+            active = ca.logic_and(active, ca.logic_not(ca.logic_and(lower_ <= value, value <= upper)))
+            lower_ = upper = ca.if_else(active, ca.if_else(value < lower_, lower_, upper), 0)
+        J, low, high = [ca.if_else(active, matrix, 0), *J], [lower_, *low], [upper, *high]
+    outputs = {"J_all": ca.vec(ca.densify(ca.vertcat(*J)).T), "low": ca.vertcat(*low), "high": ca.vertcat(*high)}
+    return lower_named("levels", v, outputs)
+
+
+def _outcome(sizes: Sizes) -> Program:
+    # without a task that is met first, no limit limits it
+    old = {name: ca.SX.sym(name, size) for name, size in sizes.solution}
+    new = {f"{name}_new": ca.SX.sym(f"{name}_new", size) for name, size in sizes.solution}
+    fits, status = ca.SX.sym("fits"), new["status_new"]
+    stays = ca.logic_and(fits, ca.eq(status, UNCONFIRMED))
+    if sizes.level is None or sizes.damping:
+        status = ca.if_else(ca.eq(status, LIMITED), MET, status)
+    outputs = {f"{name}_all": ca.if_else(stays, old[name], new[f"{name}_new"]) for name in SOLUTION[:4]}
+    outputs |= {"status_all": status, "count_all": old["count"] + new["count_new"]}
+    return lower_named("outcome", {**old, "fits": fits, **new}, outputs)
+
 
 _SWEEPS = (1.0, 0.75)  # fractions of the step to a violated row, one for each sweep
 _TOGETHER = 4  # rows in one pass of a loop, which keeps the point in registers meanwhile
@@ -54,19 +343,17 @@ _Body: TypeAlias = Callable[[list[ca.SX], ca.SX, list[ca.SX]], list[ca.SX]]
 """A function (state, row, fixed) → the next state."""
 
 
-def eased(sizes: Sizes) -> Routine:
-    """Return the bounded fallback as the body of a loop that runs once if stage 1 of module `fallback` fails.
+def _eased(sizes: Sizes) -> Routine:
+    """Return the bounded fallback as the body of a loop that runs once if stage 1 failed.
 
-    The body updates point (n + 1,), which is v and the opening; active (n,) and multipliers (n,), which become 0; and
-    status. The number of iterations and the final status of stage 1 stay unchanged. Further inputs are the constraint
-    rows, the target and the box. The new status is `BOUNDED`, or 0 if neither the target clipped to the box nor v = 0
-    satisfies the hard constraint rows; the point is then the clipped target.
+    The number of iterations and `end`, the status of the search, stay unchanged. The new status is `BOUNDED`, or
+    `CLAMPED` if neither the target clipped to the box nor v = 0 satisfies the hard constraint rows; v is then the
+    clipped target.
     """
     n = sizes.n
-    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("end", 1))
-    fixed = (("unit", sizes.rows), ("target", n), ("box", 2 * n))
+    state, fixed = (*sizes.solution, ("end", 1)), (("unit", sizes.rows), ("target", n), ("box", 2 * n))
     steps: tuple[Step, ...] = (
-        Call(_start(sizes), ("point", "end", "target", "box"), ("near", "limits", "worst", "hard", "stands", "first")),
+        Call(_start(sizes), ("v", "end", "target", "box"), ("near", "limits", "worst", "hard", "stands", "first")),
         _over_rows(
             sizes, _compare, (("first", n), ("worst", 2), ("hard", 2)), (("near", n),),
             results=("once", "worst_all", "hard_all"),
@@ -83,10 +370,10 @@ def eased(sizes: Sizes) -> Routine:
         ),
         Call(
             _end(sizes), ("near", "safe", "goal", "slack", "sound", "part_all", "missed_all"),
-            ("point_next", "none", "status_next"),
+            ("v_next", "none", "opening_next", "status_next"),
         ),
     )  # fmt: skip
-    after = ("point_next", "none", "none", "status_next", "count", "end")
+    after = ("v_next", "none", "none", "opening_next", "status_next", "count", "end")
     return Routine("eased", (*state, *fixed), steps, after)
 
 
@@ -122,7 +409,7 @@ def _start(sizes: Sizes) -> Program:
     contains v = 0; the velocity from which the projections start.
     """
     n, precision = sizes.n, sizes.precision
-    point, end = ca.SX.sym("point", n + 1), ca.SX.sym("end")
+    point, end = ca.SX.sym("v", n), ca.SX.sym("end")
     target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
     near = [into(target[i], box[i], box[n + i]) for i in range(n)]
     stands, size, searched = ca.SX(1), ca.SX(1), end != SKIPPED
@@ -224,13 +511,9 @@ def _end(sizes: Sizes) -> Program:
     # the largest violation is convex along the path, so interpolation between its ends is an upper bound
     opening = slack[0] + share * (missed - slack[0])
     opening = ca.if_else(ca.logic_and(sound, opening > slack[1]), opening, 0)
-    outputs = [ca.vertcat(v, opening), ca.SX.zeros(n), ca.if_else(sound, BOUNDED, 0)]
+    outputs = [v, ca.SX.zeros(n), opening, ca.if_else(sound, BOUNDED, CLAMPED)]
     inputs = [near, safe, goal, slack, sound, part, missed]
     return lower(ca.Function("eased_end", inputs, list(map(ca.densify, outputs))))
-
-
-MET, CLAMPED = 1, 4
-"""Status values besides `LIMITED`, `RELAXED`, `BOUNDED`. MET: task met. CLAMPED: v is only clipped to the box."""
 
 
 def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallback: Fallback = "exact") -> Routine:
@@ -250,9 +533,9 @@ def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallbac
         m: number of constraint rows, at least 1 (an unused row is all zeros with infinite bounds); multiples of 8 are
             fastest.
         precision: tolerances for the number type with which the routine runs.
-        fallback: "exact" for stages 2 to 4 of the module docstring, or "bounded" for a velocity that is not optimal, at
-            constant computing cost. Both give equal velocities, to the last bit, if stage 1 succeeds within
-            `bounded.CAP` iterations. If J has several rows, "bounded" requires linearly independent rows.
+        fallback: "exact" for stage 2 of the module docstring, or "bounded" for a velocity that is not optimal, at
+            constant computing cost. Both give equal velocities, to the last bit, if stage 1 succeeds within `CAP`
+            iterations. If J has several rows, "bounded" requires linearly independent rows.
 
     Example:
         >>> import numpy as np
@@ -264,124 +547,34 @@ def safe_step(n: int, p: int, m: int, *, precision: Precision = FLOAT64, fallbac
         >>> v.round(3).tolist(), active.tolist(), force.round(3).tolist()
         ([0.1, 0.4], [1.0, 0.0], [0.2, 0.0])
     """
-    exact = fallback == "exact"
-    sizes = Sizes(n, p, m, precision, cap=None if exact else CAP)
-    down = _exact_stages(sizes) if exact else _bounded_stages(sizes)
-    steps = (
-        *unit_rows(sizes),
-        Call(_zero(), (), ("none",)),
-        Call(
-            exact_stage(sizes), ("unit", "target", "J", "x", "none"),
-            ("point", "active", "multipliers", "end", "count"),
-        ),
-        *down,
-        Call(
-            _finish(sizes), ("point_down", "status_down", "none_down" if exact else "none", "target", "J", "x", "box"),
-            ("v", "opening", "outcome"),
-        ),
-    )  # fmt: skip
-    inputs = (("target", n), ("J", p * n), ("x", p), ("rows", sizes.rows), ("box", 2 * n))
-    return Routine(
-        "safe_step",
-        inputs,
-        steps,
-        ("v", "active_down", "multipliers_down", "opening", "outcome", "count_down"),
-    )
-
-
-def _exact_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Return the steps that check the velocity of stage 1, and run the other stages if stage 1 failed."""
-    carried = ("point", "active", "multipliers", "status", "count", "none")
-    after = tuple(f"{name}_down" for name in carried)
-    return (
-        Call(sizes.certificate, ("unit", "point"), ("feasible",)),
-        Call(_judge(sizes), ("point", "end", "feasible", "J", "x"), ("status",)),
-        Loop(_down(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "J", "x", "box"), until=3),
-    )
-
-
-def _bounded_stages(sizes: Sizes) -> tuple[Step, ...]:
-    """Return the steps that check the velocity of stage 1, and run the bounded fallback if stage 1 failed."""
-    end = ca.SX.sym("end")
-    failed = lower(ca.Function("failed", [end], [ca.logic_not(ca.eq(end, OPTIMAL))]))
-    one = lower(ca.Function("done", [ca.SX.sym("failed")], [ca.SX.ones(1)]))
-    look = Routine(
-        "look_again",
-        (("feasible", 1), ("failed", 1), ("unit", sizes.rows), ("point", sizes.n + 1)),
-        (Call(sizes.certificate, ("unit", "point"), ("feasible_next",)), Call(one, ("failed",), ("done",))),
-        ("feasible_next", "done"),
-    )
-    carried = ("point", "active", "multipliers", "status", "count", "end")
-    after = tuple(f"{name}_down" for name in carried)
-    return (
-        Call(failed, ("end",), ("failed",)),
-        Loop(look, 1, carried=("none", "failed"), results=("feasible", "looked"), fixed=("unit", "point"), until=1),
-        Call(_judge(sizes), ("point", "end", "feasible", "J", "x"), ("status",)),
-        Loop(eased(sizes), 1, carried=carried, results=after, fixed=("unit", "target", "box"), until=3),
-    )
-
-
-def _zero() -> Program:
-    return lower(ca.Function("zero", [], [ca.SX.zeros(1)]))
-
-
-def _down(sizes: Sizes) -> Routine:
-    """Return the body of a loop that runs once if stage 1 failed; it runs stages 2 and 3 up to two times."""
-    n, p = sizes.n, sizes.p
-    state = (("point", n + 1), ("active", n), ("multipliers", n), ("status", 1), ("count", 1), ("safe", 1))
-    fixed = (("unit", sizes.rows), ("target", n), ("J", p * n), ("x", p), ("box", 2 * n))
-    carried = tuple(name for name, _ in state)
-    begun = ("closed", *carried[1:])
-    results = tuple(f"{name}_next" for name in carried)
-    steps = (
-        Call(_near(n), ("target", "box"), ("near", "closed")),
-        Loop(
-            lower_stages(sizes), 2, carried=begun, results=results, fixed=("unit", "target", "near", "J", "x"), until=3
-        ),
-    )
-    return Routine("descend", (*state, *fixed), steps, results)
-
-
-def _near(n: int) -> Program:
-    target, box = ca.SX.sym("target", n), ca.SX.sym("box", 2 * n)
-    near = ca.vertcat(*(into(target[i], box[i], box[n + i]) for i in range(n)))
-    return lower(ca.Function("near", [target, box], [near, ca.densify(ca.vertcat(near, 0))]))
-
-
-def _judge(sizes: Sizes) -> Program:
-    # MET: every row of J v = x holds to rounding, relative to the length of the row
-    n, p = sizes.n, sizes.p
-    point, end, feasible = ca.SX.sym("point", n + 1), ca.SX.sym("end"), ca.SX.sym("feasible")
-    J, x = ca.SX.sym("J", p * n), ca.SX.sym("x", p)
-    matrix, size, short = as_matrix(J, n), ca.SX(1), sizes.precision.short**2
-    for i in range(n):
-        size = ca.fmax(size, ca.fabs(point[i]))
-    good = ca.logic_and(ca.eq(end, OPTIMAL), feasible)
-    for k in range(p):
-        square = ca.sumsqr(matrix[k, :])
-        allowed = (sizes.precision.feasibility * size) ** 2 * ca.if_else(square <= short, 1, square)
-        good = ca.logic_and(good, (ca.dot(matrix[k, :].T, point[:n]) - x[k]) ** 2 <= allowed)
-    return lower(ca.Function("judge", [point, end, feasible, J, x], [ca.if_else(good, MET, 0)]))
+    if p < 1:
+        raise InputError("must be a whole number of at least 1", key="p", value=p)
+    inner = limited_step(Sizes(n, m, LevelShape(p), precision, fallback))
+    inputs = (("target", n), ("J", p * n), ("x", p), ("rows", m * (n + 3)), ("box", 2 * n))
+    steps = (Call(inner, ("target", "J", "x", "x", "rows", "box"), SOLUTION),)
+    return Routine("safe_step", inputs, steps, SOLUTION)
 
 
 def _finish(sizes: Sizes) -> Program:
-    # a point from a non-finite task or target is no solution; if no stage found a solution (status 0), a point of stage
-    # 3 that satisfies the opened constraint rows is accepted
-    n, p, huge = sizes.n, sizes.p, sizes.precision.huge
-    point, status, box = ca.SX.sym("point", n + 1), ca.SX.sym("status"), ca.SX.sym("box", 2 * n)
-    target, J, x = ca.SX.sym("target", n), ca.SX.sym("J", p * n), ca.SX.sym("x", p)
-    safe, v = ca.SX.sym("safe"), []
-    reached = ca.if_else(ca.logic_and(ca.eq(status, 0), safe), RELAXED, status)
-    good, size = reached != 0, ca.SX(1)
-    for entry in ca.vertsplit(ca.vertcat(target, J, x)):
+    # v is finite and inside the box, whatever a stage returned
+    n, huge, v = sizes.n, sizes.precision.huge, sizes.symbols()
+    own = {name: ca.SX.sym(name, size) for name, size in sizes.solution}
+    box = ca.SX.sym("box", 2 * n)
+    good, size = own["status"] != CLAMPED, ca.fmax(1, _largest(own["v"]))
+    own_task = [v[k] for k in ("J", "lower") if sizes.level and (k == "J" or not sizes.level.is_set)]
+    for entry in ca.vertsplit(ca.vertcat(v["target"], *own_task)):
         good = ca.logic_and(good, ca.fabs(entry) <= huge)
+    final = []
     for i in range(n):
-        size = ca.fmax(size, ca.fabs(point[i]))
-    for i in range(n):
-        inside = into(point[i], box[i], box[n + i])
+        start = ca.if_else(ca.eq(own["status"], CLAMPED), v["target"][i], own["v"][i])
+        inside = into(start, box[i], box[n + i])
         finite = ca.if_else(ca.fabs(inside) <= huge, inside, 0)
-        good = ca.logic_and(good, ca.fabs(finite - point[i]) <= sizes.precision.feasibility * size)
-        v.append(finite)
-    opening = ca.if_else(good, point[n], 0)
-    outputs = [ca.vertcat(*v), opening, ca.if_else(good, reached, CLAMPED)]
-    return lower(ca.Function("finish", [point, status, safe, target, J, x, box], outputs))
+        good = ca.logic_and(good, ca.fabs(finite - start) <= sizes.precision.feasibility * size)
+        final.append(finite)
+    outputs = {
+        "v": ca.vertcat(*final),
+        **{name: ca.if_else(good, own[name], 0) for name in ("active", "multipliers", "opening")},
+        "status": ca.if_else(good, own["status"], CLAMPED),
+        "count": own["count"],
+    }
+    return lower_named("finish", {**v, "box": box, **own}, {f"{name}_out": value for name, value in outputs.items()})

@@ -4,7 +4,7 @@ The processor can evaluate several constraint rows with one vector instruction; 
 of lanes. Constraint rows are therefore stored in blocks of as many rows as there are lanes: first entry 1 of all rows
 in the block, then entry 2, and so on. The solution does not depend on the number of lanes.
 
-`Sizes` holds the numbers of variables and rows of a safe step, and the routines that several of its stages call.
+`nearest_point` applies the solver to velocities that satisfy equalities too.
 """
 
 from __future__ import annotations
@@ -18,29 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import Call, Gather, Loop, Program, Routine, Step, lower
-from surctl.priority.solver.dual_step import (
-    SKIPPED,
-    Space,
-    close,
-    halve,
-    iteration,
-    misses,
-    pricing,
-    threshold,
-    which,
-)
+from surctl.priority.solver.dual_step import SKIPPED, Space, close, halve, iteration, misses, pricing, threshold, which
 from surctl.priority.solver.elimination import FLOAT64, Precision, as_matrix
 
 __all__ = [
-    "Sizes",
     "certificate",
     "in_blocks",
     "into",
-    "kernel",
     "lanes_of",
     "most_iterations",
-    "reduced_kernel",
-    "row_by_row",
+    "nearest_point",
     "search",
     "unit_rows",
 ]
@@ -49,10 +36,9 @@ __all__ = [
 def most_iterations(space: Space) -> int:
     """Return the largest number of iterations of a search; it grows with the number of unknowns d.
 
-    A row that enters costs one iteration, and every row that leaves again one more. If the opening is unknown too,
-    every soft row can become active, so the number is doubled.
+    A row that enters costs one iteration, and every row that leaves again one more.
     """
-    return (2 if space.opening else 1) * max(40, 8 * space.d)
+    return max(40, 8 * space.d)
 
 
 def lanes_of(rows: int, precision: Precision = FLOAT64) -> int:
@@ -67,96 +53,83 @@ def in_blocks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.swapaxes(rows.reshape(*batch, count // lanes, lanes, width), -1, -2).reshape(*batch, count * width)
 
 
-def row_by_row(routine: Routine, rows: int, precision: Precision = FLOAT64) -> Routine:
-    """Return a version of the routine whose first input, the constraint rows, is stored row by row, not in blocks."""
-    if lanes_of(rows, precision) == 1:
-        return routine
-    (name, size), *others = routine.inputs
-    table = ca.SX.sym(name, size)
-    order = in_blocks(np.arange(size, dtype=np.float64).reshape(rows, size // rows)).astype(int).tolist()
-    arrange = lower(ca.Function(f"in_blocks_{rows}", [table], [table[order]]))
-    rest, results = tuple(other for other, _ in others), tuple(result for result, _ in routine.outputs)
-    steps = (Call(arrange, (name,), ("blocks",)), Call(routine, ("blocks", *rest), results))
-    return Routine(f"{routine.name}_row_by_row", routine.inputs, steps, results)
-
-
 @cache
-def kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """Return the routine that finds the point base + Z y with the smallest ‖y‖ that satisfies all constraint rows.
+def nearest_point(n: int, d: int, rows: int, *, precision: Precision = FLOAT64, cap: int | None = None) -> Routine:
+    """Return the routine that finds, of the velocities v = origin + Z y that satisfy all rows, the one nearest to w.
 
-    The point consists of v and the opening t, the amount by which the bounds of soft rows are moved outwards. If t is
-    unknown, Z is the identity; otherwise Z acts on v only.
+    Inputs: rows (rows·(n + 3),), constraint rows in blocks, each a (of length 1 or 0), lower, upper, soft; origin (n,);
+    start (d,), the coordinates y of the velocity nearest to w without the rows; skip, nonzero to do nothing; Z (n·d,),
+    row by row, with orthonormal columns. For d = n, `start` is w, and origin and Z are absent. Outputs: v (n,); numbers
+    and multipliers (d,) of the active rows; status, 0 if the iteration limit `cap` (None: `most_iterations`) was
+    reached, and v then violates rows; count, number of iterations; shown, whether the result is shown to be optimal.
 
-    Inputs: rows (rows·(n + 3),), constraint rows in blocks, each a (of length 1 or 0), lower, upper, soft; base (n +
-    1,); skip, nonzero to return the base with status `SKIPPED`; Z (n·d,), row by row, with orthonormal columns, or an
-    orthogonal projector; Z is absent if t is unknown. Outputs: point (n + 1,); numbers and multipliers (d,) of the
-    active rows; status, 0 if the iteration limit `cap` (None: `most_iterations`) was reached, and the point then
-    violates rows; count, number of iterations.
+    The rows are converted once to rows on y. Let r be what the weighted normals of the active rows leave of start − y.
+    Every other y' that satisfies the rows and is at most D away has (start − y)·(y' − y) ≤ |r| D + Σ weight·gap, where
+    gap is the distance of y from the bound. So half the squared distance is at most this much above the least one.
     """
-    n, d = space.n, space.d
-    free = () if space.opening else (("Z", n * d),)
-    base, x = ca.SX.sym("base", n + 1), ca.SX.sym("x", space.point)
-    take = lower(ca.Function(f"take_{space.point}", [base], [base[: space.point]]))
-    full = x if space.opening else ca.vertcat(x, base[n])
-    give = lower(ca.Function(f"give_{space.point}", [x, base], [full]))
-    steps = (
-        Call(take, ("base",), ("start",)),
-        Call(
-            search(space, rows, cap),
-            ("rows", "start", "skip", *(name for name, _ in free)),
-            ("x", "numbers", "multipliers", "status", "count"),
-        ),
-        Call(give, ("x", "base"), ("point",)),
-    )
-    inputs = (("rows", rows * (n + 3)), ("base", n + 1), ("skip", 1), *free)
-    return Routine(f"nearest_{d}", inputs, steps, ("point", "numbers", "multipliers", "status", "count"))
-
-
-@cache
-def reduced_kernel(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """Return a routine with the outputs of `kernel` that searches in d < n unknowns y.
-
-    Inputs: rows and skip as in `kernel`, origin (n,), start (d,), Z (n·d,). The velocity is origin + Z y, where y is
-    the feasible vector nearest to start; the opening is 0. The constraint rows are converted once to constraints on y.
-    If the origin is much larger than the solution, the bounds of the converted rows are inaccurate; start may be far
-    from the solution.
-    """
-    n, d = space.n, space.d
-    lanes = lanes_of(rows, space.precision)
-    small = Space(d, d, mapped=False, precision=space.precision)
-    origin, Z, y = ca.SX.sym("origin", n), ca.SX.sym("Z", n * d), ca.SX.sym("y", d)
-    lift = lower(ca.Function("lift", [origin, Z, y], [ca.vertcat(origin + as_matrix(Z, d) @ y, 0)]))
-    steps = (
-        Loop(
-            _reduce(space), rows // lanes, (), ("table",), sliced=("rows",), fixed=("origin", "Z"), lanes=lanes
-        ),
-        Call(search(small, rows, cap), ("table", "start", "skip"), ("y", "numbers", "multipliers", "status", "count")),
-        Call(lift, ("origin", "Z", "y"), ("point",)),
+    lanes, space, mapped = lanes_of(rows, precision), Space(d, precision), d < n
+    free = ("origin", "Z") if mapped else ()
+    blocks = rows // lanes
+    names = tuple(f"row{j}" for j in range(d))
+    lift = ca.SX.sym("origin", n), ca.SX.sym("Z", n * d), ca.SX.sym("y", d)
+    steps: tuple[Step, ...] = (
+        Loop(_reduce(n, d), blocks, (), ("table",), sliced=("rows",), fixed=free, lanes=lanes),
+        Call(search(space, rows, cap), ("table", "start", "skip"), ("y", "numbers", "multipliers", "status", "count")),
+        Call(_indices(d), ("numbers",), tuple(f"at{j}" for j in range(d))),
+        *(Gather("table", f"at{j}", space.row, names[j], lanes=lanes) for j in range(d)),
+        Call(_shown(space), ("start", "y", "numbers", "multipliers", *names), ("shown",)),
     )  # fmt: skip
-    inputs = (("rows", rows * (n + 3)), ("origin", n), ("start", d), ("skip", 1), ("Z", n * d))
-    return Routine(f"reduced_{d}", inputs, steps, ("point", "numbers", "multipliers", "status", "count"))
+    if mapped:
+        lifted = lower(ca.Function("lift", list(lift), [lift[0] + as_matrix(lift[1], d) @ lift[2]]))
+        steps = (*steps, Call(lifted, ("origin", "Z", "y"), ("v",)))
+    sizes = {"origin": n, "start": d, "skip": 1, "Z": n * d}
+    inputs = (("rows", rows * (n + 3)), *((k, size) for k, size in sizes.items() if mapped or k in ("start", "skip")))
+    outputs = ("v" if mapped else "y", "numbers", "multipliers", "status", "count", "shown")
+    return Routine(f"nearest_{d}", inputs, steps, outputs)
 
 
-def _reduce(space: Space) -> Program:
+def _reduce(n: int, d: int) -> Program:
     # the constraint row on y, for v = origin + Z y
-    n, d = space.n, space.d
     row, origin, Z = ca.SX.sym("row", n + 3), ca.SX.sym("origin", n), ca.SX.sym("Z", n * d)
+    if d == n:
+        return lower(ca.Function("reduce", [row], [row[: n + 2]]))
     value = ca.dot(row[:n], origin)
     reduced = ca.vertcat(as_matrix(Z, d).T @ row[:n], row[n] - value, row[n + 1] - value)
     return lower(ca.Function("reduce", [row, origin, Z], [reduced]))
 
 
+def _indices(d: int) -> Program:
+    # −1 for an empty slot
+    numbers = ca.SX.sym("numbers", d)
+    return lower(ca.Function("indices", [numbers], [ca.fabs(numbers[j]) - 1 for j in range(d)]))
+
+
+def _shown(space: Space) -> Program:
+    d, tight = space.d, space.precision
+    start, y, numbers, u = (ca.SX.sym(name, d) for name in ("start", "y", "numbers", "u"))
+    rows = [ca.SX.sym(f"row{j}", d + 2) for j in range(d)]
+    rest, cost, weight = start - y, ca.SX(0), ca.SX(1)
+    square, size = ca.sumsqr(rest), ca.SX(0)
+    for j, row in enumerate(rows):
+        sign = ca.if_else(ca.eq(numbers[j], 0), 0, ca.if_else(numbers[j] < 0, -u[j], u[j]))
+        rest = rest - ca.if_else(ca.eq(numbers[j], 0), 0, sign * row[:d])
+        gap = ca.fabs(ca.if_else(numbers[j] < 0, row[d], row[d + 1]) - ca.dot(row[:d], y))
+        cost = cost + ca.if_else(ca.eq(numbers[j], 0), 0, u[j] * gap)
+        weight = weight + u[j]
+        size = ca.fmax(size, ca.fabs(y[j]))
+    loss = (ca.sqrt(ca.sumsqr(rest)) + tight.error * weight) * (2 * (1 + size)) + cost
+    value = ca.sqrt(square)
+    good = ca.logic_or(value <= tight.loss, 2 * loss <= tight.loss * value * (1 + value))
+    return lower(ca.Function(f"shown_{d}", [start, y, numbers, u, *rows], [good]))
+
+
 @cache
 def search(space: Space, rows: int, cap: int | None = None) -> Routine:
-    """Return the active-set search alone: the feasible point nearest to `base`, for rows without the entry `soft`.
+    """Return the active-set search alone: the point nearest to `base` that satisfies the rows, without entry `soft`.
 
-    Inputs: rows (rows·`space.row`,) in blocks, each of length 1 or 0; base (`space.point`,); skip; M (n·d,) if
-    `space.mapped`. Outputs: point, numbers and multipliers (d,) of the active rows, status and count as in `kernel`.
+    Inputs: rows (rows·`space.row`,) in blocks, each of any length; base (d,); skip. Outputs: point, numbers and
+    multipliers (d,) of the active rows, status and count as in `nearest_point`.
     """
-    free = (("M", space.n * space.d),) if space.mapped and not space.opening else ()
-    space = space if free else Space(space.n, space.d, space.opening, mapped=False, precision=space.precision)
-    width = space.row
-    names = tuple(name for name, _ in free)
     state = tuple(name for name, _ in _state(space))
     most = most_iterations(space) if cap is None else cap
     steps = (
@@ -168,11 +141,11 @@ def search(space: Space, rows: int, cap: int | None = None) -> Routine:
             most,
             carried=tuple(f"{name}_first" for name in state),
             results=tuple(f"{name}_last" for name in state),
-            fixed=("rows", *names),
+            fixed=("rows",),
             until=len(state) - 1,
         ),
     )
-    inputs = (("rows", rows * width), ("base", space.point), ("skip", 1), *free)
+    inputs = (("rows", rows * space.row), ("base", space.d), ("skip", 1))
     results = ("point_last", "numbers_last", "multipliers_last", "status_last", "count_last")
     return Routine(f"search_{space.d}", inputs, steps, results)
 
@@ -180,7 +153,7 @@ def search(space: Space, rows: int, cap: int | None = None) -> Routine:
 def _state(space: Space) -> tuple[tuple[str, int], ...]:
     d = space.d
     return (
-        ("point", space.point),
+        ("point", d),
         ("normals", d * d),
         ("multipliers", d),
         ("numbers", d),
@@ -193,7 +166,7 @@ def _state(space: Space) -> tuple[tuple[str, int], ...]:
 
 
 def _start(space: Space) -> Program:
-    base, skip = ca.SX.sym("base", space.point), ca.SX.sym("skip")
+    base, skip = ca.SX.sym("base", space.d), ca.SX.sym("skip")
     d = space.d
     zeros = [ca.SX.zeros(size, 1) for size in (d * d, d, d, 2)]
     status = ca.if_else(skip, SKIPPED, 0)
@@ -221,131 +194,81 @@ def _price(space: Space, rows: int, tag: str) -> tuple[Step, ...]:
 def _turn(space: Space, rows: int) -> Routine:
     """Return a routine for one iteration, with the row that is still becoming active or else the most violated row."""
     state, lanes = _state(space), lanes_of(rows, space.precision)
-    free = (("M", space.n * space.d),) if space.mapped else ()
     names = tuple(name for name, _ in state[:-2])
     steps = (
         Call(which(), ("best", "pending"), ("at", "number")),
         Gather("rows", "at", space.row, "row", lanes=lanes),
         Call(
-            iteration(space), (*names, "number", "row", *(name for name, _ in free)),
+            iteration(space), (*names, "number", "row"),
             tuple(f"{name}_next" for name in names),
         ),
         *_price(space, rows, "_next"),
         Call(close(), ("best_next", "pending_next", "began_next"), ("status_next",)),
     )  # fmt: skip
-    inputs = (*state, ("rows", rows * space.row), *free)
+    inputs = (*state, ("rows", rows * space.row))
     return Routine(f"turn_{space.d}", inputs, steps, tuple(f"{name}_next" for name, _ in state))
 
 
 @cache
-def certificate(space: Space, rows: int) -> Routine:
-    """Return a routine that tests whether a point (n + 1,), v and opening, satisfies every constraint row.
+def certificate(n: int, rows: int, precision: Precision = FLOAT64) -> Routine:
+    """Return a routine that tests whether a velocity v (n,) satisfies every constraint row.
 
     The output is 1 if no row is violated by more than `precision.feasibility`·max(1, |v|), otherwise (also for a NaN)
     0.
     """
-    n, lanes = space.n, lanes_of(rows, space.precision)
-    full = Space(n, space.d, space.opening, precision=space.precision)
-    feasible, row, point = ca.SX.sym("feasible"), ca.SX.sym("row", n + 3), ca.SX.sym("point", n + 1)
-    size = ca.SX.sym("size")
-    above, below = misses(full, row, point)
+    lanes = lanes_of(rows, precision)
+    feasible, row, v, size = ca.SX.sym("feasible"), ca.SX.sym("row", n + 3), ca.SX.sym("v", n), ca.SX.sym("size")
+    above, below = misses(Space(n), row, v)
     good = ca.if_else(below <= size, ca.if_else(above <= size, feasible, 0), 0)
-    one = lower(ca.Function("keeps", [feasible, row, point, size], [good]))
+    one = lower(ca.Function("keeps", [feasible, row, v, size], [good]))
     largest = ca.SX(1)
     for i in range(n):
-        largest = ca.fmax(largest, ca.fabs(point[i]))
-    begin = lower(ca.Function("tolerance", [point], [space.precision.feasibility * largest]))
-    yes_all = lower(ca.Function("ones", [], [ca.SX.ones(1)]))
-    every, yes = ca.SX.sym("every", lanes), ca.SX(1)
-    for k in range(lanes):
-        yes = ca.logic_and(yes, every[k])
-    end = lower(ca.Function("all_feasible", [every], [yes]))
+        largest = ca.fmax(largest, ca.fabs(v[i]))
+    begin = lower(ca.Function("tolerance", [v], [precision.feasibility * largest]))
     steps = (
-        Call(begin, ("point",), ("size",)),
-        Loop(yes_all, 1, (), ("yes",), lanes=lanes),
-        Loop(one, rows // lanes, ("yes",), ("every",), sliced=("rows",), fixed=("point", "size"), lanes=lanes),
-        Call(end, ("every",), ("feasible",)),
+        Call(begin, ("v",), ("size",)),
+        Loop(_one(), 1, (), ("yes",), lanes=lanes),
+        Loop(one, rows // lanes, ("yes",), ("every",), sliced=("rows",), fixed=("v", "size"), lanes=lanes),
+        Call(_every(lanes), ("every",), ("feasible",)),
     )
-    return Routine(
-        "certify_open" if space.opening else "certify",
-        (("rows", rows * (n + 3)), ("point", n + 1)),
-        steps,
-        ("feasible",),
-    )
+    return Routine("certify", (("rows", rows * (n + 3)), ("v", n)), steps, ("feasible",))
 
 
-class Sizes:
-    """Numbers for which a safe step is compiled: n velocities, p rows of the task Jacobian J, m constraint rows.
-
-    Attributes:
-        precision: tolerances of the solver.
-        cap: largest number of iterations in a search for v; None means the limit in module `kernel`.
-        general: search with n unknowns. fast: search with n − p unknowns, after elimination of p independent rows of J
-            (None if p ≥ n). opening: search in which v and the opening of the soft rows are unknown.
-        rows: number of entries that store all constraint rows. lanes: number of rows in a block (see module `kernel`).
-            blocks: number of blocks.
-        general_kernel, opening_kernel: solver routines for the searches `general` and `opening`. certificate,
-            opening_certificate: routines that test whether a point satisfies all constraint rows.
-    """
-
-    def __init__(self, n: int, p: int, m: int, precision: Precision = FLOAT64, *, cap: int | None = None) -> None:
-        self.n, self.p, self.m, self.precision, self.cap = n, p, m, precision, cap
-        self.general = Space(n, n, precision=precision)
-        self.fast = Space(n, n - p, precision=precision) if p < n else None
-        self.opening = Space(n, n + 1, opening=True, precision=precision)
-        self.rows = m * (n + 3)
-        self.lanes = lanes_of(m, precision)
-        self.blocks = m // self.lanes
-        self.general_kernel = kernel(self.general, m, cap)
-        self.opening_kernel = kernel(self.opening, m)
-        self.certificate = certificate(self.general, m)
-        self.opening_certificate = certificate(self.opening, m)
-
-
-def unit_rows(sizes: Sizes) -> tuple[Step, ...]:
+def unit_rows(n: int, rows: int, precision: Precision = FLOAT64) -> tuple[Step, ...]:
     """Return the steps that scale each constraint row to length 1 and store the rows in blocks.
 
-    The steps convert the variable `rows` (m·(n + 3),), stored row by row, to the variable `unit`. A row with normal 0
-    is not scaled; all velocities satisfy this row, or none does. No velocity satisfies a row whose squared length
+    The steps convert the variable `rows` (rows·(n + 3),), stored row by row, to the variable `unit`. A row with normal
+    0 is not scaled; all velocities satisfy this row, or none does. No velocity satisfies a row whose squared length
     exceeds `precision.huge`.
     """
-    if sizes.lanes == 1:
+    lanes, begun = lanes_of(rows, precision), "rows"
+    if lanes == 1:
         look: tuple[Step, ...] = (
             Call(_one(), (), ("unit_so_far",)),
-            Loop(_look(sizes), sizes.m, ("unit_so_far",), ("all_unit",), sliced=("rows",)),
+            Loop(_look(n, precision), rows, ("unit_so_far",), ("all_unit",), sliced=("rows",)),
         )
-        begun = "rows"
     else:
+        begun, load = "loaded", _look(n, precision, load=True)
         look = (
-            Loop(_one(), 1, (), ("unit_so_far",), lanes=sizes.lanes),
-            Loop(
-                _load(sizes), sizes.blocks, ("unit_so_far",), ("each", "loaded"), spread=("rows",), lanes=sizes.lanes
-            ),
-            Call(_every(sizes.lanes), ("each",), ("all_unit",)),
-        )  # fmt: skip
-        begun = "loaded"
-    return (*look, Loop(_scaling(sizes), 1, (begun, "all_unit"), ("unit", "scaled"), until=1))
+            Loop(_one(), 1, (), ("unit_so_far",), lanes=lanes),
+            Loop(load, rows // lanes, ("unit_so_far",), ("each", "loaded"), spread=("rows",), lanes=lanes),
+            Call(_every(lanes), ("each",), ("all_unit",)),
+        )
+    scaling = _scaling(n, rows, precision)
+    return (*look, Loop(scaling, 1, (begun, "all_unit"), ("unit", "scaled"), until=1))
 
 
 def _one() -> Program:
     return lower(ca.Function("one", [], [ca.SX.ones(1)]))
 
 
-def _load(sizes: Sizes) -> Program:
-    # yes: 1 if all rows of this lane so far have length 1 or 0
-    yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
-    return lower(ca.Function("load", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0), row]))
-
-
-def _look(sizes: Sizes) -> Program:
-    # yes: 1 if all constraint rows so far have length 1 or 0
-    yes, row = ca.SX.sym("yes"), ca.SX.sym("row", sizes.n + 3)
-    return lower(ca.Function("look", [yes, row], [ca.if_else(_is_unit(sizes, row), yes, 0)]))
-
-
-def _is_unit(sizes: Sizes, row: ca.SX) -> ca.SX:
-    square = ca.sumsqr(row[: sizes.n])
-    return ca.logic_or(ca.fabs(square - 1) <= sizes.precision.unit, ca.eq(square, 0))
+def _look(n: int, precision: Precision, *, load: bool = False) -> Program:
+    # yes: 1 if all constraint rows so far (of this lane) have length 1 or 0
+    yes, row = ca.SX.sym("yes"), ca.SX.sym("row", n + 3)
+    square = ca.sumsqr(row[:n])
+    unit = ca.logic_or(ca.fabs(square - 1) <= precision.unit, ca.eq(square, 0))
+    outputs = [ca.if_else(unit, yes, 0), *([row] if load else [])]
+    return lower(ca.Function("load" if load else "look", [yes, row], outputs))
 
 
 def _every(lanes: int) -> Program:
@@ -355,24 +278,22 @@ def _every(lanes: int) -> Program:
     return lower(ca.Function("every", [each], [yes]))
 
 
-def _scaling(sizes: Sizes) -> Routine:
+def _scaling(n: int, rows: int, precision: Precision) -> Routine:
     """Return the body of a loop that scales the rows once, if some row has a length other than 0 or 1."""
-    n = sizes.n
-    row = ca.SX.sym("row", n + 3)
+    lanes, row = lanes_of(rows, precision), ca.SX.sym("row", n + 3)
     square = ca.sumsqr(row[:n])
     length = ca.sqrt(square)
-    inverse = 1 / ca.if_else(length <= sizes.precision.short, 1, length)
+    inverse = 1 / ca.if_else(length <= precision.short, 1, length)
     scaled = ca.vertcat(row[: n + 2] * inverse, row[n + 2])
     # its square overflows, so scaling would give a row of zeros that always holds; this row never holds instead
     never = ca.vertcat(ca.SX.zeros(n), 1, 1, 0)
-    far = square > sizes.precision.huge
-    scale = lower(ca.Function("unit_row", [row], [ca.if_else(far, never, scaled)]))
+    scale = lower(ca.Function("unit_row", [row], [ca.if_else(square > precision.huge, never, scaled)]))
     one = lower(ca.Function("scaled", [], [ca.SX.ones(1)]))
     steps = (
-        Loop(scale, sizes.blocks, (), ("unit",), sliced=("rows",), lanes=sizes.lanes),
+        Loop(scale, rows // lanes, (), ("unit",), sliced=("rows",), lanes=lanes),
         Call(one, (), ("yes",)),
     )
-    return Routine("scale", (("rows", sizes.rows), ("done", 1)), steps, ("unit", "yes"))
+    return Routine("scale", (("rows", rows * (n + 3)), ("done", 1)), steps, ("unit", "yes"))
 
 
 def into(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:

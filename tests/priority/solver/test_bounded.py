@@ -152,7 +152,7 @@ def test_the_work_is_bounded_by_the_routine_itself() -> None:
 
     def most(rows: int) -> int:
         sizes = {"n": 4, "levels": shapes, "rows": rows, "precision": FLOAT32}
-        return priority_step("projected", **sizes, named=False, fallback="bounded").operations  # type: ignore[arg-type]
+        return priority_step("projected", **sizes, fallback="bounded").operations  # type: ignore[arg-type]
 
     assert most(24) <= 7_000
     assert most(32) - most(24) == most(24) - most(16)
