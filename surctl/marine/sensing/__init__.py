@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         OwnState,
         delayed_symbols,
     )
-    from surctl.marine.sensing.localisation.movers import Movers, MoverTracker, mover_step
+    from surctl.marine.sensing.localisation.movers import Movers, MoverTracker
     from surctl.marine.sensing.localisation.own_state import OwnEstimate, OwnStateFilter
     from surctl.marine.sensing.mapping.contacts import ContactMemory, Contacts, expected_range, sonar_contacts
     from surctl.marine.sensing.mapping.local_map import LocalMap
@@ -153,7 +153,6 @@ __all__ = [
     "gate",
     "level_range",
     "lms_step",
-    "mover_step",
     "pick_calibration",
     "read_readings",
     "replay_readings",
@@ -177,7 +176,7 @@ load_at_first_use(
         " pick_calibration sonar_fragment table_ii",
         "equipment": "INCIDENCE_LIMITS SURFACE_MODELS Equipment SurfaceModel",
         "localisation.base_station": "BaseStation Delivery OwnState delayed_symbols",
-        "localisation.movers": "MoverTracker Movers mover_step",
+        "localisation.movers": "MoverTracker Movers",
         "localisation.own_state": "OwnEstimate OwnStateFilter",
         "mapping.contacts": "ContactMemory Contacts expected_range sonar_contacts",
         "mapping.local_map": "LocalMap",

@@ -2,9 +2,7 @@
 
 The tracker takes a trimmed mean of the samples of each firing. For each sensor, a Kalman filter estimates range and
 rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input. This
-estimate is called the track. Additional rules distinguish faulty readings from true ones. The rules (module `rules`)
-are written once, for two uses: CasADi symbols for the exported law, and NumPy arrays for recorded readings and many
-runs at once.
+estimate is called the track. Additional rules (module `rules`) distinguish faulty readings from true ones.
 """
 
 from __future__ import annotations
@@ -17,12 +15,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, each
-from surctl.marine.sensing.ranging.rules import range_step
-from surctl.marine.sensing.ranging.scene import MOST_REPEATS, NUMBERS, SYMBOLS, Rules, StepInputs, others
+from surctl.marine.sensing.ranging.rules import MOST_REPEATS, Rules, StepInputs, others, range_step
 from surctl.marine.sensing.sonar.array import SonarArray
 
 __all__ = ["RangeTracker", "Ranging"]
@@ -32,7 +28,7 @@ _REPEAT = 0.01  # if a working sensor repeats a sample set more rarely than this
 
 
 class Ranging(NamedTuple):
-    """The result of a tracker step for n sensors: SX expressions from `RangeTracker.update`, arrays from `step`."""
+    """The result of a tracker step for n sensors, as SX expressions."""
 
     state: dict[str, Any]
     """Next state: value of each entry, by name."""
@@ -153,7 +149,7 @@ class RangeTracker:
         old = {p.name: state[prefix + p.name] for p in ports}
         wide = {p.name for p in ports if len(p.shape) == 2}  # ports that the rules take as lists of columns
         columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
-        beside = others(SYMBOLS, self.rules(), columns, [samples[:, j] for j in range(count)], fresh)
+        beside = others(self.rules(), columns, [samples[:, j] for j in range(count)], fresh)
 
         def sensor(before: ca.SX, values: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
@@ -162,7 +158,7 @@ class RangeTracker:
             fired, own_motion, walls, *far = ca.vertsplit(values[count:])
             farthest = far[0] if far else walls
             inputs = StepInputs(ca.vertsplit(values[:count]), fired, own_motion, walls, farthest, turn, compared)
-            after, outputs = range_step(SYMBOLS, self.rules(), previous, inputs)
+            after, outputs = range_step(self.rules(), previous, inputs)
             flat = [ca.vec(ca.vertcat(*v)) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
             return _column(flat), _column(outputs)
 
@@ -179,58 +175,6 @@ class RangeTracker:
             new[prefix + port.name] = after[:, at : at + width]
             at += width
         return Ranging(new, *(readings[:, k] for k in range(readings.shape[1])))
-
-    def step(
-        self,
-        state: Mapping[str, NDArray[np.float64]],
-        samples: NDArray[np.float64],
-        *,
-        fresh: ArrayLike,
-        closing: ArrayLike,
-        expected: ArrayLike,
-        turn: ArrayLike,
-        longest: ArrayLike | None = None,
-        prefix: str = "",
-    ) -> Ranging:
-        """Return the ranges after one step, as arrays with any leading axes (runs).
-
-        Args:
-            state: value of each entry, by name, as an array (..., *port.shape); `start` returns the initial state.
-            samples: (..., n, k) raw samples [m].
-            fresh: (..., n) 1 for a sensor whose samples arrived since the last step, else 0.
-            closing: (..., n) the robot's velocity along each beam's axis [m/s]; 0 if this velocity is unknown.
-            expected: (..., n) range [m] at which the known walls give an echo; 2·maximum without a known wall.
-            turn: (...) yaw rate of the robot [rad/s].
-            longest: (..., n) see `update`.
-            prefix: prefix of the names of the state's entries.
-        """
-        old = {
-            port.name.removeprefix(prefix): (
-                [state[port.name][..., j] for j in range(port.shape[1])] if len(port.shape) == 2 else state[port.name]
-            )
-            for port in self.ports(prefix)
-        }
-        columns = [samples[..., j] for j in range(self.array.samples)]
-        far = expected if longest is None else longest
-        fired, own, walls, farthest, beside = (
-            np.asarray(v, dtype=float) for v in (fresh, closing, expected, far, turn)
-        )
-        compared = others(NUMBERS, self.rules(), old, columns, fired)
-        after, outputs = range_step(
-            NUMBERS, self.rules(), old, StepInputs(columns, fired, own, walls, farthest, beside[..., None], compared)
-        )
-        lead = samples.shape[:-1]
-        new = {
-            prefix + name: np.stack([_filled(c, lead) for c in v], axis=-1)
-            if isinstance(v, list)
-            else _filled(v, lead).astype(float)
-            for name, v in after.items()
-        }
-        return Ranging(new, *(_filled(v, lead).astype(float) for v in outputs))
-
-    def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
-        """Return the initial state for `step`: the value of each entry, by name, as an array (*runs, *port.shape)."""
-        return {port.name: np.full((*runs, *port.shape), port.default) for port in self.ports(prefix)}
 
     def rules(self) -> Rules:
         """Return the parameters of the tracker's rules."""
@@ -311,11 +255,6 @@ def _rules(tracker: RangeTracker) -> Rules:
 def _column(parts: Iterable[Any]) -> ca.SX:
     whole: ca.SX = ca.vertcat(*parts)
     return whole
-
-
-def _filled(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    # most values have the shape already, and `broadcast_to` takes ten times as long as this look
-    return value if getattr(value, "shape", ()) == shape and shape else np.broadcast_to(value, shape)
 
 
 @cache
