@@ -17,8 +17,9 @@ from streams import Stream, joined
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.ir import Layout
-from surctl.marine.sensing import RangeTracker, Ranging, SensorFilter
+from surctl.marine.sensing import RangeTracker, SensorFilter
 from surctl.marine.sensing.ranging.filters import StepRule
+from surctl.marine.sensing.ranging.tracker import Ranging
 from tests.oracles.range_filters import plain_average, plain_filter, plain_gate
 
 Array = NDArray[np.float64]

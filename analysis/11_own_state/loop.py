@@ -15,7 +15,7 @@ from surctl.ir import Layout, Port
 from surctl.marine.control.closing import velocity_control
 from surctl.marine.sensing import OwnState, OwnStateFilter
 from surctl.marine.sensing.localisation.own_state import steady_covariance
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, Vehicle, plant_parameters
 
 DT, HALVES = 0.05, 2  # [s]; calls of the plant in a control period

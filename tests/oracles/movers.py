@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.sensing import Movers, MoverTracker
+from surctl.marine.sensing.localisation.movers import Movers, MoverTracker
 
 __all__ = ["mover_step"]
 
@@ -25,7 +25,7 @@ def mover_step(
     Example:
         >>> import numpy as np
         >>> from surctl.ir import Layout
-        >>> from surctl.marine.sensing import MoverTracker
+        >>> from surctl.marine.sensing.localisation.movers import MoverTracker
         >>> from tests.oracles.movers import mover_step
         >>> tracker = MoverTracker(dt=0.05, slots=1)
         >>> layout = Layout(tracker.ports())

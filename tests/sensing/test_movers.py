@@ -10,7 +10,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, lower
-from surctl.marine.sensing import BaseStation, Delivery, MoverTracker
+from surctl.marine.sensing import BaseStation, Delivery
+from surctl.marine.sensing.localisation.movers import MoverTracker
 from tests.oracles import measurements
 from tests.oracles.movers import mover_step
 

@@ -50,7 +50,8 @@ from surctl.marine.control.beams import (
     slotted,
 )
 from surctl.marine.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
-from surctl.marine.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
+from surctl.marine.sensing import Equipment, LocalMap, OwnStateFilter, RangeTracker
+from surctl.marine.sensing.localisation.movers import MoverTracker
 from surctl.marine.sensing.mapping.local_map import READING, RING
 from surctl.marine.vehicle import planar_rotation
 

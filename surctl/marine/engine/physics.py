@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from surctl.marine.control import Law
     from surctl.marine.sensing import SonarArray
     from surctl.marine.simulation import Body as Obstacle
-    from surctl.marine.simulation import Case, PhysicsMaker, Run, ThrusterFault, World
+    from surctl.marine.simulation import Case, Run, ThrusterFault, World
+    from surctl.marine.simulation.physics import PhysicsMaker
     from surctl.marine.vehicle import Vehicle
 
 __all__ = [

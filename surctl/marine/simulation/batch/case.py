@@ -252,18 +252,7 @@ def check_values(case: Case, values: Mapping[str, Vector]) -> None:
 
 
 def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
-    """Raise InputError if the cruise speed is above the speed cap, the largest speed that the law may command.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import Case, check_speeds, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"))
-        >>> check_speeds(case, {"scenario.cruise": [0.1, 0.3]})
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: scenario.cruise = 0.3: is above scenario.cap; lower it
-    """
+    """Raise InputError if the cruise speed is above the speed cap, the largest speed that the law may command."""
     at = {name: values.get(f"scenario.{name}", getattr(case.scenario, name)) for name in ("cruise", "cap")}
     if np.any(np.greater(at["cruise"], at["cap"])):
         raise InputError(

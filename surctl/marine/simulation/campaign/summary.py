@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.control import BARRIER, law_source
 from surctl.marine.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_distance_with_drag
-from surctl.marine.sensing import Reflector, level_range
+from surctl.marine.sensing import Reflector
+from surctl.marine.sensing.sonar.returns import level_range
 from surctl.marine.simulation.batch import Case
 from surctl.marine.simulation.clearance import end_findings
 from surctl.marine.simulation.margin import margin_needed, turn_rate
