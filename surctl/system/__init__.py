@@ -9,14 +9,8 @@ from surctl.system.controller import (
     Step,
     command_ports,
 )
-from surctl.system.from_control import (
-    controller_from_control,
-    from_control,
-    plant_from_control,
-    system_from_control,
-    to_control,
-)
-from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant
+from surctl.system.from_control import from_control, to_control
+from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant, unresponsive
 from surctl.system.linear_loop import LinearLoop, LoopNames
 from surctl.system.loop import ENDED, LOST, Cost, Signals, System
 from surctl.system.parts import entry_labels, entry_units
@@ -24,7 +18,6 @@ from surctl.system.plant import Parts, Plant
 from surctl.system.record import Record, run_system, save_record
 from surctl.system.runs import Runs, periods, simulate_system
 from surctl.system.sampled import Sampled, message
-from surctl.system.saturation import unresponsive
 from surctl.system.values import every_combination
 
 __all__ = [
@@ -49,7 +42,6 @@ __all__ = [
     "Step",
     "System",
     "command_ports",
-    "controller_from_control",
     "entry_labels",
     "entry_units",
     "every_combination",
@@ -59,11 +51,9 @@ __all__ = [
     "linearise_plant",
     "message",
     "periods",
-    "plant_from_control",
     "run_system",
     "save_record",
     "simulate_system",
-    "system_from_control",
     "to_control",
     "unresponsive",
 ]

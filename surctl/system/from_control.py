@@ -149,18 +149,6 @@ def plant_from_control(system: Any) -> Plant:
     Raises:
         InputError: the system is in discrete time, has no state, or passes inputs directly to outputs; or its functions
             fail on symbols.
-
-    Example:
-        >>> import control
-        >>> import numpy as np
-        >>> from surctl.system import plant_from_control
-        >>> pendulum = control.nlsys(
-        ...     lambda t, x, u, params: np.array([x[1], 9.81 * np.sin(x[0]) + u[0]]), None,
-        ...     states=["angle [rad]", "rate [rad/s]"], inputs=["torque"], outputs=["angle [rad]", "rate [rad/s]"],
-        ... )
-        >>> plant = plant_from_control(pendulum)
-        >>> [(port.name, port.unit) for port in plant.state], plant.function([0.1, 0.2], [0.0], [], [])
-        ([('angle', 'rad'), ('rate', 'rad/s')], DM([0.2, 0.979366]))
     """
     _checked(system, key="plant")
     if system.isdtime(strict=True):
@@ -197,14 +185,6 @@ def controller_from_control(system: Any, *, dt: float | None = None) -> Controll
     Raises:
         InputError: there is no control period, or it is not that of the system; or a nonlinear system is in continuous
             time.
-
-    Example:
-        >>> import control
-        >>> from surctl.system import controller_from_control
-        >>> pi = control.ss([[1.0]], [[0.1]], [[2.0]], [[4.0]], 0.1, inputs=["error [m]"], outputs=["force [N]"])
-        >>> law = controller_from_control(pi)
-        >>> law.dt, law.step([0.5], [1.0], []).tau
-        (0.1, array([5.]))
     """
     _checked(system, key="controller")
     period, system = _sampled(system, dt)
@@ -233,13 +213,6 @@ def system_from_control(plant: Any, controller: Any, *, dt: float | None = None)
 
     Raises:
         InputError: the numbers of signals do not match.
-
-    Example:
-        >>> import control
-        >>> from surctl.system import run_system, system_from_control
-        >>> loop = system_from_control(control.tf([1.0], [1.0, 0.0]), control.tf([2.0], [1.0], 0.1))
-        >>> run_system(loop, 3.0, {"reference.ref_y": 1.0})["y"][-1].round(2)
-        array([1.])
     """
     craft = plant if isinstance(plant, Plant) else plant_from_control(plant)
     law = controller if isinstance(controller, Controller) else controller_from_control(controller, dt=dt)

@@ -6,12 +6,11 @@ from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
     from surctl.marine.simulation.batch import BatchResult, Case, case_parameters, simulate_batch
-    from surctl.marine.simulation.explanation import explain, priority_timeline
+    from surctl.marine.simulation.explanation import explain, priority_timeline, stop_reason, time_limit_reason
     from surctl.marine.simulation.fit import Finding, findings, held_share, thruster_findings
-    from surctl.marine.simulation.iosystem import closed_loop_system
     from surctl.marine.simulation.loop import simulate
-    from surctl.marine.simulation.margin import margin_needed, turn_rate
     from surctl.marine.simulation.metrics import METRICS, STOPS, Metrics
+    from surctl.marine.simulation.mission_system import mission_system
     from surctl.marine.simulation.numbers import law_numbers
     from surctl.marine.simulation.obstacle import Obstacle
     from surctl.marine.simulation.physics import Contact, OwnPhysics, Physics
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from surctl.marine.simulation.record_file import RUN_FORMATS, save_record, save_scene
     from surctl.marine.simulation.reflectors import ECHOES, Reflectors
     from surctl.marine.simulation.run import SENSING, Record, Run, Sensing, depth_changes
-    from surctl.marine.simulation.safety import SafetyClaim, safety_claim
+    from surctl.marine.simulation.safety import SafetyClaim, margin_needed, safety_claim, turn_rate
     from surctl.marine.simulation.scaling import (
         disturbed,
         mission_size,
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     )
     from surctl.marine.simulation.scenario import LIBRARY, Disturbance, PaperFigure, Scenario, load_scenario
     from surctl.marine.simulation.sensors import Sensors
-    from surctl.marine.simulation.stopping import stop_reason, time_limit_reason
     from surctl.marine.simulation.thruster_faults import ThrusterFault, thruster_use
     from surctl.marine.simulation.world import Body, World, build_world
 
@@ -63,7 +61,6 @@ __all__ = [
     "World",
     "build_world",
     "case_parameters",
-    "closed_loop_system",
     "depth_changes",
     "disturbed",
     "explain",
@@ -74,6 +71,7 @@ __all__ = [
     "margin_needed",
     "mission_scenario",
     "mission_size",
+    "mission_system",
     "priority_timeline",
     "read_mission",
     "safety_claim",
@@ -95,12 +93,11 @@ load_at_first_use(
     __name__,
     {
         "batch": "BatchResult Case case_parameters simulate_batch",
-        "explanation": "explain priority_timeline",
+        "explanation": "explain priority_timeline stop_reason time_limit_reason",
         "fit": "Finding findings held_share thruster_findings",
-        "iosystem": "closed_loop_system",
         "loop": "simulate",
-        "margin": "margin_needed turn_rate",
         "metrics": "METRICS STOPS Metrics",
+        "mission_system": "mission_system",
         "numbers": "law_numbers",
         "obstacle": "Obstacle",
         "physics": "Contact OwnPhysics Physics",
@@ -108,11 +105,10 @@ load_at_first_use(
         "record_file": "RUN_FORMATS save_record save_scene",
         "reflectors": "ECHOES Reflectors",
         "run": "Record Run SENSING Sensing depth_changes",
-        "safety": "SafetyClaim safety_claim",
+        "safety": "SafetyClaim margin_needed safety_claim turn_rate",
         "scaling": "disturbed mission_size scaled_scenario straight_mission two_leg_mission",
         "scenario": "LIBRARY Disturbance PaperFigure Scenario load_scenario",
         "sensors": "Sensors",
-        "stopping": "stop_reason time_limit_reason",
         "thruster_faults": "ThrusterFault thruster_use",
         "world": "Body World build_world",
     },

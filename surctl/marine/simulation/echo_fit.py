@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from surctl.marine.control.beams import floor_range
 from surctl.marine.sensing import INCIDENCE_LIMITS, Reflector, SonarArray, Surfaces
 from surctl.marine.sensing.sonar.returns import level_range
-from surctl.marine.simulation.finding import Finding, escaped
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.reflectors import ECHOES
-from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.scenario import Finding, Scenario, escaped
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle
 

@@ -20,8 +20,8 @@ from surctl.marine.sensing import Reflector
 from surctl.marine.sensing.sonar.returns import level_range
 from surctl.marine.simulation.batch import Case
 from surctl.marine.simulation.clearance import end_findings
-from surctl.marine.simulation.margin import margin_needed, turn_rate
 from surctl.marine.simulation.metrics import METRICS, STOPS
+from surctl.marine.simulation.safety import margin_needed, turn_rate
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, check_equation_3
