@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.marine.control import WORKING, Gains, Law, build_law, check_forces, default_law
+from surctl.marine.control import Gains, Law, build_law, check_forces, default_law
 from surctl.marine.guidance import FOLLOWING, MAX_WAYPOINTS, follow
 from surctl.marine.simulation.batch.listening import path_square
 from surctl.marine.simulation.batch.loop import clearances, free_column, loop_of, obstacle_points, pushed, with_walls
@@ -75,18 +76,14 @@ def mission_system(
     loop = loop_of(structure, law, single=True)
     numbers = loop.parameters.unpack(pack(case, loop, {}, np.array([seed])).parameters[0])
 
-    def known(layout: Layout) -> Layout:
-        ports = ((port, np.ravel(numbers[port.name])) if port.name in numbers else (port, None) for port in layout)
-        return Layout(tuple(port if value is None else replace(port, default=value) for port, value in ports))
-
     def part(*names: str) -> Layout:
-        return known(Layout(tuple(loop.parameters.port(name) for name in names if name in loop.parameters)))
+        return _valued(Layout(tuple(loop.parameters.port(name) for name in names if name in loop.parameters)), numbers)
 
     bodies = tuple(f"body{k}" for k in range(len(structure.bodies)))
     surroundings = part("world_hull", "walls", *bodies, "there", "heights", "depths")
     return System(
         _plant(scenario, vehicle),
-        replace(law, gains=known(law.gains), inputs=known(law.inputs) if WORKING in law.inputs else law.inputs),
+        replace(law, gains=_valued(law.gains, numbers), inputs=_valued(law.inputs, numbers)),
         substeps=_STEPS,
         sensors=(
             _surroundings(structure, law, surroundings),
@@ -126,16 +123,24 @@ def _check(scenario: Scenario, vehicle: Vehicle, law: Law) -> None:
 def _plant(scenario: Scenario, vehicle: Vehicle) -> Plant:
     own, numbers, ode = plant_state(vehicle.form), plant_layout(vehicle.form), build_plant(vehicle.form).ode
     values = numbers.unpack(plant_parameters(vehicle))
-    start = {"eta": scenario.start_pose}
     # the command has the name `tau`, too
-    names = {port.name: "thrust" if port.name == "tau" else port.name for port in own}
-    state = Layout(tuple(replace(p, name=names[p.name], default=start.get(p.name, p.default)) for p in own))
+    renamed = (replace(port, name="thrust") if port.name == "tau" else port for port in own)
+    state = _valued(Layout(tuple(renamed)), {"eta": scenario.start_pose})
 
     def rate(x: Parts, f: Parts, d: Parts, p: Parts) -> Any:
         return ode(state.join(x), f["delivered"], PLANT_DISTURBANCE.join(f), numbers.join(p))
 
-    parameters = Layout(tuple(replace(port, default=np.ravel(values[port.name])) for port in numbers))
-    return Plant("vehicle", state, Layout(_DRIVEN), rate, parameters)
+    return Plant("vehicle", state, Layout(_DRIVEN), rate, _valued(numbers, values))
+
+
+def _valued(layout: Layout, values: Mapping[str, Any]) -> Layout:
+    """Return a layout with these default values by name; a port without one keeps its own."""
+
+    def valued(port: Port) -> Port:
+        default: Any = np.ravel(values[port.name]) if port.name in values else port.default
+        return replace(port, default=default)
+
+    return Layout(tuple(map(valued, layout)))
 
 
 def _surroundings(structure: Structure, law: Law, parameters: Layout) -> Sampled:
