@@ -83,21 +83,4 @@ __all__ = [
     "track",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "calibration.estimation": "OUTLIER_RULE Calibration Estimate calibrate",
-        "calibration.file": "RangeTest SensorCalibration calibrate_file calibrate_table_ii calibration_rows"
-        " file_stems pick_calibration sonar_fragment table_ii",
-        "equipment": "INCIDENCE_LIMITS SURFACE_MODELS Equipment",
-        "localisation.base_station": "BaseStation Delivery OwnState",
-        "localisation.own_state": "OwnStateFilter",
-        "mapping.local_map": "LocalMap",
-        "ranging.filters": "SensorFilter",
-        "ranging.tracker": "RangeTracker",
-        "replay": "Readings Recording Replay Tracked filtered_rows read_readings replay_readings sonar_array track",
-        "sonar.array": "Medium SonarArray speed_of_sound",
-        "sonar.faults": "FAULT_KINDS Fault FaultChances check_faults",
-        "sonar.returns": "REFLECTORS Reflector Surfaces",
-    },
-)
+load_at_first_use(__name__)

@@ -89,27 +89,4 @@ __all__ = [
     "two_leg_mission",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "batch": "BatchResult Case case_parameters simulate_batch",
-        "explanation": "explain priority_timeline stop_reason time_limit_reason",
-        "fit": "Finding findings held_share thruster_findings",
-        "loop": "simulate",
-        "metrics": "METRICS STOPS Metrics",
-        "mission_system": "mission_system",
-        "numbers": "law_numbers",
-        "obstacle": "Obstacle",
-        "physics": "Contact OwnPhysics Physics",
-        "plan_file": "Mission mission_scenario read_mission",
-        "record_file": "RUN_FORMATS save_record save_scene",
-        "reflectors": "ECHOES Reflectors",
-        "run": "Record Run SENSING Sensing depth_changes",
-        "safety": "SafetyClaim margin_needed safety_claim turn_rate",
-        "scaling": "disturbed mission_size scaled_scenario straight_mission two_leg_mission",
-        "scenario": "LIBRARY Disturbance PaperFigure Scenario load_scenario",
-        "sensors": "Sensors",
-        "thruster_faults": "ThrusterFault thruster_use",
-        "world": "Body World build_world",
-    },
-)
+load_at_first_use(__name__)

@@ -67,16 +67,4 @@ __all__ = [
     "worst_text",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "avoidance_claims": "settling_intrusion",
-        "cascade": "CASCADE_GAINS Cascade build_cascade",
-        "cascade_margins": "closed_loop_poles loop_margins worst_margins",
-        "law_loop": "LawCorners LawLoop OperatingPoint law_corners law_loop steady_motion",
-        "library": "applicable_claims claims",
-        "linear_table": "LINEAR_METRICS LINEAR_PARAMETERS Locus linear_table sweep_locus",
-        "sonar_margins": "SonarMargins sonar_margins",
-        "speeds": "OverSpeeds check_held cruise_speeds over_speeds speeds_text worst_place worst_text",
-    },
-)
+load_at_first_use(__name__)
