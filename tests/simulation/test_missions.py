@@ -20,7 +20,7 @@ from surctl.marine.simulation import (
     simulate,
     simulate_batch,
 )
-from surctl.marine.simulation.batch import build_loop
+from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.numbers import fed_ranges
 from surctl.marine.simulation.scenario import scenario_from_table

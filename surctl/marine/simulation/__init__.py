@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from surctl.lazy import load_at_first_use
 
 if TYPE_CHECKING:
-    from surctl.marine.simulation.batch import BatchResult, Case, case_parameters, simulate_batch
+    from surctl.marine.simulation.batch.case import Case, case_parameters
+    from surctl.marine.simulation.batch.engines import BatchResult, simulate_batch
     from surctl.marine.simulation.explanation import explain, priority_timeline, stop_reason, time_limit_reason
     from surctl.marine.simulation.fit import Finding, findings, held_share, thruster_findings
     from surctl.marine.simulation.loop import simulate

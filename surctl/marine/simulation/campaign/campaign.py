@@ -22,8 +22,8 @@ from surctl.errors import InputError
 from surctl.files import Strict, file_name, prepare_folder, read_toml, validate, write_file
 from surctl.marine.control import Barrier, Gains, Movers, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
-from surctl.marine.simulation.batch import Case, simulate_batch
-from surctl.marine.simulation.batch.engines import stored_loop
+from surctl.marine.simulation.batch.case import Case
+from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop
 from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumptions, summarise
 from surctl.marine.simulation.campaign.worlds import Plan, SampledRun

@@ -18,7 +18,7 @@ from surctl.marine.control import BARRIER, law_source
 from surctl.marine.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_distance_with_drag
 from surctl.marine.sensing import Reflector
 from surctl.marine.sensing.sonar.returns import level_range
-from surctl.marine.simulation.batch import Case
+from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.clearance import end_findings
 from surctl.marine.simulation.metrics import METRICS, STOPS
 from surctl.marine.simulation.safety import margin_needed, turn_rate

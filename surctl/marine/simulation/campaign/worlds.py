@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
-from surctl.marine.simulation.batch import Case
+from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.fit import findings
 from surctl.marine.simulation.loop import simulate
 from surctl.marine.simulation.motion import closest
