@@ -34,15 +34,6 @@ def _read_arrays(path: Path, *, name: str) -> tuple[dict[str, NDArray[np.float64
 
     Raises:
         InputError: the file does not exist, cannot be read as its format, or has no columns.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from scipy.io import savemat
-        >>> from surctl.recorded import read_arrays
-        >>> savemat("log.mat", {"t_s": [0.0, 0.1], "x_m": [1.5, 1.6], "frame": "ned"})
-        >>> columns, frame = read_arrays(Path("log.mat"), name="log.mat")
-        >>> columns["x_m"].tolist(), frame
-        ([1.5, 1.6], 'ned')
     """
     if not path.is_file():
         raise InputError("no such file", file=name, remedy="check the path")

@@ -103,13 +103,7 @@ def in_unit(value: float, unit: str, target: str) -> float:
 
 
 def _suffix_unit(key: str) -> str | None:
-    """Return the unit that the ending of a key stands for (`depth_m` → m), or None if it has no such ending.
-
-    Example:
-        >>> from surctl.units import suffix_unit
-        >>> suffix_unit("depth_m"), suffix_unit("cruise_m_per_s"), suffix_unit("name")
-        ('m', 'm/s', None)
-    """
+    """Return the unit that the ending of a key stands for (`depth_m` → m), or None if it has no such ending."""
     return next((unit for ending, unit in _SUFFIXES.items() if key.endswith(ending)), None)
 
 

@@ -1,4 +1,4 @@
-"""Every exported function has an example in its docstring; it and those of classes print what they say."""
+"""Every exported function has an example in its docstring; it, and each other example, prints what it says."""
 
 from __future__ import annotations
 
@@ -36,6 +36,21 @@ def _exported() -> Iterator[tuple[str, FunctionType | type]]:
 
 
 EXPORTED = dict(_exported())
+
+
+def _others() -> Iterator[str]:
+    known = {(thing.__module__, thing.__name__) for thing in EXPORTED.values()}
+    root = Path(surctl.__file__).parent
+    for file in sorted(root.rglob("*.py")):
+        module = ".".join(("surctl", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__init__")
+        for node in ast.parse(text).body if ">>>" in (text := file.read_text(encoding="utf-8")) else []:
+            if not isinstance(node, ast.FunctionDef | ast.ClassDef) or (module, node.name) in known:
+                continue
+            if ">>>" in (ast.get_docstring(node) or ""):
+                yield f"{module}:{node.name}"
+
+
+OTHERS = tuple(_others())
 _BOARD = ("arm-none-eabi-gcc", "qemu-system-arm")
 TOOLS = {  # beside a C compiler
     "export.check_builds": ("gcc",),
@@ -90,7 +105,20 @@ def test_its_example_prints_what_it_says(name: str, tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)  # what an example writes goes there
     monkeypatch.setenv("MPLBACKEND", "agg")
     blank_pictures(monkeypatch)
-    (test,) = doctest.DocTestFinder(recurse=False).find(EXPORTED[name], name, globs={"once": once})
+    prints_what_it_says(EXPORTED[name], name)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_an_example_of_a_module_prints_what_it_says(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    need_compiler()
+    monkeypatch.chdir(tmp_path)
+    module, _, thing = name.partition(":")
+    prints_what_it_says(getattr(importlib.import_module(module), thing), name)
+
+
+def prints_what_it_says(thing: object, name: str) -> None:
+    """Run the examples of a function or class."""
+    (test,) = doctest.DocTestFinder(recurse=False).find(thing, name, globs={"once": once})
     assert test.examples, "no example"
     computed_once(test.examples)
     said: list[str] = []

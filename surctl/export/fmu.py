@@ -161,13 +161,7 @@ def _component_units(text: str, count: int) -> list[str]:
 
 
 def _unit_exponents(text: str) -> dict[str, int] | None:
-    """Return the exponents of the SI base units of a unit such as "N s^2/m^2", or None if it has others.
-
-    Example:
-        >>> from surctl.export.fmu import unit_exponents
-        >>> unit_exponents("N s/m"), unit_exponents("bananas")
-        ({'kg': 1, 's': -1}, None)
-    """
+    """Return the exponents of the SI base units of a unit such as "N s^2/m^2", or None if it has others."""
     powers: dict[str, int] = {}
     for sign, part in zip(itertools.chain([1], itertools.repeat(-1)), text.split("/"), strict=False):
         for factor in part.strip("()").split():

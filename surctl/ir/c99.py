@@ -97,11 +97,6 @@ def _is_macro(name: str) -> bool:
     """Return whether a header of the exported files, or a compiler, may define the name as a macro.
 
     The headers are those of C99, C11, C++17, POSIX and Arduino, with and without the extensions of GNU.
-
-    Examples:
-        >>> from surctl.ir.c99 import is_macro
-        >>> [is_macro(name) for name in ("DBL_MAX", "M_PI", "linux", "k_max")]
-        [True, True, True, False]
     """
     return name in _MACROS or _FAMILIES.fullmatch(name) is not None
 

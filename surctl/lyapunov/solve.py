@@ -110,7 +110,7 @@ def limits_sentence(dynamics: Dynamics, function: Node, level: float, whole: Dyn
         >>> x = {"x": variable("x")}
         >>> held = Dynamics("held", "continuous", (State("x", -2.0, 2.0),), (parse("max(-1, min(1, -2*x))", x),))
         >>> limits_sentence(held, parse("x^2", x), 0.2, held)
-        'no limit (min, max) of the rates acts in the region, at 2048 samples of it; one acts at V = 0.25'
+        'no limit (min, max) of the rates acts in the region, at 16258 samples of it; one acts at V = 0.25'
         >>> limits_sentence(held, parse("x^2", x), 0.3, held)
         ''
     """

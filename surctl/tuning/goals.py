@@ -335,7 +335,7 @@ def not_representative(names: Sequence[str], share: float, *, limit: str, run: s
         remedy: how the goal is asked of the run.
 
     Example:
-        >>> from surctl.tuning.representative import not_representative
+        >>> from surctl.tuning.goals import not_representative
         >>> options = {"limit": "command force", "run": "the run", "remedy": 'write metric = "settling"'}
         >>> not_representative(["quick"], 0.0, **options)
         []

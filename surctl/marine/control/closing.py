@@ -171,7 +171,7 @@ def soft_gain(p: Mapping[str, ca.SX]) -> ca.SX:
         >>> import casadi as ca
         >>> from surctl.marine.control.closing import soft_gain
         >>> soft_gain({"k_v": ca.DM(1.5), "soft": ca.DM(0.5)})
-        DM([0.75, 0.75, 0.405])
+        DM([0.75, 0.75, 0.27])
     """
     return p["k_v"] * ca.vertcat(p["soft"], p["soft"], _HEAVE)
 
@@ -286,7 +286,7 @@ def pushed(velocity: ca.SX, before: ca.SX, held: ca.SX, *, dt: float) -> ca.SX:
         >>> from surctl.marine.control.closing import pushed
         >>> rest = ca.DM([0.0, 0.0])
         >>> pushed(ca.DM([0.011, 0.0]), rest, rest, dt=0.05)
-        DM([0.02, 0])
+        DM([0.0244444, 0])
     """
     return held + dt / (dt + _SMOOTH) * ((velocity - before) / dt - held)
 

@@ -46,12 +46,6 @@ def _beam_directions(half: float, *, count: int, fan: bool = False) -> Array:
         half: half the opening angle [rad].
         count: number of directions.
         fan: whether to fill only the part of the cone in the horizontal plane.
-
-    Example:
-        >>> from surctl.marine.engine.physics import beam_directions
-        >>> directions = beam_directions(0.5, count=100)
-        >>> directions.shape, round(float(directions[:, 0].min()), 4)  # cos 0.5
-        ((100, 3), 0.8776)
     """
     if fan:
         angles = np.linspace(-half, half, count)

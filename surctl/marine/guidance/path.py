@@ -266,14 +266,7 @@ def wheel_over(waypoints: ca.SX, s: ca.SX, here: ca.SX, *, radius: ca.SX, lead: 
 
 
 def _leg_start(waypoints: ca.SX, s: ca.SX) -> ca.SX:
-    """Return the arc length [m] at the start of the path segment that contains s; see `path_target`.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.guidance.path import leg_start
-        >>> float(leg_start(ca.SX([[0, 0], [2, 0], [2, 3]]), ca.SX(3.5)))
-        2.0
-    """
+    """Return the arc length [m] at the start of the path segment that contains s; see `path_target`."""
     travelled = start = ca.SX(0)
     for k in range(waypoints.shape[0] - 2):
         travelled = travelled + ca.sqrt(ca.sumsqr(waypoints[k + 1, :] - waypoints[k, :]))

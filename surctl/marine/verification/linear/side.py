@@ -411,7 +411,7 @@ def corner_margin(
         >>> from surctl.marine.verification.linear import corner_margin
         >>> rov, gains = load_vehicle("bluerov2-wu"), load_gains("default").values
         >>> [round(corner_margin(rov, gains, cruise=u, dt=0.05).margin, 2) for u in (0.1, 0.47)]
-        [0.51, 0.0]
+        [0.75, 0.0]
     """
     tried = corners(vehicle, uncertainty, spread=spread)
     able = [v for v, can in zip(tried.vehicles, _can_cruise(tried.vehicles, cruise), strict=True) if can]
