@@ -343,7 +343,6 @@ class _Builder:
         return OwnStateFilter(
             dt=self.dt,
             latency=own.fixes.latency,
-            period=own.fixes.period,
             position_sd=max(own.position_sd, 1e-4),
             yaw_sd=max(own.yaw_sd, 1e-4),
             rate_sd=max(own.rate_sd, 1e-4),
