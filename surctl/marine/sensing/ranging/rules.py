@@ -9,13 +9,15 @@ with the track, the interval that shall contain the true range is wider.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import reduce
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import casadi as ca
 
-__all__ = ["MOST_REPEATS", "Rules", "StepInputs", "others", "range_step"]
+if TYPE_CHECKING:
+    from surctl.marine.sensing.ranging.tracker import RangeTracker
+
+__all__ = ["MOST_REPEATS", "StepInputs", "others", "range_step"]
 
 Value: TypeAlias = Any
 """An SX of one sensor, or a column (n, 1) of n sensors; a float stands for n equal numbers."""
@@ -46,38 +48,6 @@ _NOISE = 2.25e-3  # m²/s³, noise of the rate, for an obstacle that changes its
 _NOISE_TURNING = 0.4  # m²/s³, noise of the rate while turning: the nearest point slides along objects
 _VARIANCE = 0.09  # m², largest variance of the range
 _NEVER = 1e6  # s, rad
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rules:
-    """The parameters of the tracker's rules in SI units; see `RangeTracker`."""
-
-    dt: float
-    due: float
-    minimum: float
-    maximum: float
-    resolution: float
-    bias: float
-    sigma: float
-    beam: float
-    sensors: int
-    obstacle_speed: float
-    tolerance: float
-    yaw_tolerance: float
-    longest_delay: float
-    hold: float
-    repeats: int
-    one_repeat: bool
-
-    @property
-    def stuck(self) -> float:
-        """Number of repetitions of a firing's samples above which a sensor counts as stuck."""
-        return max(self.repeats, 1) - 0.5
-
-    @property
-    def rate_variance(self) -> float:
-        """Variance of the rate of the range [m²/s²] before any estimate of the rate."""
-        return max(self.obstacle_speed, 0.05) ** 2
 
 
 class StepInputs(NamedTuple):
@@ -111,53 +81,53 @@ class Scene(NamedTuple):
 class Step(NamedTuple):
     """A tracker step in progress; the rules, one after another, change `state`, which begins as a copy of `old`."""
 
-    rules: Rules
+    tracker: RangeTracker
     old: Mapping[str, Value]
     state: dict[str, Value]
     inputs: StepInputs
     scene: Scene
 
 
-def opened(rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Step:
+def opened(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs) -> Step:
     """Return the tracker step after the prediction of the state to the present, and before the use of the new reading.
 
     Args:
-        rules: parameters of the rules.
+        tracker: the tracker, with the parameters of the tracker.
         old: value of each entry of the previous state, by name without prefix; the value of an entry with several
             columns is a list of columns.
         inputs: inputs of the step.
     """
-    scene = _scene(rules, old, inputs)
-    return Step(rules, old, _moved(rules, old, inputs, scene), inputs, scene)
+    scene = _scene(tracker, old, inputs)
+    return Step(tracker, old, _moved(tracker, old, inputs, scene), inputs, scene)
 
 
-def _scene(rules: Rules, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
+def _scene(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
     turning = ca.fabs(inputs.turn) > _TURNING
-    expected = _least(_most(inputs.expected, 0.0), rules.maximum)
+    expected = _least(_most(inputs.expected, 0.0), tracker.array.maximum)
     same = inputs.longest is inputs.expected
-    ceiling = expected if same else _least(_most(inputs.longest, 0.0), rules.maximum)
-    cycle = round(rules.due / rules.dt)
+    ceiling = expected if same else _least(_most(inputs.longest, 0.0), tracker.array.maximum)
+    cycle = round(tracker.due / tracker.dt)
     before, earlier = (old["walls"][min(k * cycle, len(old["walls"])) - 1] for k in (1, 2))
     slide = _most(ca.fabs(expected - before), ca.fabs(before - earlier), 0.5 * ca.fabs(expected - earlier))
     slide = ca.if_else(turning, slide, 0.0)
-    unsure = rules.yaw_tolerance * slide / (rules.due * _most(ca.fabs(inputs.turn), _TURNING))
+    unsure = tracker.yaw_tolerance * slide / (tracker.due * _most(ca.fabs(inputs.turn), _TURNING))
     return Scene(
         fired=inputs.fresh > 0.5,
         turning=turning,
         follow=_both(turning, slide > _SLIDING, old["explained"] > 0.5, old["known"] > 0.5),
         longest=inputs.longest,
         ceiling=ceiling,
-        wall=inputs.expected < rules.maximum,
+        wall=inputs.expected < tracker.array.maximum,
         expected=expected,
-        tolerance=rules.tolerance + 0.5 * slide + unsure,
+        tolerance=tracker.tolerance + 0.5 * slide + unsure,
         unsure=unsure,
         slide=slide,
     )
 
 
-def _moved(rules: Rules, old: Mapping[str, Value], inputs: StepInputs, scene: Scene) -> dict[str, Value]:
+def _moved(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs, scene: Scene) -> dict[str, Value]:
     # without a new reading
-    dt, top = rules.dt, rules.maximum - 0.5 * rules.resolution
+    dt, top = tracker.dt, tracker.array.maximum - 0.5 * tracker.array.resolution
     state = dict(old)
     own = -inputs.closing * dt
     known = ca.if_else(scene.follow, scene.expected - old["walls"][0], ca.if_else(old["range"] >= top, 0.0, own))
@@ -165,16 +135,16 @@ def _moved(rules: Rules, old: Mapping[str, Value], inputs: StepInputs, scene: Sc
         ca.logic_not(scene.follow),
         old["votes"] < 0.5,
         old["rejected"] < 0.5,
-        old["since"] + dt <= rules.due + 0.5 * dt,
+        old["since"] + dt <= tracker.due + 0.5 * dt,
         old["late_by"] <= 0.0,
     )
     drift = ca.if_else(coasting, old["rate"] * dt, 0.0)
     noise = ca.if_else(scene.turning, _NOISE_TURNING, _NOISE) * dt
     p11, p12, p22 = old["var_range"], old["covariance"], old["var_rate"]
-    state["range"] = _least(_most(old["range"] + known + drift, 0.0), rules.maximum)
+    state["range"] = _least(_most(old["range"] + known + drift, 0.0), tracker.array.maximum)
     # when a reading is overdue, the bound grows with the obstacle's largest speed instead
-    growing = old["age"] + dt <= rules.due + 0.5 * dt
-    largest = ca.if_else(scene.turning, 16.0, 1.0) * rules.rate_variance
+    growing = old["age"] + dt <= tracker.due + 0.5 * dt
+    largest = ca.if_else(scene.turning, 16.0, 1.0) * tracker.rate_variance
     ahead = _least(p11 + 2.0 * dt * p12 + dt * dt * p22 + noise * dt * dt / 3.0, _VARIANCE)
     faster = _least(p22 + noise, largest)
     # keeps the covariance matrix positive definite after its entries were limited
@@ -195,19 +165,19 @@ def _moved(rules: Rules, old: Mapping[str, Value], inputs: StepInputs, scene: Sc
 
 
 def others(
-    rules: Rules, old: Mapping[str, Value], samples: list[Value], fresh: Value
+    tracker: RangeTracker, old: Mapping[str, Value], samples: list[Value], fresh: Value
 ) -> list[tuple[Value, Value, Value]]:
     """Return `StepInputs.others` for all sensors; the entries for sensor i describe sensors i + 1, i + 2, …"""
-    newest = ca.if_else(fresh > 0.5, robust(rules, samples), old["reading"])
+    newest = ca.if_else(fresh > 0.5, robust(tracker, samples), old["reading"])
 
     def turned(value: Value, k: int) -> Value:
         return ca.vertcat(value[k:], value[:k])
 
     rate, before = old["rate"], old["reading"]
-    return [(turned(rate, k), turned(newest, k), turned(before, k)) for k in range(1, rules.sensors)]
+    return [(turned(rate, k), turned(newest, k), turned(before, k)) for k in range(1, tracker.array.size)]
 
 
-def robust(rules: Rules, samples: list[Value]) -> Value:
+def robust(tracker: RangeTracker, samples: list[Value]) -> Value:
     """Return the mean [m] of a firing's samples without the smallest and the largest sample.
 
     If all samples equal the maximum, the result is the maximum.
@@ -218,27 +188,29 @@ def robust(rules: Rules, samples: list[Value]) -> Value:
     count = len(samples)
     if count >= 3:
         total, count = total - _least(*samples) - _most(*samples), count - 2
-    nothing = _least(*samples) >= rules.maximum - 0.5 * rules.resolution
-    return ca.if_else(nothing, rules.maximum, _least(_most(total / count - rules.bias, 0.0), rules.maximum))
+    nothing = _least(*samples) >= tracker.array.maximum - 0.5 * tracker.array.resolution
+    return ca.if_else(
+        nothing, tracker.array.maximum, _least(_most(total / count - tracker.array.bias, 0.0), tracker.array.maximum)
+    )
 
 
 def sound(step: Step, reading: Value) -> Value:
     """Return whether the reading of this firing is plausible by itself, and count repetitions of the same samples."""
-    rules, old, state, inputs, scene = step
-    code = rules.resolution
+    tracker, old, state, inputs, scene = step
+    code = tracker.array.resolution
     differs = 0.0
     for new, before in zip(inputs.samples, old["samples"], strict=True):
         differs = differs + ca.fabs(new - before)
     # at the ends of its range, a working sensor also repeats its samples
-    same = _both(differs < 0.25 * code, reading > rules.minimum + code, reading < rules.maximum - code)
+    same = _both(differs < 0.25 * code, reading > tracker.array.minimum + code, reading < tracker.array.maximum - code)
     count = (
-        ca.if_else(same, _least(old["repeated"] + 1.0, float(MOST_REPEATS)), 0.0) if rules.repeats else 0.0 * reading
+        ca.if_else(same, _least(old["repeated"] + 1.0, float(MOST_REPEATS)), 0.0) if tracker.repeats else 0.0 * reading
     )
     state["repeated"] = ca.if_else(scene.fired, count, old["repeated"])
     return _both(
         scene.fired,
-        state["repeated"] < (0.5 if rules.one_repeat else rules.stuck),
-        reading >= rules.minimum - code,
+        state["repeated"] < (0.5 if tracker.one_repeat else tracker.stuck),
+        reading >= tracker.array.minimum - code,
         reading <= inputs.longest + scene.tolerance,
     )
 
@@ -271,19 +243,19 @@ def _lateness(step: Step, sound: Value, reading: Value) -> _Late:
     difference of the reading from the known walls' range or from the track. The regression coefficient of the residuals
     on the shift is 0 for readings without delay and 1 for late readings.
     """
-    rules, old, state, _, scene = step
-    missing = ca.floor(state["since"] / rules.due + 0.5) - 1.0
-    lost = missing * rules.due
-    gap = _both(scene.fired, missing > 0.5, lost <= rules.longest_delay + 0.5 * rules.dt, state["known"] > 0.5)
+    tracker, old, state, _, scene = step
+    missing = ca.floor(state["since"] / tracker.due + 0.5) - 1.0
+    lost = missing * tracker.due
+    gap = _both(scene.fired, missing > 0.5, lost <= tracker.longest_delay + 0.5 * tracker.dt, state["known"] > 0.5)
     late_by = ca.if_else(gap, _most(old["late_by"], lost), old["late_by"])
     away, wall_then = 0.0 * late_by, scene.expected + 0.0 * late_by
     for k, (shift, wall) in enumerate(zip(state["shifts"], state["walls"][1:], strict=True)):
-        chosen = ca.fabs(late_by - (k + 1) * rules.dt) < 0.5 * rules.dt
+        chosen = ca.fabs(late_by - (k + 1) * tracker.dt) < 0.5 * tracker.dt
         away, wall_then = ca.if_else(chosen, shift, away), ca.if_else(chosen, wall, wall_then)
     late = _both(old["late"] > 0.5, ca.logic_not(gap), ca.fabs(away) > 0.4 * _SMALL)
     suspected = _both(late_by > 0.0, ca.logic_not(late))
     distinct = ca.fabs(wall_then - scene.expected) > _TELLING_WALL + scene.unsure
-    by_wall = _both(scene.wall, wall_then < rules.maximum, distinct)
+    by_wall = _both(scene.wall, wall_then < tracker.array.maximum, distinct)
     shift = ca.if_else(by_wall, wall_then - scene.expected, away - old["absorbed"])
     residual = reading - ca.if_else(by_wall, scene.expected, state["range"])
     spread = ca.if_else(by_wall, _WALL_SPREAD + scene.unsure / 3.0, _TRACK_SPREAD)
@@ -345,20 +317,20 @@ class _Compared(NamedTuple):
 
 
 def range_step(
-    rules: Rules, old: Mapping[str, Value], inputs: StepInputs
+    tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
     """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve.
 
     The class `Ranging` describes the outputs.
 
     Args:
-        rules: parameters of the rules.
+        tracker: the tracker, with the parameters of the tracker.
         old: value of each entry of the previous state, by name without prefix; the value of an entry with several
             columns is a list of columns.
         inputs: inputs of the step.
     """
-    step = opened(rules, old, inputs)
-    reading = robust(rules, inputs.samples)
+    step = opened(tracker, old, inputs)
+    reading = robust(tracker, inputs.samples)
     fine = sound(step, reading)
     late = _lateness(step, fine, reading)
     believed = _believed(step, late, fine, reading)
@@ -367,31 +339,31 @@ def range_step(
 
 
 def _compared(step: Step, late: _Late, fine: Value, reading: Value) -> _Compared:
-    rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     x, known = state["range"], state["known"] > 0.5
-    corrected = ca.if_else(late.late, _least(_most(reading - late.away, 0.0), rules.maximum), reading)
+    corrected = ca.if_else(late.late, _least(_most(reading - late.away, 0.0), tracker.array.maximum), reading)
     innovation = corrected - x
-    spread = ca.sqrt(_most(state["var_range"], 0.0) + rules.sigma * rules.sigma)
+    spread = ca.sqrt(_most(state["var_range"], 0.0) + tracker.sigma * tracker.sigma)
     widest = ca.if_else(scene.turning, _GATE_TURNING, _GATE_MOST)
     # smaller than the distance to a second echo
     gate = _most(_least(_GATE * spread, widest, 0.5 * x), _GATE_LEAST)
     off = ca.fabs(corrected - scene.expected)
-    agrees = _both(scene.wall, off <= rules.tolerance + scene.unsure)
-    closely = _both(scene.wall, off <= 0.5 * (rules.tolerance + scene.unsure))
+    agrees = _both(scene.wall, off <= tracker.tolerance + scene.unsure)
+    closely = _both(scene.wall, off <= 0.5 * (tracker.tolerance + scene.unsure))
     agrees = ca.if_else(state["distrust"] > 0.5, closely, agrees)
     there = _both(known, _either(state["turned"] <= _STALE, _both(agrees, state["distrust"] < 0.5)))
     # readings of a candidate that cross the track by chance do not update the track
     crossing = _both(state["votes"] > 0.5, ca.fabs(corrected - state["candidate"]) <= _SAME)
     crosstalk = _crosstalk(step, corrected)
     foreign = _both(crosstalk, scene.turning, ca.logic_not(agrees))
-    within = ca.fabs(innovation) <= ca.if_else(late.judging, rules.maximum, gate)
+    within = ca.fabs(innovation) <= ca.if_else(late.judging, tracker.array.maximum, gate)
     near = _both(fine, there, ca.logic_not(crossing), ca.logic_not(foreign), within)
     return _Compared(corrected, innovation, agrees, crosstalk, near)
 
 
 def _believed(step: Step, late: _Late, fine: Value, reading: Value) -> Value:
     """Update the track (the estimate) or the candidate by the reading; return whether the reading updated the track."""
-    rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     new = _compared(step, late, fine, reading)
     # a known wall enters the beam
     honest = _both(state["known"] > 0.5, ca.logic_not(new.crosstalk), state["distrust"] < 0.5)
@@ -401,7 +373,7 @@ def _believed(step: Step, late: _Late, fine: Value, reading: Value) -> Value:
     _filtered(step, late, new, anew)
     believed = _either(new.near, anew)
     # one repetition of a sample set is not yet a reason to reject the reading
-    fair = _either(fine, _both(state["repeated"] > 0.5, state["repeated"] < rules.stuck))
+    fair = _either(fine, _both(state["repeated"] > 0.5, state["repeated"] < tracker.stuck))
     rejected = ca.if_else(fair, state["rejected"], 1.0)
     too_long = _both(scene.fired, reading > scene.longest + scene.tolerance)
     trusted = _both(believed, _either(new.agrees, _both(new.near, state["turned"] <= _UNSEEN)))
@@ -418,9 +390,9 @@ def _believed(step: Step, late: _Late, fine: Value, reading: Value) -> Value:
 
 def _candidate(step: Step, new: _Compared, other: Value) -> Value:
     """Store a reading that is not near the track as a candidate; return whether the candidate becomes the track."""
-    rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     corrected, outward = new.corrected, new.innovation > 0.0
-    x, top = state["range"], rules.maximum - 2.0 * rules.resolution
+    x, top = state["range"], tracker.array.maximum - 2.0 * tracker.array.resolution
     same = ca.if_else(scene.turning, _SAME_TURNING, _SAME)
     goes_on = _both(state["votes"] > 0.5, ca.fabs(corrected - state["candidate"]) <= same)
     twice = _both(ca.fabs(corrected - 2.0 * x) <= _TWICE, outward)
@@ -431,12 +403,12 @@ def _candidate(step: Step, new: _Compared, other: Value) -> Value:
     suspicion = ca.if_else(_either(twice, vanished), 1.0, earlier)
     suspect = suspicion > 0.0
     # after such a turn, a narrow object has left the beam
-    passed = ca.fabs(state["swung"]) > rules.beam
+    passed = ca.fabs(state["swung"]) > tracker.array.beam_angle
     # before a track exists, two sensors may have equal readings without crosstalk, for example in a corridor
     foreign = _both(new.crosstalk, state["known"] > 0.5)
     strange = _either(foreign, _both(ca.logic_not(new.agrees), state["distrust"] > 0.5))
     votes = ca.if_else(_both(goes_on, ca.logic_not(strange)), _least(state["votes"] + 1.0, 9.0), 1.0)
-    excused = _either(_both(new.agrees, ca.logic_not(twice)), passed, state["age"] > rules.hold)
+    excused = _either(_both(new.agrees, ca.logic_not(twice)), passed, state["age"] > tracker.hold)
     convincing = _either(state["known"] < 0.5, ca.logic_not(suspect), ca.logic_not(outward), excused)
     needed = ca.if_else(state["distrust"] > 0.5, _VOTES_AFTER_FAULT, _VOTES)
     won = _both(other, votes > needed - 0.5, convincing)
@@ -451,20 +423,20 @@ def _crosstalk(step: Step, corrected: Value) -> Value:
     # readings without an echo are not compared
     match = ca.fabs(corrected) < 0.0  # false everywhere
     for rate, newest, before in step.inputs.others:
-        tolerance = _CROSS + ca.fabs(rate) * step.rules.due
+        tolerance = _CROSS + ca.fabs(rate) * step.tracker.due
         for theirs in (newest, before):
-            echo = theirs < step.rules.maximum - step.rules.resolution
+            echo = theirs < step.tracker.array.maximum - step.tracker.array.resolution
             match = _either(match, _both(echo, ca.fabs(corrected - theirs) <= tolerance))
     return match
 
 
 def _filtered(step: Step, late: _Late, new: _Compared, anew: Value) -> None:
     """Update the track by the Kalman filter if the reading is near the track; if `anew` holds, start a new track."""
-    rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     corrected, crosstalk = new.corrected, new.crosstalk
     x, u = state["range"], state["rate"]
     p11, p12, p22 = state["var_range"], state["covariance"], state["var_rate"]
-    r = rules.sigma * rules.sigma
+    r = tracker.sigma * tracker.sigma
     total = p11 + r
     # a reading that may be late moves the track little, and one that equals another sensor's does not move the track
     part = ca.if_else(crosstalk, 0.0, ca.if_else(late.undecided, _CAUTIOUS, 1.0))
@@ -482,12 +454,12 @@ def _filtered(step: Step, late: _Late, new: _Compared, anew: Value) -> None:
     def chosen(after: Value, start: Value, before: Value) -> Value:
         return ca.if_else(anew, start, ca.if_else(new.near, after, before))
 
-    state["range"] = chosen(_least(_most(x + k1 * innovation, 0.0), rules.maximum), corrected, x)
+    state["range"] = chosen(_least(_most(x + k1 * innovation, 0.0), tracker.array.maximum), corrected, x)
     state["rate"] = chosen(ca.if_else(steady, 0.0, u + k2 * innovation), 0.0, u)
     # Joseph form, which is valid for any gain
     state["var_range"] = chosen((1.0 - k1) * (1.0 - k1) * p11 + k1 * k1 * r, r, p11)
     state["covariance"] = chosen((1.0 - k1) * (p12 - k2 * p11) + k1 * k2 * r, 0.0, p12)
-    state["var_rate"] = chosen(p22 - 2.0 * k2 * p12 + k2 * k2 * total, rules.rate_variance, p22)
+    state["var_rate"] = chosen(p22 - 2.0 * k2 * p12 + k2 * k2 * total, tracker.rate_variance, p22)
     state["surprise"] = chosen(surprise, ca.if_else(crosstalk, shared, 0.0), state["surprise"])
     absorbed = state["absorbed"] + part * k1 * (late.away - state["absorbed"])
     suspected = _both(late.late_by > 0.0, ca.logic_not(late.late))
@@ -509,16 +481,16 @@ def _record(step: Step, reading: Value) -> None:
 
 def _outputs(step: Step, late: _Late, believed: Value) -> tuple[Value, ...]:
     # range, bound, rate, healthy, age, reading, accepted, carve
-    rules, _, state, _, scene = step
-    x, far = state["range"], rules.maximum
-    overdue = state["since"] > rules.due + 0.5 * rules.dt
-    blind = _both(scene.turning, late.late_by > rules.due + 0.5 * rules.dt)
+    tracker, _, state, _, scene = step
+    x, far = state["range"], tracker.array.maximum
+    overdue = state["since"] > tracker.due + 0.5 * tracker.dt
+    blind = _both(scene.turning, late.late_by > tracker.due + 0.5 * tracker.dt)
     away = ca.fabs(late.away) + ca.fabs(state["rate"]) * late.late_by
     away = away + ca.if_else(late.late_by > 0.0, scene.slide, 0.0)
     healthy = _both(
         state["known"] > 0.5,
         ca.logic_not(overdue),
-        state["repeated"] < rules.stuck,
+        state["repeated"] < tracker.stuck,
         state["votes"] < 0.5,
         state["rejected"] < 0.5,
         ca.logic_not(late.late),
@@ -526,11 +498,11 @@ def _outputs(step: Step, late: _Late, believed: Value) -> tuple[Value, ...]:
         ca.fabs(late.away) <= _BEARABLE,
     )
     half_width = _MARGIN + _DEVIATIONS * ca.sqrt(_most(state["var_range"], 0.0)) + state["surprise"] + away
-    sliding = ca.if_else(scene.follow, 0.03 + scene.unsure, 0.01 + ca.fabs(state["rate"]) * rules.dt)
+    sliding = ca.if_else(scene.follow, 0.03 + scene.unsure, 0.01 + ca.fabs(state["rate"]) * tracker.dt)
     half_width = half_width + ca.if_else(_both(scene.turning, state["since"] > 0.0), sliding, 0.0)
     by_wall = _both(scene.turning, scene.wall, state["explained"] > 0.5)
     half_width = half_width + ca.if_else(by_wall, ca.fabs(x - scene.expected), 0.0)
-    half_width = half_width + rules.obstacle_speed * _most(state["age"] - rules.due, 0.0)
+    half_width = half_width + tracker.obstacle_speed * _most(state["age"] - tracker.due, 0.0)
     low, high = x - half_width, x + half_width
     # a known wall that the turning beam may have met since the last firing
     meets = _both(scene.turning, state["since"] > 0.0)
@@ -540,7 +512,9 @@ def _outputs(step: Step, late: _Late, believed: Value) -> tuple[Value, ...]:
     high = ca.if_else(contested, _most(high, state["candidate"] + _CANDIDATE), high)
     lost = _both(ca.logic_not(healthy), _either(state["turned"] > _UNSEEN, blind, _both(scene.turning, late.late)))
     anything = _either(state["known"] < 0.5, lost)
-    at_minimum = state["reading"] <= rules.minimum + 1.5 * rules.resolution  # all ranges below give the same reading
+    at_minimum = (
+        state["reading"] <= tracker.array.minimum + 1.5 * tracker.array.resolution
+    )  # all ranges below give the same reading
     low = ca.if_else(_either(anything, at_minimum), 0.0, _most(low, 0.0))
     ceiling = _least(scene.ceiling + scene.tolerance, far)
     high = _least(ca.if_else(anything, far, high), ceiling)

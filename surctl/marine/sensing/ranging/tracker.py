@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from math import ceil, erf, isfinite, log, sqrt
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, each
-from surctl.marine.sensing.ranging.rules import MOST_REPEATS, Rules, StepInputs, others, range_step
+from surctl.marine.sensing.ranging.rules import MOST_REPEATS, StepInputs, others, range_step
 from surctl.marine.sensing.sonar.array import SonarArray
 
 __all__ = ["RangeTracker", "Ranging"]
@@ -98,12 +98,12 @@ class RangeTracker:
                 "must be at least 0", key="tracker.obstacle_speed", value=self.obstacle_speed, remedy="give m/s"
             )
 
-    @property
+    @cached_property
     def due(self) -> float:
         """Time between two arrivals of a sensor's samples [s]: the array's cycle time, rounded up to whole steps."""
         return self.dt * ceil(self.array.cycle / self.dt - 1e-9)
 
-    @property
+    @cached_property
     def repeats(self) -> int:
         """Number of repetitions of the same samples after which a sensor counts as stuck; 0 if the noise is too small.
 
@@ -149,7 +149,7 @@ class RangeTracker:
         old = {p.name: state[prefix + p.name] for p in ports}
         wide = {p.name for p in ports if len(p.shape) == 2}  # ports that the rules take as lists of columns
         columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
-        beside = others(self.rules(), columns, [samples[:, j] for j in range(count)], fresh)
+        beside = others(self, columns, [samples[:, j] for j in range(count)], fresh)
 
         def sensor(before: ca.SX, values: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
@@ -158,7 +158,7 @@ class RangeTracker:
             fired, own_motion, walls, *far = ca.vertsplit(values[count:])
             farthest = far[0] if far else walls
             inputs = StepInputs(ca.vertsplit(values[:count]), fired, own_motion, walls, farthest, turn, compared)
-            after, outputs = range_step(self.rules(), previous, inputs)
+            after, outputs = range_step(self, previous, inputs)
             flat = [ca.vec(ca.vertcat(*v)) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
             return _column(flat), _column(outputs)
 
@@ -176,9 +176,28 @@ class RangeTracker:
             at += width
         return Ranging(new, *(readings[:, k] for k in range(readings.shape[1])))
 
-    def rules(self) -> Rules:
-        """Return the parameters of the tracker's rules."""
-        return _rules(self)
+    @cached_property
+    def sigma(self) -> float:
+        """Standard deviation of the mean of a firing's samples [m]."""
+        a = self.array
+        spread = sqrt(a.noise_sd**2 + a.resolution**2 / 12.0)
+        # noise much smaller than a conversion step does not dither it: a mean of equal codes keeps the rounding error
+        return max(1.1 * spread / sqrt(a.samples), a.resolution / sqrt(12.0))
+
+    @cached_property
+    def one_repeat(self) -> bool:
+        """Whether one repetition of the same samples is suspicious."""
+        return self.repeats > 0 and _chance_of_equal_sets(self.array) < _REPEAT
+
+    @property
+    def stuck(self) -> float:
+        """Number of repetitions of a firing's samples above which a sensor counts as stuck."""
+        return max(self.repeats, 1) - 0.5
+
+    @property
+    def rate_variance(self) -> float:
+        """Variance of the rate of the range [m²/s²] before any estimate of the rate."""
+        return max(self.obstacle_speed, 0.05) ** 2
 
     @property
     def _delays(self) -> int:
@@ -223,32 +242,6 @@ def _ports(tracker: RangeTracker, prefix: str) -> tuple[Port, ...]:
         port("samples", "m", "samples of the last firing", -1.0, width=tracker.array.samples),
         port("shifts", "m", "predicted range 1, 2, ... steps ago minus the present one", width=delays),
         port("walls", "m", "expected range 1, 2, ... steps ago", far, width=delays + 1),
-    )
-
-
-@cache
-def _rules(tracker: RangeTracker) -> Rules:
-    a = tracker.array
-    spread = sqrt(a.noise_sd**2 + a.resolution**2 / 12.0)
-    # noise much smaller than a conversion step does not dither it: a mean of equal codes keeps the rounding error
-    sigma = max(1.1 * spread / sqrt(a.samples), a.resolution / sqrt(12.0))
-    return Rules(
-        dt=tracker.dt,
-        due=tracker.due,
-        minimum=a.minimum,
-        maximum=a.maximum,
-        resolution=a.resolution,
-        bias=a.bias,
-        sigma=sigma,
-        beam=a.beam_angle,
-        sensors=a.size,
-        obstacle_speed=tracker.obstacle_speed,
-        tolerance=tracker.tolerance,
-        yaw_tolerance=tracker.yaw_tolerance,
-        longest_delay=tracker.longest_delay,
-        hold=tracker.hold,
-        repeats=tracker.repeats,
-        one_repeat=tracker.repeats > 0 and _chance_of_equal_sets(a) < _REPEAT,
     )
 
 

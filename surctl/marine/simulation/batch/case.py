@@ -64,8 +64,16 @@ class Case:
         """Name of the simulation setup: scenario, vehicle and sensing."""
         return f"{self.scenario.name}/{self.vehicle.name}/{self.sensing}"
 
-    def build(self) -> Law:
-        """Build the law of the simulation setup."""
+    @property
+    def options(self) -> dict[str, str]:
+        """Options of the law, and the kind of sensing, by their names in files of results."""
+        return {
+            "avoidance": self.avoidance, "guidance": self.guidance, "priority_mode": self.mode,
+            "barrier": self.barrier, "movers": self.movers, "sensing": self.sensing,
+        }  # fmt: skip
+
+    def build(self, fallback: str = "exact") -> Law:
+        """Build the law of the simulation setup, with a `fallback` as for `build_law`."""
         sonar = self.sensing == "sonar"
         return build_law(
             self.law,
@@ -77,6 +85,7 @@ class Case:
             barrier=self.barrier,
             movers=self.movers,
             depths=self.scenario.depths is not None,
+            fallback=fallback,
             actuators=self.vehicle.actuators,
         )
 
