@@ -6,7 +6,7 @@ import re
 import sys
 from collections.abc import Mapping
 from importlib import import_module
-from inspect import getsource
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -64,6 +64,7 @@ def load_at_first_use(package: str) -> None:
         ('LazyPackage', True)
     """
     module = sys.modules[package]
-    imports = ((home, (listed or alone).split(",")) for home, listed, alone in _IMPORT.findall(getsource(module)))
+    source = Path(str(module.__file__)).read_text(encoding="utf-8")
+    imports = ((home, (listed or alone).split(",")) for home, listed, alone in _IMPORT.findall(source))
     module.__dict__["_homes"] = {name.strip(): home for home, names in imports for name in names if name.strip()}
     module.__class__ = LazyPackage
