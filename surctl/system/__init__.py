@@ -7,11 +7,10 @@ from surctl.system.controller import (
     ControllerStep,
     SampledController,
     Step,
-    command_ports,
 )
 from surctl.system.from_control import from_control, to_control
-from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant, unresponsive
-from surctl.system.linear_loop import LinearLoop, LoopNames
+from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant
+from surctl.system.linear_loop import LinearLoop
 from surctl.system.loop import ENDED, LOST, Cost, Signals, System
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
@@ -30,7 +29,6 @@ __all__ = [
     "Cost",
     "LinearLoop",
     "Linearisation",
-    "LoopNames",
     "Operating",
     "Parts",
     "Plant",
@@ -41,7 +39,6 @@ __all__ = [
     "Signals",
     "Step",
     "System",
-    "command_ports",
     "entry_labels",
     "entry_units",
     "every_combination",
@@ -55,5 +52,4 @@ __all__ = [
     "save_record",
     "simulate_system",
     "to_control",
-    "unresponsive",
 ]

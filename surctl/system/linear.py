@@ -557,16 +557,6 @@ def unresponsive(record: Record) -> dict[str, float]:
 
     Args:
         record: a run of a system.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Layout, Port
-        >>> from surctl.system import Controller, Plant, System, run_system, unresponsive
-        >>> speed, force = Port("speed", (1,), "m/s", "of the cart", 3.0), Port("force", (1,), "m/s^2", "over the mass")
-        >>> cart = Plant("cart", Layout((speed,)), Layout((force,)), lambda x, f, d, p: {"speed": f["force"]})
-        >>> law = Controller("hold", 0.1, Layout((speed,)), Layout((force,)), lambda x, u, p: -ca.fmin(u["speed"], 1))
-        >>> round(unresponsive(run_system(System(cart, law), 10.0))["force"], 2)
-        0.21
     """
     slopes, depends = _slopes(record.system)
     z, u, gains = record.controller

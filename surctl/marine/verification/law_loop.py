@@ -29,7 +29,8 @@ from surctl.marine.vehicle import PLANT_PARAMETERS, Vehicle, plant_jacobians, pl
 from surctl.marine.vehicle.linearise import STATE_NAMES, TILT_NAMES, check_cruise
 from surctl.marine.verification.linear.corners import corners
 from surctl.own_code import label
-from surctl.system import LinearLoop, LoopNames
+from surctl.system import LinearLoop
+from surctl.system.linear_loop import LoopNames
 from surctl.verification.loops import LoopMargins
 from surctl.verification.sampled_margins import SampledLoop, system_margins, worst_loop
 
