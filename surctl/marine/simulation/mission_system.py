@@ -65,7 +65,7 @@ def mission_system(
         >>> loop = mission_system(mission, boat, gains=load_gains("default"), law=law)
         >>> run = run_system(loop, 5.0, {"k_v": 1.5})
         >>> run["eta"][-1, :2].round(2).tolist(), round(run["min_clearance_m"], 2)
-        ([1.6, 1.12], 0.19)
+        ([1.6, 1.12], 0.22)
     """
     law = law or build_law(default_law(vehicle), depths=scenario.depths is not None, actuators=vehicle.actuators)
     check_forces(law.ref, vehicle)
