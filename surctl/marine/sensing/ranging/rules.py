@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import reduce
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
 
-if TYPE_CHECKING:
-    from surctl.marine.sensing.ranging.tracker import RangeTracker
+from surctl.marine.sensing.ranging.parameters import MOST_REPEATS, NEVER, TrackerParameters
 
-__all__ = ["MOST_REPEATS", "StepInputs", "others", "range_step"]
+__all__ = ["StepInputs", "others", "range_step"]
 
 Value: TypeAlias = Any
 """An SX of one sensor, or a column (n, 1) of n sensors; a float stands for n equal numbers."""
@@ -39,15 +38,11 @@ def _most(*values: Value) -> Value:
     return reduce(ca.fmax, values)
 
 
-MOST_REPEATS = 9
-"""Largest count of repetitions of a firing's samples; further repetitions are not counted."""
-
 _TURNING = 0.05  # rad/s; at a lower rate the beam counts as not turning
 _SLIDING = 0.04  # m per cycle, above the noise of an expected range
 _NOISE = 2.25e-3  # m²/s³, noise of the rate, for an obstacle that changes its speed by 0.15 m/s within a second
 _NOISE_TURNING = 0.4  # m²/s³, noise of the rate while turning: the nearest point slides along objects
 _VARIANCE = 0.09  # m², largest variance of the range
-_NEVER = 1e6  # s, rad
 
 
 class StepInputs(NamedTuple):
@@ -81,14 +76,14 @@ class Scene(NamedTuple):
 class Step(NamedTuple):
     """A tracker step in progress; the rules, one after another, change `state`, which begins as a copy of `old`."""
 
-    tracker: RangeTracker
+    tracker: TrackerParameters
     old: Mapping[str, Value]
     state: dict[str, Value]
     inputs: StepInputs
     scene: Scene
 
 
-def opened(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs) -> Step:
+def opened(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs) -> Step:
     """Return the tracker step after the prediction of the state to the present, and before the use of the new reading.
 
     Args:
@@ -101,7 +96,7 @@ def opened(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs) 
     return Step(tracker, old, _moved(tracker, old, inputs, scene), inputs, scene)
 
 
-def _scene(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
+def _scene(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
     turning = ca.fabs(inputs.turn) > _TURNING
     expected = _least(_most(inputs.expected, 0.0), tracker.array.maximum)
     same = inputs.longest is inputs.expected
@@ -125,7 +120,7 @@ def _scene(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs) 
     )
 
 
-def _moved(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs, scene: Scene) -> dict[str, Value]:
+def _moved(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs, scene: Scene) -> dict[str, Value]:
     # without a new reading
     dt, top = tracker.dt, tracker.array.maximum - 0.5 * tracker.array.resolution
     state = dict(old)
@@ -155,17 +150,17 @@ def _moved(tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs, 
     state["var_rate"] = ca.if_else(growing, faster, p22)
     state["candidate"] = ca.if_else(old["candidate"] >= top, old["candidate"], _most(old["candidate"] + own, 0.0))
     state["recent"] = [_most(value + own, 0.0) for value in old["recent"]]
-    state["since"] = _least(old["since"] + dt, _NEVER)
-    state["age"] = _least(old["age"] + dt, _NEVER)
-    state["turned"] = _least(old["turned"] + ca.fabs(inputs.turn) * dt, _NEVER)
-    state["swung"] = _least(_most(old["swung"] + inputs.turn * dt, -_NEVER), _NEVER)
+    state["since"] = _least(old["since"] + dt, NEVER)
+    state["age"] = _least(old["age"] + dt, NEVER)
+    state["turned"] = _least(old["turned"] + ca.fabs(inputs.turn) * dt, NEVER)
+    state["swung"] = _least(_most(old["swung"] + inputs.turn * dt, -NEVER), NEVER)
     state["shifts"] = [-known, *(value - known for value in old["shifts"][:-1])]
     state["walls"] = [scene.expected + 0.0 * own, *old["walls"][:-1]]
     return state
 
 
 def others(
-    tracker: RangeTracker, old: Mapping[str, Value], samples: list[Value], fresh: Value
+    tracker: TrackerParameters, old: Mapping[str, Value], samples: list[Value], fresh: Value
 ) -> list[tuple[Value, Value, Value]]:
     """Return `StepInputs.others` for all sensors; the entries for sensor i describe sensors i + 1, i + 2, …"""
     newest = ca.if_else(fresh > 0.5, robust(tracker, samples), old["reading"])
@@ -177,7 +172,7 @@ def others(
     return [(turned(rate, k), turned(newest, k), turned(before, k)) for k in range(1, tracker.array.size)]
 
 
-def robust(tracker: RangeTracker, samples: list[Value]) -> Value:
+def robust(tracker: TrackerParameters, samples: list[Value]) -> Value:
     """Return the mean [m] of a firing's samples without the smallest and the largest sample.
 
     If all samples equal the maximum, the result is the maximum.
@@ -317,7 +312,7 @@ class _Compared(NamedTuple):
 
 
 def range_step(
-    tracker: RangeTracker, old: Mapping[str, Value], inputs: StepInputs
+    tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
     """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve.
 
