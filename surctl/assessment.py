@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surctl.errors import InputError
-from surctl.system import ENDED, LOST, Record, System, run_system, unresponsive
+from surctl.system import ENDED, LOST, Record, System, run_system
+from surctl.system.linear import unresponsive
 from surctl.system.values import checked_ranges, run_numbers
 from surctl.verification.linear import LEAST_DISK_MARGIN
 from surctl.verification.loops import LEAST_DELAY_MARGIN, LoopMargins

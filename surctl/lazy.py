@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -31,7 +33,7 @@ class LazyPackage(ModuleType):
         home = self.__dict__.get("_homes", {}).get(name)
         if home is None:
             raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        value = getattr(import_module(f"{self.__name__}.{home}"), name)
+        value = getattr(import_module(home), name)
         self.__dict__[name] = value
         return value
 
@@ -45,14 +47,16 @@ class LazyPackage(ModuleType):
         return sorted({*super().__dir__(), *self._homes})
 
 
-def load_at_first_use(package: str, modules: Mapping[str, str]) -> None:
+_IMPORT = re.compile(r"^ +from (\S+) import (?:\(([^)]*)\)|(.*))$", re.MULTILINE)
+
+
+def load_at_first_use(package: str) -> None:
     """Make a package load each of its modules when one of the module's names is used.
 
-    The package imports the same names under `TYPE_CHECKING` for type checkers, and lists them in `__all__`.
+    These are the names that the package imports under `TYPE_CHECKING`, for type checkers; `__all__` lists them.
 
     Args:
         package: full name of the package, its `__name__`.
-        modules: names of the package's modules, each with the public names that it defines, separated by spaces.
 
     Example:
         >>> import surctl.tuning
@@ -60,5 +64,7 @@ def load_at_first_use(package: str, modules: Mapping[str, str]) -> None:
         ('LazyPackage', True)
     """
     module = sys.modules[package]
-    module.__dict__["_homes"] = {name: home for home, names in modules.items() for name in names.split()}
+    source = Path(str(module.__file__)).read_text(encoding="utf-8")
+    imports = ((home, (listed or alone).split(",")) for home, listed, alone in _IMPORT.findall(source))
+    module.__dict__["_homes"] = {name.strip(): home for home, names in imports for name in names if name.strip()}
     module.__class__ = LazyPackage

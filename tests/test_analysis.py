@@ -20,7 +20,7 @@ import pytest
 from surctl.marine.control import load_gains
 from surctl.marine.sensing import SonarArray
 from surctl.marine.simulation import METRICS, STOPS, BatchResult, Case, simulate
-from surctl.marine.simulation.campaign import RunTable
+from surctl.marine.simulation.campaign.summary import RunTable
 from surctl.marine.vehicle import FITTED, load_vehicle
 from surctl.marine.verification.region import REGION_CLAIMS, RegionProof
 from surctl.marine.world import Disc

@@ -189,7 +189,11 @@ def test_a_lazy_package_loads_at_first_use_and_no_module_hides_a_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "idle").mkdir()
-    load = "from surctl.lazy import load_at_first_use\nload_at_first_use(__name__, {'go': 'go', 'broken': 'lost'})\n"
+    load = (
+        "from typing import TYPE_CHECKING\n\nfrom surctl.lazy import load_at_first_use\n\nif TYPE_CHECKING:\n"
+        "    from idle.broken import (\n        lost,\n    )\n    from idle.go import go\n\n"
+        "load_at_first_use(__name__)\n"
+    )
     (tmp_path / "idle" / "__init__.py").write_text(load)
     (tmp_path / "idle" / "go.py").write_text("def go():\n    return 1\n")
     (tmp_path / "idle" / "broken.py").write_text("1 / 0\n")

@@ -38,7 +38,7 @@ from surctl.files import Strict, load_model, prepare_folder  # noqa: E402
 from surctl.ir import compiler_version, to_casadi  # noqa: E402
 from surctl.marine.control import GAINS, Gains, load_gains  # noqa: E402
 from surctl.marine.simulation import METRICS, Case, Sensing, load_scenario, simulate, simulate_batch  # noqa: E402
-from surctl.marine.simulation.batch import build_loop  # noqa: E402
+from surctl.marine.simulation.batch.loop import build_loop  # noqa: E402
 from surctl.marine.simulation.batch.pack import pack, structure_of  # noqa: E402
 from surctl.marine.vehicle import load_vehicle, plant_parameters  # noqa: E402
 from surctl.priority import Mode  # noqa: E402

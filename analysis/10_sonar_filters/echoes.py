@@ -10,7 +10,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from surctl.marine.sensing import SolidBox, SolidWalls, SonarArray, beam_of, echo_range
+from surctl.marine.sensing import SonarArray
+from surctl.marine.sensing.sonar.echo import beam_of, echo_range
+from surctl.marine.sensing.sonar.solids import SolidBox, SolidWalls
 
 Array = NDArray[np.float64]
 Kind = Literal["wall", "obstacle", "wall, turning", "obstacle, turning", "tank, turning"]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+import casadi as ca
 import numpy as np
 from echoes import ARRAY, DT, EVERY
 from numpy.typing import NDArray
@@ -15,13 +16,16 @@ from streams import Stream, joined
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
+from surctl.ir import Layout
 from surctl.marine.sensing import RangeTracker, SensorFilter
 from surctl.marine.sensing.ranging.filters import StepRule
+from surctl.marine.sensing.ranging.tracker import Ranging
 from tests.oracles.range_filters import plain_average, plain_filter, plain_gate
 
 Array = NDArray[np.float64]
 TOGETHER = 1000  # runs
 TRACKER = RangeTracker(array=ARRAY, dt=DT)
+LAYOUT = Layout(TRACKER.ports())
 
 
 @dataclass(frozen=True)
@@ -89,27 +93,33 @@ def lms(rule: StepRule) -> Callable[[Stream], Estimate]:
     return run
 
 
+def _tracker_step(runs: int) -> ca.Function:
+    """Return the tracker's step for many runs: state, samples, fresh, closing, expected, turn → state, `Ranging`."""
+    n = ARRAY.size
+    x, parts = LAYOUT.symbols("x")
+    samples, turn = ca.SX.sym("s", n, ARRAY.samples), ca.SX.sym("w")
+    fresh, closing, expected = (ca.SX.sym(name, n) for name in ("f", "c", "e"))
+    done = TRACKER.update(parts, samples, fresh=fresh, closing=closing, expected=expected, turn=turn)
+    inputs = [x, samples, fresh, closing, expected, turn]
+    return ca.Function("tracker", inputs, [LAYOUT.join(done.state), *done[1:]]).map(runs)
+
+
 def robust(stream: Stream) -> Tracked:
     """`RangeTracker`."""
     run = stream.run
     runs, steps, sensors = run.truth.shape
-    state = TRACKER.start((runs,))
+    step, state = _tracker_step(runs), np.tile(LAYOUT.pack(), (runs, 1)).T
     names = ("range", "healthy", "bound", "accepted", "reading", "carve", "rate")
     out = {name: np.empty((runs, steps)) for name in names}
-    nothing = np.zeros((runs, sensors))
+    nothing = np.zeros((sensors, runs))
     for k in range(steps):
         firing, between = divmod(k, EVERY)
-        found = TRACKER.step(
-            state,
-            run.samples[:, firing],
-            fresh=nothing if between else stream.fresh[:, firing],
-            closing=run.closing[:, k],
-            expected=run.expected[:, k],
-            turn=run.turn[:, k],
-        )
-        state = found.state
+        samples = run.samples[:, firing].transpose(1, 0, 2).reshape(sensors, -1)
+        fresh = nothing if between else stream.fresh[:, firing].T
+        state, *found = step(state, samples, fresh, run.closing[:, k].T, run.expected[:, k].T, run.turn[:, k][None])
+        now = dict(zip(Ranging._fields[1:], found, strict=True))
         for name in names:
-            out[name][:, k] = getattr(found, name)[:, 0]
+            out[name][:, k] = np.asarray(now[name])[0]
     return Tracked(**out)
 
 

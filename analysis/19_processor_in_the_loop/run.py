@@ -24,7 +24,8 @@ from surctl.export.precision import Rounded
 from surctl.ir import Real, compile_program
 from surctl.marine.control import Gains, Law, build_law, load_gains
 from surctl.marine.export import LinkedLaw, LinkFaults, LinkReport, build_bundle, closed_form
-from surctl.marine.simulation import Run, Scenario, Sensing, Stepper, law_numbers, load_scenario, simulate
+from surctl.marine.simulation import Run, Scenario, Sensing, law_numbers, load_scenario, simulate
+from surctl.marine.simulation.loop import Stepper
 from surctl.marine.vehicle import Vehicle, load_vehicle
 
 SCENARIO = "pool-static"

@@ -24,7 +24,7 @@ from conclusion import concluded
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import (
     LOG_TILT,
     PLANT_DISTURBANCE,

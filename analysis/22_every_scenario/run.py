@@ -20,15 +20,8 @@ from surctl.marine.control import load_gains
 from surctl.marine.reproduction.scenarios import scenario_names
 from surctl.marine.sensing import FaultChances
 from surctl.marine.simulation import Case, Sensors, load_scenario, simulate_batch
-from surctl.marine.simulation.campaign import (
-    WORLDS_VEHICLE,
-    Campaign,
-    MonteCarlo,
-    Plan,
-    RandomWorlds,
-    run_campaign,
-    world_template,
-)
+from surctl.marine.simulation.campaign.campaign import Campaign, run_campaign
+from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, Plan, RandomWorlds, world_template
 from surctl.marine.vehicle import load_vehicle
 
 SEEDS, RUNS, WORLDS = 200, 2000, 500

@@ -23,7 +23,8 @@ from surctl.marine.control import load_gains
 from surctl.marine.reproduction.scenarios import scenario_names
 from surctl.marine.sensing import FaultChances
 from surctl.marine.simulation import ECHOES, Case, Scenario, load_scenario
-from surctl.marine.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, run_campaign, world_template
+from surctl.marine.simulation.campaign.campaign import run_campaign
+from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
 from surctl.marine.vehicle import load_vehicle
 
 PITCH = -18.0  # [deg] the water surface stays silent

@@ -12,7 +12,8 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from surctl.marine.sensing import REFLECTORS, Reflector, SonarArray, Surfaces, echo_keys  # noqa: E402
+from surctl.marine.sensing import REFLECTORS, Reflector, SonarArray, Surfaces  # noqa: E402
+from surctl.marine.sensing.sonar.returns import echo_keys  # noqa: E402
 from surctl.marine.world import Box, Disc, Shape, site_walls  # noqa: E402
 from tests.conerays import nearest_in_space, shares, weak_probability  # noqa: E402
 from tests.oracles.echoes import certain_range, echo_uniform, firing_block, weak_range  # noqa: E402

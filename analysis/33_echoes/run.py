@@ -21,7 +21,8 @@ from rays import agreement, corner_table
 
 from surctl.marine.control import load_gains
 from surctl.marine.reproduction.scenarios import scenario_names
-from surctl.marine.sensing import SURFACE_MODELS, SurfaceModel
+from surctl.marine.sensing import SURFACE_MODELS
+from surctl.marine.sensing.equipment import SurfaceModel
 from surctl.marine.simulation import ECHOES, STOPS, Case, Scenario, load_scenario, simulate_batch
 from surctl.marine.vehicle import load_vehicle
 

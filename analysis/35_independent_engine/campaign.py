@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from surctl.marine.engine import BatchCase, simulate_seeds
-from surctl.marine.simulation import Case, PhysicsMaker, Run
+from surctl.marine.simulation import Case, Run
+from surctl.marine.simulation.physics import PhysicsMaker
 
 FIELDS = ("scenario", "seed", "ended", "time_s", "clearance_m", "path_error_m", "tilt_deg", "contacts")
 

@@ -21,7 +21,8 @@ import numpy as np
 
 from surctl.marine.bridge import Act, Bridge, LinkQuality, Plan, Rehearsal, SimulatedSub, Wire, plan_session, rehearse
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import SceneFile, load_scenario, simulate
+from surctl.marine.simulation import load_scenario, simulate
+from surctl.marine.simulation.record_file import SceneFile
 from surctl.marine.vehicle import load_vehicle
 from surctl.recorded_write import McapFile
 

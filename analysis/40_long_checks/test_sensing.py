@@ -18,7 +18,6 @@ from tests.sensing import (
     test_faults,
     test_local_map,
     test_own_state,
-    test_ranging,
 )
 from tests.sensing.mapped import EDGE, EMPTY, HULL, OPEN, firing
 from tests.sensing.test_calibration import BIAS, SCALE
@@ -98,10 +97,6 @@ def test_an_average_of_a_firing_would_spread_half_as_much() -> None:
     assert inside < 0.06
     table = printed()
     assert np.mean([t.error_sd.value >= table.error_sd.low for t in averaged]) < 0.02
-
-
-def test_ranges_in_symbols_and_numbers_until_a_stream_comes_late() -> None:
-    test_ranging.test_symbols_and_numbers_agree(SonarArray(), 2400)
 
 
 def test_noise_that_grows_is_found_in_many_rows() -> None:

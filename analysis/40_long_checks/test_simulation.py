@@ -44,6 +44,7 @@ from tests.simulation import (
     test_crosstrack,
     test_dead_end,
     test_depth_escape,
+    test_mission_system,
     test_missions,
 )
 from tests.simulation.campaign import test_replay, test_worlds
@@ -356,6 +357,11 @@ def test_by_sonar_a_search_before_a_closed_wall_ends_at_its_limit_in_both_loops_
     assert np.array_equal(rows.tau, record.tau) and np.array_equal(rows.status, record.status)
     assert np.array_equal(rows.state[:-1], record.law_state[1:])
     assert rows.status[-1] & TRAPPED and not rows.status[0] & TRAPPED
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in test_clearance.LIBRARY.glob("*.toml")))
+def test_a_mission_as_a_system_moves_as_a_run(name: str) -> None:
+    test_mission_system.test_it_moves_as_a_run(name, 60.0)
 
 
 @pytest.mark.parametrize("kind", KINDS)

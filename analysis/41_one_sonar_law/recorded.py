@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the oracles are beside the tests
 
 from surctl.marine.control import load_gains
-from surctl.marine.sensing import REFLECTORS, LocalMap, SonarArray, level_range
+from surctl.marine.sensing import REFLECTORS, LocalMap, SonarArray
+from surctl.marine.sensing.sonar.returns import level_range
 from surctl.marine.simulation import ECHOES, Scenario, load_scenario, simulate
 from surctl.marine.vehicle import load_vehicle
 from surctl.marine.world import Disc, Shape, site_walls

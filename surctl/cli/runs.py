@@ -16,7 +16,8 @@ from surctl.cli.robot_options import RobotOptions, choose_gains, choose_vehicle
 if TYPE_CHECKING:
     from surctl.cli.sensor_options import SensorOptions
     from surctl.marine.simulation import Case, Run, SafetyClaim
-    from surctl.marine.simulation.campaign import Campaign, Plan
+    from surctl.marine.simulation.campaign.campaign import Campaign
+    from surctl.marine.simulation.campaign.worlds import Plan
     from surctl.marine.vehicle import Vehicle
     from surctl.verification import Inapplicable
 
@@ -315,7 +316,7 @@ class CampaignOptions:
         """
         from surctl.marine.control import law_source, load_gains
         from surctl.marine.simulation import load_scenario
-        from surctl.marine.simulation.campaign import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
+        from surctl.marine.simulation.campaign.worlds import WORLDS_VEHICLE, MonteCarlo, RandomWorlds, world_template
         from surctl.marine.tuning import build_cases
         from surctl.marine.vehicle import load_vehicle
 
@@ -355,7 +356,7 @@ class CampaignOptions:
         """
         from surctl.errors import InputError
         from surctl.files import write_file
-        from surctl.marine.simulation.campaign import CampaignFolder, run_campaign
+        from surctl.marine.simulation.campaign.campaign import CampaignFolder, run_campaign
 
         names = [plan.name for plan in plans]
         if len(set(names)) < len(names):
@@ -410,12 +411,7 @@ def _report(campaign: Campaign, files: list[Path], worst: int) -> dict[str, Any]
         "scenario": case.scenario.name,
         "vehicle": case.vehicle.name,
         "law": label(case.law),
-        "avoidance": case.avoidance,
-        "guidance": case.guidance,
-        "priority_mode": case.mode,
-        "barrier": case.barrier,
-        "movers": case.movers,
-        "sensing": case.sensing,
+        **case.options,
         "gains": case.gains.name,
         "sampling": dict(campaign.plan.settings()),
         "number_of_runs": len(table),
@@ -497,7 +493,7 @@ def simulate_again(
     The exit status is 1 if the result differs from the campaign or if the run does not arrive.
     """
     from surctl.files import prepare_folder
-    from surctl.marine.simulation.campaign import load_replay
+    from surctl.marine.simulation.campaign.campaign import load_replay
 
     for name, source in _typed().items():
         if name not in ("replayed", "trust", "explained", "out", "animate", "as_json") and source:

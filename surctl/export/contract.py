@@ -13,7 +13,8 @@ import numpy as np
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, identifier
-from surctl.system import Controller, SampledController, command_ports
+from surctl.system import Controller, SampledController
+from surctl.system.controller import command_ports
 
 __all__ = [
     "DATA",

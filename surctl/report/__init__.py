@@ -46,15 +46,4 @@ __all__ = [
     "save_sobol_plot",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "cost_map": "plot_cost_map",
-        "document": "Check render_sections",
-        "evidence": "MarginSlice margin_slice plot_counterexample plot_replay plot_slice",
-        "motion_plots": "plot_motion",
-        "page_parts": "plot_loop plot_loop_goals plot_loops",
-        "system_plots": "plot_attainable_rates plot_dependence plot_fan plot_phase_plane plot_record plot_runs"
-        " plot_sobol_indices save_record_plot save_sobol_plot",
-    },
-)
+load_at_first_use(__name__)

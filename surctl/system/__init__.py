@@ -7,24 +7,16 @@ from surctl.system.controller import (
     ControllerStep,
     SampledController,
     Step,
-    command_ports,
 )
-from surctl.system.from_control import (
-    controller_from_control,
-    from_control,
-    plant_from_control,
-    system_from_control,
-    to_control,
-)
+from surctl.system.from_control import from_control, to_control
 from surctl.system.linear import Linearisation, Operating, find_equilibrium, linearise, linearise_plant
-from surctl.system.linear_loop import LinearLoop, LoopNames
+from surctl.system.linear_loop import LinearLoop
 from surctl.system.loop import ENDED, LOST, Cost, Signals, System
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Parts, Plant
 from surctl.system.record import Record, run_system, save_record
 from surctl.system.runs import Runs, periods, simulate_system
 from surctl.system.sampled import Sampled, message
-from surctl.system.saturation import unresponsive
 from surctl.system.values import every_combination
 
 __all__ = [
@@ -37,7 +29,6 @@ __all__ = [
     "Cost",
     "LinearLoop",
     "Linearisation",
-    "LoopNames",
     "Operating",
     "Parts",
     "Plant",
@@ -48,8 +39,6 @@ __all__ = [
     "Signals",
     "Step",
     "System",
-    "command_ports",
-    "controller_from_control",
     "entry_labels",
     "entry_units",
     "every_combination",
@@ -59,11 +48,8 @@ __all__ = [
     "linearise_plant",
     "message",
     "periods",
-    "plant_from_control",
     "run_system",
     "save_record",
     "simulate_system",
-    "system_from_control",
     "to_control",
-    "unresponsive",
 ]

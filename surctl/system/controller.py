@@ -254,14 +254,7 @@ class Controller:
 
 
 def command_ports(controller: SampledController) -> Layout:
-    """Return the layout of the commands, which are the first outputs of a controller.
-
-    Example:
-        >>> from surctl.marine.control import build_law
-        >>> from surctl.system import command_ports
-        >>> [(port.name, port.size) for port in command_ports(build_law("closed_form"))]
-        [('tau', 4)]
-    """
+    """Return the layout of the commands, which are the first outputs of a controller."""
     size, ports, at = controller.block.outputs[0][1], [], 0
     for port in controller.outputs:
         if at >= size:

@@ -110,17 +110,25 @@ _ALIKE = 1e-9
 def from_control(system: Any, controller: Any = None, *, dt: float | None = None) -> Any:
     """Return a python-control system as a `Plant`, a `Controller`, or with a controller as a `System`.
 
-    A system in continuous time becomes a plant, a system in discrete time a controller. With `controller`, see
-    `system_from_control`. Signals keep their names; `x[0]`, `x[1]` become one port x with two entries, and a label such
-    as "speed [m/s]" states a unit.
+    A system in continuous time becomes a plant, whose inputs are the commands; a system in discrete time becomes a
+    controller, whose outputs are the commands. Signals keep their names; `x[0]`, `x[1]` become one port x with two
+    entries, and a label such as "speed [m/s]" states a unit.
+
+    If the controller's inputs have names of the plant's outputs, they are connected by name, and all others are
+    references. Otherwise the controller acts on the errors, that is, on reference minus output, as in
+    `control.feedback(plant * controller)`; the references are named `ref_OUTPUT`. Outputs of the controller that do not
+    have the names of the plant's inputs are connected to them in order.
 
     Args:
-        system: `control.StateSpace`, `control.TransferFunction` or `control.NonlinearIOSystem`.
-        controller: such a system as the controller of the plant `system`.
-        dt: control period [s] at which a controller in continuous time is sampled (Tustin's method).
+        system: `control.StateSpace`, `control.TransferFunction`, or a `control.NonlinearIOSystem` whose functions take
+            CasADi expressions, as numpy functions of arrays do; with `controller`, it may be a `Plant`.
+        controller: such a system, or a `Controller`, as the controller of the plant `system`.
+        dt: control period [s]. A linear controller in continuous time is sampled with it by Tustin's method; a system
+            in discrete time must have this period.
 
     Raises:
-        InputError: see `plant_from_control`, `controller_from_control` and `system_from_control`.
+        InputError: a plant has no state, or passes inputs directly to outputs; a controller has no control period, or
+            another one; the numbers of signals do not match; or functions fail on symbols.
 
     Example:
         >>> import control
@@ -140,28 +148,7 @@ def from_control(system: Any, controller: Any = None, *, dt: float | None = None
 
 
 def plant_from_control(system: Any) -> Plant:
-    """Return a python-control system in continuous time as a plant; its inputs are the commands.
-
-    Args:
-        system: a strictly proper `control.StateSpace` or `control.TransferFunction`, or a
-            `control.NonlinearIOSystem` whose functions take CasADi expressions, as numpy functions of arrays do.
-
-    Raises:
-        InputError: the system is in discrete time, has no state, or passes inputs directly to outputs; or its functions
-            fail on symbols.
-
-    Example:
-        >>> import control
-        >>> import numpy as np
-        >>> from surctl.system import plant_from_control
-        >>> pendulum = control.nlsys(
-        ...     lambda t, x, u, params: np.array([x[1], 9.81 * np.sin(x[0]) + u[0]]), None,
-        ...     states=["angle [rad]", "rate [rad/s]"], inputs=["torque"], outputs=["angle [rad]", "rate [rad/s]"],
-        ... )
-        >>> plant = plant_from_control(pendulum)
-        >>> [(port.name, port.unit) for port in plant.state], plant.function([0.1, 0.2], [0.0], [], [])
-        ([('angle', 'rad'), ('rate', 'rad/s')], DM([0.2, 0.979366]))
-    """
+    """Return a python-control system in continuous time as a plant, see `from_control`."""
     _checked(system, key="plant")
     if system.isdtime(strict=True):
         remedy = "give it in continuous time; the loop holds its inputs over a control period"
@@ -187,25 +174,7 @@ def plant_from_control(system: Any) -> Plant:
 
 
 def controller_from_control(system: Any, *, dt: float | None = None) -> Controller:
-    """Return a python-control system as a sampled controller; its outputs are the commands.
-
-    Args:
-        system: `control.StateSpace`, `control.TransferFunction` or `control.NonlinearIOSystem`.
-        dt: control period [s]; it must be that of a system in discrete time. A linear system in continuous time is
-            sampled by Tustin's method.
-
-    Raises:
-        InputError: there is no control period, or it is not that of the system; or a nonlinear system is in continuous
-            time.
-
-    Example:
-        >>> import control
-        >>> from surctl.system import controller_from_control
-        >>> pi = control.ss([[1.0]], [[0.1]], [[2.0]], [[4.0]], 0.1, inputs=["error [m]"], outputs=["force [N]"])
-        >>> law = controller_from_control(pi)
-        >>> law.dt, law.step([0.5], [1.0], []).tau
-        (0.1, array([5.]))
-    """
+    """Return a python-control system as a sampled controller, see `from_control`."""
     _checked(system, key="controller")
     period, system = _sampled(system, dt)
     states, inputs, outputs = _layouts(system)
@@ -219,28 +188,7 @@ def controller_from_control(system: Any, *, dt: float | None = None) -> Controll
 
 
 def system_from_control(plant: Any, controller: Any, *, dt: float | None = None) -> System:
-    """Return the closed loop of two python-control systems.
-
-    If the controller's inputs have names of the plant's outputs, they are connected by name, and all others are
-    references. Otherwise the controller acts on the errors, that is, on reference minus output, as in
-    `control.feedback(plant * controller)`; the references are named `ref_OUTPUT`.
-
-    Args:
-        plant: system in continuous time, see `plant_from_control`, or a `Plant`.
-        controller: system, see `controller_from_control`, or a `Controller`. Its outputs have the names of the plant's
-            inputs; otherwise they are connected in order.
-        dt: control period [s], if the controller is in continuous time.
-
-    Raises:
-        InputError: the numbers of signals do not match.
-
-    Example:
-        >>> import control
-        >>> from surctl.system import run_system, system_from_control
-        >>> loop = system_from_control(control.tf([1.0], [1.0, 0.0]), control.tf([2.0], [1.0], 0.1))
-        >>> run_system(loop, 3.0, {"reference.ref_y": 1.0})["y"][-1].round(2)
-        array([1.])
-    """
+    """Return the closed loop of two python-control systems, see `from_control`."""
     craft = plant if isinstance(plant, Plant) else plant_from_control(plant)
     law = controller if isinstance(controller, Controller) else controller_from_control(controller, dt=dt)
     law = _renamed(law, craft)

@@ -18,6 +18,7 @@ from surctl.system.linear_loop import LinearLoop, LoopNames, held_plant
 from surctl.system.loop import System, once_per_system
 from surctl.system.parts import entry_labels, entry_units
 from surctl.system.plant import Plant
+from surctl.system.record import Record
 from surctl.system.values import RunNumbers, run_numbers
 
 __all__ = [
@@ -28,7 +29,9 @@ __all__ = [
     "linearise",
     "linearise_plant",
     "state_space",
+    "unresponsive",
 ]
+
 
 # Operations of a function that have no finite value or derivative at a point
 
@@ -544,3 +547,33 @@ def _place(labels: list[str], point: Array) -> str:
 def _state_labels(system: System) -> list[str]:
     memory = entry_labels(system.blocks.memory)
     return [*entry_labels(system.plant.state), *entry_labels(system.controller.state, "controller "), *memory]
+
+
+def unresponsive(record: Record) -> dict[str, float]:
+    """Return, by label of the command, the share of control instants at which it does not respond.
+
+    A command does not respond where its derivatives by all inputs and states of the controller are 0, such as at a
+    limit. Commands that never depend on them are left out.
+
+    Args:
+        record: a run of a system.
+    """
+    slopes, depends = _slopes(record.system)
+    z, u, gains = record.controller
+    sizes: NDArray[np.float64] = np.array(slopes.map(len(u))(z.T, u.T, np.tile(gains[:, None], len(u))))
+    labels = entry_labels(record.system.commands)
+    return {name: float(np.mean(row == 0.0)) for name, row, acts in zip(labels, sizes, depends, strict=True) if acts}
+
+
+@once_per_system
+def _slopes(system: System) -> tuple[ca.Function, list[bool]]:
+    # sum of the sizes of the derivatives of each command, and whether there are any
+    controller = system.controller
+    law = law_function(controller)
+    z, u, p = (
+        ca.SX.sym(n, v.size)
+        for n, v in zip("zup", (controller.state, controller.inputs, controller.gains), strict=True)
+    )
+    J = ca.jacobian(law(z, u, p)[0], ca.vertcat(z, u))
+    rows = set(J.sparsity().row())
+    return ca.Function("slopes", [z, u, p], [ca.sum2(ca.fabs(J))]), [k in rows for k in range(J.shape[0])]

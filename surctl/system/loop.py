@@ -17,7 +17,7 @@ from surctl.ir import Layout, Port, Recording, identifier
 from surctl.system.controller import SampledController, command_ports, step_results
 from surctl.system.parts import Parts, called, joined
 from surctl.system.plant import Plant
-from surctl.system.sampled import Blocks, Sampled, connected
+from surctl.system.sampled import CLOCK, Blocks, Sampled, connected
 from surctl.units import is_number
 
 __all__ = ["ENDED", "LOST", "Cost", "How", "Signals", "System", "once_per_system"]
@@ -344,9 +344,14 @@ class System:
                     raise InputError(f"has an element of type {type(block).__name__}", key=kind, remedy=remedy)
         measured, outputs = self.plant.measurements, self.blocks.outputs
         sides = (
-            (self.blocks.sensors, (measured, *outputs["sensors"]), 1, "measured output"),
-            (self.blocks.actuators, (measured, self.commands, *outputs["actuators"]), 2, "command or measured output"),
-        )
+            (self.blocks.sensors, (CLOCK, measured, *outputs["sensors"]), 2, "measured output"),
+            (
+                self.blocks.actuators,
+                (CLOCK, measured, self.commands, *outputs["actuators"]),
+                3,
+                "command or measured output",
+            ),
+        )  # fmt: skip
         for blocks, layouts, first, to in sides:
             for k, block in enumerate(blocks):
                 for port in block.inputs:

@@ -16,7 +16,10 @@ from surctl.noise import NOISE_STATE, draw_normals, draw_uniforms, remainder
 from surctl.system.parts import EMPTY, Parts, called, checked_layout, joined
 from surctl.units import is_number
 
-__all__ = ["Blocks", "Sampled", "connected", "message"]
+__all__ = ["CLOCK", "Blocks", "Sampled", "connected", "message"]
+
+CLOCK = Layout((Port("time", (1,), "s", "time since the start"),))
+"""What every block can read, unless a signal of the loop has this name."""
 
 Side = Literal["sensors", "actuators"]
 
@@ -35,7 +38,7 @@ class Sampled:
         name: C identifier; `NAME.PARAMETER` names a parameter of the block in a run.
         inputs: ports that the block reads at a sample. Those of a sensor are measured outputs of the plant or outputs
             of an earlier sensor; those of an actuator are commands, outputs of an earlier actuator, or measured
-            outputs of the plant.
+            outputs of the plant. Each can also be `time`, the time since the start [s].
         outputs: ports of the outputs; their defaults are the values before the first sample. An output hides a signal
             of its name from all that reads it later.
         step: function of x, u, p and w that returns each port of `state` and `outputs` after the sample; x holds these
@@ -252,7 +255,8 @@ class Blocks:
             parameters: parameters of all blocks, flat.
             count: number of the control period.
         """
-        behind, parts, numbers = dict(signals), self.memory.split(memory), self.parameters.split(parameters)
+        time = ca.SX(count) * self.dt + instant * self.dt / self.instants
+        behind, parts, numbers = {"time": time, **signals}, self.memory.split(memory), self.parameters.split(parameters)
         for block in self.sensors if side == "sensors" else self.actuators:
             own = {port.name: f"{block.name}.{port.name}" for port in block.memory}
             samples, periods = self._rates[block.name]

@@ -85,19 +85,4 @@ __all__ = [
     "tune_system",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "chunked": "DaskExecutor Executor LocalExecutor",
-        "design": "Axis DESIGNS Design ONE_POINT SEED Span grid make_design parse_axis random_draws saltelli spread",
-        "goals": "GoalTable LIBRARY RunGoal load_loop_goals load_system_goals",
-        "loop_frequency_goals": "Effort LoopShape MaxGain Rejection SensitivityBound Tracking",
-        "loop_goal_file": "LOOP_GOAL_KEYS LoopGoalTable PointTable loop_goal",
-        "loop_goals": "Judgement LoopGoal LoopView Profile",
-        "loop_scores": "LoopScores Score judge_loops operating_loops",
-        "loop_time_goals": "Margins Overshoot Poles Settling StepRejection StepTracking",
-        "statistics": "Share SobolIndices sobol_indices",
-        "system_sweep": "SystemSweep sweep_system",
-        "systems": "SystemTuning tune_system",
-    },
-)
+load_at_first_use(__name__)

@@ -42,18 +42,4 @@ __all__ = [
     "write_claim",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "claim": "Claim Motion Variable VerdictWord",
-        "claim_file": "load_claim write_claim",
-        "counterexample": "Counterexample Replay evaluate replay",
-        "decide": "decide",
-        "falsifier": "falsify",
-        "loops": "LoopMargins",
-        "proving": "Proof prove",
-        "sampled_margins": "SystemCorners system_corners system_disk_margin system_margins",
-        "setting": "Setting setting_from",
-        "verdict": "Inapplicable Verdict",
-    },
-)
+load_at_first_use(__name__)

@@ -11,7 +11,8 @@ import pytest
 from surctl.assessment import ClosedLoop, assess
 from surctl.errors import InputError
 from surctl.ir import Layout, Port
-from surctl.system import Controller, Cost, Plant, System, linearise, run_system, unresponsive
+from surctl.system import Controller, Cost, Plant, System, linearise, run_system
+from surctl.system.linear import unresponsive
 from surctl.verification import system_disk_margin, system_margins
 from tests.system.examples import pendulum
 

@@ -17,15 +17,8 @@ from surctl.marine.control import NONFINITE, build_law
 from surctl.marine.control.decision import Scan, lower_levels
 from surctl.marine.control.perception import CELLS_A_HULL, LAST_THRUST, build_perception
 from surctl.marine.control.ports import SECTORS, scan_inputs, sonar_inputs
-from surctl.marine.sensing import (
-    BaseStation,
-    Delivery,
-    Equipment,
-    MoverTracker,
-    OwnState,
-    RangeTracker,
-    SonarArray,
-)
+from surctl.marine.sensing import BaseStation, Delivery, Equipment, OwnState, RangeTracker, SonarArray
+from surctl.marine.sensing.localisation.movers import MoverTracker
 from surctl.marine.world import Disc
 from tests.control.robot import CONTACTS, DT, EDGE, HULL, TRUTH, Robot, exact, parameters, senses
 from tests.tools import need_compiler

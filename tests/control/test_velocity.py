@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.marine.control.closing import velocity_control
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, Vehicle, load_vehicle, plant_parameters, trim_thrust
 
 Array = NDArray[np.float64]

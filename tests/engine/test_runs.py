@@ -21,7 +21,8 @@ from surctl.marine.control import LawStep, build_law, load_gains
 from surctl.marine.engine import BatchCase, EngineOptions, MujocoPhysics, mujoco_physics, simulate_seeds, write_mjcf
 from surctl.marine.engine.physics import simulate_with_steppers
 from surctl.marine.export import CompiledLaw, LinkedLaw, build_bundle
-from surctl.marine.simulation import LINK_LOST, Case, OwnPhysics, build_world, law_numbers, load_scenario, simulate
+from surctl.marine.simulation import Case, OwnPhysics, build_world, law_numbers, load_scenario, simulate
+from surctl.marine.simulation.metrics import LINK_LOST
 from surctl.marine.vehicle import plant_state
 from tests.engine.tools import STILL, library, load_vehicle, physics
 from tests.tools import need_compiler

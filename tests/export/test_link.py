@@ -27,7 +27,8 @@ from surctl.export.precision import Rounded
 from surctl.ir import Layout, Port, Real, compile_program
 from surctl.marine.control import Law, LawStep, build_law, load_gains
 from surctl.marine.export import LinkedLaw, LinkFaults, build_bundle, closed_form
-from surctl.marine.simulation import GONE, LATE, LINK_LOST, Run, law_numbers, load_scenario, simulate
+from surctl.marine.simulation import Run, law_numbers, load_scenario, simulate
+from surctl.marine.simulation.metrics import GONE, LATE, LINK_LOST
 from surctl.marine.vehicle import load_vehicle
 from tests.export import test_check
 from tests.export.altered import altered

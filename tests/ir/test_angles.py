@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surctl.ir import Program, lower, nearby_angles, replay
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 
 
 def stages() -> Program:

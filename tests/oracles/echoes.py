@@ -23,19 +23,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError
-from surctl.marine.sensing import (
-    Fault,
-    FaultChances,
-    FaultKind,
-    Reflector,
-    SonarArray,
-    Surfaces,
+from surctl.marine.sensing import Fault, FaultChances, Reflector, SonarArray, Surfaces
+from surctl.marine.sensing.sonar.faults import _SLACK, LONGEST_DELAY, FaultKind, _delay_firings, _fault_end
+from surctl.marine.sensing.sonar.returns import (
+    _CONSTANTS,
+    _LEVEL,
+    _P,
+    _ROUNDS,
+    ECHO_KEY,
     detection_odds,
     level_range,
     rim,
 )
-from surctl.marine.sensing.sonar.faults import _SLACK, LONGEST_DELAY, _delay_firings, _fault_end
-from surctl.marine.sensing.sonar.returns import _CONSTANTS, _LEVEL, _P, _ROUNDS, ECHO_KEY
 from surctl.marine.world import Box, Disc, Shape, Vector2, Wall
 from tests.oracles.rays import hit, nearest_in_cone, outlook
 

@@ -27,7 +27,8 @@ from surctl.marine.control import (
     default_law,
     law_source,
 )
-from surctl.marine.sensing import OwnState, SonarArray, echo_keys, echo_number
+from surctl.marine.sensing import OwnState, SonarArray
+from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
 from surctl.marine.simulation.loop import Stepper
 from surctl.marine.simulation.metrics import GONE, LINK_LOST, STANDSTILL, STOPPED_LIMIT
 from surctl.marine.simulation.numbers import law_numbers

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from surctl.errors import InputError
-from surctl.marine.sensing import Delivery, delayed_symbols
+from surctl.marine.sensing import Delivery
+from surctl.marine.sensing.localisation.base_station import delayed_symbols
 from tests.oracles.measurements import arrives, delayed
 
 DT = 0.05

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import SolidBox, SolidDisc, SolidWalls, SonarArray, beam_of, echo_range, echo_samples
+from surctl.marine.sensing import SonarArray
+from surctl.marine.sensing.sonar.echo import beam_of, echo_range, echo_samples
+from surctl.marine.sensing.sonar.solids import SolidBox, SolidDisc, SolidWalls
 from surctl.marine.world import Box, Disc, site_walls
 from tests.oracles.echoes import firing_samples, nearest_echo, true_range
 from tests.oracles.rays import nearest_in_cone

@@ -8,7 +8,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout
-from surctl.marine.sensing import ContactMemory, Contacts, SonarArray, expected_range, sonar_contacts
+from surctl.marine.sensing import SonarArray
+from surctl.marine.sensing.mapping.contacts import ContactMemory, Contacts, expected_range, sonar_contacts
 from surctl.marine.world import Disc, site_walls
 from tests.oracles.echoes import nearest_echo
 from tests.oracles.rays import nearest_in_cone

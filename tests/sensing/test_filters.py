@@ -10,7 +10,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout
-from surctl.marine.sensing import SensorFilter, SonarArray, gate, lms_step, weighted_average
+from surctl.marine.sensing import SensorFilter, SonarArray
+from surctl.marine.sensing.ranging.filters import gate, lms_step, weighted_average
 from surctl.marine.world import Wall
 from tests.oracles.echoes import fire
 

@@ -10,8 +10,10 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout, Port, lower
-from surctl.marine.sensing import BaseStation, Delivery, MoverTracker, mover_step
+from surctl.marine.sensing import BaseStation, Delivery
+from surctl.marine.sensing.localisation.movers import MoverTracker
 from tests.oracles import measurements
+from tests.oracles.movers import mover_step
 
 DT = 0.05
 

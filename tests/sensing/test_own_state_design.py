@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from surctl.marine.sensing.localisation.own_state import ahead, growth, steady_covariance, transition, white, yaw_gains
+from surctl.marine.sensing.localisation.own_state import growth, transition, white, yaw_gains
+from tests.oracles.steady_state import ahead, steady_covariance
 
 DT = 0.05
 

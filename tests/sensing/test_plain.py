@@ -8,7 +8,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.ir import Layout
-from surctl.marine.sensing import SensorFilter, SonarArray, gate, lms_step, weighted_average
+from surctl.marine.sensing import SensorFilter, SonarArray
+from surctl.marine.sensing.ranging.filters import gate, lms_step, weighted_average
 from tests.oracles.range_filters import plain_average, plain_filter, plain_gate, plain_lms_step
 
 ARRAY = SonarArray()

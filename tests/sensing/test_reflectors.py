@@ -11,21 +11,16 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.sensing import (
-    REFLECTORS,
-    Reflector,
-    SolidBox,
-    SolidDisc,
-    SolidWalls,
-    SonarArray,
-    Surfaces,
-    beam_of,
+from surctl.marine.sensing import REFLECTORS, Reflector, SonarArray, Surfaces
+from surctl.marine.sensing.sonar.echo import beam_of
+from surctl.marine.sensing.sonar.returns import (
     certain_range_symbols,
     echo_keys,
     firing_block_symbols,
     uniform_symbols,
     weak_range_symbols,
 )
+from surctl.marine.sensing.sonar.solids import SolidBox, SolidDisc, SolidWalls
 from surctl.marine.world import Box, Disc, site_walls
 from tests.conerays import nearest_in_space, shares, weak_probability
 from tests.oracles.echoes import certain_range, corner_points, echo_uniform, firing_block, nearest_facing, weak_range

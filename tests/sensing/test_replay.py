@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from surctl.ir import on_vectors
 from surctl.marine.sensing import (
     RangeTracker,
     Replay,
@@ -17,7 +18,9 @@ from surctl.marine.sensing import (
     track,
 )
 from surctl.marine.sensing import replay as replaying
+from surctl.marine.sensing.ranging.tracker import Ranging
 from tests.sensing.recording import ARRAY, recorded, truth, write
+from tests.sensing.test_ranging import compiled
 
 
 def run(tmp_path: Path, rows: list[str]) -> Replay:
@@ -27,17 +30,15 @@ def run(tmp_path: Path, rows: list[str]) -> Replay:
 def stepped(
     tracker: RangeTracker, samples: np.ndarray, fresh: np.ndarray, closing: np.ndarray, turn: np.ndarray
 ) -> Tracked:
-    """The tracker's numeric twin, one step after another."""
-    state, found = tracker.start(), []
-    n = tracker.array.size
-    expected = np.full(n, 2 * tracker.array.maximum)
+    """The tracker, one step after another."""
+    function, layout = compiled(tracker)
+    step, state, found = on_vectors(function), layout.pack(), []
+    expected = np.full(tracker.array.size, 2 * tracker.array.maximum)
     for k in range(len(samples)):
-        told = tracker.step(
-            state, samples[k], fresh=fresh[k], closing=closing[k], expected=expected, turn=np.asarray(turn[k])
-        )
-        state = told.state
-        age = np.where(told.age >= 1e6, np.nan, told.age)
-        found.append((told.reading, told.range, told.bound, told.healthy > 0.5, age, told.accepted > 0.5))
+        state, *told = step(state, samples[k], fresh[k], closing[k], expected, turn[k])
+        now = dict(zip(Ranging._fields[1:], told, strict=True))
+        age = np.where(now["age"] >= 1e6, np.nan, now["age"])
+        found.append((now["reading"], now["range"], now["bound"], now["healthy"] > 0.5, age, now["accepted"] > 0.5))
     reading, ranges, bound, healthy, age, accepted = (np.array(v) for v in zip(*found, strict=True))
     return Tracked(reading=reading, range=ranges, bound=bound, healthy=healthy, age=age, accepted=accepted)
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from surctl.marine.guidance import Follower, Path
-from surctl.marine.simulation import attitude_of
+from surctl.marine.simulation.run import attitude_of
 
 TIME = np.arange(0.0, 80.0, 0.05)
 LINE = Path(np.array([[0.0, 0.0], [20.0, 0.0]]))

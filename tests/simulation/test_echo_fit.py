@@ -13,8 +13,8 @@ import pytest
 from surctl.files import read_toml
 from surctl.marine.sensing import SonarArray
 from surctl.marine.simulation import Finding, findings, load_scenario
-from surctl.marine.simulation.echo_fit import echo_findings, silent_faces
-from surctl.marine.simulation.scenario import LIBRARY, scenario_from_table
+from surctl.marine.simulation.echo_fit import echo_findings, unheard_faces
+from surctl.marine.simulation.scenario import LIBRARY, Scenario, scenario_from_table
 from surctl.marine.vehicle import load_vehicle
 
 BASE = load_scenario("tank-static")
@@ -39,6 +39,10 @@ def test_only_surfaces_that_answer_near_their_normal_are_reported() -> None:
     assert "within 22.5° of their normal" in found[0].text
     # these boxes end 0.4 m from a side wall of the tank, less than 0.405 m, see the next test
     assert "hears OS1 -y, OS2 +y, OS3 -y: " in found[1].text
+
+
+def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str]:
+    return [f"{box.name} {side}" for box, side in unheard_faces(scenario, replace(array, hull_radius=hull))]
 
 
 @pytest.mark.parametrize("limit", [5.0, 22.5, 30.0])

@@ -20,8 +20,8 @@ from surctl.marine.simulation import (
     safety_claim,
     turn_rate,
 )
-from surctl.marine.simulation.margin import munk
 from surctl.marine.simulation.motion import closest
+from surctl.marine.simulation.safety import munk
 from surctl.marine.vehicle import load_vehicle
 
 SCENARIO = load_scenario("tank-static")

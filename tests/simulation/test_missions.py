@@ -15,12 +15,12 @@ from surctl.marine.simulation import (
     METRICS,
     Case,
     Scenario,
-    closed_loop_system,
     load_scenario,
+    mission_system,
     simulate,
     simulate_batch,
 )
-from surctl.marine.simulation.batch import build_loop
+from surctl.marine.simulation.batch.loop import build_loop
 from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.numbers import fed_ranges
 from surctl.marine.simulation.scenario import scenario_from_table
@@ -135,7 +135,7 @@ def test_in_casadis_machine() -> None:
 def test_what_has_no_window_says_so() -> None:
     scenario = replace(SITE, path=Path(loops(20, 0.1)), obstacles=())
     with pytest.raises(InputError, match=r"path_m: has more than 8 points.*; give at most 8 points, or use simulate"):
-        closed_loop_system(scenario, VEHICLE, gains=GAINS)
+        mission_system(scenario, VEHICLE, gains=GAINS)
 
 
 def test_points_too_close_for_the_window_are_refused_in_both_loops() -> None:

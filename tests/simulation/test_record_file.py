@@ -14,7 +14,8 @@ from scipy.io import loadmat, savemat
 from surctl.errors import InputError
 from surctl.files import file_name
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import RECORD_FORMATS, Run, load_scenario, record_columns, save_record, simulate
+from surctl.marine.simulation import Run, load_scenario, save_record, simulate
+from surctl.marine.simulation.record_file import RECORD_FORMATS, record_columns
 from surctl.marine.study.plan import write_missions
 from surctl.marine.vehicle import (
     FRAME_TEXT,

@@ -20,7 +20,7 @@ from surctl.marine.guidance.braking import (
     range_needed,
     stopping_distance_with_drag,
 )
-from surctl.marine.sensing import SurfaceModel
+from surctl.marine.sensing.equipment import SurfaceModel
 from surctl.marine.simulation import SafetyClaim, Scenario, findings, load_scenario, safety_claim
 from surctl.marine.simulation.echo_fit import detection_range, unanswered
 from surctl.marine.simulation.reflectors import Reflectors, ReflectorTable

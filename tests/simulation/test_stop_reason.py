@@ -13,7 +13,6 @@ from surctl.marine.control import load_gains
 from surctl.marine.sensing import Fault, FaultChances
 from surctl.marine.simulation import (
     METRICS,
-    STOPPED_LIMIT,
     STOPS,
     Case,
     Run,
@@ -23,7 +22,8 @@ from surctl.marine.simulation import (
     stop_reason,
     time_limit_reason,
 )
-from surctl.marine.simulation.batch import Structure, build_loop
+from surctl.marine.simulation.batch.loop import Structure, build_loop
+from surctl.marine.simulation.metrics import STOPPED_LIMIT
 from surctl.marine.simulation.sensors import Sensors
 from surctl.marine.vehicle import load_vehicle
 from tests.craft import mission

@@ -12,14 +12,16 @@ from surctl.system import (
     Controller,
     Plant,
     System,
-    controller_from_control,
     linearise,
-    plant_from_control,
     run_system,
-    system_from_control,
     to_control,
 )
-from surctl.system.from_control import state_space
+from surctl.system.from_control import (
+    controller_from_control,
+    plant_from_control,
+    state_space,
+    system_from_control,
+)
 
 PLANT = control.ss(
     [[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.5]], [[1.0, 0.0]], 0, inputs=["torque [N m]"], outputs=["angle [rad]"],

@@ -135,6 +135,19 @@ def test_a_monitor_with_memory_ends_a_run() -> None:
     assert simulate_system(system, 60.0).time[0] == pytest.approx(record.duration)
 
 
+def test_a_block_reads_the_time_of_its_samples() -> None:
+    step = lambda x, u, p, w: {"sampled_at": u["time"], "before": x["sampled_at"]}  # noqa: E731
+    outputs = Layout((Port("sampled_at", (1,), "s", "time of the sample"), Port("before", (1,), "s", "of that before")))
+    clock = Sampled("clock", Layout((Port("time", (1,), "s", "of the sample"),)), outputs, step, period=0.05)
+    costs = {name: Cost(lambda s, name=name: s.y[name], "final", "s") for name in ("sampled_at", "before")}
+    system = System(CART, LAW, costs={f"last_{name}": cost for name, cost in costs.items()}, sensors=(clock,))
+    record = run_system(system, 1.0)
+    assert record["sampled_at"][:, 0] == pytest.approx(record.time)
+    assert record["before"][1:, 0] == pytest.approx(record.time[1:] - 0.05)
+    runs = simulate_system(system, 1.0)
+    assert {name: runs[name][0] for name in record.figures} == pytest.approx(record.figures)
+
+
 def test_random_numbers_have_their_means_in_an_equilibrium() -> None:
     always = find_equilibrium(loop(camera(), message("radio", Layout((POSITION,)), loss=0.4)))
     assert always.x == pytest.approx([1.0, 0.0], abs=1e-9) and always.memory == pytest.approx([1.0, 1.0])

@@ -16,7 +16,6 @@ from surctl.marine.simulation import (
     METRICS,
     Case,
     Scenario,
-    advance,
     held_share,
     law_numbers,
     simulate,
@@ -24,6 +23,7 @@ from surctl.marine.simulation import (
     thruster_findings,
     thruster_use,
 )
+from surctl.marine.simulation.physics import advance
 from surctl.marine.simulation.scenario import Disturbance
 from surctl.marine.simulation.thruster_faults import Thrusters
 from surctl.marine.tuning import default_tuned

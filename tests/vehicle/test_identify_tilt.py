@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import (
     LOG_MOTION,
     LOG_THRUST,

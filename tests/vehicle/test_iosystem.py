@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_STATE,

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     PLANT_PARAMETERS,

@@ -11,8 +11,9 @@ from scipy.integrate import solve_ivp
 
 from surctl.errors import InputError
 from surctl.marine.control import load_gains
-from surctl.marine.simulation import Case, advance, load_scenario, simulate, simulate_batch
+from surctl.marine.simulation import Case, load_scenario, simulate, simulate_batch
 from surctl.marine.simulation.fit import tilt_findings
+from surctl.marine.simulation.physics import advance
 from surctl.marine.vehicle import (
     PLANT_DISTURBANCE,
     TERMS,

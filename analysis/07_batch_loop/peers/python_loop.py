@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 import tests.oracles.mission_loop as reference
-from surctl.marine.simulation import advance
+from surctl.marine.simulation.physics import advance
 
 __all__ = ["Step", "control_step", "flown_by", "matched", "scipy_step"]
 

@@ -13,7 +13,8 @@ import numpy as np
 from surctl.errors import InputError
 from surctl.files import opened
 from surctl.marine.bridge.bridge import Bridge, Moment
-from surctl.marine.simulation import Body, SceneFile, write_layout
+from surctl.marine.simulation import Body
+from surctl.marine.simulation.record_file import SceneFile, write_layout
 from surctl.marine.world import Disc
 from surctl.recorded_write import McapFile
 

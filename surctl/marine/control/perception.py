@@ -50,7 +50,8 @@ from surctl.marine.control.beams import (
     slotted,
 )
 from surctl.marine.control.ports import LAUNCHED, PARAMETERS, SECTORS, after_gap
-from surctl.marine.sensing import Equipment, LocalMap, MoverTracker, OwnStateFilter, RangeTracker
+from surctl.marine.sensing import Equipment, LocalMap, OwnStateFilter, RangeTracker
+from surctl.marine.sensing.localisation.movers import MoverTracker
 from surctl.marine.sensing.mapping.local_map import READING, RING
 from surctl.marine.vehicle import planar_rotation
 
@@ -342,7 +343,6 @@ class _Builder:
         return OwnStateFilter(
             dt=self.dt,
             latency=own.fixes.latency,
-            period=own.fixes.period,
             position_sd=max(own.position_sd, 1e-4),
             yaw_sd=max(own.yaw_sd, 1e-4),
             rate_sd=max(own.rate_sd, 1e-4),

@@ -27,12 +27,4 @@ __all__ = [
     "write_mjcf",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "physics": "BatchCase MujocoPhysics mujoco_physics simulate_seeds",
-        "fluid": "Body EngineOptions body_of fluid_program parse_plant",
-        "mjcf": "mjcf write_mjcf",
-        "pictures": "CAMERAS Moment Scene",
-    },
-)
+load_at_first_use(__name__)

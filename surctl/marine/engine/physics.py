@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from surctl.marine.control import Law
     from surctl.marine.sensing import SonarArray
     from surctl.marine.simulation import Body as Obstacle
-    from surctl.marine.simulation import Case, PhysicsMaker, Run, ThrusterFault, World
+    from surctl.marine.simulation import Case, Run, ThrusterFault, World
+    from surctl.marine.simulation.physics import PhysicsMaker
     from surctl.marine.vehicle import Vehicle
 
 __all__ = [
@@ -434,18 +435,8 @@ def simulate_with_steppers(
             yield replace(run, law=law), report
 
 
-def _build(batch_case: BatchCase) -> Any:
-    law: Callable[[], Any] = batch_case.case.build
-    if batch_case.fallback == "exact":
-        return law()
-    from surctl.marine.control import build_law
-
-    case = batch_case.case
-    return build_law(
-        case.law, avoidance=case.avoidance, mode=case.mode, sonar=case.sensing == "sonar", guidance=case.guidance,
-        equipment=case.scenario.sensors.on(case.vehicle["radius"]), barrier=case.barrier, movers=case.movers,
-        fallback=batch_case.fallback, depths=case.scenario.depths is not None, actuators=case.vehicle.actuators,
-    )  # fmt: skip
+def _build(batch_case: BatchCase) -> Law:
+    return batch_case.case.build(batch_case.fallback)
 
 
 def _begin(batch_case: BatchCase) -> None:

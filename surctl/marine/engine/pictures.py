@@ -22,7 +22,8 @@ from surctl.marine.engine.physics import AWAY, MujocoPhysics, quaternion
 
 if TYPE_CHECKING:
     from surctl.marine.sensing import SonarArray
-    from surctl.marine.simulation import Body, PhysicsMaker, Scenario, World
+    from surctl.marine.simulation import Body, Scenario, World
+    from surctl.marine.simulation.physics import PhysicsMaker
     from surctl.marine.vehicle import Vehicle
 
 __all__ = ["CAMERAS", "Moment", "Scene", "check_screen", "watched"]

@@ -40,7 +40,7 @@ from surctl.ir import (
 )
 from surctl.ir.procedure import Procedure
 from surctl.marine.control import NONFINITE, Law, LawStep, in_real
-from surctl.marine.simulation import GONE, LATE
+from surctl.marine.simulation.metrics import GONE, LATE
 from surctl.noise import NoiseStream
 
 __all__ = ["ClosedForm", "CompiledLaw", "LinkFaults", "LinkReport", "LinkedLaw", "closed_form"]

@@ -111,23 +111,4 @@ __all__ = [
     "write_page",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "animation": "check_animation check_film film_frames film_pictures moment_of save_animation save_film",
-        "evidence_sections": "runs_section",
-        "files": "plot_region save_calibrations save_heat_map save_locus save_margins save_parallel save_priority"
-        " save_regions save_run save_sonar_replay save_tuning save_verdicts",
-        "goals": (
-            "GoalBars GoalView goal_bars goal_view plot_front plot_goal_bars plot_goal_view plot_heat_map plot_parallel"
-        ),
-        "margin_plots": "LoopResponse loop_responses plot_bode plot_locus plot_nyquist plot_poles",
-        "page": "render_page write_page",
-        "paper_plots": "plot_coordinates plot_position_errors plot_series",
-        "plan_view": "plot_run",
-        "sections": "ExportSummary ReportData",
-        "signals": "plot_priority plot_run_signals",
-        "sonar_plots": "plot_calibration plot_replay_sensor plot_sonar_replay",
-        "vehicle_plots": "plot_attainable plot_prediction save_attainable save_prediction",
-    },
-)
+load_at_first_use(__name__)

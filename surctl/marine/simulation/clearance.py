@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from surctl.marine.control import Gains
 from surctl.marine.control.dead_end import SLACK
-from surctl.marine.simulation.finding import Finding
 from surctl.marine.simulation.obstacle import Obstacle
-from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle, floating_depth, missing_buoyancy
 

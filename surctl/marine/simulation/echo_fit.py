@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.control.beams import floor_range
-from surctl.marine.sensing import INCIDENCE_LIMITS, Reflector, SonarArray, Surfaces, level_range
-from surctl.marine.simulation.finding import Finding, escaped
+from surctl.marine.sensing import INCIDENCE_LIMITS, Reflector, SonarArray, Surfaces
+from surctl.marine.sensing.sonar.returns import level_range
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.reflectors import ECHOES
-from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.scenario import Finding, Scenario, escaped
 from surctl.marine.simulation.world import BAND
 from surctl.marine.vehicle import Vehicle
 
-__all__ = ["detection_range", "echo_findings", "silent_faces", "unanswered"]
+__all__ = ["detection_range", "echo_findings", "unanswered"]
 
 _NAMED = 4  # obstacles that a text names; others are counted
 _ANGLE = 1e-9  # [rad] rounding of an angle in degrees
@@ -304,21 +304,7 @@ def echo_findings(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> li
     return [*listed, *_level(scenario, array, surfaces), *_weak(vehicle, met)]
 
 
-def silent_faces(scenario: Scenario, hull: float, array: SonarArray) -> list[str]:
-    """Return the faces of still boxes, as NAME with the side (`OS1 -y`), that answer at no place where the hull fits.
-
-    Boxes that the sonars' fan does not meet at the depths of the path are left out.
-
-    Args:
-        scenario: the mission; obstacles are taken at their places at the start, without drift.
-        hull: hull radius [m].
-        array: the sonars; their `incidence_limit` is the largest angle [rad] from a face's normal at which it answers,
-            unless the scenario gives its surfaces reflectors.
-    """
-    return [f"{box.name} {side}" for box, side in _unheard_faces(scenario, replace(array, hull_radius=hull))]
-
-
-def _unheard_faces(scenario: Scenario, array: SonarArray) -> Iterator[tuple[_Surface, str]]:
+def unheard_faces(scenario: Scenario, array: SonarArray) -> Iterator[tuple[_Surface, str]]:
     for surface in _met(scenario, array):
         box, limit = surface.obstacle, surface.limit
         if box is None or not surface.box or limit is None:
@@ -409,7 +395,7 @@ def _silent(met: Sequence[_Surface]) -> Iterator[Finding]:
 
 
 def _unheard(scenario: Scenario, vehicle: Vehicle, array: SonarArray) -> Iterator[Finding]:
-    faces = [(box, side) for box, side in _unheard_faces(scenario, array) if not box.silent]
+    faces = [(box, side) for box, side in unheard_faces(scenario, array) if not box.silent]
     for mute in (False, True):
         chosen = [(box, side) for box, side in faces if (box.limit == 0) is mute]
         if chosen:

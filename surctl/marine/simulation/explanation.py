@@ -1,4 +1,4 @@
-"""Explain a run: which tasks the priority solver relaxed, and which constraint rows (n·v ≤ b) caused this."""
+"""Explain a run: why it ended, which tasks the priority solver relaxed, and which rows (n·v ≤ b) caused this."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surctl.marine.simulation.run import Run
+from surctl.errors import InputError
+from surctl.marine.control.dead_end import SEARCH_PORT
+from surctl.marine.simulation.fit import findings
+from surctl.marine.simulation.run import Run, depth_changes
 from surctl.priority import PriorityTimeline
+from surctl.system.controller import lost_entry
 
-__all__ = ["Explanation", "explain", "priority_timeline"]
+__all__ = ["Explanation", "explain", "priority_timeline", "stop_reason", "time_limit_reason"]
 
 
 def priority_timeline(run: Run) -> PriorityTimeline:
@@ -79,3 +83,132 @@ def explain(run: Run) -> list[Explanation]:
         if not explanations or (binding, relaxed) != (explanations[-1].binding, explanations[-1].relaxed):
             explanations.append(Explanation(float(record.time[k]), binding, relaxed, solution.explain()))
     return explanations
+
+
+_STILL = 0.2  # of the hull radius: a hull that stays within this distance rests (*chosen*)
+_LEAST = 20.0  # [s] shortest rest at the end of a run that is said (*chosen*)
+
+
+def stop_reason(run: Run) -> str:
+    """Return why a run ended as `standstill`, `dead end` or `fault`, in one sentence without a full stop.
+
+    The sentence names the information that the law lacked, or the position where it gave up and the time without
+    progress, or the number that is not finite.
+
+    Raises:
+        InputError: the run ended for another reason.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import Obstacle, stop_reason, load_scenario, simulate
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> wall = Obstacle(name="wall", shape="box", centre_m=(2.0, 1.0), size_m=(0.2, 2.0))
+        >>> mission = replace(load_scenario("pool-behind"), obstacles=(wall,))
+        >>> run = simulate(mission, load_vehicle("sur400"), gains=load_gains("default").with_values({"patience": 5.0}))
+        >>> print(f"{run.metrics.stopped_because}: {stop_reason(run)}")
+        dead end: no progress for 5 s, search ended at (1.65, 0.79) m after 28 s; reached 0.9 m of the 2.0 m path
+    """
+    law, record, why = run.law, run.record, run.metrics.stopped_because
+    if why == "dead end":
+        return _dead_end_reason(run)
+    if why == "fault":
+        name = (
+            lost_entry(law, record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
+            or "a number of the step"
+        )
+        return f"{name} is not finite at {record.time[-1]:.2f} s"
+    if why != "standstill" or law.perception is None:
+        raise InputError("ended neither at a standstill, in a dead end nor by a fault", key="run", value=why)
+    perceived = law.decision_inputs(record.law_state[-1], record.law_input[-1], record.parameters_at(-1))
+    silent = np.flatnonzero(run.telemetry("healthy")[-1] < 0.5).tolist()
+    if perceived[law.perception.outputs.slice("placed")][0] < 0.5:
+        return "the robot does not know its position" + (f"; {_named(silent)} judged faulty" if silent else "")
+    if len(silent) == law.outputs.port("healthy").size:
+        return f"all sonars are judged faulty ({', '.join(map(str, silent))})"
+    if not silent:
+        return "the water ahead stays unknown, although every sonar is judged healthy"
+    return f"the water ahead stays unknown; {_named(silent)} judged faulty"
+
+
+def time_limit_reason(run: Run) -> str:
+    """Return why a run may have ended at the time limit, without a full stop; empty if nothing is known.
+
+    The text says where the hull stayed at the end, or since when it moved without progress along the path, and what
+    `findings` reports as an error of the scenario.
+
+    Example:
+        >>> from dataclasses import replace
+        >>> from surctl.marine.control import load_gains
+        >>> from surctl.marine.simulation import load_scenario, simulate, time_limit_reason
+        >>> from surctl.marine.vehicle import load_vehicle
+        >>> hurried = replace(load_scenario("pool-static"), time_limit=5.0)
+        >>> run = simulate(hurried, load_vehicle("sur400"), gains=load_gains("default"))
+        >>> print(time_limit_reason(run))
+        the path is 2.61 m long and takes 17.4 s at the cruise speed of 0.15 m/s; the run ends at 5 s
+    """
+    place, time, vehicle = run.record.eta[:, :2], run.record.time, run.vehicle
+    away = np.flatnonzero(np.hypot(*(place - place[-1]).T) > _STILL * vehicle["radius"])
+    since = 0.0 if not away.size else float(time[away[-1] + 1])
+    said = []
+    if time[-1] - since >= _LEAST and not away.size:
+        said.append("the craft did not move")
+    elif time[-1] - since >= _LEAST:
+        left = float(np.hypot(*(run.scenario.target - place[-1])))
+        said.append(
+            f"it stays within {_STILL * vehicle['radius']:.1g} m of ({place[-1, 0]:.2f}, {place[-1, 1]:.2f}) m from "
+            f"{since:.0f} s on, {left:.2f} m from the end of the path"
+        )
+        if vehicle.fin_share(run.scenario.cruise) > 0.5:
+            said.append("its rudders or fins do not turn it at rest")
+    elif search := _search_reason(run):
+        said.append(search)
+    errors = [f for f in findings(run.scenario, vehicle, gains=run.gains) if f.level == "error"]
+    return "; ".join([*said, *(f.text for f in errors if run.sensing == "sonar" or not f.key.startswith("sonar"))])
+
+
+def _search_reason(run: Run) -> str:
+    # a law that detects dead ends and still looked for a way round; the loop of another program keeps its own state
+    law, record = run.law, run.record
+    if "furthest" not in law.state or run.scenario.path.fed:
+        return ""
+    furthest = record.law_state[: record.time.size, law.state.slice("furthest")].ravel()
+    since = float(record.time[int(np.argmax(furthest >= furthest[-1]))])
+    if not furthest[-1] > -1 or record.time[-1] - since < _LEAST:
+        return ""
+    limit = run.scenario.sensors.equipment.search_limit
+    limited = f", search_limit_s: {'none' if limit is None else f'{limit:g} s'}" if law.perception is not None else ""
+    return (
+        f"no progress along the path since {since:.0f} s, at {furthest[-1]:.1f} m of {run.scenario.path.length:.1f} m; "
+        f"until the end it searched for a way round (gain patience: {run.gains['patience']:g} s{limited})"
+    )
+
+
+def _dead_end_reason(run: Run) -> str:
+    law, record = run.law, run.record
+    first = int(np.argmax(run.telemetry("trapped").ravel() > 0.5))
+    x, y = record.eta[first, :2]
+    state = record.law_state[first]
+    furthest, stalled = (float(state[law.state.slice(name)][0]) for name in ("furthest", "stalled"))
+    along, limit = "", run.scenario.sensors.equipment.search_limit
+    if limit is not None and SEARCH_PORT.name in law.state:
+        searching = float(state[law.state.slice(SEARCH_PORT.name)][0])
+        if searching > limit - 2 * law.dt:  # the state is that before the step that gave up
+            along, stalled = " along the path", searching
+    if run.scenario.path.fed:  # the law measures along its window
+        follower = run.scenario.follower()
+        follower.track(record.eta[: first + 1, :2])
+        furthest = float(run.scenario.path.lengths[: follower.leg].sum()) + follower.along
+    length = run.scenario.path.length
+    tried = [f"{change.to_m:.2f}" for change in depth_changes(run) if not change.back]
+    depths = f"; depths tried besides the path's, z in m: {', '.join(tried)}" if tried else ""
+    return (
+        f"no progress{along} for {stalled:.0f} s, search ended at ({x:.2f}, {y:.2f}) m after "
+        f"{record.time[first]:.0f} s; reached {furthest:.1f} m of the {length:.1f} m path{depths}"
+    )
+
+
+def _named(sensors: list[int]) -> str:
+    if len(sensors) == 1:
+        return f"sonar {sensors[0]} is"
+    return f"sonars {', '.join(map(str, sensors[:-1]))} and {sensors[-1]} are"

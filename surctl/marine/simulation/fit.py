@@ -15,9 +15,8 @@ from surctl.marine.sensing import SonarArray
 from surctl.marine.sensing.mapping.local_map import MIDDLE, LocalMap
 from surctl.marine.simulation.clearance import clearance_findings
 from surctl.marine.simulation.echo_fit import detection_range, echo_findings
-from surctl.marine.simulation.finding import Finding
 from surctl.marine.simulation.motion import mission_findings, motion_findings, steering_findings
-from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, attainable, axis_ends, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_tilt

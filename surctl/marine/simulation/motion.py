@@ -13,9 +13,8 @@ from surctl.marine.control.ports import YAW_SHARE
 from surctl.marine.guidance import BEND
 from surctl.marine.guidance.braking import Watch, brakes_of, fastest_obstacle, range_needed, stopping_distance_with_drag
 from surctl.marine.simulation.clearance import tightest_gap
-from surctl.marine.simulation.finding import Finding
 from surctl.marine.simulation.obstacle import Obstacle
-from surctl.marine.simulation.scenario import Scenario
+from surctl.marine.simulation.scenario import Finding, Scenario
 from surctl.marine.vehicle import Vehicle
 from surctl.marine.vehicle.linearise import WITHIN_LAW, ahead_limit, command_range
 

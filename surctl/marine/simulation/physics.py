@@ -12,17 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.ir import on_vectors
-from surctl.marine.sensing import (
-    Reflector,
-    SolidBox,
-    SolidDisc,
-    SolidWalls,
-    SonarArray,
-    Surfaces,
-    beam_of,
-    certain_range_symbols,
-    echo_range,
-)
+from surctl.marine.sensing import Reflector, SonarArray, Surfaces
+from surctl.marine.sensing.sonar.echo import beam_of, echo_range
+from surctl.marine.sensing.sonar.returns import certain_range_symbols
+from surctl.marine.sensing.sonar.solids import SolidBox, SolidDisc, SolidWalls
 from surctl.marine.simulation.sensors import FIRING
 from surctl.marine.simulation.world import Body, World, beside
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PlantForm, Vehicle, build_plant, plant_parameters, plant_state
@@ -42,15 +35,6 @@ def advance(form: PlantForm = PAPER) -> ca.Function:
 
     Args:
         form: the optional terms of the vehicle's dynamics, `Vehicle.form`.
-
-    Example:
-        >>> from surctl.marine.simulation import advance
-        >>> from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, load_vehicle, plant_parameters
-        >>> boat, still = load_vehicle("sur400"), PLANT_DISTURBANCE.pack()
-        >>> x, p = PLANT_STATE.pack({"nu": [0.2, 0, 0, 0]}), plant_parameters(boat)
-        >>> after = advance(boat.form)(x, [0, 0, 0, 0], still, p)
-        >>> round(float(after[0]) * 1000, 2)  # mm after 25 ms
-        4.99
     """
     return _advance(form)
 

@@ -58,17 +58,6 @@ class SceneFile:
     Attributes:
         file: the MCAP file.
         scenario, vehicle: mission and vehicle.
-
-    Example:
-        >>> from pathlib import Path
-        >>> import numpy as np
-        >>> from surctl.recorded_write import McapFile
-        >>> from surctl.marine.simulation import SceneFile, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> with McapFile(Path("run.mcap")) as file:
-        ...     scene = SceneFile(file, load_scenario("pool-behind"), load_vehicle("sur400"))
-        ...     scene.text(0.0, "begins")
-        ...     scene.moment(0.0, eta=np.array([0.5, 1.0, -0.15, 0.0]), nu=np.zeros(4), tau=np.zeros(4), status=0)
     """
 
     def __init__(self, file: McapFile, scenario: Scenario, vehicle: Vehicle) -> None:
@@ -282,12 +271,6 @@ def write_layout(folder: Path, *, sonars: int = 0) -> Path:
 
     Raises:
         InputError: the folder cannot be written.
-
-    Example:
-        >>> from pathlib import Path
-        >>> from surctl.marine.simulation import write_layout
-        >>> write_layout(Path()).name
-        'foxglove-layout.json'
     """
     topics = {name: {"visible": True} for name in ("/pose", "/path", "/scene", *(f"/sonar/{k}" for k in range(sonars)))}
     lists = {
@@ -387,17 +370,6 @@ def record_columns(run: Run, *, frame: Frame | str = "enu") -> dict[str, NDArray
 
     Raises:
         InputError: the coordinate frame is unknown.
-
-    Example:
-        >>> from surctl.marine.control import build_law, load_gains
-        >>> from surctl.marine.simulation import load_scenario, record_columns, simulate
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> law, gains = build_law("closed_form"), load_gains("default")
-        >>> run = simulate(load_scenario("pool-behind"), load_vehicle("sur400"), gains=gains, law=law)
-        >>> list(record_columns(run))[:5]
-        ['t_s', 'x_m', 'y_m', 'z_m', 'psi_rad']
-        >>> [round(float(record_columns(run, frame=frame)["z_m"][-1]), 2) for frame in ("enu", "ned")]
-        [-0.15, 0.15]
     """
     r = run.record
     eta, nu, tau = r.eta, r.nu, r.tau

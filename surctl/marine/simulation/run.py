@@ -73,17 +73,6 @@ def attitude_of(follower: Follower, cruise: float, time: Array, eta: Array, nu: 
         time: (n,) time [s], evenly spaced.
         eta: (n, 4) position [m] and heading [rad] in the earth frame {E}.
         nu: (n, 4) body velocity [m/s, rad/s].
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.marine.guidance import Follower, Path
-        >>> from surctl.marine.simulation import attitude_of
-        >>> time = np.arange(0.0, 60.0, 0.05)
-        >>> eta = np.stack([0.15 * time, 0 * time, 0 * time, 0 * time + 0.2], axis=1)
-        >>> nu = np.tile([0.15 * np.cos(0.2), -0.15 * np.sin(0.2), 0.0, 0.0], (len(time), 1))
-        >>> attitude = attitude_of(Follower(Path([[0.0, 0.0], [9.0, 0.0]])), 0.15, time, eta, nu)
-        >>> round(attitude.crab_angle_deg, 1), round(attitude.heading_error_deg, 1), attitude.oscillates
-        (11.5, 11.5, False)
     """
     moving = np.hypot(nu[:, 0], nu[:, 1]) > MOVING * cruise
     swings, period, amplitude = _swing(time, nu[:, 1], cruise)

@@ -22,9 +22,9 @@ from surctl.marine.sensing import (
     OwnState,
     Reflector,
     SonarArray,
-    SurfaceModel,
     check_faults,
 )
+from surctl.marine.sensing.equipment import SurfaceModel
 from surctl.marine.simulation.reflectors import ECHOES
 
 __all__ = [

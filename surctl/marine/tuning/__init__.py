@@ -103,20 +103,4 @@ __all__ = [
     "with_floor",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "cegis": "Round Tuning tune",
-        "derived": "Derivation default_cruise derive_gains derived_gains gains_for has_tuned shared_gains",
-        "evaluation": "Condition Evaluation case_loop check_goals conditions corners evaluate figures "
-        "judged_goals scope",
-        "goals": "ASSESSED Goal goals_at goals_from_tables load_goals with_floor",
-        "measure": "build_cases check_column",
-        "montecarlo": "Counterexample MonteCarlo",
-        "outcome": "CHECKED Finals Miss advice check_finals goal_rows misses summary tuned_gains tuning_dict"
-        " value_text",
-        "pool": "GainRange Pool Request TUNED default_tuned gain_ranges",
-        "search": "search",
-        "sweep": "SweepTable SweptAxis load_sweep sweep",
-    },
-)
+load_at_first_use(__name__)

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from surctl.errors import InputError, nearest
 from surctl.files import load_model, pick
-from surctl.marine.simulation import METRICS, MetricSpec
+from surctl.marine.simulation import METRICS
+from surctl.marine.simulation.metrics import MetricSpec
 from surctl.marine.verification import LINEAR_METRICS, cruise_speeds, worst_place
 from surctl.tuning.goals import LIBRARY, GoalsFile, GoalTable, Plants, RunGoal, check_names
 from surctl.tuning.loop_goal_file import loop_goal

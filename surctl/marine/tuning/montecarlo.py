@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surctl.marine.simulation import Case
-from surctl.marine.simulation.campaign import draw_plant
+from surctl.marine.simulation.campaign.worlds import draw_plant
 from surctl.marine.tuning.evaluation import Condition, figures, merged, scope, varied
 from surctl.marine.tuning.goals import Goal
 from surctl.marine.tuning.pool import ClaimPoint, Pool, Request

@@ -126,25 +126,4 @@ __all__ = [
     "write_vehicle",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "thrusters": "Actuators Attainable DEFAULT_ORDER Fin Swivel Thruster attainable",
-        "dynamics": "PLANT_DISTURBANCE PLANT_PARAMETERS PLANT_STATE Plant build_plant check_equation_3 plant_layout"
-        " plant_parameters plant_state plant_thrust_limit steady_speed trim_thrust",
-        "motion_log": (
-            "FRAMES FRAME_TEXT Frame LOG_MOTION LOG_THRUST LOG_TILT MotionLog check_frame heading_velocity"
-            " in_sequence read_motion_log swap_body swap_pose"
-        ),
-        "gazebo": "gazebo_vehicle",
-        "geometry": "GRAVITY WATER floating_depth missing_buoyancy sphere",
-        "identification.identify": "HELD_OUT Identified held_out held_out_windows identify velocity_notes",
-        "identification.model": "CONSTANT_FORCE FITTED",
-        "identification.prediction": "Prediction predict predict_with",
-        "linearise": "linearise plant_jacobians plant_system",
-        "logs.read": "read_mapped_log read_recording topic_lines",
-        "parameters": "LIBRARY Parameter Vehicle load_vehicle write_vehicle",
-        "specs": "PARAMETERS TERMS ParameterSpec PlantForm parameter_spec",
-        "thruster_file": "axis_ends axis_limits",
-    },
-)
+load_at_first_use(__name__)

@@ -280,8 +280,8 @@ def plant_system(vehicle: Vehicle, *, current: ArrayLike = (0.0, 0.0, 0.0), unit
     `control.input_output_response` interpolates inputs between the given times, but the simulation of this toolkit
     holds inputs constant. `control.input_output_response` may also skip a short input. Therefore give times on both
     sides of a step of an input, and limit the step size with `solve_ivp_kwargs={"max_step": ...}`. With "rtol" and
-    "atol" of 1e-12, the computed motion agrees with the fixed-step simulation (`surctl.marine.simulation.advance`) to
-    1e-8 in SI units. `control.linearize` about trimmed motion gives the system that `linearise` returns.
+    "atol" of 1e-12, the computed motion agrees with the fixed-step simulation to 1e-8 in SI units. `control.linearize`
+    about trimmed motion gives the system that `linearise` returns.
 
     Args:
         vehicle: the vehicle; the system includes its thrust limits and thrust lag.

@@ -73,15 +73,4 @@ __all__ = [
     "worst_text",
 ]
 
-load_at_first_use(
-    __name__,
-    {
-        "avoidance_claims": "settling_intrusion",
-        "cruise_loop": "LINEAR_GAINS CruiseLoop closed_loop_poles cruise_loop loop_margins worst_margins",
-        "law_loop": "LawCorners LawLoop OperatingPoint law_corners law_loop steady_motion",
-        "library": "applicable_claims claims",
-        "linear_table": "LINEAR_METRICS LINEAR_PARAMETERS Locus linear_table sweep_locus",
-        "sonar_margins": "SonarMargins sonar_margins",
-        "speeds": "OverSpeeds check_held cruise_speeds over_speeds speeds_text worst_place worst_text",
-    },
-)
+load_at_first_use(__name__)

@@ -30,7 +30,8 @@ from surctl.marine.vehicle.specs import AXES
 from surctl.marine.verification.corners import corners
 from surctl.marine.verification.cruise_loop import COUPLED, FAR, NEUTRAL, in_loop, law_numbers
 from surctl.own_code import label
-from surctl.system import LinearLoop, LoopNames
+from surctl.system import LinearLoop
+from surctl.system.linear_loop import LoopNames
 from surctl.verification.loops import LoopMargins
 from surctl.verification.sampled_margins import SampledLoop, system_margins, worst_loop
 

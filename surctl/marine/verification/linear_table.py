@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surctl.errors import InputError, nearest
-from surctl.marine.simulation import MetricSpec
+from surctl.marine.simulation.metrics import MetricSpec
 from surctl.marine.vehicle import PARAMETERS, PLANT_PARAMETERS, TERMS, PlantForm, Vehicle, plant_parameters
 from surctl.marine.vehicle.dynamics import trim_function
 from surctl.marine.vehicle.linearise import can_hold

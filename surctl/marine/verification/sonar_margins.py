@@ -170,7 +170,7 @@ def sonar_loop(
     source = law_source(law.ref)
     noise = source.model_noise
     filt = OwnStateFilter(
-        dt=law.dt, latency=own.fixes.latency, period=own.fixes.period, position_sd=own.position_sd,
+        dt=law.dt, latency=own.fixes.latency, position_sd=own.position_sd,
         yaw_sd=own.yaw_sd, rate_sd=own.rate_sd, model_noise=noise,
         acceleration_noise=float(np.hypot(source.acceleration_noise, noise * manoeuvre)),
     )  # fmt: skip

@@ -7,7 +7,7 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.guidance.braking import Watch, brakes_of, range_needed, stopping_distance_with_drag
 from surctl.marine.simulation import Case, Obstacle, Reflectors, load_scenario
-from surctl.marine.simulation.campaign import assumptions
+from surctl.marine.simulation.campaign.summary import assumptions
 from surctl.marine.vehicle import load_vehicle
 
 SCENARIO = load_scenario("tank-static")

@@ -5,7 +5,8 @@ import pytest
 
 from surctl.errors import InputError
 from surctl.marine.simulation import METRICS, STOPS
-from surctl.marine.simulation.campaign import RunTable, run_campaign, summarise
+from surctl.marine.simulation.campaign.campaign import run_campaign
+from surctl.marine.simulation.campaign.summary import RunTable, summarise
 from tests.simulation.campaign.test_draws import plan
 
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.simulation.campaign import CampaignFolder, campaign, run_campaign
+from surctl.marine.simulation.campaign import campaign
+from surctl.marine.simulation.campaign.campaign import CampaignFolder, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 
 DRAWN = plan("tank-static", law="closed_form", seconds=0.5)

@@ -7,7 +7,7 @@ from math import inf
 import pytest
 
 from surctl.errors import InputError
-from surctl.marine.simulation.campaign import load_replay, run_campaign
+from surctl.marine.simulation.campaign.campaign import load_replay, run_campaign
 from tests.simulation.campaign.test_draws import GAINS, plan
 
 

@@ -12,7 +12,7 @@ from surctl.errors import InputError
 from surctl.marine.control import load_gains
 from surctl.marine.simulation import Case, build_world, findings
 from surctl.marine.simulation.batch.pack import structure_of
-from surctl.marine.simulation.campaign import RandomWorlds, random_world, world_template
+from surctl.marine.simulation.campaign.worlds import RandomWorlds, random_world, world_template
 from surctl.marine.simulation.scenario_table import scenario_table
 from surctl.marine.vehicle import load_vehicle
 

@@ -110,15 +110,7 @@ def whole_steps(key: str, time: float, *, dt: float) -> int:
 
 
 def delayed_symbols(ring: ca.SX, now: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the value (n, 1) from k steps ago, and the updated ring buffer (k, n) of the last k values, newest first.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import delayed_symbols
-        >>> ring, now = ca.SX.sym("ring", 2, 1), ca.SX.sym("now")
-        >>> delayed_symbols(ring, now)
-        (SX(ring_1), SX([now, ring_0]))
-    """
+    """Return the value (n, 1) from k steps ago, and the updated ring (k, n) of the last k values, newest first."""
     known = ca.vertcat(now.T, ring)
     return known[-1, :].T, known[:-1, :]
 

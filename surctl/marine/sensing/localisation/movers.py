@@ -1,7 +1,6 @@
 """A tracker that estimates the present positions of moving obstacles, with error bounds, from late or lost messages.
 
-The tracker builds CasADi expressions for the exported law; its state is an explicit input and output. The function
-`mover_step` computes the results of the tracker in NumPy.
+The tracker builds CasADi expressions for the exported law; its state is an explicit input and output.
 """
 
 from __future__ import annotations
@@ -9,30 +8,26 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from surctl.errors import InputError
 from surctl.ir import Port, each
 
-__all__ = ["MoverTracker", "Movers", "mover_step"]
-
-T = TypeVar("T")
+__all__ = ["MoverTracker", "Movers"]
 
 
-class Movers(NamedTuple, Generic[T]):
-    """The moving obstacles at a control step: SX expressions from `MoverTracker.update`, arrays from `mover_step`."""
+class Movers(NamedTuple):
+    """The moving obstacles at a control step, as SX expressions."""
 
-    state: dict[str, T]
+    state: dict[str, ca.SX]
     """Next state: value of each entry, by name."""
-    rows: T
+    rows: ca.SX
     """(slots, 6) present obstacles in {E}: x, y, radius [m], vx, vy [m/s], valid; zeros in an empty row."""
-    bound: T
+    bound: ca.SX
     """(slots,) bound on the error of each obstacle's centre [m]; 0 in an empty row."""
-    age: T
+    age: ca.SX
     """(slots,) time since the last measurement of each obstacle [s]; `forget + dt` in an empty row."""
 
 
@@ -99,9 +94,7 @@ class MoverTracker:
             ),
         )
 
-    def update(
-        self, state: Mapping[str, ca.SX], *, message: ca.SX, message_fresh: ca.SX, prefix: str = ""
-    ) -> Movers[ca.SX]:
+    def update(self, state: Mapping[str, ca.SX], *, message: ca.SX, message_fresh: ca.SX, prefix: str = "") -> Movers:
         """Return the moving obstacles after one control step.
 
         Args:
@@ -143,41 +136,3 @@ _AT_LEAST_ZERO = {
     "forget": "s",
     "sigmas": "a number",
 }
-
-
-def mover_step(
-    tracker: MoverTracker,
-    state: Mapping[str, NDArray[np.float64]],
-    *,
-    message: NDArray[np.float64],
-    message_fresh: float,
-    prefix: str = "",
-) -> Movers[NDArray[np.float64]]:
-    """Return the result of `MoverTracker.update` for NumPy arrays; the function changes no input.
-
-    Example:
-        >>> import numpy as np
-        >>> from surctl.ir import Layout
-        >>> from surctl.marine.sensing import MoverTracker, mover_step
-        >>> tracker = MoverTracker(dt=0.05, slots=1)
-        >>> layout = Layout(tracker.ports())
-        >>> drifting = np.array([[1.0, 0.5, 0.2, 0.1, 0.0, 1.0]])  # x, y, radius, vx, vy, valid
-        >>> movers = mover_step(tracker, layout.unpack(layout.pack()), message=drifting, message_fresh=1.0)
-        >>> movers.rows.round(3).tolist(), movers.bound.round(4).tolist()  # 0.1 s later
-        ([[1.01, 0.5, 0.2, 0.1, 0.0, 1.0]], [0.0335])
-    """
-    latest = np.array(state[f"{prefix}latest"], dtype=float)
-    age = np.array(state[f"{prefix}age"], dtype=float) + tracker.dt
-    received = np.asarray(message, dtype=float)
-    rows, bound = np.zeros((tracker.slots, 6)), np.zeros(tracker.slots)
-    for k in range(tracker.slots):
-        if message_fresh:
-            age[k] = tracker.latency if received[k, 5] else np.inf
-            latest[k] = received[k, :5] if received[k, 5] else latest[k]
-        age[k] = min(age[k], tracker.forget + tracker.dt)
-        if age[k] <= tracker.forget + 0.5 * tracker.dt:
-            x, y, radius, vx, vy = latest[k]
-            rows[k] = x + vx * age[k], y + vy * age[k], radius, vx, vy, 1.0
-            spread = tracker.position_sd + tracker.velocity_sd * age[k]
-            bound[k] = tracker.sigmas * spread + tracker.acceleration * age[k] ** 2 / 2
-    return Movers({f"{prefix}latest": latest, f"{prefix}age": age}, rows, bound, age.copy())

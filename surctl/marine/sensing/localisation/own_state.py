@@ -38,9 +38,7 @@ __all__ = [
     "UNKNOWN_SD",
     "OwnEstimate",
     "OwnStateFilter",
-    "ahead",
     "growth",
-    "steady_covariance",
     "transition",
     "white",
     "yaw_gains",
@@ -114,30 +112,6 @@ def growth(dt: float, *, acceleration_noise: float, disturbance_sd: float, distu
     return white(dt, acceleration_noise) + np.diag([0.0, 0.0, fresh])
 
 
-def ahead(step: Matrix, noise: Matrix, steps: int) -> tuple[Matrix, Matrix]:
-    """Return the transition matrix Φ and the process-noise covariance Q over a number `steps` of steps."""
-    whole, grown = np.eye(len(step)), np.zeros_like(step)
-    for _ in range(steps):
-        whole, grown = step @ whole, step @ grown @ step.T + noise
-    return whole, grown
-
-
-def steady_covariance(step: Matrix, noise: Matrix, *, fix_variance: float, every: int) -> Matrix:
-    """Return the steady covariance (3, 3) of the estimate just after a fix, with one fix per `every` steps.
-
-    The function iterates the Riccati recursion.
-    """
-    whole, grown = ahead(step, noise, every)
-    P = np.diag([fix_variance, 1.0, noise[2, 2] / (1.0 - step[2, 2] ** 2)])
-    for _ in range(_RECURSION_STEPS):
-        before = P
-        P = whole @ P @ whole.T + grown
-        P = P - np.outer(P[:, 0], P[0, :]) / (P[0, 0] + fix_variance)
-        if np.array_equal(P, before):  # no further step changes it
-            break
-    return P
-
-
 def yaw_gains(dt: float, *, yaw_sd: float, rate_sd: float, acceleration_noise: float) -> Matrix:
     """Return the steady Kalman gains (2, 2): rows for estimated, columns for measured yaw and yaw rate.
 
@@ -194,7 +168,6 @@ class OwnStateFilter:
     Attributes:
         dt: control period [s].
         latency: age of a fix when it arrives [s], a multiple of dt below `LONGEST_LATENCY`.
-        period: usual time between two fixes [s], a multiple of dt; only `steady_sd` depends on it.
         position_sd: standard deviation of each coordinate of a fix [m].
         yaw_sd: standard deviation of the measured yaw [rad].
         rate_sd: standard deviation of the measured yaw rate [rad/s].
@@ -212,7 +185,6 @@ class OwnStateFilter:
 
     dt: float
     latency: float = 0.1
-    period: float = 0.1
     position_sd: float = 0.01
     yaw_sd: float = 0.01
     rate_sd: float = 0.005
@@ -240,8 +212,6 @@ class OwnStateFilter:
                 f"must be less than {LONGEST_LATENCY:g} s", key="own_state.latency", value=self.latency, remedy="give s"
             )
         whole_steps("own_state.latency", self.latency, dt=self.dt)
-        if whole_steps("own_state.period", self.period, dt=self.dt) < 1:
-            raise InputError("is shorter than dt", key="own_state.period", value=self.period, remedy="give s")
 
     @property
     def late(self) -> int:
@@ -275,15 +245,6 @@ class OwnStateFilter:
     def start_variances(self) -> tuple[float, float, float]:
         """Variances of position, velocity and disturbance when the filter starts from a fix."""
         return self.position_sd**2, self.velocity_start_sd**2, self.disturbance_sd**2
-
-    @property
-    def steady_sd(self) -> tuple[float, float]:
-        """Steady standard deviations of position [m] and velocity [m/s] of a robot at rest, when a fix arrives."""
-        every = whole_steps("own_state.period", self.period, dt=self.dt)
-        P = steady_covariance(*self.step, fix_variance=self.position_sd**2, every=every)
-        whole, grown = ahead(*self.step, self.late)
-        now = whole @ P @ whole.T + grown
-        return float(np.sqrt(now[0, 0])), float(np.sqrt(now[1, 1]))
 
     @property
     def thrust_shares(self) -> tuple[float, float]:
@@ -446,7 +407,6 @@ class OwnStateFilter:
 
 _POSITIVE = {
     "dt": "s",
-    "period": "s",
     "position_sd": "m",
     "yaw_sd": "rad",
     "rate_sd": "rad/s",

@@ -56,15 +56,6 @@ def expected_range(
 
     Raises:
         InputError: if half_angle is out of range.
-
-    Example:
-        >>> import casadi as ca
-        >>> from math import radians
-        >>> from surctl.marine.sensing import expected_range
-        >>> tank, none = ca.SX([0.0, 3.0, 0.0, 2.0]), {"discs": ca.SX(0, 3), "valid": ca.SX(0, 1)}
-        >>> sonar = {"azimuth": 0.0, "hull_radius": 0.2, "half_angle": radians(15), "maximum": 4.5}
-        >>> ca.evalf(expected_range(ca.SX([1.0, 1.0]), ca.SX([1.0, 0.0]), walls=tank, **none, **sonar))
-        DM(1.8)
     """
     if not 0.0 < half_angle < pi / 2:
         raise InputError("must lie between 0 and pi/2", key="half_angle", value=half_angle, remedy="give radians")
@@ -127,15 +118,6 @@ def sonar_contacts(
         expected: (n,) expected ranges from `expected_range` [m].
         margin: a range above `maximum` − `margin` counts as no echo [m].
         tolerance: a range above `expected` − `tolerance` is explained by the known walls and obstacles [m].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import SonarArray, sonar_contacts
-        >>> ranges, walls = ca.SX([1.0, 0.8, 4.5, 0.8]), ca.SX([1.8, 0.8, 0.8, 0.8])  # measured; expected
-        >>> place = {"position": ca.SX([1.0, 1.0]), "heading": ca.SX([1.0, 0.0]), "hull_radius": 0.2}
-        >>> contacts = sonar_contacts(SonarArray(), ranges, expected=walls, **place)
-        >>> ca.evalf(contacts.valid), ca.evalf(contacts.points[0, :])
-        (DM([1, 0, 0, 0]), DM([[2.2, 1]]))
     """
     points = []
     for i, azimuth in enumerate(array.azimuths):

@@ -33,12 +33,6 @@ def weighted_average(samples: ca.SX) -> ca.SX:
 
     The paper says "weighted average" but does not give the weights. The weights 1, 2, …, k are a design choice; they
     rise linearly to the newest sample.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import weighted_average
-        >>> ca.evalf(weighted_average(ca.SX([1.0, 1.0, 1.0, 1.0, 1.3])))
-        DM(1.1)
     """
     k = samples.numel()
     weights = ca.DM(range(1, k + 1))
@@ -65,15 +59,6 @@ def gate(window: ca.SX, value: ca.SX, *, lambda1: ca.SX, resolution: float) -> t
 
     Returns:
         three results: gated value [m]; 1 if `value` was accepted, else 0; next window (n,) [m].
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import gate
-        >>> window, value = ca.DM([2.0, 2.02, 1.98, 2.0]), ca.SX.sym("value")
-        >>> used, accepted, _ = gate(ca.SX(window), value, lambda1=ca.SX(3.0), resolution=0.0176)
-        >>> f = ca.Function("gate", [value], [used, accepted])
-        >>> f(2.03), f(3.5)
-        ((DM(2.03), DM(1)), (DM(2), DM(0)))
     """
     n = window.numel()
     mean = ca.sum1(window) / n
@@ -136,15 +121,6 @@ def lms_step(
 
     Raises:
         InputError: if `step` is unknown.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import lms_step
-        >>> x, half = ca.SX([1.98, 2.0]), ca.SX([0.5, 0.5])  # range decreases by 2 cm per firing
-        >>> gains = {"relaxation": ca.SX(1.0), "beta_max": ca.SX(0.0)}
-        >>> step = lms_step(half, half, X=x, x_n=ca.SX(1.96), errors=ca.SX.zeros(4), mean_error=ca.SX(0.0), **gains)
-        >>> ca.evalf(step.residual), ca.evalf(ca.dot(step.theta, x))
-        (DM(-0.03), DM(1.96))
     """
     if step not in get_args(StepRule):
         raise InputError("unknown LMS step", key="step", value=step, remedy=nearest(step, get_args(StepRule)))

@@ -1,4 +1,4 @@
-"""The rules of `RangeTracker`, written once for CasADi symbols and NumPy numbers (`Elementwise`).
+"""The rules of `RangeTracker` as CasADi expressions.
 
 A track is the estimated range and rate of the nearest object of a sensor. In each step, the robot's own motion moves
 the track. If the new reading is plausible and agrees with the track, the reading updates the track. Otherwise the
@@ -9,11 +9,206 @@ with the track, the interval that shall contain the true range is wider.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from functools import reduce
+from typing import Any, NamedTuple, TypeAlias
 
-from surctl.marine.sensing.ranging.scene import Elementwise, Rules, Step, StepInputs, Value, opened, robust, sound
+import casadi as ca
 
-__all__ = ["range_step"]
+from surctl.marine.sensing.ranging.parameters import MOST_REPEATS, NEVER, TrackerParameters
+
+__all__ = ["StepInputs", "others", "range_step"]
+
+Value: TypeAlias = Any
+"""An SX of one sensor, or a column (n, 1) of n sensors; a float stands for n equal numbers."""
+
+
+def _both(*conditions: Value) -> Value:
+    return reduce(ca.logic_and, conditions)
+
+
+def _either(*conditions: Value) -> Value:
+    return reduce(ca.logic_or, conditions)
+
+
+def _least(*values: Value) -> Value:
+    return reduce(ca.fmin, values)
+
+
+def _most(*values: Value) -> Value:
+    return reduce(ca.fmax, values)
+
+
+_TURNING = 0.05  # rad/s; at a lower rate the beam counts as not turning
+_SLIDING = 0.04  # m per cycle, above the noise of an expected range
+_NOISE = 2.25e-3  # m²/s³, noise of the rate, for an obstacle that changes its speed by 0.15 m/s within a second
+_NOISE_TURNING = 0.4  # m²/s³, noise of the rate while turning: the nearest point slides along objects
+_VARIANCE = 0.09  # m², largest variance of the range
+
+
+class StepInputs(NamedTuple):
+    """The inputs of a tracker step."""
+
+    samples: list[Value]
+    fresh: Value
+    closing: Value
+    expected: Value
+    longest: Value
+    turn: Value
+    others: list[tuple[Value, Value, Value]]
+    """For each other sensor: rate of the estimated range [m/s], newest and previous reading [m]; see `others`."""
+
+
+class Scene(NamedTuple):
+    """Values that all rules use in a step: motion of the beam, and range that the known walls give, with tolerances."""
+
+    fired: Value
+    turning: Value
+    follow: Value  # the beam turns and the track is a known wall, so the track moves with the expected range
+    longest: Value  # range at which a known wall surely answers, not limited
+    ceiling: Value  # the same, limited to the maximum
+    wall: Value  # a known wall is within the maximum range
+    expected: Value  # expected range, limited to the maximum
+    tolerance: Value
+    unsure: Value  # error of the expected range due to the error of the heading [m]
+    slide: Value  # change of the expected range within a cycle while the beam turns [m]
+
+
+class Step(NamedTuple):
+    """A tracker step in progress; the rules, one after another, change `state`, which begins as a copy of `old`."""
+
+    tracker: TrackerParameters
+    old: Mapping[str, Value]
+    state: dict[str, Value]
+    inputs: StepInputs
+    scene: Scene
+
+
+def opened(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs) -> Step:
+    """Return the tracker step after the prediction of the state to the present, and before the use of the new reading.
+
+    Args:
+        tracker: the tracker, with the parameters of the tracker.
+        old: value of each entry of the previous state, by name without prefix; the value of an entry with several
+            columns is a list of columns.
+        inputs: inputs of the step.
+    """
+    scene = _scene(tracker, old, inputs)
+    return Step(tracker, old, _moved(tracker, old, inputs, scene), inputs, scene)
+
+
+def _scene(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs) -> Scene:
+    turning = ca.fabs(inputs.turn) > _TURNING
+    expected = _least(_most(inputs.expected, 0.0), tracker.array.maximum)
+    same = inputs.longest is inputs.expected
+    ceiling = expected if same else _least(_most(inputs.longest, 0.0), tracker.array.maximum)
+    cycle = round(tracker.due / tracker.dt)
+    before, earlier = (old["walls"][min(k * cycle, len(old["walls"])) - 1] for k in (1, 2))
+    slide = _most(ca.fabs(expected - before), ca.fabs(before - earlier), 0.5 * ca.fabs(expected - earlier))
+    slide = ca.if_else(turning, slide, 0.0)
+    unsure = tracker.yaw_tolerance * slide / (tracker.due * _most(ca.fabs(inputs.turn), _TURNING))
+    return Scene(
+        fired=inputs.fresh > 0.5,
+        turning=turning,
+        follow=_both(turning, slide > _SLIDING, old["explained"] > 0.5, old["known"] > 0.5),
+        longest=inputs.longest,
+        ceiling=ceiling,
+        wall=inputs.expected < tracker.array.maximum,
+        expected=expected,
+        tolerance=tracker.tolerance + 0.5 * slide + unsure,
+        unsure=unsure,
+        slide=slide,
+    )
+
+
+def _moved(tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs, scene: Scene) -> dict[str, Value]:
+    # without a new reading
+    dt, top = tracker.dt, tracker.array.maximum - 0.5 * tracker.array.resolution
+    state = dict(old)
+    own = -inputs.closing * dt
+    known = ca.if_else(scene.follow, scene.expected - old["walls"][0], ca.if_else(old["range"] >= top, 0.0, own))
+    coasting = _both(
+        ca.logic_not(scene.follow),
+        old["votes"] < 0.5,
+        old["rejected"] < 0.5,
+        old["since"] + dt <= tracker.due + 0.5 * dt,
+        old["late_by"] <= 0.0,
+    )
+    drift = ca.if_else(coasting, old["rate"] * dt, 0.0)
+    noise = ca.if_else(scene.turning, _NOISE_TURNING, _NOISE) * dt
+    p11, p12, p22 = old["var_range"], old["covariance"], old["var_rate"]
+    state["range"] = _least(_most(old["range"] + known + drift, 0.0), tracker.array.maximum)
+    # when a reading is overdue, the bound grows with the obstacle's largest speed instead
+    growing = old["age"] + dt <= tracker.due + 0.5 * dt
+    largest = ca.if_else(scene.turning, 16.0, 1.0) * tracker.rate_variance
+    ahead = _least(p11 + 2.0 * dt * p12 + dt * dt * p22 + noise * dt * dt / 3.0, _VARIANCE)
+    faster = _least(p22 + noise, largest)
+    # keeps the covariance matrix positive definite after its entries were limited
+    limit = 0.99 * ca.sqrt(_most(ahead * faster, 0.0))
+    covariance = _least(_most(p12 + dt * p22 + 0.5 * noise * dt, -limit), limit)
+    state["var_range"] = ca.if_else(growing, ahead, p11)
+    state["covariance"] = ca.if_else(growing, covariance, p12)
+    state["var_rate"] = ca.if_else(growing, faster, p22)
+    state["candidate"] = ca.if_else(old["candidate"] >= top, old["candidate"], _most(old["candidate"] + own, 0.0))
+    state["recent"] = [_most(value + own, 0.0) for value in old["recent"]]
+    state["since"] = _least(old["since"] + dt, NEVER)
+    state["age"] = _least(old["age"] + dt, NEVER)
+    state["turned"] = _least(old["turned"] + ca.fabs(inputs.turn) * dt, NEVER)
+    state["swung"] = _least(_most(old["swung"] + inputs.turn * dt, -NEVER), NEVER)
+    state["shifts"] = [-known, *(value - known for value in old["shifts"][:-1])]
+    state["walls"] = [scene.expected + 0.0 * own, *old["walls"][:-1]]
+    return state
+
+
+def others(
+    tracker: TrackerParameters, old: Mapping[str, Value], samples: list[Value], fresh: Value
+) -> list[tuple[Value, Value, Value]]:
+    """Return `StepInputs.others` for all sensors; the entries for sensor i describe sensors i + 1, i + 2, …"""
+    newest = ca.if_else(fresh > 0.5, robust(tracker, samples), old["reading"])
+
+    def turned(value: Value, k: int) -> Value:
+        return ca.vertcat(value[k:], value[:k])
+
+    rate, before = old["rate"], old["reading"]
+    return [(turned(rate, k), turned(newest, k), turned(before, k)) for k in range(1, tracker.array.size)]
+
+
+def robust(tracker: TrackerParameters, samples: list[Value]) -> Value:
+    """Return the mean [m] of a firing's samples without the smallest and the largest sample.
+
+    If all samples equal the maximum, the result is the maximum.
+    """
+    total = samples[0]
+    for value in samples[1:]:
+        total = total + value
+    count = len(samples)
+    if count >= 3:
+        total, count = total - _least(*samples) - _most(*samples), count - 2
+    nothing = _least(*samples) >= tracker.array.maximum - 0.5 * tracker.array.resolution
+    return ca.if_else(
+        nothing, tracker.array.maximum, _least(_most(total / count - tracker.array.bias, 0.0), tracker.array.maximum)
+    )
+
+
+def sound(step: Step, reading: Value) -> Value:
+    """Return whether the reading of this firing is plausible by itself, and count repetitions of the same samples."""
+    tracker, old, state, inputs, scene = step
+    code = tracker.array.resolution
+    differs = 0.0
+    for new, before in zip(inputs.samples, old["samples"], strict=True):
+        differs = differs + ca.fabs(new - before)
+    # at the ends of its range, a working sensor also repeats its samples
+    same = _both(differs < 0.25 * code, reading > tracker.array.minimum + code, reading < tracker.array.maximum - code)
+    count = (
+        ca.if_else(same, _least(old["repeated"] + 1.0, float(MOST_REPEATS)), 0.0) if tracker.repeats else 0.0 * reading
+    )
+    state["repeated"] = ca.if_else(scene.fired, count, old["repeated"])
+    return _both(
+        scene.fired,
+        state["repeated"] < (0.5 if tracker.one_repeat else tracker.stuck),
+        reading >= tracker.array.minimum - code,
+        reading <= inputs.longest + scene.tolerance,
+    )
+
 
 _SMALL, _TELLING, _TELLING_WALL = 0.025, 0.035, 0.05  # m, least shift that matters, and that can show a delay
 _TRACK_SPREAD, _WALL_SPREAD = 0.012, 0.02  # m, standard deviation of residuals from the old track and expected range
@@ -43,49 +238,49 @@ def _lateness(step: Step, sound: Value, reading: Value) -> _Late:
     difference of the reading from the known walls' range or from the track. The regression coefficient of the residuals
     on the shift is 0 for readings without delay and 1 for late readings.
     """
-    op, rules, old, state, _, scene = step
-    missing = op.floor(state["since"] / rules.due + 0.5) - 1.0
-    lost = missing * rules.due
-    gap = op.both(scene.fired, missing > 0.5, lost <= rules.longest_delay + 0.5 * rules.dt, state["known"] > 0.5)
-    late_by = op.where(gap, op.most(old["late_by"], lost), old["late_by"])
+    tracker, old, state, _, scene = step
+    missing = ca.floor(state["since"] / tracker.due + 0.5) - 1.0
+    lost = missing * tracker.due
+    gap = _both(scene.fired, missing > 0.5, lost <= tracker.longest_delay + 0.5 * tracker.dt, state["known"] > 0.5)
+    late_by = ca.if_else(gap, _most(old["late_by"], lost), old["late_by"])
     away, wall_then = 0.0 * late_by, scene.expected + 0.0 * late_by
     for k, (shift, wall) in enumerate(zip(state["shifts"], state["walls"][1:], strict=True)):
-        chosen = op.size(late_by - (k + 1) * rules.dt) < 0.5 * rules.dt
-        away, wall_then = op.where(chosen, shift, away), op.where(chosen, wall, wall_then)
-    late = op.both(old["late"] > 0.5, op.no(gap), op.size(away) > 0.4 * _SMALL)
-    suspected = op.both(late_by > 0.0, op.no(late))
-    distinct = op.size(wall_then - scene.expected) > _TELLING_WALL + scene.unsure
-    by_wall = op.both(scene.wall, wall_then < rules.maximum, distinct)
-    shift = op.where(by_wall, wall_then - scene.expected, away - old["absorbed"])
-    residual = reading - op.where(by_wall, scene.expected, state["range"])
-    spread = op.where(by_wall, _WALL_SPREAD + scene.unsure / 3.0, _TRACK_SPREAD)
-    telling = op.both(suspected, op.either(by_wall, op.both(op.size(shift) > _TELLING, op.no(scene.turning))))
-    gate = op.where(by_wall, _WALL_GATE + scene.unsure, _TRACK_GATE + 0.25 * op.size(shift))
-    fits = op.either(op.size(residual) <= gate, op.size(residual - shift) <= gate)
-    judging = op.both(sound, telling, fits, op.either(by_wall, state["votes"] < 0.5))
+        chosen = ca.fabs(late_by - (k + 1) * tracker.dt) < 0.5 * tracker.dt
+        away, wall_then = ca.if_else(chosen, shift, away), ca.if_else(chosen, wall, wall_then)
+    late = _both(old["late"] > 0.5, ca.logic_not(gap), ca.fabs(away) > 0.4 * _SMALL)
+    suspected = _both(late_by > 0.0, ca.logic_not(late))
+    distinct = ca.fabs(wall_then - scene.expected) > _TELLING_WALL + scene.unsure
+    by_wall = _both(scene.wall, wall_then < tracker.array.maximum, distinct)
+    shift = ca.if_else(by_wall, wall_then - scene.expected, away - old["absorbed"])
+    residual = reading - ca.if_else(by_wall, scene.expected, state["range"])
+    spread = ca.if_else(by_wall, _WALL_SPREAD + scene.unsure / 3.0, _TRACK_SPREAD)
+    telling = _both(suspected, _either(by_wall, _both(ca.fabs(shift) > _TELLING, ca.logic_not(scene.turning))))
+    gate = ca.if_else(by_wall, _WALL_GATE + scene.unsure, _TRACK_GATE + 0.25 * ca.fabs(shift))
+    fits = _either(ca.fabs(residual) <= gate, ca.fabs(residual - shift) <= gate)
+    judging = _both(sound, telling, fits, _either(by_wall, state["votes"] < 0.5))
     # an object lies in front of the wall
-    elsewhere = op.both(sound, telling, by_wall, op.no(fits))
+    elsewhere = _both(sound, telling, by_wall, ca.logic_not(fits))
     weight = 1.0 / (spread * spread)
-    cross = op.where(judging, _FORGET * old["cross"] + residual * shift * weight, old["cross"])
-    power = op.where(judging, _FORGET * old["power"] + shift * shift * weight, old["power"])
-    looks = op.where(judging, old["looks"] + 1.0, old["looks"])
-    decided = op.both(looks > op.where(by_wall, _LOOKS_WALL, _LOOKS) - 0.5, power >= _EVIDENCE)
-    true = op.both(decided, cross < 0.5 * power)
-    late = op.either(late, op.both(decided, cross >= 0.5 * power))
-    afresh = op.either(gap, decided, elsewhere)
-    state["cross"] = op.where(afresh, 0.0, cross)
-    state["power"] = op.where(afresh, 0.0, power)
-    state["looks"] = op.where(afresh, 0.0, looks)
-    state["late_by"] = op.where(true, 0.0, late_by)
-    state["late"] = op.where(late, 1.0, 0.0)
-    state["absorbed"] = op.where(op.either(true, late, late_by <= 0.0), 0.0, old["absorbed"])
-    suspected = op.both(suspected, op.no(true), op.no(late))
+    cross = ca.if_else(judging, _FORGET * old["cross"] + residual * shift * weight, old["cross"])
+    power = ca.if_else(judging, _FORGET * old["power"] + shift * shift * weight, old["power"])
+    looks = ca.if_else(judging, old["looks"] + 1.0, old["looks"])
+    decided = _both(looks > ca.if_else(by_wall, _LOOKS_WALL, _LOOKS) - 0.5, power >= _EVIDENCE)
+    true = _both(decided, cross < 0.5 * power)
+    late = _either(late, _both(decided, cross >= 0.5 * power))
+    afresh = _either(gap, decided, elsewhere)
+    state["cross"] = ca.if_else(afresh, 0.0, cross)
+    state["power"] = ca.if_else(afresh, 0.0, power)
+    state["looks"] = ca.if_else(afresh, 0.0, looks)
+    state["late_by"] = ca.if_else(true, 0.0, late_by)
+    state["late"] = ca.if_else(late, 1.0, 0.0)
+    state["absorbed"] = ca.if_else(_either(true, late, late_by <= 0.0), 0.0, old["absorbed"])
+    suspected = _both(suspected, ca.logic_not(true), ca.logic_not(late))
     return _Late(
         late_by=state["late_by"],
         late=late,
-        away=op.where(state["late_by"] > 0.0, away, 0.0),
-        undecided=op.both(suspected, op.size(away) > _SMALL),
-        judging=op.both(judging, op.no(true), op.no(by_wall)),
+        away=ca.if_else(state["late_by"] > 0.0, away, 0.0),
+        undecided=_both(suspected, ca.fabs(away) > _SMALL),
+        judging=_both(judging, ca.logic_not(true), ca.logic_not(by_wall)),
     )
 
 
@@ -117,21 +312,20 @@ class _Compared(NamedTuple):
 
 
 def range_step(
-    op: Elementwise, rules: Rules, old: Mapping[str, Value], inputs: StepInputs
+    tracker: TrackerParameters, old: Mapping[str, Value], inputs: StepInputs
 ) -> tuple[dict[str, Value], tuple[Value, ...]]:
     """Return the next state, and the outputs range, bound, rate, healthy, age, reading, accepted, carve.
 
     The class `Ranging` describes the outputs.
 
     Args:
-        op: operations on symbols or on numbers.
-        rules: parameters of the rules.
+        tracker: the tracker, with the parameters of the tracker.
         old: value of each entry of the previous state, by name without prefix; the value of an entry with several
             columns is a list of columns.
         inputs: inputs of the step.
     """
-    step = opened(op, rules, old, inputs)
-    reading = robust(op, rules, inputs.samples)
+    step = opened(tracker, old, inputs)
+    reading = robust(tracker, inputs.samples)
     fine = sound(step, reading)
     late = _lateness(step, fine, reading)
     believed = _believed(step, late, fine, reading)
@@ -140,195 +334,196 @@ def range_step(
 
 
 def _compared(step: Step, late: _Late, fine: Value, reading: Value) -> _Compared:
-    op, rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     x, known = state["range"], state["known"] > 0.5
-    corrected = op.where(late.late, op.least(op.most(reading - late.away, 0.0), rules.maximum), reading)
+    corrected = ca.if_else(late.late, _least(_most(reading - late.away, 0.0), tracker.array.maximum), reading)
     innovation = corrected - x
-    spread = op.root(op.most(state["var_range"], 0.0) + rules.sigma * rules.sigma)
-    widest = op.where(scene.turning, _GATE_TURNING, _GATE_MOST)
+    spread = ca.sqrt(_most(state["var_range"], 0.0) + tracker.sigma * tracker.sigma)
+    widest = ca.if_else(scene.turning, _GATE_TURNING, _GATE_MOST)
     # smaller than the distance to a second echo
-    gate = op.most(op.least(_GATE * spread, widest, 0.5 * x), _GATE_LEAST)
-    off = op.size(corrected - scene.expected)
-    agrees = op.both(scene.wall, off <= rules.tolerance + scene.unsure)
-    closely = op.both(scene.wall, off <= 0.5 * (rules.tolerance + scene.unsure))
-    agrees = op.where(state["distrust"] > 0.5, closely, agrees)
-    there = op.both(known, op.either(state["turned"] <= _STALE, op.both(agrees, state["distrust"] < 0.5)))
+    gate = _most(_least(_GATE * spread, widest, 0.5 * x), _GATE_LEAST)
+    off = ca.fabs(corrected - scene.expected)
+    agrees = _both(scene.wall, off <= tracker.tolerance + scene.unsure)
+    closely = _both(scene.wall, off <= 0.5 * (tracker.tolerance + scene.unsure))
+    agrees = ca.if_else(state["distrust"] > 0.5, closely, agrees)
+    there = _both(known, _either(state["turned"] <= _STALE, _both(agrees, state["distrust"] < 0.5)))
     # readings of a candidate that cross the track by chance do not update the track
-    crossing = op.both(state["votes"] > 0.5, op.size(corrected - state["candidate"]) <= _SAME)
+    crossing = _both(state["votes"] > 0.5, ca.fabs(corrected - state["candidate"]) <= _SAME)
     crosstalk = _crosstalk(step, corrected)
-    foreign = op.both(crosstalk, scene.turning, op.no(agrees))
-    within = op.size(innovation) <= op.where(late.judging, rules.maximum, gate)
-    near = op.both(fine, there, op.no(crossing), op.no(foreign), within)
+    foreign = _both(crosstalk, scene.turning, ca.logic_not(agrees))
+    within = ca.fabs(innovation) <= ca.if_else(late.judging, tracker.array.maximum, gate)
+    near = _both(fine, there, ca.logic_not(crossing), ca.logic_not(foreign), within)
     return _Compared(corrected, innovation, agrees, crosstalk, near)
 
 
 def _believed(step: Step, late: _Late, fine: Value, reading: Value) -> Value:
     """Update the track (the estimate) or the candidate by the reading; return whether the reading updated the track."""
-    op, rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     new = _compared(step, late, fine, reading)
     # a known wall enters the beam
-    honest = op.both(state["known"] > 0.5, op.no(new.crosstalk), state["distrust"] < 0.5)
-    entered = op.both(fine, honest, scene.turning, op.no(new.near), new.agrees, new.innovation < 0.0)
-    other = op.both(fine, op.no(new.near), op.no(entered))
-    anew = op.either(entered, _candidate(step, new, other))
+    honest = _both(state["known"] > 0.5, ca.logic_not(new.crosstalk), state["distrust"] < 0.5)
+    entered = _both(fine, honest, scene.turning, ca.logic_not(new.near), new.agrees, new.innovation < 0.0)
+    other = _both(fine, ca.logic_not(new.near), ca.logic_not(entered))
+    anew = _either(entered, _candidate(step, new, other))
     _filtered(step, late, new, anew)
-    believed = op.either(new.near, anew)
+    believed = _either(new.near, anew)
     # one repetition of a sample set is not yet a reason to reject the reading
-    fair = op.either(fine, op.both(state["repeated"] > 0.5, state["repeated"] < rules.stuck))
-    rejected = op.where(fair, state["rejected"], 1.0)
-    too_long = op.both(scene.fired, reading > scene.longest + scene.tolerance)
-    trusted = op.both(believed, op.either(new.agrees, op.both(new.near, state["turned"] <= _UNSEEN)))
-    state["distrust"] = op.where(too_long, 1.0, op.where(trusted, 0.0, state["distrust"]))
-    state["rejected"] = op.where(believed, 0.0, op.where(scene.fired, rejected, state["rejected"]))
-    state["known"] = op.where(believed, 1.0, state["known"])
-    state["explained"] = op.where(believed, op.where(new.agrees, 1.0, 0.0), state["explained"])
-    state["votes"] = op.where(believed, 0.0, state["votes"])
-    state["age"] = op.where(believed, 0.0, state["age"])
-    state["turned"] = op.where(believed, 0.0, state["turned"])
-    state["swung"] = op.where(believed, 0.0, state["swung"])
+    fair = _either(fine, _both(state["repeated"] > 0.5, state["repeated"] < tracker.stuck))
+    rejected = ca.if_else(fair, state["rejected"], 1.0)
+    too_long = _both(scene.fired, reading > scene.longest + scene.tolerance)
+    trusted = _both(believed, _either(new.agrees, _both(new.near, state["turned"] <= _UNSEEN)))
+    state["distrust"] = ca.if_else(too_long, 1.0, ca.if_else(trusted, 0.0, state["distrust"]))
+    state["rejected"] = ca.if_else(believed, 0.0, ca.if_else(scene.fired, rejected, state["rejected"]))
+    state["known"] = ca.if_else(believed, 1.0, state["known"])
+    state["explained"] = ca.if_else(believed, ca.if_else(new.agrees, 1.0, 0.0), state["explained"])
+    state["votes"] = ca.if_else(believed, 0.0, state["votes"])
+    state["age"] = ca.if_else(believed, 0.0, state["age"])
+    state["turned"] = ca.if_else(believed, 0.0, state["turned"])
+    state["swung"] = ca.if_else(believed, 0.0, state["swung"])
     return believed
 
 
 def _candidate(step: Step, new: _Compared, other: Value) -> Value:
     """Store a reading that is not near the track as a candidate; return whether the candidate becomes the track."""
-    op, rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     corrected, outward = new.corrected, new.innovation > 0.0
-    x, top = state["range"], rules.maximum - 2.0 * rules.resolution
-    same = op.where(scene.turning, _SAME_TURNING, _SAME)
-    goes_on = op.both(state["votes"] > 0.5, op.size(corrected - state["candidate"]) <= same)
-    twice = op.both(op.size(corrected - 2.0 * x) <= _TWICE, outward)
-    vanished = op.both(corrected >= top, outward)
+    x, top = state["range"], tracker.array.maximum - 2.0 * tracker.array.resolution
+    same = ca.if_else(scene.turning, _SAME_TURNING, _SAME)
+    goes_on = _both(state["votes"] > 0.5, ca.fabs(corrected - state["candidate"]) <= same)
+    twice = _both(ca.fabs(corrected - 2.0 * x) <= _TWICE, outward)
+    vanished = _both(corrected >= top, outward)
     # a suspicion lasts for many readings, because noise may split the readings of a fault into two groups
-    earlier = op.where(state["votes"] > 0.5, state["suspect"], 0.0)
-    earlier = op.where(goes_on, op.most(earlier - 1.0 / _CLEARING, 0.0), earlier)
-    suspicion = op.where(op.either(twice, vanished), 1.0, earlier)
+    earlier = ca.if_else(state["votes"] > 0.5, state["suspect"], 0.0)
+    earlier = ca.if_else(goes_on, _most(earlier - 1.0 / _CLEARING, 0.0), earlier)
+    suspicion = ca.if_else(_either(twice, vanished), 1.0, earlier)
     suspect = suspicion > 0.0
     # after such a turn, a narrow object has left the beam
-    passed = op.size(state["swung"]) > rules.beam
+    passed = ca.fabs(state["swung"]) > tracker.array.beam_angle
     # before a track exists, two sensors may have equal readings without crosstalk, for example in a corridor
-    foreign = op.both(new.crosstalk, state["known"] > 0.5)
-    strange = op.either(foreign, op.both(op.no(new.agrees), state["distrust"] > 0.5))
-    votes = op.where(op.both(goes_on, op.no(strange)), op.least(state["votes"] + 1.0, 9.0), 1.0)
-    excused = op.either(op.both(new.agrees, op.no(twice)), passed, state["age"] > rules.hold)
-    convincing = op.either(state["known"] < 0.5, op.no(suspect), op.no(outward), excused)
-    needed = op.where(state["distrust"] > 0.5, _VOTES_AFTER_FAULT, _VOTES)
-    won = op.both(other, votes > needed - 0.5, convincing)
-    candidate = op.where(goes_on, state["candidate"] + 0.5 * (corrected - state["candidate"]), corrected)
-    state["candidate"] = op.where(other, candidate, state["candidate"])
-    state["votes"] = op.where(other, votes, state["votes"])
-    state["suspect"] = op.where(other, suspicion, state["suspect"])
+    foreign = _both(new.crosstalk, state["known"] > 0.5)
+    strange = _either(foreign, _both(ca.logic_not(new.agrees), state["distrust"] > 0.5))
+    votes = ca.if_else(_both(goes_on, ca.logic_not(strange)), _least(state["votes"] + 1.0, 9.0), 1.0)
+    excused = _either(_both(new.agrees, ca.logic_not(twice)), passed, state["age"] > tracker.hold)
+    convincing = _either(state["known"] < 0.5, ca.logic_not(suspect), ca.logic_not(outward), excused)
+    needed = ca.if_else(state["distrust"] > 0.5, _VOTES_AFTER_FAULT, _VOTES)
+    won = _both(other, votes > needed - 0.5, convincing)
+    candidate = ca.if_else(goes_on, state["candidate"] + 0.5 * (corrected - state["candidate"]), corrected)
+    state["candidate"] = ca.if_else(other, candidate, state["candidate"])
+    state["votes"] = ca.if_else(other, votes, state["votes"])
+    state["suspect"] = ca.if_else(other, suspicion, state["suspect"])
     return won
 
 
 def _crosstalk(step: Step, corrected: Value) -> Value:
     # readings without an echo are not compared
-    op, rules = step.op, step.rules
-    match = op.size(corrected) < 0.0  # false everywhere
+    match = ca.fabs(corrected) < 0.0  # false everywhere
     for rate, newest, before in step.inputs.others:
-        tolerance = _CROSS + op.size(rate) * rules.due
+        tolerance = _CROSS + ca.fabs(rate) * step.tracker.due
         for theirs in (newest, before):
-            echo = theirs < rules.maximum - rules.resolution
-            match = op.either(match, op.both(echo, op.size(corrected - theirs) <= tolerance))
+            echo = theirs < step.tracker.array.maximum - step.tracker.array.resolution
+            match = _either(match, _both(echo, ca.fabs(corrected - theirs) <= tolerance))
     return match
 
 
 def _filtered(step: Step, late: _Late, new: _Compared, anew: Value) -> None:
     """Update the track by the Kalman filter if the reading is near the track; if `anew` holds, start a new track."""
-    op, rules, _, state, _, scene = step
+    tracker, _, state, _, scene = step
     corrected, crosstalk = new.corrected, new.crosstalk
     x, u = state["range"], state["rate"]
     p11, p12, p22 = state["var_range"], state["covariance"], state["var_rate"]
-    r = rules.sigma * rules.sigma
+    r = tracker.sigma * tracker.sigma
     total = p11 + r
     # a reading that may be late moves the track little, and one that equals another sensor's does not move the track
-    part = op.where(crosstalk, 0.0, op.where(late.undecided, _CAUTIOUS, 1.0))
-    steady = op.either(crosstalk, late.undecided, scene.follow)
-    k1, k2 = p11 / total, op.where(steady, 0.0, p12 / total)
+    part = ca.if_else(crosstalk, 0.0, ca.if_else(late.undecided, _CAUTIOUS, 1.0))
+    steady = _either(crosstalk, late.undecided, scene.follow)
+    k1, k2 = p11 / total, ca.if_else(steady, 0.0, p12 / total)
     innovation = part * (corrected - x)
-    usual = op.where(scene.turning, _SURPRISING_TURNING, _SURPRISING) * op.root(total)
-    surprise = op.most(_CALM * state["surprise"], op.size(corrected - x) - usual, 0.0)
+    usual = ca.if_else(scene.turning, _SURPRISING_TURNING, _SURPRISING) * ca.sqrt(total)
+    surprise = _most(_CALM * state["surprise"], ca.fabs(corrected - x) - usual, 0.0)
     # a reading near the track confirms the track only to within their difference
-    from_wall = op.where(new.agrees, op.size(corrected - scene.expected), 0.0)
-    shared = op.most(op.where(anew, 0.0, op.size(corrected - x)), from_wall)
-    surprise = op.where(crosstalk, op.most(surprise, shared), surprise)
-    surprise = op.where(late.undecided, state["surprise"], surprise)
+    from_wall = ca.if_else(new.agrees, ca.fabs(corrected - scene.expected), 0.0)
+    shared = _most(ca.if_else(anew, 0.0, ca.fabs(corrected - x)), from_wall)
+    surprise = ca.if_else(crosstalk, _most(surprise, shared), surprise)
+    surprise = ca.if_else(late.undecided, state["surprise"], surprise)
 
     def chosen(after: Value, start: Value, before: Value) -> Value:
-        return op.where(anew, start, op.where(new.near, after, before))
+        return ca.if_else(anew, start, ca.if_else(new.near, after, before))
 
-    state["range"] = chosen(op.least(op.most(x + k1 * innovation, 0.0), rules.maximum), corrected, x)
-    state["rate"] = chosen(op.where(steady, 0.0, u + k2 * innovation), 0.0, u)
+    state["range"] = chosen(_least(_most(x + k1 * innovation, 0.0), tracker.array.maximum), corrected, x)
+    state["rate"] = chosen(ca.if_else(steady, 0.0, u + k2 * innovation), 0.0, u)
     # Joseph form, which is valid for any gain
     state["var_range"] = chosen((1.0 - k1) * (1.0 - k1) * p11 + k1 * k1 * r, r, p11)
     state["covariance"] = chosen((1.0 - k1) * (p12 - k2 * p11) + k1 * k2 * r, 0.0, p12)
-    state["var_rate"] = chosen(p22 - 2.0 * k2 * p12 + k2 * k2 * total, rules.rate_variance, p22)
-    state["surprise"] = chosen(surprise, op.where(crosstalk, shared, 0.0), state["surprise"])
+    state["var_rate"] = chosen(p22 - 2.0 * k2 * p12 + k2 * k2 * total, tracker.rate_variance, p22)
+    state["surprise"] = chosen(surprise, ca.if_else(crosstalk, shared, 0.0), state["surprise"])
     absorbed = state["absorbed"] + part * k1 * (late.away - state["absorbed"])
-    suspected = op.both(late.late_by > 0.0, op.no(late.late))
-    state["absorbed"] = op.where(suspected, chosen(absorbed, late.away, state["absorbed"]), 0.0)
+    suspected = _both(late.late_by > 0.0, ca.logic_not(late.late))
+    state["absorbed"] = ca.if_else(suspected, chosen(absorbed, late.away, state["absorbed"]), 0.0)
 
 
 def _record(step: Step, reading: Value) -> None:
     # later steps compare their readings with the stored ones
-    op, _, old, state, inputs, scene = step
-    state["reading"] = op.where(scene.fired, reading, old["reading"])
-    state["since"] = op.where(scene.fired, 0.0, state["since"])
+    _, old, state, inputs, scene = step
+    state["reading"] = ca.if_else(scene.fired, reading, old["reading"])
+    state["since"] = ca.if_else(scene.fired, 0.0, state["since"])
     pairs = zip(inputs.samples, old["samples"], strict=True)
-    state["samples"] = [op.where(scene.fired, new, before) for new, before in pairs]
+    state["samples"] = [ca.if_else(scene.fired, new, before) for new, before in pairs]
     moved = state["recent"]
     state["recent"] = [
-        op.where(scene.fired, new, previous) for new, previous in zip([reading, *moved], moved, strict=False)
+        ca.if_else(scene.fired, new, previous) for new, previous in zip([reading, *moved], moved, strict=False)
     ]
 
 
 def _outputs(step: Step, late: _Late, believed: Value) -> tuple[Value, ...]:
     # range, bound, rate, healthy, age, reading, accepted, carve
-    op, rules, _, state, _, scene = step
-    x, far = state["range"], rules.maximum
-    overdue = state["since"] > rules.due + 0.5 * rules.dt
-    blind = op.both(scene.turning, late.late_by > rules.due + 0.5 * rules.dt)
-    away = op.size(late.away) + op.size(state["rate"]) * late.late_by
-    away = away + op.where(late.late_by > 0.0, scene.slide, 0.0)
-    healthy = op.both(
+    tracker, _, state, _, scene = step
+    x, far = state["range"], tracker.array.maximum
+    overdue = state["since"] > tracker.due + 0.5 * tracker.dt
+    blind = _both(scene.turning, late.late_by > tracker.due + 0.5 * tracker.dt)
+    away = ca.fabs(late.away) + ca.fabs(state["rate"]) * late.late_by
+    away = away + ca.if_else(late.late_by > 0.0, scene.slide, 0.0)
+    healthy = _both(
         state["known"] > 0.5,
-        op.no(overdue),
-        state["repeated"] < rules.stuck,
+        ca.logic_not(overdue),
+        state["repeated"] < tracker.stuck,
         state["votes"] < 0.5,
         state["rejected"] < 0.5,
-        op.no(late.late),
-        op.no(blind),
-        op.size(late.away) <= _BEARABLE,
+        ca.logic_not(late.late),
+        ca.logic_not(blind),
+        ca.fabs(late.away) <= _BEARABLE,
     )
-    half_width = _MARGIN + _DEVIATIONS * op.root(op.most(state["var_range"], 0.0)) + state["surprise"] + away
-    sliding = op.where(scene.follow, 0.03 + scene.unsure, 0.01 + op.size(state["rate"]) * rules.dt)
-    half_width = half_width + op.where(op.both(scene.turning, state["since"] > 0.0), sliding, 0.0)
-    by_wall = op.both(scene.turning, scene.wall, state["explained"] > 0.5)
-    half_width = half_width + op.where(by_wall, op.size(x - scene.expected), 0.0)
-    half_width = half_width + rules.obstacle_speed * op.most(state["age"] - rules.due, 0.0)
+    half_width = _MARGIN + _DEVIATIONS * ca.sqrt(_most(state["var_range"], 0.0)) + state["surprise"] + away
+    sliding = ca.if_else(scene.follow, 0.03 + scene.unsure, 0.01 + ca.fabs(state["rate"]) * tracker.dt)
+    half_width = half_width + ca.if_else(_both(scene.turning, state["since"] > 0.0), sliding, 0.0)
+    by_wall = _both(scene.turning, scene.wall, state["explained"] > 0.5)
+    half_width = half_width + ca.if_else(by_wall, ca.fabs(x - scene.expected), 0.0)
+    half_width = half_width + tracker.obstacle_speed * _most(state["age"] - tracker.due, 0.0)
     low, high = x - half_width, x + half_width
     # a known wall that the turning beam may have met since the last firing
-    meets = op.both(scene.turning, state["since"] > 0.0)
-    low = op.where(meets, op.least(low, scene.expected - 0.03 - scene.unsure), low)
+    meets = _both(scene.turning, state["since"] > 0.0)
+    low = ca.if_else(meets, _least(low, scene.expected - 0.03 - scene.unsure), low)
     contested = state["votes"] > 0.5
-    low = op.where(contested, op.least(low, state["candidate"] - _CANDIDATE), low)
-    high = op.where(contested, op.most(high, state["candidate"] + _CANDIDATE), high)
-    lost = op.both(op.no(healthy), op.either(state["turned"] > _UNSEEN, blind, op.both(scene.turning, late.late)))
-    anything = op.either(state["known"] < 0.5, lost)
-    at_minimum = state["reading"] <= rules.minimum + 1.5 * rules.resolution  # all ranges below give the same reading
-    low = op.where(op.either(anything, at_minimum), 0.0, op.most(low, 0.0))
-    ceiling = op.least(scene.ceiling + scene.tolerance, far)
-    high = op.least(op.where(anything, far, high), ceiling)
+    low = ca.if_else(contested, _least(low, state["candidate"] - _CANDIDATE), low)
+    high = ca.if_else(contested, _most(high, state["candidate"] + _CANDIDATE), high)
+    lost = _both(ca.logic_not(healthy), _either(state["turned"] > _UNSEEN, blind, _both(scene.turning, late.late)))
+    anything = _either(state["known"] < 0.5, lost)
+    at_minimum = (
+        state["reading"] <= tracker.array.minimum + 1.5 * tracker.array.resolution
+    )  # all ranges below give the same reading
+    low = ca.if_else(_either(anything, at_minimum), 0.0, _most(low, 0.0))
+    ceiling = _least(scene.ceiling + scene.tolerance, far)
+    high = _least(ca.if_else(anything, far, high), ceiling)
     # if the track lies beyond a known wall, the interval ends at the wall
-    low = op.where(low > ceiling, op.most(ceiling - 2.0 * scene.tolerance, 0.0), low)
-    accepted = op.both(believed, healthy)
-    nearest = op.least(*state["recent"])
+    low = ca.if_else(low > ceiling, _most(ceiling - 2.0 * scene.tolerance, 0.0), low)
+    accepted = _both(believed, healthy)
+    nearest = _least(*state["recent"])
     return (
         0.5 * (low + high),
         0.5 * (high - low),
         state["rate"] + 0.0,
-        op.where(healthy, 1.0, 0.0),
+        ca.if_else(healthy, 1.0, 0.0),
         state["age"] + 0.0,
         state["reading"] + 0.0,
-        op.where(accepted, 1.0, 0.0),
-        op.where(accepted, nearest, 0.0),
+        ca.if_else(accepted, 1.0, 0.0),
+        ca.if_else(accepted, nearest, 0.0),
     )

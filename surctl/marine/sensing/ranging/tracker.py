@@ -2,37 +2,28 @@
 
 The tracker takes a trimmed mean of the samples of each firing. For each sensor, a Kalman filter estimates range and
 rate (constant velocity; Bar-Shalom, Li and Kirubarajan 2001, 6.2), with the robot's own motion as a known input. This
-estimate is called the track. Additional rules distinguish faulty readings from true ones. The rules (module `rules`)
-are written once, for two uses: CasADi symbols for the exported law, and NumPy arrays for recorded readings and many
-runs at once.
+estimate is called the track. Additional rules (module `rules`) distinguish faulty readings from true ones.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
-from math import ceil, erf, isfinite, log, sqrt
+from math import ceil
 from typing import Any, NamedTuple
 
 import casadi as ca
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from surctl.errors import InputError
 from surctl.ir import Layout, Port, each
-from surctl.marine.sensing.ranging.rules import range_step
-from surctl.marine.sensing.ranging.scene import MOST_REPEATS, NUMBERS, SYMBOLS, Rules, StepInputs, others
-from surctl.marine.sensing.sonar.array import SonarArray
+from surctl.marine.sensing.ranging.parameters import NEVER, TrackerParameters
+from surctl.marine.sensing.ranging.rules import StepInputs, others, range_step
 
 __all__ = ["RangeTracker", "Ranging"]
 
-_NEVER = 1e6  # s, and rad: longer than any run
-_REPEAT = 0.01  # if a working sensor repeats a sample set more rarely than this, one repetition is suspicious
-
 
 class Ranging(NamedTuple):
-    """The result of a tracker step for n sensors: SX expressions from `RangeTracker.update`, arrays from `step`."""
+    """The result of a tracker step for n sensors, as SX expressions."""
 
     state: dict[str, Any]
     """Next state: value of each entry, by name."""
@@ -56,68 +47,14 @@ class Ranging(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RangeTracker:
+class RangeTracker(TrackerParameters):
     """The tracker of a sonar array: in each step, it returns range, error bound and health of every sensor.
 
     The bound on the range covers objects that the last firing could detect. If an object enters or leaves a turning
     beam between two firings, the bound covers this object only if the object is a known wall. A sensor that reads its
     maximum in open water cannot be distinguished from a sensor that receives no echoes (see
-    `analysis/10_sonar_filters`).
-
-    Attributes:
-        array: the sonar array.
-        dt: period of the steps [s].
-        obstacle_speed: largest speed of an obstacle [m/s]; the bound grows at this speed while readings are overdue.
-        tolerance: largest difference [m] between a reading and the range of a known wall at which the two agree; a
-            reading that exceeds the wall's range by more is a fault. `tolerance` covers noise and the error of the
-            robot's own position.
-        yaw_tolerance: error of the robot's own heading that the bound covers while the beam turns [rad].
-        longest_delay: longest delay of readings after a gap that the tracker considers [s].
-        hold: time [s] for which the tracker keeps an echo that vanished without explanation while the beam does not
-            turn (default: for ever, because a fault may never end).
+    `analysis/10_sonar_filters`). `TrackerParameters` describes its numbers.
     """
-
-    array: SonarArray = field(default_factory=SonarArray)
-    dt: float = 0.05
-    obstacle_speed: float = 0.25
-    tolerance: float = 0.1
-    yaw_tolerance: float = 0.03
-    longest_delay: float = 0.8
-    hold: float = _NEVER
-
-    def __post_init__(self) -> None:
-        """Check the values; raise an InputError that names an invalid value."""
-        for name, unit in (
-            ("dt", "s"),
-            ("tolerance", "m"),
-            ("yaw_tolerance", "rad"),
-            ("longest_delay", "s"),
-            ("hold", "s"),
-        ):
-            value = getattr(self, name)
-            if not (isfinite(value) and value > 0):
-                raise InputError("must be greater than 0", key=f"tracker.{name}", value=value, remedy=f"give {unit}")
-        if not (isfinite(self.obstacle_speed) and self.obstacle_speed >= 0):
-            raise InputError(
-                "must be at least 0", key="tracker.obstacle_speed", value=self.obstacle_speed, remedy="give m/s"
-            )
-
-    @property
-    def due(self) -> float:
-        """Time between two arrivals of a sensor's samples [s]: the array's cycle time, rounded up to whole steps."""
-        return self.dt * ceil(self.array.cycle / self.dt - 1e-9)
-
-    @property
-    def repeats(self) -> int:
-        """Number of repetitions of the same samples after which a sensor counts as stuck; 0 if the noise is too small.
-
-        Two successive firings of a working sensor give the same samples with a probability of at most p; the
-        probability is p if the range lies at the worst position between two conversion steps. The number r of
-        repetitions satisfies p^r < 1e-4.
-        """
-        chance = _chance_of_equal_sets(self.array)
-        needed = ceil(log(1e-4) / log(min(max(chance, 1e-12), 0.999)))
-        return needed if needed <= MOST_REPEATS else 0
 
     def ports(self, prefix: str = "") -> tuple[Port, ...]:
         """Return the entries (name, shape, initial value) of the state; initially, no sensor has an estimate."""
@@ -153,7 +90,7 @@ class RangeTracker:
         old = {p.name: state[prefix + p.name] for p in ports}
         wide = {p.name for p in ports if len(p.shape) == 2}  # ports that the rules take as lists of columns
         columns = {n: ca.horzsplit(v) if n in wide else v for n, v in old.items()}
-        beside = others(SYMBOLS, self.rules(), columns, [samples[:, j] for j in range(count)], fresh)
+        beside = others(self, columns, [samples[:, j] for j in range(count)], fresh)
 
         def sensor(before: ca.SX, values: ca.SX, around: ca.SX) -> tuple[ca.SX, ca.SX]:
             own = Layout(tuple(replace(p, shape=p.shape[1:] or (1,)) for p in ports)).split(before)
@@ -162,7 +99,7 @@ class RangeTracker:
             fired, own_motion, walls, *far = ca.vertsplit(values[count:])
             farthest = far[0] if far else walls
             inputs = StepInputs(ca.vertsplit(values[:count]), fired, own_motion, walls, farthest, turn, compared)
-            after, outputs = range_step(SYMBOLS, self.rules(), previous, inputs)
+            after, outputs = range_step(self, previous, inputs)
             flat = [ca.vec(ca.vertcat(*v)) if isinstance(v, list) else v for v in (after[p.name] for p in ports)]
             return _column(flat), _column(outputs)
 
@@ -179,62 +116,6 @@ class RangeTracker:
             new[prefix + port.name] = after[:, at : at + width]
             at += width
         return Ranging(new, *(readings[:, k] for k in range(readings.shape[1])))
-
-    def step(
-        self,
-        state: Mapping[str, NDArray[np.float64]],
-        samples: NDArray[np.float64],
-        *,
-        fresh: ArrayLike,
-        closing: ArrayLike,
-        expected: ArrayLike,
-        turn: ArrayLike,
-        longest: ArrayLike | None = None,
-        prefix: str = "",
-    ) -> Ranging:
-        """Return the ranges after one step, as arrays with any leading axes (runs).
-
-        Args:
-            state: value of each entry, by name, as an array (..., *port.shape); `start` returns the initial state.
-            samples: (..., n, k) raw samples [m].
-            fresh: (..., n) 1 for a sensor whose samples arrived since the last step, else 0.
-            closing: (..., n) the robot's velocity along each beam's axis [m/s]; 0 if this velocity is unknown.
-            expected: (..., n) range [m] at which the known walls give an echo; 2·maximum without a known wall.
-            turn: (...) yaw rate of the robot [rad/s].
-            longest: (..., n) see `update`.
-            prefix: prefix of the names of the state's entries.
-        """
-        old = {
-            port.name.removeprefix(prefix): (
-                [state[port.name][..., j] for j in range(port.shape[1])] if len(port.shape) == 2 else state[port.name]
-            )
-            for port in self.ports(prefix)
-        }
-        columns = [samples[..., j] for j in range(self.array.samples)]
-        far = expected if longest is None else longest
-        fired, own, walls, farthest, beside = (
-            np.asarray(v, dtype=float) for v in (fresh, closing, expected, far, turn)
-        )
-        compared = others(NUMBERS, self.rules(), old, columns, fired)
-        after, outputs = range_step(
-            NUMBERS, self.rules(), old, StepInputs(columns, fired, own, walls, farthest, beside[..., None], compared)
-        )
-        lead = samples.shape[:-1]
-        new = {
-            prefix + name: np.stack([_filled(c, lead) for c in v], axis=-1)
-            if isinstance(v, list)
-            else _filled(v, lead).astype(float)
-            for name, v in after.items()
-        }
-        return Ranging(new, *(_filled(v, lead).astype(float) for v in outputs))
-
-    def start(self, runs: tuple[int, ...] = (), *, prefix: str = "") -> dict[str, NDArray[np.float64]]:
-        """Return the initial state for `step`: the value of each entry, by name, as an array (*runs, *port.shape)."""
-        return {port.name: np.full((*runs, *port.shape), port.default) for port in self.ports(prefix)}
-
-    def rules(self) -> Rules:
-        """Return the parameters of the tracker's rules."""
-        return _rules(self)
 
     @property
     def _delays(self) -> int:
@@ -260,9 +141,9 @@ def _ports(tracker: RangeTracker, prefix: str) -> tuple[Port, ...]:
         port("explained", "1", "1 while the track agrees with the expected range"),
         port("rejected", "1", "1 while the last reading is rejected as a fault"),
         port("distrust", "1", "1 after a reading beyond a known wall, until the readings are reliable again"),
-        port("since", "s", "time since the last arrival", _NEVER),
-        port("age", "s", "time since a reading last updated the track", _NEVER),
-        port("turned", "rad", "sum of the beam's turns since a reading last updated the track", _NEVER),
+        port("since", "s", "time since the last arrival", NEVER),
+        port("age", "s", "time since a reading last updated the track", NEVER),
+        port("turned", "rad", "sum of the beam's turns since a reading last updated the track", NEVER),
         port("swung", "rad", "signed turn of the beam since a reading last updated the track"),
         port("candidate", "m", "range of a candidate for another track", far),
         port("votes", "1", "number of consecutive readings that agree with the candidate"),
@@ -282,50 +163,6 @@ def _ports(tracker: RangeTracker, prefix: str) -> tuple[Port, ...]:
     )
 
 
-@cache
-def _rules(tracker: RangeTracker) -> Rules:
-    a = tracker.array
-    spread = sqrt(a.noise_sd**2 + a.resolution**2 / 12.0)
-    # noise much smaller than a conversion step does not dither it: a mean of equal codes keeps the rounding error
-    sigma = max(1.1 * spread / sqrt(a.samples), a.resolution / sqrt(12.0))
-    return Rules(
-        dt=tracker.dt,
-        due=tracker.due,
-        minimum=a.minimum,
-        maximum=a.maximum,
-        resolution=a.resolution,
-        bias=a.bias,
-        sigma=sigma,
-        beam=a.beam_angle,
-        sensors=a.size,
-        obstacle_speed=tracker.obstacle_speed,
-        tolerance=tracker.tolerance,
-        yaw_tolerance=tracker.yaw_tolerance,
-        longest_delay=tracker.longest_delay,
-        hold=tracker.hold,
-        repeats=tracker.repeats,
-        one_repeat=tracker.repeats > 0 and _chance_of_equal_sets(a) < _REPEAT,
-    )
-
-
 def _column(parts: Iterable[Any]) -> ca.SX:
     whole: ca.SX = ca.vertcat(*parts)
     return whole
-
-
-def _filled(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    # most values have the shape already, and `broadcast_to` takes ten times as long as this look
-    return value if getattr(value, "shape", ()) == shape and shape else np.broadcast_to(value, shape)
-
-
-@cache
-def _chance_of_equal_sets(array: SonarArray) -> float:
-    # at the same range
-    if array.noise_sd == 0.0:
-        return 1.0
-    largest = 0.0
-    for offset in np.linspace(0.0, 0.5, 11):
-        edges = (np.arange(-400, 402) - 0.5 - offset) * array.resolution / (array.noise_sd * sqrt(2.0))
-        below = np.array([0.5 * (1.0 + erf(edge)) for edge in edges])
-        largest = max(largest, float(np.sum(np.diff(below) ** 2)))
-    return largest**array.samples

@@ -54,13 +54,6 @@ def beam_of(
 
     Raises:
         InputError: if `sensors` is empty or contains an index that the array does not have.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import SonarArray, beam_of
-        >>> beam = beam_of(SonarArray(), [0, 2], 1, position=ca.SX([1.0, 1.0]), heading=ca.SX(0.0))
-        >>> ca.evalf(beam.apex), ca.evalf(beam.cones[0].axis).full().round(6).tolist()  # sensor 2 looks astern
-        (DM([0.73, 1]), [[-1.0], [0.0]])
     """
     if not sensors or not all(0 <= i < array.size for i in sensors):
         raise InputError("no such sensor", key="sensors", value=sensors, remedy=f"give some of 0 to {array.size - 1}")
@@ -83,17 +76,7 @@ def beam_of(
 
 
 def echo_range(array: SonarArray, beam: Beam, solids: Sequence[Solid]) -> ca.SX:
-    """Return the distance [m] from the apex to the nearest reflecting point, at most 2·maximum.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import SolidDisc, SonarArray, beam_of, echo_range
-        >>> x, array = ca.SX.sym("x"), SonarArray()
-        >>> beam = beam_of(array, [0], 0, position=ca.SX([1.0, 1.0]), heading=ca.SX(0.0))
-        >>> distance = ca.Function("range", [x], [echo_range(array, beam, [SolidDisc(ca.vertcat(x, 1.0), ca.SX(0.2))])])
-        >>> distance(3.0), distance(0.0)  # disc ahead of the robot, then behind it
-        (DM(1.53), DM(9))
-    """
+    """Return the distance [m] from the apex to the nearest reflecting point, at most 2·maximum."""
     nothing = 2.0 * array.maximum
     nearest = ca.SX(nothing)
     if array.incidence_limit is None:
@@ -134,14 +117,6 @@ def echo_samples(array: SonarArray, distance: ca.SX, *, noise: ca.SX) -> ca.SX:
         array: the sonar array.
         distance: true range [m]; above the maximum if there is no echo.
         noise: (samples, 1) standard normal numbers.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import SonarArray, echo_samples
-        >>> array, distance = SonarArray(), ca.SX.sym("distance")
-        >>> f = ca.Function("samples", [distance], [echo_samples(array, distance, noise=ca.SX.zeros(5))[0]])
-        >>> f(0.05), f(1.53), f(9.0)
-        (DM(0.194118), DM(1.53529), DM(4.5))
     """
     reading = array.scale * distance + array.bias + array.noise_sd * noise
     reading = ca.fmin(ca.fmax(reading, array.lowest), array.maximum)

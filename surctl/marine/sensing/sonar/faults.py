@@ -178,12 +178,6 @@ def fault_slots(array: SonarArray, faults: Sequence[Fault], count: int) -> NDArr
 
     Raises:
         InputError: if there are more than `count` faults, or a fault is impossible for the array.
-
-    Example:
-        >>> from surctl.marine.sensing import Fault, SonarArray, fault_slots
-        >>> fault = Fault(sensor=1, kind="dropout", start_s=2.0, duration_s=0.5)
-        >>> fault_slots(SonarArray(), [fault], 2).tolist()  # kind, sensor, start, end, delay
-        [[1.0, 1.0, 2.0, 2.5, 0.0], [0.0, 0.0, 0.0, 0.0, 0.0]]
     """
     if len(faults) > count:
         raise InputError(
@@ -202,11 +196,6 @@ def fault_ports(array: SonarArray, *, delays: bool, prefix: str = "") -> tuple[P
 
     The state consists of the samples that arrived last from each sensor and, with `delays`, of earlier samples. Each
     row of the earlier samples holds the samples of the last `LONGEST_DELAY` firings of one sensor, newest firing first.
-
-    Example:
-        >>> from surctl.marine.sensing import SonarArray, fault_ports
-        >>> [(port.name, port.shape) for port in fault_ports(SonarArray(), delays=True)]  # 5 samples of 8 firings
-        [('last', (4, 5)), ('history', (4, 40))]
     """
     n, samples, far = array.size, array.samples, array.maximum
     last = Port(f"{prefix}last", (n, samples), "m", "samples that arrived last from each sonar", far)
@@ -245,21 +234,6 @@ def faulty_samples(
             spike.
         delays: whether the state holds the samples of earlier firings; if not, no scheduled fault may be a delay.
         prefix: prefix of the names of the state's entries.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.ir import Layout
-        >>> from surctl.marine.sensing import Fault, SonarArray, fault_ports, fault_slots, faulty_samples
-        >>> array, time = SonarArray(samples=1), ca.SX.sym("time")
-        >>> layout = Layout(fault_ports(array, delays=False))
-        >>> slots = ca.SX(fault_slots(array, [Fault(sensor=0, kind="zero", start_s=1.0)], 1))
-        >>> random = {"noise": ca.SX(0.0), "chances": ca.SX.zeros(6), "uniforms": ca.SX([0.5, 0.5])}
-        >>> flat, state = layout.symbols()
-        >>> one = {"distance": ca.SX(1.0), "slots": slots, "delays": False}
-        >>> arrival = faulty_samples(array, state, ca.SX(0), time=time, **one, **random)
-        >>> samples = ca.Function("samples", [flat, time], [arrival.samples])
-        >>> samples(layout.pack(), 0.5), samples(layout.pack(), 1.5)
-        (DM(1.00588), DM(0))
     """
     own = echo_samples(array, distance, noise=noise)
     last = state[f"{prefix}last"]

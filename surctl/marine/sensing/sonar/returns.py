@@ -178,14 +178,6 @@ def detection_odds(
         half_range: range [m] on the axis at which P = 1/2, for a cylinder with a radius of 0.1 m or for an edge.
         tangent: tangent of half the opening angle of the beam.
         radius: radius of the cylinder [m]; None for an edge.
-
-    Example:
-        >>> from math import cos, radians, tan
-        >>> from surctl.marine.sensing import detection_odds
-        >>> half = radians(37.5)
-        >>> beam = {"half_range": 0.6, "tangent": tan(half)}
-        >>> [round(1 / detection_odds(0.6, cos(angle), **beam), 3) for angle in (0.0, half)]  # on the axis, at the edge
-        [0.5, 0.059]
     """
     ratio = distance * (1.0 / half_range)
     square = ratio * ratio
@@ -210,13 +202,6 @@ def level_range(array: SonarArray, reflector: Reflector, *, side: int, gap: floa
     """Return the range [m] of the return of the water surface (`side` 1) or floor (−1) that is `gap` [m] away.
 
     The result is None if it does not answer in the beam.
-
-    Example:
-        >>> from surctl.marine.sensing import REFLECTORS, SonarArray, level_range
-        >>> rough = {"reflector": REFLECTORS["diffuse"], "side": 1, "gap": 0.15}
-        >>> level_range(SonarArray(pitch=-0.32), **rough)  # 20° and steeper answers
-        >>> round(level_range(SonarArray(), **rough), 3)
-        0.246
     """
     rise, _ = rim(array, 1.0, side=side)
     return gap / rise if rise >= max(reflector.faced(curved=False), _LEVEL) else None
@@ -229,12 +214,6 @@ def rim(array: SonarArray, cosine: Any, *, side: int) -> tuple[Any, Any]:
         array: the sonar array.
         cosine: cosine of the bearing from the beam's axis, a number or a CasADi symbol.
         side: 1 for upwards, −1 for downwards; elevations count in this direction.
-
-    Example:
-        >>> from math import asin, cos, degrees, radians
-        >>> from surctl.marine.sensing import SonarArray, rim
-        >>> [round(degrees(asin(rim(SonarArray(), cos(radians(aside)), side=1)[0])), 1) for aside in (0, 30, 37.5)]
-        [37.5, 23.6, 0.0]
     """
     pitch = side * array.pitch
     up, half = sin(pitch), cos(0.5 * array.beam_angle)
@@ -253,11 +232,6 @@ def echo_number(name: str) -> int:
     """Return the number of the first weak echo of an obstacle, from its name.
 
     So an obstacle has the same random numbers whatever other obstacles the scenario has.
-
-    Example:
-        >>> from surctl.marine.sensing import echo_number
-        >>> echo_number("OS1"), echo_number("OS2")
-        (3962120, 1651680)
     """
     return 4 * (crc32(name.encode()) % _NAMES)  # a box has four edges
 
@@ -284,19 +258,6 @@ def certain_range_symbols(
         walls: the walls of the site.
         z: z of the robot [m].
         surfaces: reflectors of walls, water surface and floor, and the depth of the water.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import REFLECTORS, SolidWalls, SonarArray, Surfaces
-        >>> from surctl.marine.sensing import beam_of, certain_range_symbols
-        >>> array, rough, z = SonarArray(), REFLECTORS["diffuse"], ca.SX.sym("z")
-        >>> beam = beam_of(array, [0], 0, position=ca.SX([1.0, 1.0]), heading=ca.SX(0.0))
-        >>> around = Surfaces((), (rough,) * 4, surface=rough, floor=rough, depth=5.0)
-        >>> walls = SolidWalls(ca.SX([0.0, 10.0, 0.0, 5.0]))
-        >>> found = certain_range_symbols(array, beam, [], walls, z=z, surfaces=around)
-        >>> distance = ca.Function("distance", [z], [found])
-        >>> distance(-0.15), distance(-2.0)
-        (DM(0.246402), DM(1.64268))
     """
     nothing = 2.0 * array.maximum
     solids: list[Solid] = [*(solid for solid, _ in bodies), walls]
@@ -346,21 +307,6 @@ def weak_range_symbols(
     """Return the distance [m] to the nearest detected edge, cylinder or corner of the site, at most 2·maximum.
 
     `bodies` are the obstacles with the numbers of their first echoes (`echo_number`).
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import (
-        ...     REFLECTORS, SolidDisc, SolidWalls, SonarArray, Surfaces, beam_of, weak_range_symbols
-        ... )
-        >>> array, smooth, u = SonarArray(), REFLECTORS["specular"], ca.SX.sym("u")
-        >>> wall = REFLECTORS["webots"]
-        >>> beam = beam_of(array, [0], 0, position=ca.SX([1.0, 1.0]), heading=ca.SX(0.0))
-        >>> around = Surfaces((smooth,), (wall,) * 4, surface=smooth, floor=smooth, depth=5.0)
-        >>> pipe, walls = SolidDisc(ca.SX([3.0, 1.0]), ca.SX(0.05)), SolidWalls(ca.SX([0, 10, 0, 5]))
-        >>> drawn = {"surfaces": around, "uniform": lambda echo: u}
-        >>> distance = weak_range_symbols(array, beam, [(ca.SX(0), pipe, smooth)], walls, **drawn)
-        >>> [round(float(ca.Function("distance", [u], [distance])(chance)), 2) for chance in (0.9, 0.99)]
-        [1.68, 9.0]
     """
     nothing, tangent = 2.0 * array.maximum, tan(array.half_angle)
     solids = [solid for _, solid, _ in bodies]
@@ -416,13 +362,7 @@ _CONSTANTS = (14159265, 35897932, 38462643, 38327950, 28841971, 69399375 % _P, 1
 
 
 def echo_keys(seeds: ArrayLike) -> NDArray[np.float64]:
-    """Return the key of each seed, (n, `ECHO_KEY`) whole numbers.
-
-    Example:
-        >>> from surctl.marine.sensing import echo_keys
-        >>> echo_keys([0, 1]).shape
-        (2, 6)
-    """
+    """Return the key of each seed, (n, `ECHO_KEY`) whole numbers."""
     return np.asarray(noise_states(seeds) % _P, dtype=float)
 
 
@@ -433,13 +373,6 @@ def firing_block_symbols(key: ca.SX, instant: ca.SX, sensor: ca.SX) -> ca.SX:
         key: (`ECHO_KEY`,) key of the run.
         instant: number of the firing instant, 0 to 6e7.
         sensor: index of the sensor that fires.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import echo_keys, firing_block_symbols
-        >>> key = ca.SX(echo_keys([7])[0])
-        >>> float(ca.evalf(firing_block_symbols(key, ca.SX(40), ca.SX(1)))) < 2**26
-        True
     """
     return _mixed_symbols(_mixed_symbols(instant, key, 0) + sensor, key, 1)
 
@@ -451,14 +384,6 @@ def uniform_symbols(key: ca.SX, block: ca.SX, echo: ca.SX | int) -> ca.SX:
         key: (`ECHO_KEY`,) key of the run.
         block: state of the firing, from `firing_block_symbols`.
         echo: number of the echo, 0 to 2^22.
-
-    Example:
-        >>> import casadi as ca
-        >>> from surctl.marine.sensing import echo_keys, firing_block_symbols, uniform_symbols
-        >>> key = ca.SX(echo_keys([7])[0])
-        >>> block = firing_block_symbols(key, ca.SX(40), ca.SX(1))
-        >>> [round(float(ca.evalf(uniform_symbols(key, block, echo))), 4) for echo in (0, 1)]
-        [0.1932, 0.2188]
     """
     return (_mixed_symbols(block + echo, key, 2) + 0.5) / float(_P)
 

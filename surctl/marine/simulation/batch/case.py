@@ -64,8 +64,16 @@ class Case:
         """Name of the simulation setup: scenario, vehicle and sensing."""
         return f"{self.scenario.name}/{self.vehicle.name}/{self.sensing}"
 
-    def build(self) -> Law:
-        """Build the law of the simulation setup."""
+    @property
+    def options(self) -> dict[str, str]:
+        """Options of the law, and the kind of sensing, by their names in files of results."""
+        return {
+            "avoidance": self.avoidance, "guidance": self.guidance, "priority_mode": self.mode,
+            "barrier": self.barrier, "movers": self.movers, "sensing": self.sensing,
+        }  # fmt: skip
+
+    def build(self, fallback: str = "exact") -> Law:
+        """Build the law of the simulation setup, with a `fallback` as for `build_law`."""
         sonar = self.sensing == "sonar"
         return build_law(
             self.law,
@@ -77,6 +85,7 @@ class Case:
             barrier=self.barrier,
             movers=self.movers,
             depths=self.scenario.depths is not None,
+            fallback=fallback,
             actuators=self.vehicle.actuators,
         )
 
@@ -252,18 +261,7 @@ def check_values(case: Case, values: Mapping[str, Vector]) -> None:
 
 
 def check_speeds(case: Case, values: Mapping[str, Vector]) -> None:
-    """Raise InputError if the cruise speed is above the speed cap, the largest speed that the law may command.
-
-    Example:
-        >>> from surctl.marine.control import load_gains
-        >>> from surctl.marine.simulation import Case, check_speeds, load_scenario
-        >>> from surctl.marine.vehicle import load_vehicle
-        >>> case = Case(load_scenario("pool-behind"), load_vehicle("sur400"), load_gains("default"))
-        >>> check_speeds(case, {"scenario.cruise": [0.1, 0.3]})
-        Traceback (most recent call last):
-            ...
-        surctl.errors.InputError: scenario.cruise = 0.3: is above scenario.cap; lower it
-    """
+    """Raise InputError if the cruise speed is above the speed cap, the largest speed that the law may command."""
     at = {name: values.get(f"scenario.{name}", getattr(case.scenario, name)) for name in ("cruise", "cap")}
     if np.any(np.greater(at["cruise"], at["cap"])):
         raise InputError(

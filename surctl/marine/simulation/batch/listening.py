@@ -12,24 +12,18 @@ from surctl.ir import Layout, Port
 from surctl.marine.control import CONTACT_SLOTS, Law
 from surctl.marine.control.closing import thrust_bounds
 from surctl.marine.guidance import PASSED
-from surctl.marine.sensing import (
+from surctl.marine.sensing import BaseStation, FaultChances
+from surctl.marine.sensing.localisation.base_station import delayed_symbols
+from surctl.marine.sensing.sonar.echo import Beam, beam_of, echo_range, echo_samples
+from surctl.marine.sensing.sonar.faults import SLOT, fault_ports, faulty_samples
+from surctl.marine.sensing.sonar.returns import (
     ECHO_KEY,
-    SLOT,
-    BaseStation,
-    Beam,
-    FaultChances,
-    SolidWalls,
-    beam_of,
     certain_range_symbols,
-    delayed_symbols,
-    echo_range,
-    echo_samples,
-    fault_ports,
-    faulty_samples,
     firing_block_symbols,
     uniform_symbols,
     weak_range_symbols,
 )
+from surctl.marine.sensing.sonar.solids import SolidWalls
 from surctl.marine.simulation.batch.structure import Body, Structure
 from surctl.marine.simulation.metrics import AT_LIMIT, MOVING, NEAR_TARGET, SIGN, TUBE
 from surctl.marine.simulation.sensors import FIRING, FiringPlan, firing_plan

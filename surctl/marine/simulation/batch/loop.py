@@ -37,7 +37,16 @@ from surctl.marine.simulation.world import LONGEST
 from surctl.marine.vehicle import PLANT_DISTURBANCE, PLANT_STATE, plant_layout, plant_state
 from surctl.noise import NOISE_STATE
 
-__all__ = ["Loop", "Structure", "build_loop"]
+__all__ = [
+    "Loop",
+    "Structure",
+    "build_loop",
+    "clearances",
+    "free_column",
+    "obstacle_points",
+    "pushed",
+    "with_walls",
+]
 
 _HEADING = PLANT_STATE.slice("eta").start + 3
 _FINITE = 1e300
@@ -219,10 +228,7 @@ class _Builder:
             out |= {name: ca.SX(0) for name in ("noise_next", "normals", "uniforms", "echoes")}
             near = self._beside(parameters, bodies, eta)
             if "contacts" in self.law.inputs:
-                slot_count = self.law.inputs.port("contacts").shape[0]
-                inputs["contacts"] = slots(
-                    [b.contact(eta[:2]) for b in near], [b.clearance(eta[:2]) for b in near], slot_count
-                )
+                inputs["contacts"] = obstacle_points(near, eta, self.law.inputs.port("contacts").shape[0])
         if "contacts" in inputs:
             rows = inputs["contacts"]
             inputs["contacts"] = ca.vertcat(
@@ -231,12 +237,12 @@ class _Builder:
         if WORKING in self.law.inputs:
             inputs[WORKING] = parameters[WORKING]
         if "column" in self.law.inputs:
-            inputs["column"] = _column(bodies, parameters, eta) if self.structure.depths else ca.SX.zeros(2)
+            inputs["column"] = free_column(bodies, parameters, eta) if self.structure.depths else ca.SX.zeros(2)
         out["u"] = self.law.inputs.join(inputs)
         out["plant"], out["plant_p"] = state["plant"], parameters["plant"]
-        out["d0"], out["d1"] = self._disturbance(parameters, time), self._disturbance(parameters, time + FIRING)
+        out["d0"], out["d1"] = (PLANT_DISTURBANCE.join(pushed(parameters, at)) for at in (time, time + FIRING))
         out["step"] = step
-        out["clearance"] = _clearances(bodies, parameters, eta[:3])
+        out["clearance"] = clearances(bodies, parameters, eta[:3])
         out["late"] = ca.vertcat(ca.SX(0, 1), *(flat(out.pop(port.name)) for port in self._late if port.name in out))
         return lower_named("sense", {"s": s, "w": w, **echo}, out)
 
@@ -270,7 +276,7 @@ class _Builder:
             audible = self._beside(parameters, bodies, plant)
             after, fresh = self.listening.instant(parameters, audible, plant, before, v["step"], v, instant=1)
             echoes = self.listening.echoes.join(after)
-        near = _clearances(bodies, parameters, plant[:3])
+        near = clearances(bodies, parameters, plant[:3])
         return lower_named(
             "between", {"w": w, **v}, {"echoes_next": echoes, "fresh_next": fresh, "clearance_between": near}
         )
@@ -296,7 +302,7 @@ class _Builder:
         }
         v = {name: ca.SX.sym(name, size) for name, size in symbols.items()}
         place = old["plant"][:2]
-        clear, clearance = _with_walls(old["clear"], v["clearance"])
+        clear, clearance = with_walls(old["clear"], v["clearance"])
         with Recording() as recording:
             total = (
                 v["total"]
@@ -325,7 +331,7 @@ class _Builder:
         stop = ca.if_else(reached, _code("reached"), ca.if_else(collided, _code("collision"), stop))
         ended = stop > 0
         last = old["step"] + 1 >= parameters["steps"]
-        clear_between, between = _with_walls(clear, v["clearance_between"])
+        clear_between, between = with_walls(clear, v["clearance_between"])
         least = ca.fmin(old["least"], clearance)
 
         new: dict[str, ca.SX] = {
@@ -375,17 +381,22 @@ class _Builder:
         kinds = enumerate(self.structure.bodies)
         return sum((w["there"][k] > 0.5 for k, kind in kinds if kind == "mover"), start=ca.SX(0))
 
-    @staticmethod
-    def _disturbance(w: Mapping[str, ca.SX], time: ca.SX) -> ca.SX:
-        waves, slow = (ca.sin(w[name][2] * time + w[name][3]) * w[name][:2] for name in ("wave", "drift"))
-        force = waves + slow
-        return PLANT_DISTURBANCE.join(
-            {"current": ca.vertcat(w["current"], 0), "force": ca.vertcat(force, ca.SX.zeros(2))}
-        )
+
+def pushed(w: Mapping[str, ca.SX], time: ca.SX) -> dict[str, ca.SX]:
+    """Return current and force of the water at a time [s], by name as in `PLANT_DISTURBANCE`."""
+    waves, slow = (ca.sin(w[name][2] * time + w[name][3]) * w[name][:2] for name in ("wave", "drift"))
+    force = waves + slow
+    return {"current": ca.vertcat(w["current"], 0), "force": ca.vertcat(force, ca.SX.zeros(2))}
 
 
-def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX) -> ca.SX:
-    # clearances (2, 1) [m] of the hull to the nearest obstacle and to the nearest wall
+def obstacle_points(bodies: Sequence[Body], eta: ca.SX, count: int) -> ca.SX:
+    """Return the obstacles as input of the law (count, 6): the nearest ones, then empty rows."""
+    rows = slots([b.contact(eta[:2]) for b in bodies], [b.clearance(eta[:2]) for b in bodies], count)
+    return ca.vertcat(rows, ca.SX.zeros(count - rows.shape[0], 6))
+
+
+def clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX) -> ca.SX:
+    """Return the clearances (2, 1) [m] of the hull to the nearest obstacle and to the nearest wall."""
     nearest = ca.SX(ABSENT)
     for body in bodies:
         nearest = ca.fmin(nearest, body.clearance(position) - w["world_hull"])
@@ -394,8 +405,8 @@ def _clearances(bodies: Sequence[Body], w: Mapping[str, ca.SX], position: ca.SX)
     return ca.vertcat(nearest, ca.fmin(across, walls[3] - position[1]) - w["world_hull"])
 
 
-def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
-    # free water (2, 1) [m] above and below the hull
+def free_column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.SX:
+    """Return the free water (2, 1) [m] above and below the hull."""
     above = below = ca.SX(LONGEST)
     for body in bodies:
         over, under = body.over_and_under(place[:3], w["world_hull"])
@@ -405,8 +416,8 @@ def _column(bodies: Sequence[Body], w: Mapping[str, ca.SX], place: ca.SX) -> ca.
     return ca.fmax(allowed, 0)
 
 
-def _with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
-    # walls count only after the hull was clear of them for the first time
+def with_walls(clear: ca.SX, clearances: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return whether the hull was clear of the walls once, from then on they count; and its clearance [m]."""
     now = ca.logic_or(clear, clearances[1] > 0)
     return now, ca.if_else(now, ca.fmin(clearances[0], clearances[1]), clearances[0])
 

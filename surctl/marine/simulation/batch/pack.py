@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from surctl.marine.allocation import working_flags
 from surctl.marine.control import WORKING
-from surctl.marine.sensing import FaultChances, echo_keys, echo_number, fault_slots
+from surctl.marine.sensing import FaultChances
+from surctl.marine.sensing.sonar.faults import fault_slots
+from surctl.marine.sensing.sonar.returns import echo_keys, echo_number
 from surctl.marine.simulation.batch.case import Case, case_parameters
 from surctl.marine.simulation.batch.loop import Loop, Structure
 from surctl.marine.simulation.batch.structure import NO_END, body_columns, capacity_for, kind_of, mission_table

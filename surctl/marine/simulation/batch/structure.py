@@ -27,7 +27,8 @@ from surctl.marine.guidance import (
     window_next,
     window_values,
 )
-from surctl.marine.sensing import Equipment, Solid, SolidBox, SolidDisc, Surfaces
+from surctl.marine.sensing import Equipment, Surfaces
+from surctl.marine.sensing.sonar.solids import Solid, SolidBox, SolidDisc
 from surctl.marine.simulation.obstacle import Obstacle
 from surctl.marine.simulation.run import Sensing
 from surctl.marine.simulation.thruster_faults import fin_excess

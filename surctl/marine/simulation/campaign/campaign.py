@@ -22,8 +22,8 @@ from surctl.errors import InputError, cannot_write
 from surctl.files import Strict, file_name, prepare_folder, read_toml, validate, write_file
 from surctl.marine.control import Barrier, Gains, Movers, law_ref, law_source, load_gains
 from surctl.marine.guidance import AvoidanceForm, Guidance
-from surctl.marine.simulation.batch import Case, simulate_batch
-from surctl.marine.simulation.batch.engines import stored_loop
+from surctl.marine.simulation.batch.case import Case
+from surctl.marine.simulation.batch.engines import simulate_batch, stored_loop
 from surctl.marine.simulation.batch.pack import structure_of
 from surctl.marine.simulation.campaign.summary import RunTable, Summary, assumptions, summarise
 from surctl.marine.simulation.campaign.worlds import Plan, SampledRun
@@ -106,12 +106,7 @@ class Replay:
             "version": self.version,
             "seed": run.seed,
             "law": case.law,
-            "avoidance": case.avoidance,
-            "guidance": case.guidance,
-            "priority_mode": case.mode,
-            "barrier": case.barrier,
-            "movers": case.movers,
-            "sensing": case.sensing,
+            **case.options,
             "stopped_because": self.stopped_because,
             "broken_assumptions": list(self.broken),
             "figures": dict(self.figures),

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from surctl.errors import InputError, NotApplicable
 from surctl.marine.control import BARRIER, law_source
 from surctl.marine.guidance.braking import LEAST_THRUST, Watch, brakes_of, range_needed, stopping_distance_with_drag
-from surctl.marine.sensing import Reflector, level_range
-from surctl.marine.simulation.batch import Case
+from surctl.marine.sensing import Reflector
+from surctl.marine.sensing.sonar.returns import level_range
+from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.clearance import end_findings
-from surctl.marine.simulation.margin import margin_needed, turn_rate
 from surctl.marine.simulation.metrics import METRICS, STOPS
+from surctl.marine.simulation.safety import margin_needed, turn_rate
 from surctl.marine.simulation.scenario import Scenario
 from surctl.marine.simulation.world import build_world
 from surctl.marine.vehicle import Vehicle, check_equation_3

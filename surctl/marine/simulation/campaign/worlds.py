@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import hypot
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from surctl.errors import InputError, SurctlError
-from surctl.marine.simulation.batch import Case
+from surctl.marine.simulation.batch.case import Case
 from surctl.marine.simulation.fit import findings
 from surctl.marine.simulation.loop import simulate
 from surctl.marine.simulation.motion import closest
@@ -28,7 +29,6 @@ __all__ = [
     "Plan",
     "RandomWorlds",
     "SampledRun",
-    "SeededPlan",
     "draw_plant",
     "random_world",
     "world_template",
@@ -71,8 +71,8 @@ class SampledRun:
 
 
 @dataclass(frozen=True)
-class SeededPlan:
-    """Base class of all plans that draw every run from a seed; run k has the seed `first` + k.
+class Plan(ABC):
+    """The runs of a campaign, which are drawn from seeds: run k has the seed `first` + k, and depends only on k.
 
     Attributes:
         case: the setup whose loop is compiled; the runs differ from this setup only in the drawn values.
@@ -88,34 +88,23 @@ class SeededPlan:
         return self.case.scenario.name
 
     def seeds(self, first: int, count: int) -> NDArray[np.int64]:
-        """Return the seeds of `count` runs, see `Plan.seeds`."""
+        """Return the seeds (count,) of the runs from number `first` on."""
         return np.arange(self.first + first, self.first + first + count)
 
-
-class Plan(Protocol):
-    """Interface of a plan, which generates the runs of a campaign; run number k depends only on k."""
-
     @property
-    def name(self) -> str:
-        """Name of the campaign."""
-
-    @property
-    def case(self) -> Case:
-        """The setup whose loop is compiled; every run is this setup with different parameter values."""
-
-    @property
+    @abstractmethod
     def names(self) -> tuple[str, ...]:
         """Names of the parameters that the plan draws at random."""
 
-    def seeds(self, first: int, count: int) -> NDArray[np.int64]:
-        """Return the seeds (count,) of the runs from number `first` on."""
-
+    @abstractmethod
     def values(self, first: int, count: int) -> Columns:
         """Return the drawn values (count,) of the runs from number `first` on, by parameter name."""
 
+    @abstractmethod
     def run(self, k: int) -> SampledRun:
         """Return run number k as a single run, which can be simulated without compiled code."""
 
+    @abstractmethod
     def settings(self) -> Mapping[str, object]:
         """Return the settings, besides the setup, that the runs depend on, as plain data."""
 
@@ -128,7 +117,7 @@ def draw_plant(vehicle: Vehicle, *, seed: int) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class MonteCarlo(SeededPlan):
+class MonteCarlo(Plan):
     """Runs of a scenario with random plants, obstacles and seeds, see `Uncertainty`.
 
     Raises:
@@ -308,7 +297,7 @@ def world_template(vehicle: Vehicle) -> Scenario:
 
 
 @dataclass(frozen=True)
-class RandomWorlds(SeededPlan):
+class RandomWorlds(Plan):
     """Plan of runs in random worlds, which one compiled loop simulates; the seed of a run determines its world.
 
     The simulation setup has the scenario of `world_template`, with sensors, time limit and other settings that all
