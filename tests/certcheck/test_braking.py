@@ -368,6 +368,21 @@ def test_thrust_across_from_before_braking_counts_although_less_may_be_commanded
     assert disturbance(claim, "0") == disturbance(other, "0")
 
 
+def test_a_command_that_is_held_while_the_hull_turns_counts_in_the_period() -> None:
+    whole = document("braking-inertia-20-axes")
+    claim = replace(read_claim(whole["claim"]), lag=Fraction(0))  # so that no thrust lags, which would turn too
+    assert claim.turn and claim.ratio == 1 and claim.law is not None
+    at, entry = np.full((2, 1), 0.1), whole["distances"][0]
+    still, turning = (
+        float(values_at(["b", "v"], at, {"left": distance.obligations()[-1].left})["left"][0])
+        for turn in (Fraction(0), claim.turn)
+        for distance in [read_distance(replace(claim, turn=turn), Fraction(0), entry)]
+    )
+    # the thrust across becomes thrust ahead: its impulse adds at least this much speed
+    gained = float(claim.most) * (1 - np.cos(float(claim.turn * claim.period))) / float(claim.turn * claim.mass[0])
+    assert turning - still >= gained * float(claim.mass[0]) * slope(entry, np.array([0.1]))[0] > 0
+
+
 def test_a_period_in_which_drag_turns_everything_round_is_rejected() -> None:
     whole = document("braking-rule-20")
     whole["claim"]["watch"]["period_s"] = 3.0

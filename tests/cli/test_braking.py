@@ -27,7 +27,7 @@ def test_a_proved_claim_leaves_a_certificate_that_is_accepted_and_tells_what_it_
 
 
 def test_what_is_not_proved_fails_and_leaves_nothing(tmp_path) -> None:
-    found = braking.prove_all(["braking-simple-20"], vehicle="sur400", gains="default", cap=0.22, out=tmp_path)
+    found = braking.prove_all(["braking-inertia-20-axes"], vehicle="sur400", gains="default", cap=0.22, out=tmp_path)
     assert not found.passed and found.claims[0]["verdict"] == "unknown" and "FAIL" in found.lines[0]
     assert not list(tmp_path.iterdir())
 
